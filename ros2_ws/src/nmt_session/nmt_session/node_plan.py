@@ -379,14 +379,13 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         values[name].update(extra)
     if test.strategy == "ramp":
         values["pll"].setdefault("ramp_delay_periods", RAMP_DELAY)
-    if values["pll"].get("loop") == "paper" and test.strategy == "ramp":
-        raise BenchError("The paper's loop waits at every level; use the adaptive loop for the strategy ramp.")
-    if values["pll"].get("loop") == "paper" and test.excitation.test is TestKind.RING_DOWN:
-        raise BenchError("The paper's loop does not switch off; use the adaptive loop for a ring-down test.")
-    if values["pll"].get("loop") == "paper" and test.control != "voltage":
-        raise BenchError(
-            f"The paper's loop steps the voltage only; use the adaptive loop for levels of {test.control}."
-        )
+    for lacking, does, what in (
+        (test.strategy == "ramp", "waits at every level", "the strategy ramp"),
+        (test.excitation.test is TestKind.RING_DOWN, "does not switch off", "a ring-down test"),
+        (test.control != "voltage", "steps the voltage only", f"levels of {test.control}"),
+    ):
+        if lacking and values["pll"].get("loop") == "paper":
+            raise BenchError(f"The paper's loop {does}; use the adaptive loop for {what}.")
     for name, peers in expected_peers(topics, extraction.topics, response, bundle > 0, joined).items():
         values[name]["expected_peers"] = peers
     goal = test.goal
@@ -591,13 +590,9 @@ def _paper_values(values: dict[str, Any]) -> dict[str, Any]:
     return chosen
 
 
+@cache
 def versions() -> dict[str, str]:
     """Versions of what a run's result depends on."""
-    return dict(_versions())
-
-
-@cache
-def _versions() -> dict[str, str]:
     found = {"python": platform.python_version()}
     for name in ("numpy", "scipy", "numba", "rosbags", "nmt_bench", "ros-jazzy-rclpy"):
         try:

@@ -54,6 +54,11 @@ class RunResult:
     lacks_s: float = 0.0
 
     @property
+    def complete(self) -> bool:
+        """Whether the plan was worked through and all of it is in the bag."""
+        return self.code == ResultCode.SUCCEEDED and self.bag_state == "closed"
+
+    @property
     def real_time_factor(self) -> float:
         """Bench time over wall time."""
         return self.bench_time / self.wall_time if self.wall_time > 0 else 0.0

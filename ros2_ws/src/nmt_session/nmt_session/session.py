@@ -21,7 +21,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from nmt_core.blocks import SampleBlock
@@ -116,7 +115,7 @@ class Session:
         self.rig = test.rig
         self.spent = dict.fromkeys(("plant", "loop", "record", "extract"), 0.0)
         self.blocks = 0
-        self._clock: Callable[[], float] = time.process_time if timed else _no_time
+        self._clock: Callable[[], float] = time.process_time if timed else lambda: 0.0
         self._out = Path(out) if out is not None else None
         self._device = device
         self._loop_values = dict(loop_values or {})
@@ -150,9 +149,7 @@ class Session:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._cleanup.close()
 
     def _start(self) -> None:
@@ -372,8 +369,7 @@ class Session:
             return write_drive(record, self._loop.sample_rate)
         if isinstance(record, LoopStatus):
             return write_status(record, self._loop.sample_rate)
-        codec: Any = _CODECS[topic]
-        raw: bytes = codec.write(record)
+        raw: bytes = _CODECS[topic].write(record)
         return raw
 
     # -- the end -------------------------------------------------------------------------------------------------
@@ -448,10 +444,6 @@ class Session:
             yield
         finally:
             signal.signal(signal.SIGINT, before)
-
-
-def _no_time() -> float:
-    return 0.0
 
 
 def _complete(table: Sequence[Parameter], values: Mapping[str, Any], owner: str) -> dict[str, Any]:

@@ -57,7 +57,13 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
                 # With an interval given, blocks stay as the rig has them: cases are compared block by block.
                 "sequencer": {"tick_blocks": 5},
             },
-            **_strategy(case),
+            control=case.control,
+            strategy=case.strategy,
+            test=case.test,
+            frequencies_hz=case.frequencies_hz,
+            rate_hz_s=case.rate_hz_s,
+            frequency_end_hz=case.frequency_end_hz,
+            duration=case.duration,
         )
         with Session(plan, folder) as session:
             result = session.run()
@@ -124,19 +130,6 @@ def level_mapping(point: ModalPoint) -> dict[str, Any]:
         row[name] = getattr(point, name)
         row[f"{name}_std"] = getattr(point, f"{name}_std")
     return row
-
-
-def _strategy(case: StudyCase) -> dict[str, Any]:
-    """Options of the plan that only some cases use."""
-    options: dict[str, Any] = {}
-    if case.control != "voltage":
-        options["control"] = case.control
-    if case.strategy != "stepped":
-        options["strategy"] = case.strategy
-    if case.test != "phase_resonance":
-        for name in ("test", "frequencies_hz", "rate_hz_s", "frequency_end_hz", "duration"):
-            options[name] = getattr(case, name)
-    return options
 
 
 def _plain(value: Any) -> Any:

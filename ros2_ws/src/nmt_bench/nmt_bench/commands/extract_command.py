@@ -129,7 +129,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _calibration(path: Path) -> CalibrationSheet:
-    from nmt_record.exchange.calibration_file import read_calibration
+    from nmt_record.exchange.calibration_file import read_calibration  # loads pydantic, which few extractions need
 
     return read_calibration(path)
 

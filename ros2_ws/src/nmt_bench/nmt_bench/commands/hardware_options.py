@@ -66,11 +66,8 @@ def checked_device(rig: Rig, device: str, command: str) -> dict[str, Any]:
 
     Args:
         rig: with all changes.
-        device: as ``--device``; empty = the rig file's own.
+        device: as ``--device``.
         command: that makes the check, for the sentence.
-
-    Returns:
-        ``device``, ``device_address`` and ``latency_blocks`` of a converter; ``device`` alone of a simulated rig.
 
     Raises:
         BenchError: the device is not known, or its check is missing.
@@ -88,13 +85,7 @@ def checked_device(rig: Rig, device: str, command: str) -> dict[str, Any]:
 
 
 def check_command(rig: str, device: str, changes: Sequence[str]) -> str:
-    """The command that makes the check of a test.
-
-    Args:
-        rig: name or path.
-        device: as ``--device``.
-        changes: ``key=value`` texts applied to the rig file.
-    """
+    """The command that makes the check of a test, from its rig, ``--device`` and ``key=value`` texts."""
     words = ["./nmt check", str(rig)]
     words += [f"--device {device}"] if device else []
     for change in changes:

@@ -169,7 +169,7 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
     console.print(pace_line(result))
     if result.interrupted:
         return EXIT_INTERRUPTED
-    return EXIT_DONE if result.code == ResultCode.SUCCEEDED and result.bag_state == "closed" else EXIT_FAILED
+    return EXIT_DONE if result.complete else EXIT_FAILED
 
 
 def _band(text: str) -> tuple[float, float]:

@@ -172,12 +172,9 @@ def evaluate(
     """Write tables and report; the tables first, since Ctrl-C may end the rest.
 
     Args:
-        result: what was measured.
-        bench: the bench that measured it.
+        result, bench: what was measured, and where.
         folder: of the results.
-        choice: of the reference, see ``--reference``.
-        report: whether a report is wanted.
-        sheet: calibration sheet of the sensors, for the uncertainty budget.
+        choice, report, sheet: as ``--reference``, ``--no-report`` and ``--calibration`` say.
 
     Returns:
         The reference; what could not be written, as a sentence; whether Ctrl-C came. One leaves out the comparison that
@@ -237,14 +234,13 @@ def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunR
                 console.print(line, soft_wrap=True)
         if quiet:
             return bench.run()
+        levels, unit = bench.test.levels, bench.test.level_unit
         console.print(
-            f"{bench.rig.name}, drive point {bench.rig.drive_point}, {len(bench.test.levels)} levels from "
-            f"{min(bench.test.levels):g} to {max(bench.test.levels):g} {unit_text(bench.test.level_unit)}, "
-            f"run {bench.test.run_id}; nodes started in {time.monotonic() - began:.1f} s in ROS domain "
-            f"{bench.domain_id}"
+            f"{bench.rig.name}, drive point {bench.rig.drive_point}, {len(levels)} levels from {min(levels):g} to "
+            f"{max(levels):g} {unit_text(unit)}, run {bench.test.run_id}; nodes started in "
+            f"{time.monotonic() - began:.1f} s in ROS domain {bench.domain_id}"
         )
-        count, unit = len(bench.test.levels), bench.test.level_unit
-        with RunProgress(bench.rig.sample_rate_hz, count, unit, console) as progress:
+        with RunProgress(bench.rig.sample_rate_hz, len(levels), unit, console) as progress:
             return bench.run(progress.update, progress.note)
 
 
@@ -381,9 +377,7 @@ def _summarise(result: RunResult, reference: ReferenceCurve | None, console: Any
 
 
 def _exit_code(result: RunResult) -> int:
-    from nmt_core.vocabulary import ResultCode
     from nmt_extract.modal_point import Status
 
-    if not any(point.status == Status.OK for point in result.points):
-        return EXIT_FAILED
-    return EXIT_DONE if result.code == ResultCode.SUCCEEDED and result.bag_state == "closed" else EXIT_FAILED
+    locked = any(point.status == Status.OK for point in result.points)
+    return EXIT_DONE if locked and result.complete else EXIT_FAILED

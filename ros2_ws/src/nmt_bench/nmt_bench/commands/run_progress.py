@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from types import TracebackType
+from dataclasses import fields
 from typing import Any
 
 from rich.console import Console
@@ -17,6 +17,7 @@ from nmt_bench.commands.console import make_console
 from nmt_core.vocabulary import LoopState
 from nmt_report.columns import unit_text
 from nmt_report.quantity_format import duration, plain, significant
+from nmt_session.run_result import Progress as RunState
 
 _STATES = {
     LoopState.UNKNOWN: ("waiting", "dim"),
@@ -25,16 +26,6 @@ _STATES = {
     LoopState.LOCKED: ("locked", "green"),
     LoopState.LOCK_LOST: ("lock lost", "red"),
 }
-_FEEDBACK = (
-    "level_index",
-    "level_count",
-    "level",
-    "state",
-    "frequency_hz",
-    "phase_error",
-    "fraction_done",
-    "sample",
-)
 
 
 class RunProgress:
@@ -77,9 +68,7 @@ class RunProgress:
         self._progress.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._progress.stop()
 
     def note(self, sentence: str) -> None:
@@ -90,12 +79,11 @@ class RunProgress:
         """Show a feedback.
 
         Args:
-            feedback: the action's feedback, or anything with its fields as attributes or keys: level_index,
-                level_count, level, state, frequency_hz, phase_error (rad), fraction_done, sample; others
-                are ignored, missing ones left out.
+            feedback: anything with the fields of `Progress` as attributes or keys; missing ones are left out.
         """
         if not isinstance(feedback, Mapping):
-            feedback = {name: getattr(feedback, name) for name in _FEEDBACK if hasattr(feedback, name)}
+            names = [item.name for item in fields(RunState)]
+            feedback = {name: getattr(feedback, name) for name in names if hasattr(feedback, name)}
         index = int(feedback.get("level_index", 0))
         count = int(feedback.get("level_count", 0)) or self._levels
         state = _state(feedback.get("state", 0))

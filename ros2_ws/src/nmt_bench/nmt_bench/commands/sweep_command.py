@@ -208,8 +208,7 @@ def _finish(
         console.print(f"Report: {(folder / 'report.html').resolve()}", soft_wrap=True)
     if result.interrupted:
         return EXIT_INTERRUPTED
-    complete = result.code == ResultCode.SUCCEEDED and result.bag_state == "closed" and not remarks
-    return EXIT_DONE if complete and len(tables) == len(levels) else EXIT_FAILED
+    return EXIT_DONE if result.complete and not remarks and len(tables) == len(levels) else EXIT_FAILED
 
 
 def _model(

@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from nmt_bench.commands.console import make_console
 from nmt_extract.modal_point import Status
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import (
@@ -95,11 +94,8 @@ def _table(
     return table
 
 
-def print_modal_table(
-    points: Sequence[ModalPoint], reference: ReferenceCurve | None = None, console: Console | None = None
-) -> None:
+def print_modal_table(points: Sequence[ModalPoint], reference: ReferenceCurve | None, console: Console) -> None:
     """Print :func:`modal_table`, and below it why levels gave no result, or one without some channel."""
-    console = console or make_console()
     if not points:
         console.print("No modal point.")
         return

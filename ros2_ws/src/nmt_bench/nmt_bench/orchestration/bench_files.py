@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -49,7 +48,6 @@ def write_bench_files(
         rig=rig,
         rig_yaml=text,
         levels=tuple(parse_levels(levels or rig.test.levels)),
-        run_id=time.strftime(f"{rig.name}-%Y%m%d-%H%M%S"),
         pacing=pacing,
         linked=False,  # whoever starts the nodes chooses their hosts
         **checked_device(rig, device, check_command(rig_name, device, changes)),

@@ -213,15 +213,8 @@ class TestPlan:
     @property
     def excitation(self) -> Excitation:
         """Kind of test and its settings."""
-        low, high = self.band_hz or (0.0, 0.0)
-        return Excitation(
-            TestKind.named(self.test),
-            float(low),
-            float(high),
-            float(self.rate_hz_s),
-            float(self.frequency_end_hz),
-            float(self.duration),
-        )
+        values = *(self.band_hz or (0.0, 0.0)), self.rate_hz_s, self.frequency_end_hz, self.duration
+        return Excitation(TestKind.named(self.test), *map(float, values))
 
     @property
     def level_frequencies_hz(self) -> tuple[float, ...]:

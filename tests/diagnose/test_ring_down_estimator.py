@@ -295,3 +295,6 @@ def test_a_viscous_decay_of_a_few_periods_has_rows_of_its_own() -> None:
     short = observations_of(linear(rate, 2.5 / HZ), rate, rig())
     assert not len(short.rows)
     assert "turns" in short.notes[0]
+    shorter = observations_of(linear(rate, 0.1 / HZ), rate, rig())
+    assert not len(shorter.rows)
+    assert "less than a period" in shorter.notes[0]

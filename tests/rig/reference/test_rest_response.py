@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nmt_rig.model.assembly import assemble
+from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.rest_response import responses_at_rest
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_system
@@ -33,6 +35,13 @@ def test_ports_give_what_the_whole_system_gives(rig: str, changes: list[str]) ->
         unknowns, force = system.response(float(omega))
         assert found[0][k] == pytest.approx(system.motion(system.drive_point, unknowns), rel=1e-7)
         assert abs(found[1][k] - force) <= 1e-6 * abs(force) + 1e-9
+
+
+@pytest.mark.parametrize("count", [2, 150])
+def test_a_free_chain_at_rest_is_singular_however_long(count: int) -> None:
+    system = assemble(lumped_chain([1.0] * count, [1.0] * (count - 1)), [], 1)
+    with pytest.raises(np.linalg.LinAlgError):
+        system.response(0.0)
 
 
 @pytest.mark.parametrize("elements", [7, 150])

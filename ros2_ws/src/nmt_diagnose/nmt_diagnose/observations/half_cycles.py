@@ -1,8 +1,8 @@
 """Frequency and decay rate from the turning points of a decay that is over after a few periods.
 
 Three turning points x₀, x₁, x₂ at t₀, t₁, t₂ make one node: ω = 2π/(t₂ − t₀), swings A₀ = |x₁ − x₀|/2 and
-A₁ = |x₂ − x₁|/2, decay rate 2 ln(A₀/A₁)/(t₂ − t₀), amplitude √(A₀ A₁). An offset of the channel drops out, and so does
-the displaced rest of dry friction. Nodes follow each other without overlap.
+A₁ = |x₂ − x₁|/2, decay rate 2 ln(A₀/A₁)/(t₂ − t₀) by the logarithmic decrement, amplitude √(A₀ A₁). An offset of the
+channel drops out, and so does the displaced rest of dry friction. Nodes follow each other without overlap.
 """
 
 from __future__ import annotations
@@ -34,11 +34,13 @@ def half_cycle_nodes(samples: FloatArray, sample_rate: float, frequency_hz: floa
         frequency_hz: of the mode, to some ten percent.
 
     Raises:
-        BenchError: too few samples a period, or too few turning points.
+        BenchError: too few samples a period, less than a period, or too few turning points.
     """
     period = sample_rate / frequency_hz
     if period < _FEWEST_SAMPLES:
         raise BenchError(f"{period:.2g} samples a period are too few for turning points; {_FEWEST_SAMPLES} are needed")
+    if samples.size < period:
+        raise BenchError(f"its {samples.size} samples are less than a period of the mode at {frequency_hz:.4g} Hz")
     time, value, time_std, value_std = _turning_points(samples, period)
     swing = 0.5 * np.abs(np.diff(value))
     nodes = []

@@ -135,13 +135,20 @@ class ElectromechanicalSystem(PointMotion):
 
 
 def _solution(matrix: Array, right: Array) -> Array:
-    """x (n,) of matrix · x = right, by sparse factors where few entries are not zero, as along a fine beam."""
+    """x (n,) of matrix · x = right, by sparse factors where few entries are not zero, as along a fine beam.
+
+    Raises:
+        LinAlgError: the matrix is singular.
+    """
     if np.count_nonzero(matrix) > _FEW_ENTRIES * matrix.size:
         return np.asarray(np.linalg.solve(matrix, right))
     from scipy.sparse import csc_matrix  # late: small systems do without
     from scipy.sparse.linalg import splu
 
-    return np.asarray(splu(csc_matrix(matrix)).solve(right))
+    try:
+        return np.asarray(splu(csc_matrix(matrix)).solve(right))
+    except RuntimeError as error:
+        raise np.linalg.LinAlgError(str(error)) from error
 
 
 def displacement_output(system: ElectromechanicalSystem, point: int) -> OutputRow:

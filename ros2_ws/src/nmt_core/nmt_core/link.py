@@ -1,7 +1,7 @@
 """The sample path of a run in lockstep past the middleware: a Unix socket a node, a datagram a message.
 
 Plant, loop and sequencer wait for each other block by block, and a delivery by the middleware costs more than a block.
-Messages of `TAKEN_BY` go to the sockets of the nodes that take them, bundles to those of recorder and extraction.
+Messages of `TAKEN_BY` go to the sockets of the nodes that take them, in this order.
 Everybody else takes the topic. Why a drive stops goes the same way, so that it is there before the blocks of its ramp.
 The kernel keeps order and loses nothing, and a socket's name lives no longer than its process. Only the user of the
 process is heard.
@@ -25,7 +25,7 @@ TAKEN_BY: dict[str, tuple[str, ...]] = {
     "drive": ("plant",),
     "frequency": ("sequencer",),
     "lock": ("sequencer",),
-    "level": ("pll",),
+    "level": ("extract", "pll"),  # extraction first: it has the level before what the loop makes of it
     "run_state": ("plant",),
     "drive_stop": ("sequencer",),
     "diagnostics": ("sequencer",),

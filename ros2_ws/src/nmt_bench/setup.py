@@ -25,5 +25,5 @@ setup(
     maintainer_email="nmt@example.org",
     description="Command line, harness of the node processes, live page, orchestration, benchmarks",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["nmt = nmt_bench.cli:main"]},
+    entry_points={"console_scripts": ["nmt = nmt_bench.cli:program"]},
 )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-
-from nmt_bench.cli import main
+from nmt_bench.cli import program
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

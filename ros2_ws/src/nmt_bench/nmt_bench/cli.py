@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import errno
+import gc
 import importlib
 import os
 import re
@@ -19,7 +20,7 @@ import resource
 import sys
 from collections.abc import Sequence
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from nmt_bench.command_parser import (
     EXIT_DONE,
@@ -31,6 +32,7 @@ from nmt_bench.command_parser import (
 )
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
+from nmt_core.process_end import end_process
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -171,6 +173,12 @@ def build_whole_parser() -> argparse.ArgumentParser:
         group = next(action for action in whole._actions if isinstance(action, argparse._SubParsersAction))
         commands.choices[name] = group.choices[name]
     return parser
+
+
+def program() -> NoReturn:
+    """The command line as a process of its own."""
+    gc.set_threshold(50_000, 20, 50)  # by default a third of the time in which figures are drawn goes into looking
+    end_process(main())
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -67,7 +67,7 @@ def record(figure: Figure, name: str, title: str, wide: bool = False, *, drawn: 
 
 def packed(figure: Mapping[str, Any]) -> str:
     """A recorded figure as one line of letters: JSON, deflated, in base 64 for URLs; the same for the same figure."""
-    return base64.urlsafe_b64encode(zlib.compress(json.dumps(figure, separators=(",", ":")).encode(), 9)).decode()
+    return base64.urlsafe_b64encode(zlib.compress(json.dumps(figure, separators=(",", ":")).encode())).decode()
 
 
 def unpacked(text: str) -> Record:

@@ -17,7 +17,7 @@ from nmt_report.columns import unit_text
 from nmt_report.quantity_format import significant
 from nmt_report.run_data import Excerpt, LevelStart, RunReportData
 from nmt_report.shown_levels import MOST_MARKS, MOST_PANELS, shown_note, spread_evenly
-from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
+from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, ScaledNumbers, svg_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -115,7 +115,7 @@ def envelope_figure(data: RunReportData) -> ReportFigure | None:
         axes.fill_between(time, low, high, color=colour, linewidth=0.4)
         axes.set_ylabel(f"{envelope.symbol} / {unit_text(envelope.unit)}")
         axes.yaxis.set_major_locator(MaxNLocator(5, symmetric=True))
-        axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
+        axes.yaxis.set_major_formatter(ScaledNumbers((-3, 4)))
     _level_starts(panels, data)
     _level_numbers(panels[0], data, above=True)
     panels[-1].set_xlabel("bench time / s")
@@ -213,7 +213,7 @@ def _excerpt(axes: Axes, excerpt: Excerpt, first_column: bool, last_column: bool
         side.set_ylim(-limit, limit)
         side.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
         side.tick_params(axis="y", labelcolor=colour, labelsize=7.5)
-        side.ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
+        side.yaxis.set_major_formatter(ScaledNumbers((-2, 3)))
         side.yaxis.get_offset_text().set_fontsize(7.5)
         side.spines[spine].set_visible(True)
     other.grid(False)

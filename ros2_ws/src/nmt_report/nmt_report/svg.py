@@ -11,7 +11,9 @@ from typing import Any
 
 import matplotlib
 from markupsafe import Markup, escape
+from matplotlib.backends.backend_svg import RendererSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 from matplotlib.transforms import Bbox
 
 from nmt_report.figure_record import packed, record
@@ -66,6 +68,7 @@ _STYLE: Any = {
     "legend.fontsize": 8.5,
     "legend.frameon": False,
     "path.simplify": True,
+    "figure.dpi": 72.0,  # that of SVG
     "figure.facecolor": "none",
     "axes.facecolor": "none",
 }
@@ -118,6 +121,25 @@ def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | No
     return Markup(f'{text}{_columns(figure, name)}<script type="{FIGURE_TYPE}">{numbers}</script>')
 
 
+class ScaledNumbers(ScalarFormatter):
+    """Tick labels as text beside a common power of ten: matplotlib would set every number as a formula, which is slow.
+
+    Args:
+        limits: exponents within which there is no common power.
+    """
+
+    def __init__(self, limits: tuple[int, int]) -> None:
+        super().__init__(useMathText=True)
+        self.set_powerlimits(limits)
+
+    def __call__(self, value: float, place: int | None = None) -> str:
+        """The label of one tick."""
+        return _NUMBER.sub(r"\1", super().__call__(value, place))
+
+
+_NUMBER = re.compile(r"\$\\mathdefault\{(.*)\}\$")
+
+
 def _columns(figure: Figure, name: str) -> str:
     """Views of the columns of a figure, for a narrow screen to show below each other; empty for one column.
 
@@ -136,12 +158,14 @@ def _columns(figure: Figure, name: str) -> str:
     if len(columns) < 2:
         return ""
     groups = [[legend] for legend in figure.legends] + [group for _, group in columns]
-    height, scale = figure.get_figheight() * 72.0, 72.0 / figure.dpi
+    width, height = figure.get_size_inches() * 72.0
+    # Text is measured as it was drawn: any other renderer would set all formulas anew.
+    renderer = RendererSVG(width, height, StringIO(), image_dpi=72)
     views = ""
     for group in groups:
-        boxes = (item.get_tightbbox() if hasattr(item, "get_tightbbox") else item.get_window_extent() for item in group)
+        boxes = (item.get_tightbbox(renderer) for item in group)
         box = Bbox.union([box for box in boxes if box is not None])
-        place = (scale * box.x0 - 2.0, height - scale * box.y1 - 2.0, scale * box.width + 4.0, scale * box.height + 4.0)
+        place = (box.x0 - 2.0, height - box.y1 - 2.0, box.width + 4.0, box.height + 4.0)
         frame = " ".join(f"{value:.1f}" for value in place)
         views += f'<svg viewBox="{frame}" aria-hidden="true"><use href="#{name}-figure_1"/></svg>'
     return f'<div class="panels">{views}</div>'

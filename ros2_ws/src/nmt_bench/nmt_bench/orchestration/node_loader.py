@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_bench.orchestration.parent_death import begin_group
+from nmt_core.process_end import end_process
 
 READY, GO = b"ready", b"go"
 ROOM = 1024
@@ -248,7 +249,12 @@ def main() -> None:
     if node is None:
         os._exit(0)  # nodes wait for the end of this process; to tidy up first would take a tenth of a second
     become(node)
-    runpy.run_path(node["command"][0], run_name="__main__")
+    try:
+        runpy.run_path(node["command"][0], run_name="__main__")
+    except SystemExit as end:
+        if end.code is None or isinstance(end.code, int):
+            end_process(end.code or 0)
+        raise
 
 
 if __name__ == "__main__":

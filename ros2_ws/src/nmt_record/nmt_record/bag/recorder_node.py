@@ -300,7 +300,7 @@ class RecorderNode(BenchNode):
 
     def _close_in_lockstep(self, silence: float) -> None:
         """Close the bag of a run that is over when all is in it that was sent, however long that takes."""
-        if not self._is_drained or silence < self._settle_time:
+        if not self._is_drained:
             return
         core, end = self.core, self.core.end_sample or 0
         lacks = not core.gaps.reached(end)

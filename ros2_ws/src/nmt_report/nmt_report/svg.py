@@ -160,7 +160,7 @@ def _columns(figure: Figure, name: str) -> str:
     groups = [[legend] for legend in figure.legends] + [group for _, group in columns]
     width, height = figure.get_size_inches() * 72.0
     # Text is measured as it was drawn: any other renderer would set all formulas anew.
-    renderer = RendererSVG(width, height, StringIO(), image_dpi=72)
+    renderer = RendererSVG(width, height, StringIO(), image_dpi=72)  # type: ignore[no-untyped-call]
     views = ""
     for group in groups:
         boxes = (item.get_tightbbox(renderer) for item in group)

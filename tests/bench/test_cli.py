@@ -301,7 +301,7 @@ WITHOUT_ROS = """
 import sys
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in ("rclpy", "nmt_msgs", "std_msgs", "std_srvs", "diagnostic_msgs"):
+        if name.split(".")[0] in ("rclpy", "nmt_msgs", "std_msgs", "std_srvs", "diagnostic_msgs", "nmt_blind"):
             raise ModuleNotFoundError("No module named " + repr(name), name=name)
 sys.meta_path.insert(0, Absent())
 from nmt_bench.cli import main
@@ -320,6 +320,16 @@ def test_commands_that_start_nodes_say_that_ros_is_missing(tmp_path: Path) -> No
     for words, said in zip(commands, result.stderr.splitlines(keepends=True), strict=True):
         assert one_sentence(said)
         assert said.startswith(f"nmt {words.split()[0]}: This starts ROS 2 nodes and 'rclpy' is not installed")
+    assert list(tmp_path.iterdir()) == [script]
+
+
+def test_campaigns_that_pip_does_not_install_ask_for_a_clone(tmp_path: Path) -> None:
+    script = tmp_path / "nmt"
+    script.write_text(WITHOUT_ROS)
+    command = [sys.executable, str(script), f"blind make --seed 1 --cases 1 --out {tmp_path / 'out'}"]
+    result = subprocess.run(command, capture_output=True, text=True, env=environment(), cwd=tmp_path)
+    assert result.stdout == "[2]\n"
+    assert result.stderr == "nmt blind: Campaigns are not in what pip installs; use './nmt blind' of a clone.\n"
     assert list(tmp_path.iterdir()) == [script]
 
 

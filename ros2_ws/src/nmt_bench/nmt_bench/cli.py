@@ -103,6 +103,9 @@ also, from the launcher:
   setup                 only the set-up
 """
 
+_CLONE_MODULE = "nmt_blind"
+"""Campaigns are made where the program is developed; the wheel leaves them out."""
+
 _ROS_MODULES = frozenset(
     {
         "action_msgs",
@@ -259,7 +262,7 @@ def _run(words: list[str], end: _End) -> int:
         return EXIT_USER
     except ModuleNotFoundError as error:
         library = (error.name or "nmt_").partition(".")[0]
-        if library.startswith("nmt_") and library not in _ROS_MODULES:
+        if library.startswith("nmt_") and library not in _ROS_MODULES | {_CLONE_MODULE}:
             return _unexpected(command, error, words, end)
         end.sentence = _complain(command, _missing_module(library))
         return EXIT_USER
@@ -333,6 +336,8 @@ def _missing_module(name: str) -> str:
             f"This starts ROS 2 nodes and '{library}' is not installed; use './nmt' of a clone, which brings ROS 2, or "
             "a workspace built and sourced beside ROS 2 Jazzy."
         )
+    if library == _CLONE_MODULE:
+        return "Campaigns are not in what pip installs; use './nmt blind' of a clone."
     if library == "distributed":
         return "'distributed' is not installed; type: pip install 'nmt[dask]'."
     return f"'{library}' is not installed, although nmt needs it; type: pip install --force-reinstall nmt."

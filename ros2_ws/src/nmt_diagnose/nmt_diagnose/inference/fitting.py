@@ -25,6 +25,7 @@ from nmt_diagnose.inference.tuned import (
     FIT_STEPS,
     LARGEST_LOG_RATIO,
     LARGEST_STEP,
+    POOR_GAIN,
     REWEIGHTINGS,
 )
 from nmt_diagnose.observations.conditions import RandomTest
@@ -392,7 +393,8 @@ def fit(
         slopes = slopes + np.outer(changed - slopes @ step, step) / float(step @ step)
         fresh = False
         theta, prediction, errors, cost = moved, trial, own, total
-        damping *= 0.1
+        # A step that gains far less than it promised went over a bend: undamped ones would swing about the optimum.
+        damping = 0.1 * damping if gained > POOR_GAIN * promised else 10.0 * max(damping, 1e-3)
         # Broyden's update follows what a step showed; sensitivities are computed anew where one fell short of it.
         if gained < BROYDEN_TRUST * promised and refreshes > 0:
             slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True

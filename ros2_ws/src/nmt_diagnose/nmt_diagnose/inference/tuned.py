@@ -22,6 +22,8 @@ FIT_STEPS, CONVERGED, LARGEST_STEP = 25, 0.2, 3.0
 APPROACH, APPROACH_STEPS = (0.1, 0.01, 0.001), 10
 # Share of the promised fall of the cost below which sensitivities are computed anew after a step.
 BROYDEN_TRUST = 0.75
+# Share below which the next step is damped.
+POOR_GAIN = 0.25
 # Most reweightings of chain and scales for one prediction: near the optimum three suffice.
 REWEIGHTINGS = 20
 # Search: effects that are fitted, places of each, fall of the cost below which nothing is tried.

@@ -361,24 +361,28 @@ def _fundamental_gain(
     open_z = _PRIOR.get(linear.source, 0.2) * size + (plant / omega - 1.0) ** 2 * omega * (mass + moving)
     open_z = max(open_z, 1e-3 * 2.0 * linear.damping_ratios[linear.target_mode] * omega * mass)
 
-    def row(state: DriveState) -> tuple[ComplexArray, complex, float]:
-        """Factors of K, and of what c and k/ω₀ have beyond the start; what F is with the start; its deviation."""
-        speed, voltage = complex(state.velocity[1]), state.voltage
-        start = complex(damping, state.omega * moving - stiffness / state.omega)
-        factors = np.array([voltage, 1j * voltage, -speed * open_z, 1j * speed * open_z * omega / state.omega])
-        value = complex(state.force[1]) + start * speed
-        return factors, value, _EXCITER * abs(value) + float(np.nan_to_num(state.force_std[1]))
+    def fundamental(state: DriveState) -> tuple[complex, complex, float]:
+        return complex(state.force[1]), complex(state.velocity[1]), float(state.force_std[1])
 
-    lines, values = [np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])], [np.zeros(2)]
-    for state in known:
-        factors, value, std = row(state)
-        lines.append(np.array([factors.real, factors.imag]) / std)
-        values.append(np.array([value.real, value.imag]) / std)
-    matrix = np.concatenate(lines)
+    def rows(states: Sequence[DriveState]) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+        """Factors of K, and of what c and k/ω₀ have beyond the start; what F is with the start; its deviation."""
+        force, speed, force_std = (np.array(each) for each in zip(*map(fundamental, states), strict=True))
+        voltage, at = np.array([state.voltage for state in states]), np.array([state.omega for state in states])
+        factors = np.stack([voltage, 1j * voltage, -speed * open_z, 1j * speed * open_z * omega / at], axis=1)
+        value = force + (damping + 1j * (at * moving - stiffness / at)) * speed
+        std = _EXCITER * np.abs(value) + np.nan_to_num(force_std)
+        return factors, value, std
+
+    def parts(values: ComplexArray) -> FloatArray:
+        """Real and imaginary part of each row below each other."""
+        return np.stack([values.real, values.imag], axis=1).reshape(2 * len(values), *values.shape[1:])
+
+    factors, value, std = rows(known)
+    matrix = np.concatenate([[[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]], parts(factors / std[:, None])])
     scale = np.abs(matrix).max(axis=0)
     covariance = np.linalg.pinv((matrix / scale).T @ (matrix / scale)) / np.outer(scale, scale)
-    solution = covariance @ (matrix.T @ np.concatenate(values))
-    factors, value, std = row(drive)
+    solution = covariance @ (matrix.T @ np.concatenate([np.zeros(2), parts(value / std)]))
+    (factors,), (value,), (std,) = rows([drive])
     two = np.array([factors.real, factors.imag])
     spread = math.hypot(std, math.sqrt(max(float(np.trace(two @ covariance @ two.T)), 0.0)))
     expected = complex(drive.force[1]) - (value - complex(factors @ solution))

@@ -19,7 +19,6 @@ KERNELS = [
     (random_twin, "windowed"),
     (stepped_sine_twin, "solve_lines"),
     (stepped_sine_twin, "step_lines"),
-    (stepped_sine_twin, "step_more_lines"),
     (record_kernel, "_step_all"),
     (record_kernel, "_step_one"),
 ]

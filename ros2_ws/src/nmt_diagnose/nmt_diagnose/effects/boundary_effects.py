@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
+from nmt_diagnose.effects.changes import Sites, has_friction, inverse, is_clamped, with_local
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Reported, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.effects.placement import Placement
-from nmt_diagnose.effects.rig_edit import with_element, with_value
+from nmt_diagnose.effects.placement import PlaceKind, Placement
+from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.effects.structure_effects import spots
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.model.local_elements.friction import JenkinsSection
@@ -19,19 +19,17 @@ from nmt_rig.rig import BeamSection, Rig
 
 # Slip displacement as multiples of the largest amplitude: above 1 the contact sticks and is a spring.
 SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
-FRICTION = (
-    EffectParameter("kt", "N/m"),
-    EffectParameter("slip_displacement", "m", "shape", grid=SLIP_GRID),
-)
 # Neighbours differ by 8 % in slip displacement. Fewer, or parts of equal stiffness, leave so few sliders at small
 # amplitudes that each of them shows as a corner of χ².
 _NEW_JOINT_SLIDERS = 120
 CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp_lateral_stiffness_n_m"}
+_FRICTION_REFERENCE = "Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893"
+_POWER = EffectParameter("power", "1", "shape", grid=(0.5, 1.0))
 
 
 def _compliance_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     beam = rig.structure
-    if not isinstance(beam, BeamSection) or "clamped" not in beam.boundary:
+    if not isinstance(beam, BeamSection) or not is_clamped(rig):
         return ()
     bending = beam.youngs_modulus_pa * beam.width_m * beam.height_m**3 / 12.0
     # 1 % of the static compliance of the tip.
@@ -48,84 +46,75 @@ def _with_compliance(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
 
 
 def _clamp_friction_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    if not isinstance(rig.structure, BeamSection) or "clamped" not in rig.structure.boundary:
+    if not is_clamped(rig):
         return ()
-    lateral = Site(
-        Placement("boundary", detail="lateral"),
-        {"kt": 0.05 * operating.effective_stiffness(1), "slip_displacement": operating.displacement[1]},
-        1,
-        option="lateral",
+    sizes = {
+        "lateral": (0.05 * operating.effective_stiffness(1), operating.displacement[1]),
+        "rotation": (0.05 * operating.omega**2 * operating.effective_inertia[1], operating.rotation[1]),
+    }
+    return tuple(
+        Site(Placement("boundary", detail=option), {"kt": kt, "slip_displacement": slip}, 1, option=option)
+        for option, (kt, slip) in sizes.items()
     )
-    rotation = Site(
-        Placement("boundary", detail="rotation"),
-        {
-            "kt": 0.05 * operating.omega**2 * operating.effective_inertia[1],
-            "slip_displacement": operating.rotation[1],
-        },
-        1,
-        option="rotation",
-    )
-    return lateral, rotation
 
 
 def _contact_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    beam = isinstance(rig.structure, BeamSection) and "clamped" in rig.structure.boundary
     return tuple(
         Site(
             Placement.at("joint", point, other), {"kt": 0.05 * stiffness, "slip_displacement": amplitude}, point, other
         )
         for point, other, amplitude, stiffness in spots(rig, operating)
-        if not (beam and point == 1)
+        if not (is_clamped(rig) and point == 1)
     )
 
 
-def _has_friction(rig: Rig) -> bool:
-    return any(element.friction for element in rig.local_elements)
-
-
-def _attached(site: Site) -> dict[str, Any]:
-    """Keys of an element that say where it sits."""
-    settings: dict[str, Any] = {"point": site.point}
-    if site.other_point:
-        settings["other_point"] = site.other_point
-    if site.option == "rotation":
-        settings["rotation"] = True
-    return settings
-
-
-def _taken(rig: Rig, site: Site, stiffness: float) -> Rig:
-    """The rig with so much less stiffness at a site, N/m or N m/rad."""
-    spring = LinearSpringSection.model_construct(kind="linear_spring", stiffness_n_m=-stiffness, **_attached(site))
-    return with_element(rig, spring)
+def _without_friction(sites: Sites) -> Sites:
+    """The same places, of a model that has no friction."""
+    return lambda rig, operating: () if has_friction(rig) else sites(rig, operating)
 
 
 def _with_friction(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    element = JenkinsSection.model_construct(
-        kind="jenkins",
-        tangential_stiffness_n_m=values["kt"],
-        slip_force_n=values["kt"] * values["slip_displacement"],
-        **_attached(site),
+    slip = values["kt"] * values["slip_displacement"]
+    return with_local(rig, JenkinsSection, site, tangential_stiffness_n_m=values["kt"], slip_force_n=slip)
+
+
+def _taken(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    """The rig with so much less stiffness at a site as a contact there has: while it sticks, nothing changes."""
+    return with_local(rig, LinearSpringSection, site, stiffness_n_m=-values["kt"])
+
+
+def _friction(
+    name: str, place: PlaceKind, sites: Sites, equation: str, keys: str, stuck_equation: str, stuck_keys: str
+) -> tuple[Effect, Effect]:
+    """A slider with a spring beside what the model has, and one whose spring carries a part of the model's stiffness.
+
+    The latter is where a contact may slip that a model without friction takes for a spring.
+    """
+    beside = Effect(
+        name=name,
+        place=place,
+        equation=equation,
+        reference=_FRICTION_REFERENCE,
+        keys=f"local_elements: {keys}",
+        parameters=(
+            EffectParameter("kt", "N/m"),
+            EffectParameter("slip_displacement", "m", "shape", grid=SLIP_GRID),
+        ),
+        sites=sites,
+        change=_with_friction,
+        report=lambda site, values: {
+            "kt": (values["kt"], "N/m"), "slip_force": (values["kt"] * values["slip_displacement"], "N"),
+        },
+    )  # fmt: skip
+    stuck = replace(
+        beside,
+        equation=stuck_equation,
+        keys=f"local_elements: {stuck_keys}",
+        sites=_without_friction(sites),
+        change=lambda rig, site, values: _taken(_with_friction(rig, site, values), site, values),
+        form="stuck in the model",
     )
-    return with_element(rig, element)
-
-
-def _stuck_contact_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    """Where a contact may slip that the model, which has no friction, takes for a spring."""
-    return () if _has_friction(rig) else _contact_sites(rig, operating)
-
-
-def _stuck_clamp_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    """The same for the clamp of a beam."""
-    return () if _has_friction(rig) else _clamp_friction_sites(rig, operating)
-
-
-def _with_stuck_friction(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    """The contact carries a part of the stiffness that the model has: while it sticks, nothing changes."""
-    return _taken(_with_friction(rig, site, values), site, values["kt"])
-
-
-def _friction_report(site: Site, values: Mapping[str, float]) -> Reported:
-    return {"kt": (values["kt"], "N/m"), "slip_force": (values["kt"] * values["slip_displacement"], "N")}
+    return beside, stuck
 
 
 def joint_placement(element: ElementSection, nameless: str) -> Placement:
@@ -136,38 +125,23 @@ def joint_placement(element: ElementSection, nameless: str) -> Placement:
 
 def _new_joint_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     """Where micro-slip may be in a model that has no friction: any contact, and the clamp of a beam."""
-    if _has_friction(rig):
-        return ()
     contacts = (*_contact_sites(rig, operating), *_clamp_friction_sites(rig, operating))
     return tuple(replace(site, scales={**site.scales, "power": 1.0}) for site in contacts)
 
 
 def _with_new_joint(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    """The joint carries a part of the stiffness that the model has: while it sticks, nothing changes."""
-    joint = IwanSection.model_construct(
-        kind="iwan",
-        tangential_stiffness_n_m=values["kt"],
-        slip_force_n=_joint_slip_force(values),
-        exponent=values["power"] - 1.0,
-        sliders=_NEW_JOINT_SLIDERS,
-        partition="ratio",
-        **_attached(site),
-    )
-    return _taken(with_element(rig, joint), site, values["kt"])
+    joint = with_local(
+        rig, IwanSection, site,
+        tangential_stiffness_n_m=values["kt"], slip_force_n=_joint_slip_force(values), exponent=values["power"] - 1.0,
+        sliders=_NEW_JOINT_SLIDERS, partition="ratio",
+    )  # fmt: skip
+    return _taken(joint, site, values)
 
 
 def _joint_slip_force(values: Mapping[str, float]) -> float:
     """F_S of a power law from 0 to the slip displacement: K_T times its mean."""
     power = values["power"]
     return values["kt"] * values["slip_displacement"] * power / (power + 1.0)
-
-
-def _new_joint_report(site: Site, values: Mapping[str, float]) -> Reported:
-    return {
-        "kt": (values["kt"], "N/m"),
-        "slip_force": (_joint_slip_force(values), "N"),
-        "chi": (values["power"] - 1.0, "1"),
-    }
 
 
 def _microslip_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -189,12 +163,14 @@ def _with_microslip(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("local_elements", site.index), joint)
 
 
+def _new_joint_report(site: Site, values: Mapping[str, float]) -> Reported:
+    slip = _joint_slip_force(values)
+    return {"kt": (values["kt"], "N/m"), "slip_force": (slip, "N"), "chi": (values["power"] - 1.0, "1")}
+
+
 def _microslip_report(site: Site, values: Mapping[str, float]) -> Reported:
-    return {
-        "spread": (values["spread"], "1"),
-        "chi": (values["power"] - 1.0, "1"),
-        "beta": (1.0 / values["spread"] if values["spread"] else float("inf"), "1"),
-    }
+    spread, chi = values["spread"], values["power"] - 1.0
+    return {"spread": (spread, "1"), "chi": (chi, "1"), "beta": (inverse(spread), "1")}
 
 
 BOUNDARY_EFFECTS: tuple[Effect, ...] = (
@@ -207,32 +183,15 @@ BOUNDARY_EFFECTS: tuple[Effect, ...] = (
         parameters=(EffectParameter("compliance", "rad/(N m) or m/N"),),
         sites=_compliance_sites,
         change=_with_compliance,
-        report=lambda site, values: {"k": (1.0 / values["compliance"] if values["compliance"] else float("inf"),
-                                     "N m/rad or N/m")},
+        report=lambda site, values: {"k": (inverse(values["compliance"]), "N m/rad or N/m")},
         equivalents={"stinger_stiffness": "a second drive point"},
     ),
-    Effect(
-        name="clamp_friction",
-        place="boundary",
-        equation="Jenkins element between the ground and the point next to the clamp (displacement or rotation)",
-        reference="Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893",
-        keys="local_elements: jenkins at point 1, with or without rotation",
-        parameters=FRICTION,
-        sites=_clamp_friction_sites,
-        change=_with_friction,
-        report=_friction_report,
-    ),
-    Effect(
-        name="clamp_friction",
-        place="boundary",
-        equation="the same element, of stiffness kt that it takes from the model's; for a model without friction",
-        reference="Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893",
-        keys="local_elements: jenkins at point 1, linear_spring of −kt",
-        parameters=FRICTION,
-        sites=_stuck_clamp_sites,
-        change=_with_stuck_friction,
-        report=_friction_report,
-        form="stuck in the model",
+    *_friction(
+        "clamp_friction", "boundary", _clamp_friction_sites,
+        "Jenkins element between the ground and the point next to the clamp (displacement or rotation)",
+        "jenkins at point 1, with or without rotation",
+        "the same element, of stiffness kt that it takes from the model's; for a model without friction",
+        "jenkins at point 1, linear_spring of −kt",
     ),
 )  # fmt: skip
 
@@ -245,7 +204,7 @@ JOINT_EFFECTS: tuple[Effect, ...] = (
         keys="local_elements: iwan instead of jenkins",
         parameters=(
             EffectParameter("spread", "1", grid=(0.3, 1.0, 3.0)),
-            EffectParameter("power", "1", "shape", grid=(0.5, 1.0)),
+            _POWER,
         ),
         sites=_microslip_sites,
         change=_with_microslip,
@@ -261,34 +220,18 @@ JOINT_EFFECTS: tuple[Effect, ...] = (
         parameters=(
             EffectParameter("kt", "N/m"),
             EffectParameter("slip_displacement", "m", "shape", grid=(0.3, 1.0, 3.0)),
-            EffectParameter("power", "1", "shape", grid=(0.5, 1.0)),
+            _POWER,
         ),
-        sites=_new_joint_sites,
+        sites=_without_friction(_new_joint_sites),
         change=_with_new_joint,
         report=_new_joint_report,
     ),
-    Effect(
-        name="second_friction_contact",
-        place="joint",
-        equation="another Jenkins element, kt and slip_force = kt slip_displacement",
-        reference="Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893",
-        keys="local_elements: jenkins",
-        parameters=FRICTION,
-        sites=_contact_sites,
-        change=_with_friction,
-        report=_friction_report,
-    ),
-    Effect(
-        name="second_friction_contact",
-        place="joint",
-        equation="a Jenkins element of stiffness kt that it takes from the model's, slip_force = kt slip_displacement; "
+    *_friction(
+        "second_friction_contact", "joint", _contact_sites,
+        "another Jenkins element, kt and slip_force = kt slip_displacement",
+        "jenkins",
+        "a Jenkins element of stiffness kt that it takes from the model's, slip_force = kt slip_displacement; "
         "for a model without friction",
-        reference="Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893",
-        keys="local_elements: jenkins, linear_spring of −kt",
-        parameters=FRICTION,
-        sites=_stuck_contact_sites,
-        change=_with_stuck_friction,
-        report=_friction_report,
-        form="stuck in the model",
+        "jenkins, linear_spring of −kt",
     ),
-)
+)  # fmt: skip

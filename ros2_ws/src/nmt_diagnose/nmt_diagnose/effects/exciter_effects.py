@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from nmt_diagnose.effects.effect import Effect, EffectParameter, Reported, Site
+from nmt_diagnose.effects.changes import Sites, added, with_local
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import Placement
-from nmt_diagnose.effects.rig_edit import value_at, with_element, with_value
+from nmt_diagnose.effects.rig_edit import with_value
 from nmt_rig.model.local_elements.springs import CubicSpringSection, LinearSpringSection
 from nmt_rig.rig import BeamSection, Rig, ShakerSection
 
@@ -16,29 +17,10 @@ LARGE_SIGNAL = "Klippel, J. Audio Eng. Soc. 54 (2006) 907 (large-signal paramete
 
 def _stinger_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     point = rig.drive_point
-    lateral = Site(
-        Placement("exciter", detail="lateral"),
-        {"k": 0.02 * operating.effective_stiffness(point)},
-        point,
-        option="lateral",
-    )
-    if not isinstance(rig.structure, BeamSection):
-        return (lateral,)
-    inertia = operating.effective_inertia[point]
-    return lateral, Site(
-        Placement("exciter", detail="rotation"), {"k": 0.02 * operating.omega**2 * inertia}, point, option="rotation"
-    )
-
-
-def _with_stinger(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    spring = LinearSpringSection.model_construct(
-        kind="linear_spring",
-        point=rig.drive_point,
-        side="exciter",
-        stiffness_n_m=values["k"],
-        rotation=site.option == "rotation",
-    )
-    return with_element(rig, spring)
+    scales = {"lateral": 0.02 * operating.effective_stiffness(point)}
+    if isinstance(rig.structure, BeamSection):
+        scales["rotation"] = 0.02 * operating.omega**2 * operating.effective_inertia[point]
+    return tuple(Site(Placement("exciter", detail=o), {"k": k}, point, option=o) for o, k in scales.items())
 
 
 def _suspension_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -49,14 +31,7 @@ def _suspension_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return (Site(Placement("exciter"), {"k": 0.05 * size / amplitude**2}, rig.drive_point),)
 
 
-def _with_suspension(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    spring = CubicSpringSection.model_construct(
-        kind="cubic_spring", point=rig.drive_point, side="exciter", stiffness_n_m3=values["k"]
-    )
-    return with_element(rig, spring)
-
-
-def _shaker(scale: Callable[[ShakerSection, OperatingRange], float], name: str) -> Callable[..., tuple[Site, ...]]:
+def _shaker(scale: Callable[[ShakerSection, OperatingRange], float], name: str) -> Sites:
     def sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
         if not isinstance(rig.exciter, ShakerSection):
             return ()
@@ -65,20 +40,8 @@ def _shaker(scale: Callable[[ShakerSection, OperatingRange], float], name: str) 
     return sites
 
 
-def _added_to(name: str, key: str) -> Callable[[Rig, Site, Mapping[str, float]], Rig]:
-    def change(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-        return with_value(rig, ("exciter", key), value_at(rig, ("exciter", key)) + values[name])
-
-    return change
-
-
 def _with_saturation(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("exciter", "amplifier_saturation_v"), values["inverse_square"] ** -0.5)
-
-
-def _saturation_report(site: Site, values: Mapping[str, float]) -> Reported:
-    strength = values["inverse_square"]
-    return {"V": (strength**-0.5 if strength > 0.0 else float("inf"), "V")}
 
 
 EXCITER_EFFECTS: tuple[Effect, ...] = (
@@ -90,7 +53,9 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         keys="local_elements: linear_spring, side exciter, with or without rotation",
         parameters=(EffectParameter("k", "N/m or N m/rad"),),
         sites=_stinger_sites,
-        change=_with_stinger,
+        change=lambda rig, site, values: with_local(
+            rig, LinearSpringSection, site, side="exciter", stiffness_n_m=values["k"]
+        ),
         equivalents={"clamp_compliance": "a second drive point", "added_mass": "a second drive point"},
     ),
     Effect(
@@ -102,7 +67,9 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         parameters=(EffectParameter("inverse_square", "1/V²"),),
         sites=_shaker(lambda shaker, operating: 0.03 / operating.voltage**2, "inverse_square"),
         change=_with_saturation,
-        report=_saturation_report,
+        report=lambda site, values: {
+            "V": (values["inverse_square"] ** -0.5 if values["inverse_square"] > 0.0 else float("inf"), "V")
+        },
     ),
     Effect(
         name="source_impedance",
@@ -112,7 +79,7 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         keys="exciter.source_resistance_ohm",
         parameters=(EffectParameter("R", "Ω"),),
         sites=_shaker(lambda shaker, operating: 0.1 * shaker.resistance_ohm, "R"),
-        change=_added_to("R", "source_resistance_ohm"),
+        change=added("R", "exciter", "source_resistance_ohm"),
     ),
     Effect(
         name="suspension_cubic",
@@ -122,7 +89,9 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         keys="local_elements: cubic_spring, side exciter",
         parameters=(EffectParameter("k", "N/m³", signed=True),),
         sites=_suspension_sites,
-        change=_with_suspension,
+        change=lambda rig, site, values: with_local(
+            rig, CubicSpringSection, site, side="exciter", stiffness_n_m3=values["k"]
+        ),
         equivalents={"force_factor_symmetric": "a second drive point"},
     ),
     Effect(
@@ -133,7 +102,7 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         keys="exciter.force_factor_quadratic_per_m2",
         parameters=(EffectParameter("b2", "1/m²", signed=True),),
         sites=_shaker(lambda shaker, operating: 0.05 / operating.coil_displacement**2, "b2"),
-        change=_added_to("b2", "force_factor_quadratic_per_m2"),
+        change=added("b2", "exciter", "force_factor_quadratic_per_m2"),
         equivalents={"suspension_cubic": "a second drive point"},
     ),
     Effect(
@@ -144,6 +113,6 @@ EXCITER_EFFECTS: tuple[Effect, ...] = (
         keys="exciter.force_factor_linear_per_m",
         parameters=(EffectParameter("b1", "1/m", signed=True),),
         sites=_shaker(lambda shaker, operating: 0.05 / operating.coil_displacement, "b1"),
-        change=_added_to("b1", "force_factor_linear_per_m"),
+        change=added("b1", "exciter", "force_factor_linear_per_m"),
     ),
 )

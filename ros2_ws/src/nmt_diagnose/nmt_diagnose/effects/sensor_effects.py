@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import exp, pi
 from statistics import median
+from typing import Any
 
-from nmt_diagnose.effects.effect import Effect, EffectParameter, Reported, Site
+from nmt_diagnose.effects.changes import Change, Sites, added
+from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import EUROPEAN_MAINS_HZ, PlaceKind, Placement
-from nmt_diagnose.effects.rig_edit import value_at, with_value
+from nmt_diagnose.effects.rig_edit import with_value
 from nmt_rig.rig import Rig, SensorSection, TransverseSection
 
 RESPONSES = ("displacement", "velocity", "acceleration")
+ALL = (*RESPONSES, "force")
 MAINS_HZ = (EUROPEAN_MAINS_HZ, 60.0)
 MEASUREMENT = "Ewins, Modal Testing (2000)"
-Change = Callable[[Rig, Site, Mapping[str, float]], Rig]
-
 
 # Turn of the motion under test by a delay from which a fit begins there, too, rad.
 _MUCH_LATE = 0.3
 # Depth of clipping that is looked at where no samples stand at a level; what depth counts from where they do.
 _CLIP_DEPTH, _SEEN_DEPTH = 0.1, 0.5
+_STEP_BITS = 20
 
 
 def _sensors(rig: Rig, quantities: tuple[str, ...]) -> list[tuple[int, SensorSection, str]]:
@@ -33,28 +34,39 @@ def _sensors(rig: Rig, quantities: tuple[str, ...]) -> list[tuple[int, SensorSec
     ]
 
 
-def _placement(rig: Rig, sensor: SensorSection, picked_up: int = 0, mains_hz: float = MAINS_HZ[0]) -> Placement:
-    """The channel of a sensor: at the force sensor where that channel is the force."""
+def _site(rig: Rig, index: int, scales: Mapping[str, float], mains_hz: float = MAINS_HZ[0], **more: Any) -> Site:
+    """At the channel of a sensor: at the force sensor where that channel is the force."""
+    sensor = rig.sensors[index]
     kind: PlaceKind = "force_sensor" if sensor.quantity == "force" else "response_sensor"
-    return Placement.on_channel(kind, rig.sensor_channel(sensor), rig.sensor_point(sensor), picked_up, mains_hz)
+    point, picked_up = rig.sensor_point(sensor), more.get("other_point", 0)
+    where = Placement.on_channel(kind, rig.sensor_channel(sensor), point, picked_up, mains_hz)
+    return Site(where, scales, point, index=index, **more)
 
 
 def _per_channel(
-    quantities: tuple[str, ...], name: str, scale: Callable[[OperatingRange, str], float]
-) -> Callable[[Rig, OperatingRange], tuple[Site, ...]]:
+    quantities: tuple[str, ...],
+    name: str,
+    scale: Callable[[OperatingRange, str], float],
+    more: Callable[[OperatingRange, str], dict[str, Any]] = lambda operating, channel: {},
+) -> Sites:
+    """A site at each channel of some quantities; scale and what else a site has by the name of the channel."""
+
     def sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
         return tuple(
-            Site(_placement(rig, sensor), {name: scale(operating, channel)}, rig.sensor_point(sensor), index=index)
-            for index, sensor, channel in _sensors(rig, quantities)
+            _site(rig, index, {name: scale(operating, channel)}, **more(operating, channel))
+            for index, _, channel in _sensors(rig, quantities)
         )
 
     return sites
 
 
-def _set(key: str, value: Callable[[SensorSection, Mapping[str, float]], float | None]) -> Change:
+def _set(**keys: Callable[[SensorSection, Site, Mapping[str, float]], float]) -> Change:
+    """Change of some keys of a sensor."""
+
     def change(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         sensor = rig.sensors[site.index]
-        return with_value(rig, ("sensors", site.index, key), value(sensor, values))
+        update = {key: value(sensor, site, values) for key, value in keys.items()}
+        return with_value(rig, ("sensors", site.index), sensor.model_copy(update=update))
 
     return change
 
@@ -64,8 +76,7 @@ def _mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     for index, sensor, _ in _sensors(rig, RESPONSES):
         point = rig.sensor_point(sensor)
         # Sensors at one point are one mass.
-        if point not in found:
-            found[point] = Site(_placement(rig, sensor), {"m": operating.typical_mass(point)}, point, index=index)
+        found.setdefault(point, _site(rig, index, {"m": operating.typical_mass(point)}))
     return tuple(found.values())
 
 
@@ -80,7 +91,7 @@ def _force_mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
 def _transverse_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     points = sorted({rig.sensor_point(sensor) for _, sensor, _ in _sensors(rig, RESPONSES)})
     return tuple(
-        Site(_placement(rig, sensor, other), {"s": 0.02}, rig.sensor_point(sensor), other, index)
+        _site(rig, index, {"s": 0.02}, other_point=other)
         for index, sensor, _ in _sensors(rig, RESPONSES)
         for other in points
         if other != rig.sensor_point(sensor)
@@ -92,62 +103,37 @@ def _with_transverse(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("sensors", site.index, "transverse"), section)
 
 
-def _clip_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+def _clip_sites(rig: Rig, operating: OperatingRange) -> Iterable[Site]:
     """Where samples stand at a level, that is where the search begins."""
-    found = []
-    for index, sensor, channel in _sensors(rig, (*RESPONSES, "force")):
+    for index, sensor, channel in _sensors(rig, ALL):
         largest = operating.channels.get(channel, 0.0) * abs(sensor.gain)
         depth, level = _CLIP_DEPTH, operating.limits.get(channel, 0.0)
         if level > 0.0:
             largest, depth = level * exp(_SEEN_DEPTH), _SEEN_DEPTH
         if largest > 0.0:
-            where = _placement(rig, sensor)
-            found.append(Site(where, {"depth": depth}, rig.sensor_point(sensor), index=index, reference=largest))
-    return tuple(found)
+            yield _site(rig, index, {"depth": depth}, reference=largest)
 
 
-def _step_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+def _clip_level(site: Site, values: Mapping[str, float]) -> float:
+    return site.reference * exp(-values["depth"])
+
+
+def _step_sites(rig: Rig, operating: OperatingRange) -> Iterable[Site]:
     """Where samples show a step, that is where the search begins; otherwise one that hides the lowest level."""
-    found = []
-    for index, sensor, channel in _sensors(rig, (*RESPONSES, "force")):
+    for index, sensor, channel in _sensors(rig, ALL):
         lowest = operating.channels_low.get(channel, 0.0) * abs(sensor.gain)
         step = operating.steps.get(channel, lowest)
         if step > 0.0:
-            found.append(Site(_placement(rig, sensor), {"lsb": step}, rig.sensor_point(sensor), index=index))
-    return tuple(found)
+            yield _site(rig, index, {"lsb": step})
 
 
-def _with_clip(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    return with_value(rig, ("sensors", site.index, "clip"), site.reference * exp(-values["depth"]))
-
-
-def _clip_report(site: Site, values: Mapping[str, float]) -> Reported:
-    return {"level": (site.reference * exp(-values["depth"]), "channel")}
-
-
-def _with_lsb(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    sensor = rig.sensors[site.index]
-    bits = 20
-    changed = sensor.model_copy(update={"bits": bits, "range": values["lsb"] * 2.0 ** (bits - 1)})
-    return with_value(rig, ("sensors", site.index), changed)
-
-
-def _hum_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    found = []
-    for index, sensor, channel in _sensors(rig, (*RESPONSES, "force")):
+def _hum_sites(rig: Rig, operating: OperatingRange) -> Iterable[Site]:
+    for index, sensor, channel in _sensors(rig, ALL):
+        scale = {"amplitude": 0.01 * operating.channels_low.get(channel, 1.0)}
         for hz in MAINS_HZ:
             # A sensor has one line.
             if sensor.hum_amplitude == 0.0 or sensor.hum_hz == hz:
-                scale = {"amplitude": 0.01 * operating.channels_low.get(channel, 1.0)}
-                where = _placement(rig, sensor, mains_hz=hz)
-                found.append(Site(where, scale, rig.sensor_point(sensor), index=index, reference=hz))
-    return tuple(found)
-
-
-def _with_hum(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    sensor = rig.sensors[site.index]
-    changes = {"hum_amplitude": sensor.hum_amplitude + values["amplitude"], "hum_hz": site.reference}
-    return with_value(rig, ("sensors", site.index), sensor.model_copy(update=changes))
+                yield _site(rig, index, scale, hz, reference=hz)
 
 
 def _late(operating: OperatingRange, channels: Sequence[str]) -> tuple[float, ...]:
@@ -155,14 +141,6 @@ def _late(operating: OperatingRange, channels: Sequence[str]) -> tuple[float, ..
     known = [operating.delays[name] for name in channels if name in operating.delays]
     delay = median(known) if known else 0.0
     return (delay,) if abs(delay) * operating.omega > _MUCH_LATE else ()
-
-
-def _skew_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    sites = _per_channel((*RESPONSES, "force"), "tau", lambda operating, channel: 0.005 / operating.omega)
-    return tuple(
-        replace(site, starts={"tau": _late(operating, (rig.sensor_channel(rig.sensors[site.index]),))})
-        for site in sites(rig, operating)
-    )
 
 
 def _group_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -181,10 +159,6 @@ def _group_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     )  # fmt: skip
 
 
-def _with_shared_delay(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    return _delayed(rig, (site.option,), values["tau"])
-
-
 def _delayed(rig: Rig, quantities: tuple[str, ...], delay_s: float) -> Rig:
     sensors = [
         s.model_copy(update={"delay_s": s.delay_s + delay_s}) if s.quantity in quantities else s for s in rig.sensors
@@ -196,144 +170,127 @@ def _hold_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     """Without a recorded voltage nothing tells when the drive acts."""
     if not _sensors(rig, ("voltage",)):
         return ()
-    late = _late(operating, [channel for _, _, channel in _sensors(rig, (*RESPONSES, "force"))])
+    late = _late(operating, [channel for _, _, channel in _sensors(rig, ALL)])
     starts = {"hold": tuple(2.0 * delay for delay in late if delay > 0.0)}
     return (Site(Placement("exciter", detail="drive"), {"hold": 0.01 / operating.omega}, starts=starts),)
 
 
 def _with_hold(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     """Late against the recorded voltage is everything that the drive moves."""
-    return _delayed(rig, (*RESPONSES, "force", "current"), 0.5 * values["hold"])
+    return _delayed(rig, (*ALL, "current"), 0.5 * values["hold"])
 
 
-def _high_pass(sensor: SensorSection, values: Mapping[str, float]) -> float:
-    return values["f_h"]
-
-
-def _low_pass(sensor: SensorSection, values: Mapping[str, float]) -> float:
-    return 1.0 / (2.0 * pi * values["time_constant"])
-
-
-def _low_pass_report(site: Site, values: Mapping[str, float]) -> Reported:
+def _corner_hz(values: Mapping[str, float]) -> float:
+    """Corner of a low-pass, Hz; infinite without one."""
     tau = values["time_constant"]
-    return {"low_pass_hz": (1.0 / (2.0 * pi * tau) if tau > 0.0 else float("inf"), "Hz")}
+    return 1.0 / (2.0 * pi * tau) if tau > 0.0 else float("inf")
 
 
-def _chain_effect(
-    name: str, equation: str, parameter: EffectParameter, key: str,
-    value: Callable[[SensorSection, Mapping[str, float]], float | None],
-    scale: Callable[[OperatingRange, str], float],
-    report: Callable[[Site, Mapping[str, float]], Reported] | None = None,
-    equivalents: Mapping[str, str] | None = None,
-) -> Effect:  # fmt: skip
-    return Effect(
-        name=name,
-        place="response_sensor",
-        equation=equation,
-        reference=MEASUREMENT,
-        keys=f"sensors.{key}",
-        parameters=(parameter,),
-        sites=_per_channel((*RESPONSES, "force"), parameter.name, scale),
-        change=_set(key, value),
-        report=report,
-        equivalents=equivalents or {},
-    )
+def _effect(name: str, equation: str, keys: str, parameter: EffectParameter, **more: Any) -> Effect:
+    """An effect of a channel, of the measurement's own reference unless another is given."""
+    own: dict[str, Any] = {"place": "response_sensor", "reference": MEASUREMENT}
+    return Effect(name=name, equation=equation, keys=keys, parameters=(parameter,), **(own | more))
+
+
+def _gain(name: str, equation: str, place: PlaceKind, quantities: tuple[str, ...], other: str) -> Effect:
+    return _effect(
+        name, equation, "sensors.gain", EffectParameter("g", "1", signed=True), place=place,
+        sites=_per_channel(quantities, "g", lambda operating, channel: 0.02),
+        change=_set(gain=lambda sensor, site, values: sensor.gain * (1.0 + values["g"])),
+        equivalents={other: "a random test with the voltage as reference"},
+    )  # fmt: skip
+
+
+def _mass(name: str, equation: str, sites: Sites, **more: Any) -> Effect:
+    return _effect(
+        name, equation, "sensors.mass_kg", EffectParameter("m", "kg", signed=True), sites=sites,
+        change=_set(mass_kg=lambda sensor, site, values: sensor.mass_kg + values["m"]), **more,
+    )  # fmt: skip
 
 
 SENSOR_EFFECTS: tuple[Effect, ...] = (
-    Effect(
-        name="force_gain", place="force_sensor", equation="F (1 + g)", reference=MEASUREMENT, keys="sensors.gain",
-        parameters=(EffectParameter("g", "1", signed=True),),
-        sites=_per_channel(("force",), "g", lambda operating, channel: 0.02),
-        change=_set("gain", lambda sensor, values: sensor.gain * (1.0 + values["g"])),
-        equivalents={"response_gain": "a random test with the voltage as reference"},
-    ),
-    Effect(
-        name="force_cell_mass", place="force_sensor", equation="F + m a", keys="sensors.mass_kg",
+    _gain("force_gain", "F (1 + g)", "force_sensor", ("force",), "response_gain"),
+    _mass(
+        "force_cell_mass", "F + m a", _force_mass_sites, place="force_sensor",
         reference="Ewins, Modal Testing (2000), mass cancellation",
-        parameters=(EffectParameter("m", "kg", signed=True),),
-        sites=_force_mass_sites,
-        change=_set("mass_kg", lambda sensor, values: sensor.mass_kg + values["m"]),
     ),
-    Effect(
-        name="response_gain", place="response_sensor", equation="y (1 + g)", reference=MEASUREMENT,
-        keys="sensors.gain", parameters=(EffectParameter("g", "1", signed=True),),
-        sites=_per_channel(RESPONSES, "g", lambda operating, channel: 0.02),
-        change=_set("gain", lambda sensor, values: sensor.gain * (1.0 + values["g"])),
-        equivalents={"force_gain": "a random test with the voltage as reference"},
-    ),
-    Effect(
-        name="transverse_sensitivity", place="response_sensor", equation="y + s y⊥ (y of another point)",
-        reference="ISO 16063-31 (2009)", keys="sensors.transverse",
-        parameters=(EffectParameter("s", "1", signed=True),),
+    _gain("response_gain", "y (1 + g)", "response_sensor", RESPONSES, "force_gain"),
+    _effect(
+        "transverse_sensitivity", "y + s y⊥ (y of another point)", "sensors.transverse",
+        EffectParameter("s", "1", signed=True), reference="ISO 16063-31 (2009)",
         sites=_transverse_sites, change=_with_transverse,
         equivalents={"response_gain": "several modes in a random test"},
     ),
-    Effect(
-        name="sensor_mass", place="response_sensor", equation="m a at the sensor's point", keys="sensors.mass_kg",
-        reference=MEASUREMENT, parameters=(EffectParameter("m", "kg", signed=True),),
-        sites=_mass_sites,
-        change=_set("mass_kg", lambda sensor, values: sensor.mass_kg + values["m"]),
+    _mass(
+        "sensor_mass", "m a at the sensor's point", _mass_sites,
         equivalents={"added_mass": "a test with the sensor taken off"},
     ),
-    Effect(
-        name="channel_skew", place="response_sensor", equation="e^{−iωτ}", reference=MEASUREMENT,
-        keys="sensors.delay_s", parameters=(EffectParameter("tau", "s", signed=True),),
-        sites=_skew_sites,
-        change=_set("delay_s", lambda sensor, values: sensor.delay_s + values["tau"]),
+    _effect(
+        "channel_skew", "e^{−iωτ}", "sensors.delay_s", EffectParameter("tau", "s", signed=True),
+        sites=_per_channel(
+            ALL, "tau", lambda operating, channel: 0.005 / operating.omega,
+            lambda operating, channel: {"starts": {"tau": _late(operating, (channel,))}},
+        ),
+        change=_set(delay_s=lambda sensor, site, values: sensor.delay_s + values["tau"]),
         equivalents={"low_pass": "a random test"},
     ),
-    Effect(
-        name="shared_delay", place="response_sensor", equation="e^{−iωτ} in all channels of a quantity",
-        reference=MEASUREMENT, keys="sensors.delay_s of the group",
-        parameters=(EffectParameter("tau", "s", signed=True),),
-        sites=_group_sites, change=_with_shared_delay,
+    _effect(
+        "shared_delay", "e^{−iωτ} in all channels of a quantity", "sensors.delay_s of the group",
+        EffectParameter("tau", "s", signed=True), sites=_group_sites,
+        change=lambda rig, site, values: _delayed(rig, (site.option,), values["tau"]),
         equivalents={"channel_skew": "a random test"},
     ),
-    Effect(
-        name="drive_hold", place="exciter",
-        equation="drive held for T at a time: it acts T/2 later than recorded, e^{−iωT/2}",
+    _effect(
+        "drive_hold", "drive held for T at a time: it acts T/2 later than recorded, e^{−iωT/2}",
+        "sensors.delay_s of force and responses", EffectParameter("hold", "s"), place="exciter",
         reference="Franklin, Powell and Workman, Digital Control of Dynamic Systems (1998)",
-        keys="sensors.delay_s of force and responses",
-        parameters=(EffectParameter("hold", "s"),),
         sites=_hold_sites, change=_with_hold,
         equivalents={"shared_delay": "a record of the drive behind the converter"},
     ),
-    _chain_effect(
-        "low_pass", "1/(1 + iω/ω_c), strength 1/ω_c",
-        EffectParameter("time_constant", "s", grid=(1.0, 3.0, 10.0)), "low_pass_hz",
-        _low_pass, lambda operating, channel: 0.005 / operating.omega, _low_pass_report,
-        {"channel_skew": "a random test"},
+    _effect(
+        "low_pass", "1/(1 + iω/ω_c), strength 1/ω_c", "sensors.low_pass_hz",
+        EffectParameter("time_constant", "s", grid=(1.0, 3.0, 10.0)),
+        sites=_per_channel(ALL, "time_constant", lambda operating, channel: 0.005 / operating.omega),
+        change=_set(low_pass_hz=lambda sensor, site, values: _corner_hz(values)),
+        report=lambda site, values: {"low_pass_hz": (_corner_hz(values), "Hz")},
+        equivalents={"channel_skew": "a random test"},
     ),
-    _chain_effect(
-        "charge_high_pass", "iω/(iω + 2πf_h)", EffectParameter("f_h", "Hz", grid=(0.3, 1.0, 3.0)), "high_pass_hz",
-        _high_pass, lambda operating, channel: 0.005 * operating.omega / (2.0 * pi),
+    _effect(
+        "charge_high_pass", "iω/(iω + 2πf_h)", "sensors.high_pass_hz",
+        EffectParameter("f_h", "Hz", grid=(0.3, 1.0, 3.0)),
+        sites=_per_channel(ALL, "f_h", lambda operating, channel: 0.005 * operating.omega / (2.0 * pi)),
+        change=_set(high_pass_hz=lambda sensor, site, values: values["f_h"]),
     ),
-    Effect(
-        name="clipping", place="response_sensor", equation="clip(y, ±A e^{−depth}), A > amplitudes of all tests",
-        reference=MEASUREMENT, keys="sensors.clip",
-        parameters=(EffectParameter("depth", "1", grid=(0.5, 1.0, 2.0, 4.0)),),
-        sites=_clip_sites, change=_with_clip, report=_clip_report,
+    _effect(
+        "clipping", "clip(y, ±A e^{−depth}), A > amplitudes of all tests", "sensors.clip",
+        EffectParameter("depth", "1", grid=(0.5, 1.0, 2.0, 4.0)),
+        sites=lambda rig, operating: tuple(_clip_sites(rig, operating)),
+        change=_set(clip=lambda sensor, site, values: _clip_level(site, values)),
+        report=lambda site, values: {"level": (_clip_level(site, values), "channel")},
     ),
-    Effect(
-        name="quantisation", place="response_sensor", equation="LSB · round(y/LSB)",
-        reference="Widrow and Kollár, Quantization Noise (2008)", keys="sensors.bits, sensors.range",
-        parameters=(EffectParameter("lsb", "channel", grid=(0.3, 1.0, 1.8)),),
-        sites=_step_sites, change=_with_lsb,
-    ),
-    Effect(
-        name="mains_hum", place="response_sensor", equation="y + A cos(2π 50 t), or 60", reference=MEASUREMENT,
-        keys="sensors.hum_amplitude, sensors.hum_hz", parameters=(EffectParameter("amplitude", "channel"),),
-        sites=_hum_sites, change=_with_hum,
-    ),
-    Effect(
-        name="clock_error", place="response_sensor", equation="f (1 + e)", keys="clock_error",
-        reference="IEEE Std 1057 (2017)",
-        parameters=(EffectParameter("e", "1", signed=True),),
-        sites=lambda rig, operating: (Site(Placement("response_sensor"), {"e": 1e-3}),),
-        change=lambda rig, site, values: with_value(
-            rig, ("clock_error",), value_at(rig, ("clock_error",)) + values["e"]
+    _effect(
+        "quantisation", "LSB · round(y/LSB)", "sensors.bits, sensors.range",
+        EffectParameter("lsb", "channel", grid=(0.3, 1.0, 1.8)),
+        reference="Widrow and Kollár, Quantization Noise (2008)",
+        sites=lambda rig, operating: tuple(_step_sites(rig, operating)),
+        change=_set(
+            bits=lambda sensor, site, values: _STEP_BITS,
+            range=lambda sensor, site, values: values["lsb"] * 2.0 ** (_STEP_BITS - 1),
         ),
+    ),
+    _effect(
+        "mains_hum", "y + A cos(2π 50 t), or 60", "sensors.hum_amplitude, sensors.hum_hz",
+        EffectParameter("amplitude", "channel"), sites=lambda rig, operating: tuple(_hum_sites(rig, operating)),
+        change=_set(
+            hum_amplitude=lambda sensor, site, values: sensor.hum_amplitude + values["amplitude"],
+            hum_hz=lambda sensor, site, values: site.reference,
+        ),
+    ),
+    _effect(
+        "clock_error", "f (1 + e)", "clock_error", EffectParameter("e", "1", signed=True),
+        reference="IEEE Std 1057 (2017)",
+        sites=lambda rig, operating: (Site(Placement("response_sensor"), {"e": 1e-3}),),
+        change=added("e", "clock_error"),
         equivalents={"youngs_modulus": "a reference clock"},
     ),
 )  # fmt: skip

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
+from nmt_diagnose.effects.changes import added, kind_of, local_element, with_local
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import Placement
-from nmt_diagnose.effects.rig_edit import with_element, with_value
+from nmt_diagnose.effects.rig_edit import with_value
 from nmt_rig.model.local_elements.contacts import TwoSidedGapSection, UnilateralStopSection
 from nmt_rig.model.local_elements.dampers import (
     AmplitudeDamperSection,
@@ -49,57 +50,47 @@ def spots(rig: Rig, operating: OperatingRange) -> Iterator[tuple[int, int, float
                 yield point, point + 1, pair[0], operating.omega**2 * pair[1]
 
 
-def local_sites(rig: Rig, operating: OperatingRange, sizes: Sizes) -> tuple[Site, ...]:
+def local_sites(
+    rig: Rig, operating: OperatingRange, sizes: Sizes, reference: Callable[[float, float], float] = lambda a, w: 0.0
+) -> tuple[Site, ...]:
     """A site for each spot; ``sizes`` gives the scales from amplitude, effective stiffness and ω."""
     return tuple(
-        Site(Placement.at("structure", point, other), sizes(amplitude, stiffness, operating.omega), point, other)
+        Site(
+            Placement.at("structure", point, other), sizes(amplitude, stiffness, operating.omega), point, other,
+            reference=reference(amplitude, operating.omega),
+        )
         for point, other, amplitude, stiffness in spots(rig, operating)
-    )
+    )  # fmt: skip
 
 
-def local_element(section: type[ElementSection], keys: Mapping[str, str]) -> Callable[..., Rig]:
-    """Change that adds one local element; ``keys`` maps parameters to keys of its section."""
-
-    def change(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-        settings: dict[str, Any] = {key: values[name] for name, key in keys.items()}
-        settings["point"] = site.point
-        if site.other_point:
-            settings["other_point"] = site.other_point
-        kind = section.model_fields["kind"].annotation.__args__[0]  # type: ignore[union-attr]
-        return with_element(rig, section.model_construct(kind=kind, **settings))  # type: ignore[arg-type]
-
-    return change
-
-
-def _single(
-    name: str, equation: str, parameter: EffectParameter, section: type[ElementSection], key: str, size: Sizes,
-    reference: str, equivalents: Mapping[str, str] | None = None, force: Literal["", "elastic", "dissipative"] = "",
+def _local(
+    name: str, equation: str, section: type[ElementSection], keys: Mapping[str, str],
+    parameters: tuple[EffectParameter, ...], sizes: Sizes, reference: str, **more: Any,
 ) -> Effect:  # fmt: skip
-    return Effect(
-        name=name,
-        place="structure",
-        equation=equation,
-        reference=reference,
-        keys=f"local_elements: {section.model_fields['kind'].annotation.__args__[0]}",  # type: ignore[union-attr]
-        parameters=(parameter,),
-        sites=partial(local_sites, sizes=size),
-        change=local_element(section, {parameter.name: key}),
-        equivalents=equivalents or {},
-        force=force,
-    )
+    """An effect that is one local element; ``keys`` maps parameters to keys of its section."""
+    own: dict[str, Any] = {"sites": partial(local_sites, sizes=sizes), "change": local_element(section, keys)}
+    kind = f"local_elements: {kind_of(section)}"
+    return Effect(name, "structure", equation, reference, kind, parameters, **(own | more))
+
+
+def _spring(
+    name: str, equation: str, section: type[ElementSection], power: int, unit: str, share: float, **how: Any
+) -> Effect:
+    """A power of the displacement, of a share of the linear force at the largest amplitude."""
+    return _local(
+        name, equation, section, {"k": f"stiffness_n_m{power}"},
+        (EffectParameter("k", unit, signed=True, **how),),
+        lambda a, k, w: {"k": share * k / a ** (power - 1)}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
+        force="elastic",
+    )  # fmt: skip
 
 
 def _stop(name: str, equation: str, section: type[ElementSection]) -> Effect:
-    return Effect(
-        name=name,
-        place="structure",
-        equation=equation,
-        reference="Kerschen et al., Mech. Syst. Signal Process. 20 (2006) 505",
-        keys=f"local_elements: {section.model_fields['kind'].annotation.__args__[0]}",  # type: ignore[union-attr]
-        parameters=(EffectParameter("k", "N/m"), EffectParameter("gap", "m", "shape", grid=GAP_GRID)),
-        sites=partial(local_sites, sizes=lambda a, k, w: {"k": 0.1 * k, "gap": a}),
-        change=local_element(section, {"k": "stiffness_n_m", "gap": "gap_m"}),
-    )
+    return _local(
+        name, equation, section, {"k": "stiffness_n_m", "gap": "gap_m"},
+        (EffectParameter("k", "N/m"), EffectParameter("gap", "m", "shape", grid=GAP_GRID)),
+        lambda a, k, w: {"k": 0.1 * k, "gap": a}, "Kerschen et al., Mech. Syst. Signal Process. 20 (2006) 505",
+    )  # fmt: skip
 
 
 def largest_air_drag(rig: Rig, operating: OperatingRange, point: int) -> float:
@@ -120,29 +111,16 @@ def _drag_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(replace(site, limits={"c2": largest_air_drag(rig, operating, site.point)}) for site in sites)
 
 
-def _power_law_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    return tuple(
-        Site(
-            Placement.at("structure", point, other), {"force": 0.005 * stiffness * amplitude, "excess": 1.0},
-            point, other, reference=operating.omega * amplitude,
-        )
-        for point, other, amplitude, stiffness in spots(rig, operating)
-    )  # fmt: skip
-
-
-def _power_law(site: Site, values: Mapping[str, float]) -> tuple[float, float]:
-    """Coefficient and exponent of a damper that takes a force at the reference speed."""
-    exponent = 1.0 + min(values["excess"], _LARGEST_EXCESS)
-    return values["force"] / site.reference**exponent, exponent
+def _excess(values: Mapping[str, float]) -> float:
+    """Exponent of a power-law damper beyond 1 that a rig file takes."""
+    return min(values["excess"], _LARGEST_EXCESS)
 
 
 def _with_power_law(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    coefficient, exponent = _power_law(site, values)
-    settings: dict[str, Any] = {"other_point": site.other_point} if site.other_point else {}
-    element = PowerLawDamperSection.model_construct(
-        kind="power_law_damper", point=site.point, coefficient_n_sp_mp=coefficient, exponent=exponent, **settings
-    )
-    return with_element(rig, element)
+    """A damper that takes a force at the reference speed."""
+    exponent = 1.0 + _excess(values)
+    coefficient = values["force"] / site.reference**exponent
+    return with_local(rig, PowerLawDamperSection, site, coefficient_n_sp_mp=coefficient, exponent=exponent)
 
 
 def _mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -158,61 +136,43 @@ def _with_mass(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("structure", "added_masses"), [*rig.structure.added_masses, added])
 
 
-def _with_loss(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    return with_value(rig, ("structure", "loss_factor"), rig.structure.loss_factor + values["eta"])
-
-
 STRUCTURE_EFFECTS: tuple[Effect, ...] = (
-    _single(
-        "cubic_stiffness", "k x³", EffectParameter("k", "N/m³", signed=True), CubicSpringSection, "stiffness_n_m3",
-        lambda a, k, w: {"k": 0.02 * k / a**2}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
-        force="elastic",
-    ),
-    _single(
-        "quintic_stiffness", "k x⁵", EffectParameter("k", "N/m⁵", signed=True), QuinticSpringSection,
-        "stiffness_n_m5", lambda a, k, w: {"k": 0.02 * k / a**4}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
-        force="elastic",
-    ),
-    _single(
-        "quadratic_stiffness", "k x²", EffectParameter("k", "N/m²", signed=True, even=4.0), QuadraticSpringSection,
-        "stiffness_n_m2", lambda a, k, w: {"k": 0.05 * k / a}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
-        force="elastic",
-    ),
-    Effect(
-        name="air_drag", place="structure", equation="c₂ v |v|, |c₂| ≤ ½ ρ C_d A",
-        reference="Baker, Woolam and Young, Int. J. Mech. Sci. 9 (1967) 743; Keulegan and Carpenter, "
+    _spring("cubic_stiffness", "k x³", CubicSpringSection, 3, "N/m³", 0.02),
+    _spring("quintic_stiffness", "k x⁵", QuinticSpringSection, 5, "N/m⁵", 0.02),
+    _spring("quadratic_stiffness", "k x²", QuadraticSpringSection, 2, "N/m²", 0.05, even=4.0),
+    _local(
+        "air_drag", "c₂ v |v|, |c₂| ≤ ½ ρ C_d A", QuadraticDragSection, {"c2": "drag_ns2_m2"},
+        (EffectParameter("c2", "N s²/m²", signed=True),), lambda a, k, w: {},
+        "Baker, Woolam and Young, Int. J. Mech. Sci. 9 (1967) 743; Keulegan and Carpenter, "
         "J. Res. Natl. Bur. Stand. 60 (1958) 423",
-        keys="local_elements: quadratic_drag",
-        parameters=(EffectParameter("c2", "N s²/m²", signed=True),),
-        sites=_drag_sites, change=local_element(QuadraticDragSection, {"c2": "drag_ns2_m2"}),
-        force="dissipative",
+        sites=_drag_sites, force="dissipative",
     ),
-    _single(
-        "amplitude_damping", "c x² v", EffectParameter("c", "N s/m³"), AmplitudeDamperSection, "damping_ns_m3",
-        lambda a, k, w: {"c": 0.02 * k / (w * a**2)}, "Zaitsev et al., Nonlinear Dyn. 67 (2012) 859",
-        force="dissipative",
+    _local(
+        "amplitude_damping", "c x² v", AmplitudeDamperSection, {"c": "damping_ns_m3"},
+        (EffectParameter("c", "N s/m³"),), lambda a, k, w: {"c": 0.02 * k / (w * a**2)},
+        "Zaitsev et al., Nonlinear Dyn. 67 (2012) 859", force="dissipative",
     ),
-    Effect(
-        name="power_law_damping", place="structure", equation="F (|v|/v₀)ᵖ sgn v, p = 1 + excess, v₀ the largest speed",
-        reference="Ruzicka and Derby, Influence of Damping in Vibration Isolation (1971)",
-        keys="local_elements: power_law_damper",
-        parameters=(EffectParameter("force", "N"), EffectParameter("excess", "1", "shape", grid=(0.5, 2.0))),
-        sites=_power_law_sites, change=_with_power_law,
-        report=lambda site, values: {"force": (values["force"], "N"),
-                               "p": (1.0 + min(values["excess"], _LARGEST_EXCESS), "1")},
-        force="dissipative",
+    _local(
+        "power_law_damping", "F (|v|/v₀)ᵖ sgn v, p = 1 + excess, v₀ the largest speed", PowerLawDamperSection, {},
+        (EffectParameter("force", "N"), EffectParameter("excess", "1", "shape", grid=(0.5, 2.0))), lambda a, k, w: {},
+        "Ruzicka and Derby, Influence of Damping in Vibration Isolation (1971)",
+        sites=partial(local_sites, sizes=lambda a, k, w: {"force": 0.005 * k * a, "excess": 1.0},
+                      reference=lambda a, w: w * a),
+        change=_with_power_law, force="dissipative",
+        report=lambda site, values: {"force": (values["force"], "N"), "p": (1.0 + _excess(values), "1")},
     ),
     Effect(
         name="structural_damping", place="structure", equation="K (1 + iη)",
         reference="Crandall, J. Sound Vib. 11 (1970) 3; as modal viscous damping ζ_r = η/2, exact at each resonance",
         keys="structure.loss_factor", parameters=(EffectParameter("eta", "1"),),
-        sites=lambda rig, operating: (Site(Placement("structure"), {"eta": 0.005}),), change=_with_loss,
+        sites=lambda rig, operating: (Site(Placement("structure"), {"eta": 0.005}),),
+        change=added("eta", "structure", "loss_factor"),
         equivalents={"viscous_damping": "several modes in a random test"},
     ),
-    _single(
-        "viscous_damping", "c v", EffectParameter("c", "N s/m", signed=True), LinearDamperSection, "damping_ns_m",
-        lambda a, k, w: {"c": 0.005 * k / w}, "linear damper",
-        {"structural_damping": "several modes in a random test"},
+    _local(
+        "viscous_damping", "c v", LinearDamperSection, {"c": "damping_ns_m"},
+        (EffectParameter("c", "N s/m", signed=True),), lambda a, k, w: {"c": 0.005 * k / w}, "linear damper",
+        equivalents={"structural_damping": "several modes in a random test"},
     ),
     Effect(
         name="added_mass", place="structure", equation="m a", reference="Ewins, Modal Testing (2000)",

@@ -2,44 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-
+from nmt_diagnose.effects.changes import OPTION, added, has_friction
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import Placement
-from nmt_diagnose.effects.rig_edit import value_at, with_value
 from nmt_rig.rig import Rig
 
 
 def _preload_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    if not any(element.friction for element in rig.local_elements):
+    if not has_friction(rig):
         return ()
-    return (
-        Site(
-            Placement("time", detail="time"), {"rate": 0.05 / max(operating.duration_s, 1.0)}, option="slip_force_per_s"
-        ),
-        Site(
-            Placement("time", detail="cycles"),
-            {"rate": 0.05 / max(operating.cycles, 1.0)},
-            option="slip_force_per_cycle",
-        ),
+    return tuple(
+        Site(Placement("time", detail=detail), {"rate": 0.05 / max(length, 1.0)}, option=key)
+        for detail, length, key in (
+            ("time", operating.duration_s, "slip_force_per_s"),
+            ("cycles", operating.cycles, "slip_force_per_cycle"),
+        )
     )
 
 
 def _temperature_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return (Site(Placement("time"), {"rate": 0.005 / max(operating.duration_s, 1.0)}, option="stiffness_per_s"),)
-
-
-def _with_drift(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    path = ("drift", site.option)
-    return with_value(rig, path, value_at(rig, path) + values["rate"])
-
-
-def _with_setting(name: str, key: str) -> Callable[[Rig, Site, Mapping[str, float]], Rig]:
-    def change(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-        return with_value(rig, ("pll", key), float(value_at(rig, ("pll", key)) or 0.0) + values[name])
-
-    return change
 
 
 TIME_EFFECTS: tuple[Effect, ...] = (
@@ -51,7 +34,7 @@ TIME_EFFECTS: tuple[Effect, ...] = (
         keys="drift.slip_force_per_s, drift.slip_force_per_cycle",
         parameters=(EffectParameter("rate", "1/s or 1/period", signed=True),),
         sites=_preload_sites,
-        change=_with_drift,
+        change=added("rate", "drift", OPTION),
     ),
     Effect(
         name="temperature_drift",
@@ -61,7 +44,7 @@ TIME_EFFECTS: tuple[Effect, ...] = (
         keys="drift.stiffness_per_s",
         parameters=(EffectParameter("rate", "1/s", signed=True),),
         sites=_temperature_sites,
-        change=_with_drift,
+        change=added("rate", "drift", OPTION),
     ),
 )
 
@@ -74,7 +57,7 @@ CONTROLLER_EFFECTS: tuple[Effect, ...] = (
         keys="pll.phase_offset_rad",
         parameters=(EffectParameter("phi0", "rad", signed=True),),
         sites=lambda rig, operating: (Site(Placement("controller"), {"phi0": 0.02}),),
-        change=_with_setting("phi0", "phase_offset_rad"),
+        change=added("phi0", "pll", "phase_offset_rad"),
         equivalents={"loop_latency": "a phase-locked test on another mode"},
     ),
     Effect(
@@ -85,7 +68,7 @@ CONTROLLER_EFFECTS: tuple[Effect, ...] = (
         keys="pll.loop_latency_s",
         parameters=(EffectParameter("tau", "s", signed=True),),
         sites=lambda rig, operating: (Site(Placement("controller"), {"tau": 0.02 / operating.omega}),),
-        change=_with_setting("tau", "loop_latency_s"),
+        change=added("tau", "pll", "loop_latency_s"),
         equivalents={"phase_offset": "a phase-locked test on another mode"},
     ),
 )

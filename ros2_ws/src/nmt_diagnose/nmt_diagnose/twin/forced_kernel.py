@@ -15,8 +15,18 @@ import numpy as np
 from numba import njit
 
 from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_diagnose.twin.linear_model import response_at
-from nmt_diagnose.twin.periodic_kernel import harmonic_forces, local_amounts, sensor_gain
+from nmt_diagnose.twin.linear_model import LinearTables, response_at
+from nmt_diagnose.twin.periodic_kernel import (
+    RigTables,
+    add_force_slopes,
+    any_nonlinear,
+    harmonic_forces,
+    local_amounts,
+    output_of,
+    sensor_gain,
+    set_jacobian,
+    set_residual,
+)
 from nmt_rig.model.aft import LocalTables
 
 _HALVINGS = 8
@@ -25,33 +35,22 @@ _LOWEST = 0.02
 
 
 @njit(cache=True)
-def transfers(
-    omega: float,
-    orders: np.ndarray,
-    wanted: np.ndarray,
-    poles: ComplexArray,
-    displacement: ComplexArray,
-    velocity: ComplexArray,
-    acceleration: ComplexArray,
-    inputs: ComplexArray,
-    feedthrough: ComplexArray,
-) -> ComplexArray:
+def transfers(omega: float, orders: np.ndarray, wanted: np.ndarray, model: LinearTables) -> ComplexArray:
     """T at i n ω for every order n that is wanted, (n_orders, outputs, r + 1), zeros for others.
 
     All of order 1, of others what local forces do.
     """
-    result = np.zeros((orders.size, displacement.shape[0], inputs.shape[1]), dtype=np.complex128)
-    r = inputs.shape[1] - 1
+    outputs, columns = model[5].shape
+    result = np.zeros((orders.size, outputs, columns), dtype=np.complex128)
+    r = columns - 1
     for n in range(orders.size):
         if not wanted[n]:
             continue
         s = 1j * orders[n] * omega
         if orders[n] == 1:
-            result[n] = response_at(s, poles, displacement, velocity, acceleration, inputs, feedthrough, r + 1)
+            result[n] = response_at(s, model, outputs, columns)
         else:
-            result[n, :r] = response_at(
-                s, poles, displacement[:r], velocity[:r], acceleration[:r], inputs, feedthrough[:r], r
-            )
+            result[n, :r] = response_at(s, model, r, r)
     return result
 
 
@@ -69,10 +68,7 @@ def driven_orders(g: FloatArray, orders: np.ndarray, offsets: np.ndarray) -> np.
 @njit(cache=True)
 def forced_orders(orders: np.ndarray, factor: FloatArray, tables: LocalTables) -> np.ndarray:
     """Orders (n_orders,) that may move: the first alone where no force is nonlinear."""
-    linear = tables[3].shape[0] + tables[5].shape[0] + tables[7].size == 0 and factor[1] == 0.0 and factor[2] == 0.0
-    result = np.ones(orders.size, dtype=np.bool_)
-    for n in range(orders.size):
-        result[n] = not linear or orders[n] == 1
+    result: np.ndarray = (orders == 1) | any_nonlinear(factor, tables)
     return result
 
 
@@ -97,23 +93,13 @@ def balance(
     residual = np.zeros(local + 2)
     measured = np.zeros(c, dtype=np.complex128)
     for n in range(orders.size):
-        offset = offsets[n]
         first = orders[n] == 1
-        outputs = r + c if first else r
-        for o in range(outputs):
-            value = transfer[n, o, r] * a if first else 0j
-            for j in range(r):
-                amount = complex(g[j, offset]) if orders[n] == 0 else g[j, offset] - 1j * g[j, offset + 1]
-                value -= transfer[n, o, j] * amount
+        for o in range(r + c if first else r):
+            value = output_of(transfer[n], o, a if first else 0j, g, offsets[n], orders[n])
             if o < r:
-                row = o * size + offset
-                residual[row] = z[row] - value.real
-                if orders[n] > 0:
-                    residual[row + 1] = z[row + 1] + value.imag
+                set_residual(residual, z, o * size + offsets[n], value, orders[n])
             else:
-                k = o - r
-                gain = sensor_gain(1j * omega, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])[0]
-                measured[k] = gain * value
+                measured[o - r] = sensor_gain(1j * omega, channels[o - r])[0] * value
     closure = a - target if given < 0 else measured[given] - target
     residual[local] = closure.real
     residual[local + 1] = closure.imag
@@ -140,42 +126,23 @@ def balance_slopes(
     slopes = np.zeros((c, nz), dtype=np.complex128)
     column = np.zeros(nz, dtype=np.complex128)
     for n in range(orders.size):
-        offset = offsets[n]
         first = orders[n] == 1
-        outputs = r + c if first else r
-        for o in range(outputs):
+        for o in range(r + c if first else r):
             column[:] = 0.0
             if first:
                 column[local] = transfer[n, o, r]
                 column[local + 1] = 1j * transfer[n, o, r]
-            for j in range(r):
-                t = transfer[n, o, j]
-                for b in range(local):
-                    re = dg[j, offset, b]
-                    im = dg[j, offset + 1, b] if orders[n] > 0 else 0.0
-                    if re != 0.0 or im != 0.0:
-                        column[b] -= t * (re - 1j * im)
+            add_force_slopes(column, transfer[n], o, dg, offsets[n], orders[n])
             if o < r:
-                row = o * size + offset
-                for b in range(nz):
-                    jacobian[row, b] = -column[b].real
-                jacobian[row, row] += 1.0
-                if orders[n] > 0:
-                    for b in range(nz):
-                        jacobian[row + 1, b] = column[b].imag
-                    jacobian[row + 1, row + 1] += 1.0
+                set_jacobian(jacobian, o * size + offsets[n], column, orders[n])
             else:
-                k = o - r
-                gain = sensor_gain(1j * omega, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])[0]
-                for b in range(nz):
-                    slopes[k, b] = gain * column[b]
+                slopes[o - r] = sensor_gain(1j * omega, channels[o - r])[0] * column
     if given < 0:
         jacobian[local, local] = 1.0
         jacobian[local + 1, local + 1] = 1.0
     else:
-        for b in range(nz):
-            jacobian[local, b] = slopes[given, b].real
-            jacobian[local + 1, b] = slopes[given, b].imag
+        jacobian[local] = slopes[given].real
+        jacobian[local + 1] = slopes[given].imag
     return jacobian, slopes
 
 
@@ -212,10 +179,7 @@ def linear_start(
         value = transfer[one, r + given, r]
         for j in range(r):
             value -= transfer[one, r + given, j] * tangent[j] * w[j]
-        gain = sensor_gain(1j * omega, channels[given, 0], channels[given, 1], channels[given, 2], channels[given, 3])[
-            0
-        ]
-        a = target / (gain * value)
+        a = target / (sensor_gain(1j * omega, channels[given])[0] * value)
     z = np.zeros(r * size + 2)
     for i in range(r):
         z[i * size + offsets[one]] = (w[i] * a).real
@@ -312,15 +276,7 @@ def solve_lines(
     omega: FloatArray,
     stiffness: FloatArray,
     damping: FloatArray,
-    poles: ComplexArray,
-    displacement: ComplexArray,
-    velocity: ComplexArray,
-    acceleration: ComplexArray,
-    inputs: ComplexArray,
-    feedthrough: ComplexArray,
-    channels: FloatArray,
-    factor: FloatArray,
-    tables: LocalTables,
+    rig: RigTables,
     iterations: int,
     tolerance: float,
 ) -> tuple[np.ndarray, FloatArray, FloatArray, FloatArray, ComplexArray, ComplexArray]:
@@ -335,19 +291,17 @@ def solve_lines(
         target: (lines,) given complex amplitudes.
         omega: (lines,) true angular frequencies, rad/s.
         stiffness, damping: (r,) tangents of the local forces at rest.
-        channels: sensor chains (c, 4).
-        factor: G, G b₁, G b₂.
-        tables: local elements.
         iterations, tolerance: of Newton's method.
 
     Returns:
         converged (lines,), z (lines, nz), local forces (lines, r, size), inverse Jacobians (lines, nz, nz), channels
         (lines, c) and their slopes (lines, c, nz).
     """
+    model, channels, factor, tables = rig
     orders, offsets = tables[0], tables[1]
     lines, nz = start.shape
     c = channels.shape[0]
-    r = inputs.shape[1] - 1
+    r = model[4].shape[1] - 1
     size = offsets[orders.size - 1] + 2
     good = np.zeros(lines, dtype=np.bool_)
     solved = np.full((lines, nz), np.nan)
@@ -360,7 +314,7 @@ def solve_lines(
         if left[line]:
             continue
         w = omega[line]
-        transfer = transfers(w, orders, wanted, poles, displacement, velocity, acceleration, inputs, feedthrough)
+        transfer = transfers(w, orders, wanted, model)
         done = False
         if known[line]:
             done, z, g, inverse, y, slope = newton_line(
@@ -409,63 +363,6 @@ def solve_lines(
 def step_lines(
     z: FloatArray,
     forces: FloatArray,
-    same_forces: bool,
-    inverses: FloatArray,
-    slopes: ComplexArray,
-    given: int,
-    target: ComplexArray,
-    omega: FloatArray,
-    poles: ComplexArray,
-    displacement: ComplexArray,
-    velocity: ComplexArray,
-    acceleration: ComplexArray,
-    inputs: ComplexArray,
-    feedthrough: ComplexArray,
-    channels: FloatArray,
-    factor: FloatArray,
-    tables: LocalTables,
-) -> tuple[FloatArray, ComplexArray]:
-    """One Newton step to the solutions of a slightly different rig with the Jacobians of the solved one.
-
-    By the implicit function theorem the change is right to first order.
-
-    Args:
-        z, forces, inverses, slopes: solution of the neighbouring rig, as :func:`solve_lines` gives it.
-        same_forces: whether the local elements, and the frequencies, are the same.
-
-    Returns:
-        z (lines, nz) and channels (lines, c).
-    """
-    orders, offsets = tables[0], tables[1]
-    lines = z.shape[0]
-    c = channels.shape[0]
-    r = inputs.shape[1] - 1
-    size = offsets[orders.size - 1] + 2
-    moved = np.full(z.shape, np.nan)
-    values = np.full((lines, c), np.nan + 0j)
-    for line in range(lines):
-        if not np.isfinite(z[line, 0]):
-            continue
-        w = omega[line]
-        if same_forces:
-            g = forces[line]
-        else:
-            g = local_amounts(z[line, : r * size].copy().reshape(r, size), w, factor, tables)
-        wanted = driven_orders(g, orders, offsets)
-        transfer = transfers(w, orders, wanted, poles, displacement, velocity, acceleration, inputs, feedthrough)
-        residual, y = balance(z[line], g, given, target[line], w, transfer, orders, offsets, channels)
-        step = -inverses[line] @ residual
-        moved[line] = z[line] + step
-        for k in range(c):
-            for b in range(step.size):
-                y[k] += slopes[line, k, b] * step[b]
-        values[line] = y
-    return moved, values
-
-
-@njit(cache=True)
-def step_more_lines(
-    z: FloatArray,
     own: np.ndarray,
     kept: np.ndarray,
     fresh: np.ndarray,
@@ -474,29 +371,28 @@ def step_more_lines(
     given: int,
     target: ComplexArray,
     omega: FloatArray,
-    poles: ComplexArray,
-    displacement: ComplexArray,
-    velocity: ComplexArray,
-    acceleration: ComplexArray,
-    inputs: ComplexArray,
-    feedthrough: ComplexArray,
-    channels: FloatArray,
-    factor: FloatArray,
-    tables: LocalTables,
+    rig: RigTables,
 ) -> tuple[FloatArray, ComplexArray]:
-    """As :func:`step_lines` for a rig with coordinates that the solved one lacks.
+    """One Newton step to the solutions of a slightly different rig with the Jacobians of the solved one.
 
-    Their forces are of the order of the change. To first order they move as the others make them, and what their forces
-    do is in the residuals of the others.
+    By the implicit function theorem the change is right to first order. Coordinates that the solved rig lacks have
+    forces of the order of the change: to first order they move as the others make them, and what their forces do is in
+    the residuals of the others.
 
     Args:
+        z, inverses, slopes: solution of the neighbouring rig, as :func:`solve_lines` gives it.
+        forces: (lines, r, size) its local forces where elements and frequencies are the same; without lines otherwise.
         own, kept: positions of the unknowns that both have, in those of this rig and of the solved one.
         fresh: positions of the others in those of this rig.
+
+    Returns:
+        z (lines, nz) and channels (lines, c).
     """
+    model, channels, factor, tables = rig
     orders, offsets = tables[0], tables[1]
     lines = z.shape[0]
     c = channels.shape[0]
-    r = inputs.shape[1] - 1
+    r = model[4].shape[1] - 1
     size = offsets[orders.size - 1] + 2
     moved = np.full((lines, r * size + 2), np.nan)
     values = np.full((lines, c), np.nan + 0j)
@@ -507,17 +403,21 @@ def step_more_lines(
         here = np.zeros(r * size + 2)
         for k in range(own.size):
             here[own[k]] = z[line, kept[k]]
-        g = local_amounts(here[: r * size].copy().reshape(r, size), w, factor, tables)
+        if forces.shape[0] > 0:
+            g = forces[line]
+        else:
+            g = local_amounts(here[: r * size].copy().reshape(r, size), w, factor, tables)
         wanted = driven_orders(g, orders, offsets)
-        transfer = transfers(w, orders, wanted, poles, displacement, velocity, acceleration, inputs, feedthrough)
+        transfer = transfers(w, orders, wanted, model)
         residual, y = balance(here, g, given, target[line], w, transfer, orders, offsets, channels)
-        for k in fresh:
-            here[k] = -residual[k]
-        g = local_amounts(here[: r * size].copy().reshape(r, size), w, factor, tables)
-        more = driven_orders(g, orders, offsets)
-        if np.any(more & ~wanted):
-            transfer = transfers(w, orders, more, poles, displacement, velocity, acceleration, inputs, feedthrough)
-        residual, y = balance(here, g, given, target[line], w, transfer, orders, offsets, channels)
+        if fresh.size > 0:
+            for k in fresh:
+                here[k] = -residual[k]
+            g = local_amounts(here[: r * size].copy().reshape(r, size), w, factor, tables)
+            more = driven_orders(g, orders, offsets)
+            if np.any(more & ~wanted):
+                transfer = transfers(w, orders, more, model)
+            residual, y = balance(here, g, given, target[line], w, transfer, orders, offsets, channels)
         known = np.zeros(z.shape[1])
         for k in range(own.size):
             known[kept[k]] = residual[own[k]]
@@ -527,8 +427,6 @@ def step_more_lines(
         for k in range(c):
             for b in range(step.size):
                 y[k] += slopes[line, k, b] * step[b]
-        for k in range(here.size):
-            moved[line, k] = here[k]
-        for k in range(c):
-            values[line, k] = y[k]
+        moved[line] = here
+        values[line] = y
     return moved, values

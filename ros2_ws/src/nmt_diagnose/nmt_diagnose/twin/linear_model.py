@@ -8,6 +8,7 @@ and exciter are joined exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numba import njit
@@ -16,6 +17,16 @@ from scipy.linalg import eigh
 
 from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_rig.model.assembly import ElectromechanicalSystem
+
+LinearTables: TypeAlias = tuple[
+    ComplexArray,  # poles
+    ComplexArray,  # displacement
+    ComplexArray,  # velocity
+    ComplexArray,  # acceleration
+    ComplexArray,  # inputs
+    ComplexArray,  # feedthrough
+]
+"""A `LinearModel` for compiled functions."""
 
 # Part of another shape that a shape may take in while the first order will do.
 _LARGEST_MIX = 1e-3
@@ -74,12 +85,14 @@ class LinearModel:
     feedthrough: ComplexArray
     frame: ModalFrame | None = None
 
+    @property
+    def tables(self) -> LinearTables:
+        """What compiled functions need of it."""
+        return self.poles, self.displacement, self.velocity, self.acceleration, self.inputs, self.feedthrough
+
     def at(self, s: complex) -> tuple[ComplexArray, ComplexArray]:
         """T (o, p) and dT/ds at s."""
-        result: tuple[ComplexArray, ComplexArray] = transfer_at(
-            s, self.poles, self.displacement, self.velocity, self.acceleration, self.inputs, self.feedthrough,
-            self.inputs.shape[1],
-        )  # fmt: skip
+        result: tuple[ComplexArray, ComplexArray] = transfer_at(s, self.tables, self.inputs.shape[1])
         return result
 
     def partial_fractions(self, rows: NDArray[np.int64]) -> tuple[FloatArray, ...]:
@@ -88,23 +101,16 @@ class LinearModel:
         Returns:
             σ (k,), π (k,), c (k, rows · p), e (k, rows · p), rest (rows · p,); one k for each pair of poles.
         """
-        result: tuple[FloatArray, ...] = real_fractions(
-            rows, self.poles, self.displacement, self.velocity, self.acceleration, self.inputs, self.feedthrough
-        )
+        result: tuple[FloatArray, ...] = real_fractions(rows, self.tables)
         return result
 
 
 @njit(cache=True)
 def real_fractions(
-    rows: NDArray[np.int64],
-    poles: ComplexArray,
-    displacement: ComplexArray,
-    velocity: ComplexArray,
-    acceleration: ComplexArray,
-    inputs: ComplexArray,
-    feedthrough: ComplexArray,
+    rows: NDArray[np.int64], model: LinearTables
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Compiled body of ``LinearModel.partial_fractions``."""
+    poles, displacement, velocity, acceleration, inputs, feedthrough = model
     columns = inputs.shape[1]
     count = 0
     for pole in poles:
@@ -146,24 +152,14 @@ def real_fractions(
 
 
 @njit(cache=True)
-def transfer_at(
-    s: complex,
-    poles: ComplexArray,
-    displacement: ComplexArray,
-    velocity: ComplexArray,
-    acceleration: ComplexArray,
-    inputs: ComplexArray,
-    feedthrough: ComplexArray,
-    columns: int,
-) -> tuple[ComplexArray, ComplexArray]:
+def transfer_at(s: complex, model: LinearTables, columns: int) -> tuple[ComplexArray, ComplexArray]:
     """Compiled body of ``LinearModel.at``; right in the first ``columns`` columns only."""
-    outputs = displacement.shape[0]
-    count = poles.shape[0]
+    poles, displacement, velocity, acceleration, inputs, feedthrough = model
     transfer = feedthrough.copy()
     slope = np.zeros(feedthrough.shape, dtype=np.complex128)
-    for k in range(count):
+    for k in range(poles.shape[0]):
         inverse = 1.0 / (s - poles[k])
-        for o in range(outputs):
+        for o in range(transfer.shape[0]):
             row = (displacement[o, k] + s * (velocity[o, k] + s * acceleration[o, k])) * inverse
             change = (velocity[o, k] + 2.0 * s * acceleration[o, k] - row) * inverse
             for p in range(columns):
@@ -173,19 +169,10 @@ def transfer_at(
 
 
 @njit(cache=True)
-def response_at(
-    s: complex,
-    poles: ComplexArray,
-    displacement: ComplexArray,
-    velocity: ComplexArray,
-    acceleration: ComplexArray,
-    inputs: ComplexArray,
-    feedthrough: ComplexArray,
-    columns: int,
-) -> ComplexArray:
-    """T (o, p) at s as by ``transfer_at``, without its derivative; right in the first ``columns`` columns only."""
-    outputs = displacement.shape[0]
-    transfer = feedthrough.copy()
+def response_at(s: complex, model: LinearTables, outputs: int, columns: int) -> ComplexArray:
+    """T at s as by ``transfer_at``, without its derivative; the first ``outputs`` rows, and right in ``columns``."""
+    poles, displacement, velocity, acceleration, inputs, feedthrough = model
+    transfer = feedthrough[:outputs].copy()
     for k in range(poles.shape[0]):
         inverse = 1.0 / (s - poles[k])
         for o in range(outputs):

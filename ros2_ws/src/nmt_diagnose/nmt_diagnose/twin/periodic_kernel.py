@@ -10,20 +10,31 @@ closed by the phase between measured force and response at lock and by one ampli
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from numba import njit
 
 from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_diagnose.twin.linear_model import response_at, transfer_at
+from nmt_diagnose.twin.linear_model import LinearTables, response_at, transfer_at
 from nmt_rig.model.aft import LocalTables, forces_alone, local_forces
 
 # What is given besides the phase: ln of the drive's amplitude, or ln of the fundamental of one channel.
 DRIVE_GIVEN = -1
 
+RigTables: TypeAlias = tuple[
+    LinearTables,
+    FloatArray,  # sensor chains of the channels (c, 4)
+    FloatArray,  # G, G b₁, G b₂
+    LocalTables,
+]
+"""What the kernels know of a rig, see `RigParts.kernel_tables`."""
+
 
 @njit(cache=True)
-def sensor_gain(s: complex, gain: float, delay: float, low_pass: float, high_pass: float) -> tuple[complex, complex]:
-    """Complex gain of a sensor's chain at s = iω, and its derivative with respect to s."""
+def sensor_gain(s: complex, chain: FloatArray) -> tuple[complex, complex]:
+    """Complex gain of a sensor's chain (4,) at s = iω, and its derivative with respect to s."""
+    gain, delay, low_pass, high_pass = chain[0], chain[1], chain[2], chain[3]
     low = 1.0 / (1.0 + s * low_pass)
     value = gain * np.exp(-s * delay) * low
     slope = value * (-delay - low_pass * low)
@@ -132,42 +143,102 @@ def local_amounts(displacement: FloatArray, omega: float, factor: FloatArray, ta
 
 
 @njit(cache=True)
+def any_nonlinear(factor: FloatArray, tables: LocalTables) -> bool:
+    """Whether any force of the local coordinates is there at all: those that are linear are not among them."""
+    elements = tables[3].shape[0] + tables[5].shape[0] + tables[7].size
+    return bool(elements > 0 or factor[1] != 0.0 or factor[2] != 0.0)
+
+
+@njit(cache=True, forceinline=True)
+def phasor(coefficients: FloatArray, row: int, offset: int, order: int) -> complex:
+    """Complex amplitude of one order of real Fourier coefficients (rows, size)."""
+    if order == 0:
+        return complex(coefficients[row, offset])
+    return complex(coefficients[row, offset] - 1j * coefficients[row, offset + 1])
+
+
+@njit(cache=True, forceinline=True)
+def output_of(transfer: ComplexArray, o: int, u: complex, g: FloatArray, offset: int, order: int) -> complex:
+    """Output o at one order for the drive u and the local forces g (r, size)."""
+    r = transfer.shape[1] - 1
+    value = transfer[o, r] * u
+    for j in range(r):
+        value -= transfer[o, j] * phasor(g, j, offset, order)
+    return complex(value)
+
+
+@njit(cache=True, forceinline=True)
+def add_force_slopes(
+    column: ComplexArray, transfer: ComplexArray, o: int, dg: FloatArray, offset: int, order: int
+) -> None:
+    """Add what derivatives of the local forces, dg (r, size, r · size), do to the slopes (nz,) of output o."""
+    for j in range(dg.shape[0]):
+        t = transfer[o, j]
+        for b in range(dg.shape[2]):
+            re = dg[j, offset, b]
+            im = dg[j, offset + 1, b] if order > 0 else 0.0
+            if re != 0.0 or im != 0.0:
+                column[b] -= t * (re - 1j * im)
+
+
+@njit(cache=True, forceinline=True)
+def set_residual(residual: FloatArray, z: FloatArray, row: int, value: complex, order: int) -> None:
+    """Difference of the unknowns of one order, from ``row`` on, from the displacement that they cause."""
+    residual[row] = z[row] - value.real
+    if order > 0:
+        residual[row + 1] = z[row + 1] + value.imag
+
+
+@njit(cache=True, forceinline=True)
+def set_jacobian(jacobian: FloatArray, row: int, column: ComplexArray, order: int) -> None:
+    """Slopes of :func:`set_residual` for the slopes (nz,) of that displacement."""
+    for b in range(column.size):
+        jacobian[row, b] = -column[b].real
+    jacobian[row, row] += 1.0
+    if order > 0:
+        for b in range(column.size):
+            jacobian[row + 1, b] = column[b].imag
+        jacobian[row + 1, row + 1] += 1.0
+
+
+@njit(cache=True)
+def close(
+    measured: ComplexArray, drive_log: float, control: tuple[int, int, int, int], given_log: float, phase: float
+) -> tuple[float, float]:
+    """What phase (rad) and given amplitude (ln) are off by, for channels (c, n_orders)."""
+    given, force_channel, response_channel, response_power = control
+    product = measured[force_channel, 1] * np.conj(measured[response_channel, 1])
+    # velocity = (iω)^power response: a quarter turn per derivative.
+    angle = np.angle(product) - 0.5 * np.pi * response_power - phase
+    angle -= 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
+    own = drive_log if given == DRIVE_GIVEN else np.log(np.abs(measured[given, 1]))
+    return angle, own - given_log
+
+
+@njit(cache=True)
 def evaluate(
     z: FloatArray,
-    given: int,
+    control: tuple[int, int, int, int],
     given_log: float,
     phase: float,
-    force_channel: int,
-    response_channel: int,
-    response_power: int,
     drive: ComplexArray,
-    poles: ComplexArray,
-    displacement_rows: ComplexArray,
-    velocity_rows: ComplexArray,
-    acceleration_rows: ComplexArray,
-    inputs: ComplexArray,
-    feedthrough: ComplexArray,
-    channels: FloatArray,
-    factor: FloatArray,
-    tables: LocalTables,
+    rig: RigTables,
 ) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
     """Residual (nz,), Jacobian (nz, nz), channels (c, n_orders) after their sensors, and their derivatives
     (c, n_orders, nz).
 
     Args:
         z: unknowns; the first order must be 0.
-        given: ``DRIVE_GIVEN``, or the channel whose fundamental has the given amplitude.
-        given_log: ln of that amplitude.
+        control: ``DRIVE_GIVEN``, or the channel whose fundamental has the given amplitude; channels of force and
+            response whose phase was controlled; order of time derivative from that response to a velocity (1, 0, −1).
+        given_log: ln of the given amplitude.
         phase: measured arg F₁ − arg(velocity₁), rad.
-        force_channel, response_channel: rows of ``channels`` whose phase was controlled.
-        response_power: order of time derivative from the response channel to a velocity (1, 0, −1).
         drive: (n_orders,) harmonics of the input for unit drive amplitude.
-        channels: sensor chains (c, 4).
-        factor: G, G b₁, G b₂.
     """
+    model, channels, factor, tables = rig
     orders, offsets = tables[0], tables[1]
     count = orders.size
-    r = inputs.shape[1] - 1
+    r = model[4].shape[1] - 1
     c = channels.shape[0]
     size = offsets[count - 1] + 2
     local = r * size
@@ -177,7 +248,7 @@ def evaluate(
 
     displacement = z[:local].copy().reshape(r, size)
     g, dg, g_omega = harmonic_forces(displacement, omega, factor, tables)
-    linear = tables[3].shape[0] + tables[5].shape[0] + tables[7].size == 0 and factor[1] == 0.0 and factor[2] == 0.0
+    linear = not any_nonlinear(factor, tables)
     residual = np.zeros(nz)
     jacobian = np.zeros((nz, nz))
     measured = np.zeros((c, count), dtype=np.complex128)
@@ -196,70 +267,39 @@ def evaluate(
                     jacobian[row, row] = 1.0
             continue
         # Most orders are not driven, and the response to the drive is not wanted.
-        columns = r if u == 0.0 else r + 1
-        transfer, transfer_slope = transfer_at(
-            s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough, columns
-        )
+        transfer, transfer_slope = transfer_at(s, model, r if u == 0.0 else r + 1)
         for o in range(r + c):
-            value = transfer[o, r] * u
+            value = output_of(transfer, o, u, g, offset, order)
             column[:] = 0.0
             column[local] = transfer_slope[o, r] * u * 1j * order
-            column[local + 1] = value
+            column[local + 1] = transfer[o, r] * u
             for j in range(r):
-                t = transfer[o, j]
-                if order == 0:
-                    value -= t * g[j, offset]
-                    column[local] -= t * g_omega[j, offset]
-                    for b in range(local):
-                        column[b] -= t * dg[j, offset, b]
-                    continue
-                amount = g[j, offset] - 1j * g[j, offset + 1]
-                value -= t * amount
-                column[local] -= 1j * order * transfer_slope[o, j] * amount + t * (
-                    g_omega[j, offset] - 1j * g_omega[j, offset + 1]
-                )
-                for b in range(local):
-                    re = dg[j, offset, b]
-                    im = dg[j, offset + 1, b]
-                    if re != 0.0 or im != 0.0:
-                        column[b] -= t * (re - 1j * im)
+                column[local] -= 1j * order * transfer_slope[o, j] * phasor(g, j, offset, order) + transfer[
+                    o, j
+                ] * phasor(g_omega, j, offset, order)
+            add_force_slopes(column, transfer, o, dg, offset, order)
             if o < r:
-                row = o * size + offset
-                residual[row] = z[row] - value.real
-                for b in range(nz):
-                    jacobian[row, b] = -column[b].real
-                jacobian[row, row] += 1.0
-                if order > 0:
-                    residual[row + 1] = z[row + 1] + value.imag
-                    for b in range(nz):
-                        jacobian[row + 1, b] = column[b].imag
-                    jacobian[row + 1, row + 1] += 1.0
+                set_residual(residual, z, o * size + offset, value, order)
+                set_jacobian(jacobian, o * size + offset, column, order)
             else:
                 k = o - r
-                gain, gain_slope = sensor_gain(s, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])
+                gain, gain_slope = sensor_gain(s, channels[k])
                 measured[k, n] = gain * value
                 for b in range(nz):
                     slopes[k, n, b] = gain * column[b]
                 slopes[k, n, local] += 1j * order * gain_slope * value
 
-    one = 1
-    product = measured[force_channel, one] * np.conj(measured[response_channel, one])
-    # velocity = (iω)^power response: a quarter turn per derivative.
-    angle = np.angle(product) - 0.5 * np.pi * response_power - phase
-    angle -= 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
-    residual[local] = angle
+    residual[local], residual[local + 1] = close(measured, z[local + 1], control, given_log, phase)
+    given, force, response, _ = control
     for b in range(nz):
         jacobian[local, b] = (
-            slopes[force_channel, one, b] / measured[force_channel, one]
-            - slopes[response_channel, one, b] / measured[response_channel, one]
+            slopes[force, 1, b] / measured[force, 1] - slopes[response, 1, b] / measured[response, 1]
         ).imag
     if given == DRIVE_GIVEN:
-        residual[local + 1] = z[local + 1] - given_log
         jacobian[local + 1, local + 1] = 1.0
     else:
-        residual[local + 1] = np.log(np.abs(measured[given, one])) - given_log
         for b in range(nz):
-            jacobian[local + 1, b] = (slopes[given, one, b] / measured[given, one]).real
+            jacobian[local + 1, b] = (slopes[given, 1, b] / measured[given, 1]).real
     return residual, jacobian, measured, slopes
 
 
@@ -269,22 +309,11 @@ def newton(
     scale: FloatArray,
     iterations: int,
     tolerance: float,
-    given: int,
+    control: tuple[int, int, int, int],
     given_log: float,
     phase: float,
-    force_channel: int,
-    response_channel: int,
-    response_power: int,
     drive: ComplexArray,
-    poles: ComplexArray,
-    displacement_rows: ComplexArray,
-    velocity_rows: ComplexArray,
-    acceleration_rows: ComplexArray,
-    inputs: ComplexArray,
-    feedthrough: ComplexArray,
-    channels: FloatArray,
-    factor: FloatArray,
-    tables: LocalTables,
+    rig: RigTables,
 ) -> tuple[bool, FloatArray, FloatArray, ComplexArray, ComplexArray]:
     """Damped Newton iteration from z.
 
@@ -298,12 +327,8 @@ def newton(
     nz = z.size
     local = nz - 2
     weights = 1.0 / scale
-    weights[local] = 1.0
-    weights[local + 1] = 1.0
-    residual, jacobian, measured, slopes = evaluate(
-        z, given, given_log, phase, force_channel, response_channel, response_power, drive, poles, displacement_rows,
-        velocity_rows, acceleration_rows, inputs, feedthrough, channels, factor, tables,
-    )  # fmt: skip
+    weights[local:] = 1.0
+    residual, jacobian, measured, slopes = evaluate(z, control, given_log, phase, drive, rig)
     error = np.linalg.norm(residual * weights)
     for _ in range(iterations):
         if not np.isfinite(error):
@@ -322,18 +347,14 @@ def newton(
         done = False
         for _ in range(8):
             trial = z + fraction * step
-            residual_new, jacobian_new, measured_new, slopes_new = evaluate(
-                trial, given, given_log, phase, force_channel, response_channel, response_power, drive, poles,
-                displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough, channels, factor, tables,
-            )  # fmt: skip
-            error_new = np.linalg.norm(residual_new * weights)
-            if error_new < error * (1.0 - 0.1 * fraction) or error_new < 1e-10 or length < tolerance:
+            residual, jacobian, measured, slopes = evaluate(trial, control, given_log, phase, drive, rig)
+            after = np.linalg.norm(residual * weights)
+            if after < error * (1.0 - 0.1 * fraction) or after < 1e-10 or length < tolerance:
                 done = True
                 break
             fraction *= 0.5
         # Where no shorter step is better, the shortest is taken all the same: it may cross a kink.
-        z, residual, jacobian, measured, slopes = trial, residual_new, jacobian_new, measured_new, slopes_new
-        error = error_new
+        z, error = trial, after
         if done and fraction == 1.0 and length < tolerance * (1.0 + np.linalg.norm(z / scale)):
             return True, z, jacobian, measured, slopes
         if done and error < 1e-12:
@@ -344,30 +365,20 @@ def newton(
 @njit(cache=True)
 def residuals(
     z: FloatArray,
-    given: int,
+    control: tuple[int, int, int, int],
     given_log: FloatArray,
     phase: FloatArray,
-    force_channel: int,
-    response_channel: int,
-    response_power: int,
     drive: ComplexArray,
-    poles: ComplexArray,
-    displacement_rows: ComplexArray,
-    velocity_rows: ComplexArray,
-    acceleration_rows: ComplexArray,
-    inputs: ComplexArray,
-    feedthrough: ComplexArray,
-    channels: FloatArray,
-    factor: FloatArray,
-    tables: LocalTables,
+    rig: RigTables,
 ) -> tuple[FloatArray, ComplexArray]:
     """Residuals (levels, nz) and channels (levels, c, n_orders) of several levels of one rig, without derivatives.
 
     The arguments are those of ``evaluate``; ``z``, ``given_log``, ``phase`` and ``drive`` have an entry for each level.
     """
+    model, channels, factor, tables = rig
     orders, offsets = tables[0], tables[1]
     count = orders.size
-    r = inputs.shape[1] - 1
+    r = model[4].shape[1] - 1
     c = channels.shape[0]
     size = offsets[count - 1] + 2
     local = r * size
@@ -387,35 +398,16 @@ def residuals(
             if u == 0.0 and not np.any(g[:, offset]) and (order == 0 or not np.any(g[:, offset + 1])):
                 # Nothing acts at this order, and nothing responds.
                 for o in range(r):
-                    residual[level, o * size + offset] = z[level, o * size + offset]
-                    if order > 0:
-                        residual[level, o * size + offset + 1] = z[level, o * size + offset + 1]
+                    set_residual(residual[level], z[level], o * size + offset, 0j, order)
                 continue
-            columns = r if u == 0.0 else r + 1
-            transfer = response_at(
-                s, poles, displacement_rows, velocity_rows, acceleration_rows, inputs, feedthrough, columns
-            )
+            transfer = response_at(s, model, r + c, r if u == 0.0 else r + 1)
             for o in range(r + c):
-                value = transfer[o, r] * u
-                for j in range(r):
-                    if order == 0:
-                        value -= transfer[o, j] * g[j, offset]
-                    else:
-                        value -= transfer[o, j] * (g[j, offset] - 1j * g[j, offset + 1])
+                value = output_of(transfer, o, u, g, offset, order)
                 if o < r:
-                    row = o * size + offset
-                    residual[level, row] = z[level, row] - value.real
-                    if order > 0:
-                        residual[level, row + 1] = z[level, row + 1] + value.imag
+                    set_residual(residual[level], z[level], o * size + offset, value, order)
                 else:
-                    k = o - r
-                    gain, _ = sensor_gain(s, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])
-                    measured[level, k, n] = gain * value
-        product = measured[level, force_channel, 1] * np.conj(measured[level, response_channel, 1])
-        angle = np.angle(product) - 0.5 * np.pi * response_power - phase[level]
-        residual[level, local] = angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
-        if given == DRIVE_GIVEN:
-            residual[level, local + 1] = z[level, local + 1] - given_log[level]
-        else:
-            residual[level, local + 1] = np.log(np.abs(measured[level, given, 1])) - given_log[level]
+                    measured[level, o - r, n] = sensor_gain(s, channels[o - r])[0] * value
+        residual[level, local], residual[level, local + 1] = close(
+            measured[level], z[level, local + 1], control, given_log[level], phase[level]
+        )
     return residual, measured

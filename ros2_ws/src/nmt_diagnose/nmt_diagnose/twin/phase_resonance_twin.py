@@ -243,28 +243,12 @@ class PhaseResonanceTwin:
         return None
 
     def _arguments(self, parts: RigParts, level: LevelProblem, amplitude: float) -> tuple[Any, ...]:
-        """Arguments of the kernel from ``given`` on."""
+        """Arguments of the kernel from ``control`` on."""
         drive = self._drive(parts, level, amplitude)
-        model = parts.linear
         given = {DRIVE_GIVEN: DRIVE_GIVEN, FORCE_GIVEN: self._force}
-        return (
-            given[level.given] if level.given in given else self._own[level.given],
-            math.log(amplitude),
-            level.phase,
-            self._force,
-            self._response,
-            self.power,
-            drive,
-            model.poles,
-            model.displacement,
-            model.velocity,
-            model.acceleration,
-            model.inputs,
-            model.feedthrough,
-            parts.channels,
-            parts.force_factor,
-            parts.tables,
-        )
+        own = given[level.given] if level.given in given else self._own[level.given]
+        control = own, self._force, self._response, self.power
+        return control, math.log(amplitude), level.phase, drive, parts.kernel_tables
 
     def _drive(self, parts: RigParts, level: LevelProblem, amplitude: float) -> ComplexArray:
         """Harmonics (n_orders,) of the input per unit of the drive, with those that were recorded."""
@@ -342,7 +326,7 @@ class PhaseResonanceTwin:
         tangent = resting_tangent(parts, s)
         closed = np.eye(r) + transfer[:r, :r] * tangent
         w = np.asarray(np.linalg.solve(closed, transfer[:r, r] * drive), dtype=np.complex128)
-        gains = np.array([sensor_gain(s, *chain)[0] for chain in parts.channels])
+        gains = np.array([sensor_gain(s, chain)[0] for chain in parts.channels])
         channels = gains * (transfer[r:, r] * drive - transfer[r:, :r] @ (tangent * w))
         turn = np.exp(-1j * (0.5 * np.pi * self.power + level.phase))
         return w, float(np.angle(channels[self._force] * np.conj(channels[self._response]) * turn)), channels
@@ -369,7 +353,7 @@ class PhaseResonanceTwin:
 
     def gains(self, parts: RigParts, s: complex) -> ComplexArray:
         """Complex gains of all sensors (c,)."""
-        return np.array([sensor_gain(s, *chain)[0] for chain in parts.channels])
+        return np.array([sensor_gain(s, chain)[0] for chain in parts.channels])
 
     def phase_change(self, row: int, relative: complex) -> float:
         """Change of the phase condition by a relative change of one channel's fundamental."""
@@ -398,7 +382,7 @@ class PhaseResonanceTwin:
         impedance = system.stiffness + s * system.damping + s**2 * system.mass
         loads = np.einsum("nk,lk->ln", parts.inputs, amplitudes)
         chain = parts.channels[self._force]
-        gains = np.array([sensor_gain(1j * w, *chain)[0] for w in omega])
+        gains = np.array([sensor_gain(1j * w, chain)[0] for w in omega])
         force = np.array([state.channels[self._force, one] for state in states]) / gains
         shapes: ComplexArray = np.linalg.solve(impedance, loads[:, :, None])[:, :, 0].astype(np.complex128)
         return shapes, np.asarray(force, dtype=np.complex128)
@@ -524,14 +508,11 @@ class PhaseResonanceTwin:
 
     def _residuals(self, parts: RigParts, levels: list[LevelProblem], z: FloatArray) -> tuple[FloatArray, ComplexArray]:
         """Residuals (levels, nz) and channels (levels, c, n_orders) of several levels of one rig."""
-        first = self._arguments(parts, levels[0], levels[0].amplitude)
-        given, force, response, power = first[0], *first[3:6]
+        control, *_, tables = self._arguments(parts, levels[0], levels[0].amplitude)
         logs = np.array([math.log(level.amplitude) for level in levels])
         phases = np.array([level.phase for level in levels])
         drives = np.array([self._drive(parts, level, level.amplitude) for level in levels])
-        result: tuple[FloatArray, ComplexArray] = residuals(
-            z, given, logs, phases, force, response, power, drives, *first[7:]
-        )
+        result: tuple[FloatArray, ComplexArray] = residuals(z, control, logs, phases, drives, tables)
         return result
 
     def values(self, rig: Rig, cache: PartsCache, states: list[PeriodicState | None]) -> FloatArray:

@@ -121,7 +121,7 @@ class RandomTwin:
 
     def gain(self, parts: RigParts, row: int, s: complex) -> complex:
         """Complex gain of one sensor."""
-        return complex(sensor_gain(s, *parts.channels[row])[0])
+        return complex(sensor_gain(s, parts.channels[row])[0])
 
     def responses(self, rig: Rig, cache: PartsCache) -> ComplexArray:
         """Expected estimates (lines, channels)."""
@@ -290,7 +290,7 @@ def sensor_gains(frequencies: FloatArray, channels: FloatArray) -> ComplexArray:
     for line in range(frequencies.size):
         s = 2j * np.pi * frequencies[line]
         for k in range(channels.shape[0]):
-            result[line, k], _ = sensor_gain(s, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])
+            result[line, k], _ = sensor_gain(s, channels[k])
     return result
 
 
@@ -360,6 +360,6 @@ def linear_responses(
             value = re[first + r] + 1j * im[first + r]
             for j in range(r):
                 value -= (re[first + j] + 1j * im[first + j]) * closed[j, r]
-            gain, _ = sensor_gain(s, channels[k, 0], channels[k, 1], channels[k, 2], channels[k, 3])
+            gain, _ = sensor_gain(s, channels[k])
             result[line, k] = gain * value
     return result

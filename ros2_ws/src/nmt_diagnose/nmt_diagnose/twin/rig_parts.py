@@ -18,6 +18,7 @@ from nmt_diagnose.effects.modal_calibration import with_stiffness
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model, moved_model
 from nmt_diagnose.twin.local_tables import local_tables
+from nmt_diagnose.twin.periodic_kernel import RigTables
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.assembly import (
@@ -26,6 +27,7 @@ from nmt_rig.model.assembly import (
     displacement_output,
     velocity_output,
 )
+from nmt_rig.model.forced_response import force_rows
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import ELEMENTS
 from nmt_rig.model.local_elements.element import LocalElement
@@ -107,6 +109,11 @@ class RigParts:
     structure: Structure
     bare: ElectromechanicalSystem
     rig: Rig
+
+    @property
+    def kernel_tables(self) -> RigTables:
+        """What the kernels know of it."""
+        return self.linear.tables, self.channels, self.force_factor, self.tables
 
     @cached_property
     def resting(self) -> tuple[FloatArray, FloatArray]:
@@ -212,7 +219,7 @@ def rig_parts(
     system, size = bare, bare.size
 
     stiffness, damping = system.stiffness, system.damping
-    force_displacement, force_velocity, force_acceleration = _force_rows(system)
+    force_displacement, force_velocity, force_acceleration = force_rows(system)
     local = _local_elements(rig, structure, size, seconds, cycles)
     for element, measured in local.linear:
         outer = np.outer(element.direction, element.direction)
@@ -408,22 +415,6 @@ def _scaled_stiffness(rig: Rig, factor: float) -> dict[str, object]:
 def _saturation(exciter: AnyExciter) -> float:
     value = exciter.amplifier_saturation_v if isinstance(exciter, ShakerSection) else None
     return math.inf if value is None else float(value)
-
-
-def _force_rows(system: ElectromechanicalSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Displacement, velocity and acceleration rows of the drive-point force.
-
-    With a shaker the coil's equation of motion is subtracted: the force then follows from current and inertia instead
-    of the tiny deformation of the coil's stiff suspension, which would cost six digits.
-    """
-    output = system.force
-    if system.coil is None:
-        return output.displacement, output.velocity, output.acceleration
-    return (
-        output.displacement - system.stiffness[system.coil],
-        output.velocity - system.damping[system.coil],
-        output.acceleration - system.mass[system.coil],
-    )
 
 
 def _sensor(rig: Rig, channel: MeasuredChannel, named: dict[str, SensorSection]) -> SensorSection | None:

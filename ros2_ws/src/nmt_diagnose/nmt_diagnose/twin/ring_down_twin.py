@@ -98,14 +98,10 @@ class RingDownTwin:
             # Not at the pole of the linear system itself, where transfer functions are infinite.
             z[:, -2] *= 1.0 + _OFF_POLE
             derivatives = {Quantity.VELOCITY: 1.0, Quantity.ACCELERATION: 2.0}.get(self.test.channel.quantity, 0.0)
-            own, model = self._own_output(parts), self._model(parts)
-            nonlinear = parts.force_factor, parts.tables
-            ratio[solved] = observed_ratios(z, amplitudes, derivatives, *own, *model, *nonlinear)
+            ratio[solved] = observed_ratios(z, amplitudes, derivatives, self._own, parts.kernel_tables)
             if shape.any():
                 places = np.array(self._places, dtype=np.int64)
-                shapes[solved] = decay_shapes(
-                    z, amplitudes, *own, parts.coordinates + places, parts.channels[places], *model, *nonlinear
-                )
+                shapes[solved] = decay_shapes(z, amplitudes, self._own, places, parts.kernel_tables)
         result = np.full(len(self.rows), np.nan)
         for kind, values in ((Part.LOG_FREQUENCY, log_omega), (Part.DAMPING, ratio)):
             which = self.rows.part == kind
@@ -127,32 +123,14 @@ class RingDownTwin:
         # Not at the pole of the linear system itself, where transfer functions are infinite.
         z[:, -2] *= 1.0 + _OFF_POLE
         amplitudes = np.array([state[2] for _, state in solved])
-        moved = stepped_decays(
-            z, amplitudes, *self._own_output(parts), *self._model(parts), parts.force_factor, parts.tables
-        )
+        moved = stepped_decays(z, amplitudes, self._own, parts.kernel_tables)
         for (position, state), own in zip(solved, moved, strict=True):
             result[position] = (own, parts.keys, state[2])
         return result
 
-    def _own_output(self, parts: RigParts) -> tuple[int, FloatArray]:
-        """Row of the channel that was band-passed in the linear model, and its sensor."""
-        return parts.coordinates + self._own, parts.channels[self._own]
-
-    @staticmethod
-    def _model(parts: RigParts) -> tuple[Any, ...]:
-        model = parts.linear
-        return (
-            model.poles, model.displacement, model.velocity, model.acceleration, model.inputs, model.feedthrough,
-        )  # fmt: skip
-
     def _arguments(self, parts: RigParts, z: FloatArray, amplitude: float) -> tuple[Any, ...]:
-        own, model = self._own_output(parts), self._model(parts)
-        true, weight = closure(z, amplitude, *own, *model)
-        return (true, weight, own[0], *model, parts.force_factor, parts.tables)
-
-    def _solved(self, jacobian: FloatArray, residual: FloatArray, z: FloatArray) -> FloatArray:
-        result: FloatArray = newton_step(jacobian, residual, z, self.setup.basis.size)
-        return result
+        true, weight = closure(z, amplitude, self._own, parts.kernel_tables)
+        return true, weight, parts.coordinates + self._own, parts.kernel_tables
 
     def _continued(
         self, parts: RigParts, guess: DecayState | None, amplitude: float, depth: int = _DEEPEST
@@ -177,7 +155,7 @@ class RingDownTwin:
             if not np.all(np.isfinite(residual)):
                 return None
             try:
-                step = self._solved(jacobian, residual, z)
+                step = newton_step(jacobian, residual, z, self.setup.basis.size)
             except np.linalg.LinAlgError:
                 return None
             moved = max(abs(step[-2]) / z[-2], abs(step[-1]))
@@ -200,7 +178,7 @@ class RingDownTwin:
         tangent = resting_tangent(parts, s)
         closed = np.linalg.solve(np.eye(r) + t[:r, :r] * tangent, t[:r, r])
         own = t[output, r] - t[output, :r] @ (tangent * closed)
-        gain, _ = sensor_gain(1j * s.imag, *parts.channels[self._own])
+        gain, _ = sensor_gain(1j * s.imag, parts.channels[self._own])
         amplitudes = np.zeros((r, basis.orders.size), dtype=np.complex128)
         amplitudes[:, basis.fundamental] = closed / own * amplitude / abs(gain)
         return np.concatenate((basis.to_real(amplitudes).ravel(), [s.imag, -s.real / s.imag]))

@@ -36,7 +36,7 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.demand import Demand, UnsolvedError, nothing_needed
-from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines, step_more_lines
+from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.rig_parts import RigParts, shared_unknowns
 from nmt_diagnose.twin.twin_settings import TwinSettings
@@ -149,7 +149,7 @@ class SteppedSineTwin:
         else:
             known, first = np.zeros(lines, dtype=bool), np.zeros((lines, size))
         good, z, forces, inverses, values, slopes = solve_lines(
-            first, known, demand.needed, demand.left, *self._given(parts), *parts.resting, *_model(parts),
+            first, known, demand.needed, demand.left, *self._given(parts), *parts.resting, parts.kernel_tables,
             self.settings.iterations, self.settings.tolerance,
         )  # fmt: skip
         if not np.all(good[demand.needed]):
@@ -180,22 +180,17 @@ class SteppedSineTwin:
         state = states[0]
         assert state is not None
         parts = self.parts(rig, cache)
-        if parts.keys != state.keys:
-            shared = shared_unknowns(state.keys, parts.keys, parts.basis.size)
-            if shared is None:
-                # A coordinate with a force is gone: nothing of the Jacobians can be kept.
-                return self.solve(rig, cache, None)
-            z, values = step_more_lines(
-                state.z, *shared, state.inverses, state.slopes, *self._given(parts), *_model(parts)
-            )
-            responses, _ = self._over_reference(parts, z, values)
-            return [replace(state, keys=parts.keys, z=z, responses=responses)]
-        same = parts.clock == state.clock and _same_tables(parts.tables, state.tables)
+        shared = shared_unknowns(state.keys, parts.keys, parts.basis.size)
+        if shared is None:
+            # A coordinate with a force is gone: nothing of the Jacobians can be kept.
+            return self.solve(rig, cache, None)
+        same = parts.keys == state.keys and parts.clock == state.clock and _same_tables(parts.tables, state.tables)
         z, values = step_lines(
-            state.z, state.forces, same, state.inverses, state.slopes, *self._given(parts), *_model(parts)
-        )
+            state.z, state.forces if same else state.forces[:0], *shared, state.inverses, state.slopes,
+            *self._given(parts), parts.kernel_tables,
+        )  # fmt: skip
         responses, _ = self._over_reference(parts, z, values)
-        return [replace(state, z=z, responses=responses)]
+        return [replace(state, keys=parts.keys, z=z, responses=responses)]
 
     def values(self, rig: Rig, cache: PartsCache, states: list[SteppedSineState | None]) -> FloatArray:
         """Observables of the test's rows; see the module."""
@@ -324,15 +319,6 @@ def whitened_difference(rest: ComplexArray, growth: ComplexArray, noise: FloatAr
     phases = (rest.imag + turn[:, None] * error) / np.sqrt(1.0 + turn**2 * unknown)[:, None]
     sizes[:, 0] = lead
     return np.asarray(sizes + 1j * phases)
-
-
-def _model(parts: RigParts) -> tuple[Any, ...]:
-    """Arguments of the kernel that describe the rig."""
-    model = parts.linear
-    return (
-        model.poles, model.displacement, model.velocity, model.acceleration, model.inputs, model.feedthrough,
-        parts.channels, parts.force_factor, parts.tables,
-    )  # fmt: skip
 
 
 def _same_tables(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:

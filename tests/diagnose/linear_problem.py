@@ -8,7 +8,6 @@ import numpy as np
 
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest
 from nmt_diagnose.observations.observables import Observations, Part, Rows
-from nmt_diagnose.twin.demand import UnsolvedError
 
 
 @dataclass(frozen=True)
@@ -25,13 +24,9 @@ class FunctionModel:
         self.derivative = derivative
         self.calls = 0
 
-    def predict(self, rig, start=None, near=None, needed=None, left=None):
+    def predict(self, rig, start=None):
         self.calls += 1
-        values = np.array(self.function(rig), dtype=float)
-        if needed is not None and not np.isfinite(values[needed]).all():
-            raise UnsolvedError
-        values[np.zeros(values.shape, dtype=bool) if left is None else left] = np.nan
-        return Values(values, rig)
+        return Values(np.array(self.function(rig), dtype=float), rig)
 
     def jacobian(self, parametrisation, theta, prediction, which=None):
         if self.derivative is not None:

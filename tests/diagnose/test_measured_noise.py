@@ -18,10 +18,10 @@ from nmt_diagnose.inference.comparison import Hypotheses, SourceEvidence
 from nmt_diagnose.inference.diagnose import diagnose_observations, model_alone, own_parameters
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
-from nmt_diagnose.inference.fitting import best_errors, data_about
+from nmt_diagnose.inference.fitting import best_errors, data_about, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups, groups_of
-from nmt_diagnose.inference.search import Score, Search
+from nmt_diagnose.inference.search import Found, Score, Search
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part
@@ -177,7 +177,7 @@ def test_rows_of_one_kind_in_one_test_share_a_scale() -> None:
 def test_a_strength_beyond_its_ordinary_prior_is_found_from_where_the_score_puts_it(start: float) -> None:
     """A strength that its prior holds back would be taken for noise: the scale of the noise would grow instead."""
     search, cubic = _table_search()
-    null = search.null()
+    null = Found((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
     found = search.added(null, Score(cubic, np.array([start]), 0.0, 1.0, np.zeros(search.data.sigma.size)), lost=np.inf)
     assert found is not None
     (value,) = found.fit.parametrisation.values(found.fit.theta, 0).values()
@@ -186,7 +186,7 @@ def test_a_strength_beyond_its_ordinary_prior_is_found_from_where_the_score_puts
 
 def test_strong_effects_are_climbed_from_low_levels() -> None:
     search, _ = _table_search()
-    null = search.null()
+    null = Found((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
     best = search.singles(null, search.scores(null))[0]
     assert best.effects == ("cubic_stiffness",)
     (value,) = best.fit.parametrisation.values(best.fit.theta, 0).values()
@@ -283,7 +283,7 @@ def test_an_effect_that_is_not_there_lowers_the_evidence() -> None:
     every = candidates(MODEL, operating_range(MODEL, observations.tests, observations=observations))
     cubic = next(own for own in every if own.effect.name == "cubic_stiffness")
     search = Search(data, MODEL, calibration_parameters(MODEL), [cubic])
-    null = search.null()
+    null = Found((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
     found = search.added(null, Score(0, np.array([0.01]), 0.0, 1.0, np.zeros(data.sigma.size)), lost=np.inf)
     assert found is not None
     assert found.fit.cost < null.fit.cost + 0.5

@@ -14,8 +14,6 @@ BETWEEN = Cause("cubic_stiffness", Placement.at("structure", 2, 3))
 GAIN = Cause("response_gain", Placement.on_channel("response_sensor", "a2", 2))
 HUM = Cause("mains_hum", Placement.on_channel("response_sensor", "a2", 2, mains_hz=60.0))
 ACROSS = Cause("transverse_sensitivity", Placement.on_channel("response_sensor", "a2", 2, picked_up=3))
-NAMED = Cause("response_gain", Placement.on_channel("response_sensor", "tip", 2))
-ELSEWHERE = Cause("air_drag", Placement.at("structure", 60))
 OFFSET = Cause("phase_offset", Placement("controller"))
 
 
@@ -46,29 +44,6 @@ def test_explanations_are_equal_whatever_was_found_first() -> None:
     assert one.effects == other.effects == ("cubic_stiffness", "response_gain")
     assert one.kinds == "structure + response_sensor"
     assert Explanation().label == "none"
-
-
-@pytest.mark.parametrize(
-    ("causes", "together"),
-    [
-        ((AT_2,), False),
-        ((AT_2, GAIN), True),
-        # The frequency of the mains is no point, and a channel sits at its point whatever it is called.
-        ((AT_2, HUM), True),
-        ((ELSEWHERE, HUM), False),
-        ((AT_2, NAMED), True),
-        ((GAIN, HUM), True),
-        ((GAIN, ACROSS), True),
-        ((AT_2, ACROSS), False),
-        ((BETWEEN, ACROSS), True),
-        ((AT_2, BETWEEN), False),
-        ((AT_2, OFFSET), False),
-        ((OFFSET, Cause("loop_latency", Placement("controller"))), False),
-    ],
-)
-def test_effects_are_together_at_one_point_or_in_one_channel(causes: tuple[Cause, ...], together: bool) -> None:
-    assert Explanation(causes).together is together
-    assert Explanation(causes[::-1]).together is together
 
 
 def test_a_channel_of_force_lies_at_the_force_sensor_and_no_two_candidates_are_one() -> None:

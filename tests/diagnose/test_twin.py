@@ -458,16 +458,11 @@ def test_sources_span_what_an_effect_at_their_place_does():
     assert left["cubic_stiffness@2", FORCE] > 0.1
 
 
-def test_shared_sources_are_fewer():
+def test_a_drift_has_three_sources():
     rig = chain()
     test, table = locked(rig, [level(v, 24.0) for v in (0.5, 2.0)], "x1")
     forward = Forward([test], rows_of(table))
-    prediction = forward.predict(rig)
-    every, _ = forward.influence(rig, prediction, AT_2)
-    shared, names = forward.influence(rig, prediction, AT_2, shared=True)
-    assert shared.shape[1] == every.shape[1] // 2 == len(names)
-    np.testing.assert_allclose(shared.sum(axis=1), every.sum(axis=1), atol=1e-12)
-    assert forward.influence(rig, prediction, Source("time"))[0].shape[1] == 3
+    assert forward.influence(rig, forward.predict(rig), Source("time"))[0].shape[1] == 3
 
 
 def test_what_the_twin_does_not_cover_is_said():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nmt_rig.model.assembly import ElectromechanicalSystem, assemble
-from nmt_rig.model.beam import euler_bernoulli_cantilever
+from nmt_rig.model.beam import euler_bernoulli_beam
 from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.structure import Structure
@@ -16,7 +16,7 @@ SHAKER = ElectrodynamicShaker(0.024, 20707.0, 28.33, 0.019, 8.42e7, 57.17, 15.48
 
 @pytest.fixture
 def beam() -> Structure:
-    return euler_bernoulli_cantilever(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 7, 1e-4)
+    return euler_bernoulli_beam(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 7, 1e-4)
 
 
 @pytest.fixture

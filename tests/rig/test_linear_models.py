@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nmt_rig.model.assembly import assemble
-from nmt_rig.model.beam import euler_bernoulli_cantilever
+from nmt_rig.model.beam import euler_bernoulli_beam
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.linear_modes import damped_modes, sticking_modes
 from nmt_rig.model.local_elements.friction import Jenkins
@@ -34,7 +34,7 @@ def test_full_slip_lowers_mode_one(beam, joint):
 
 
 def test_many_elements_reach_the_continuous_cantilever():
-    structure = euler_bernoulli_cantilever(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 30)
+    structure = euler_bernoulli_beam(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 30)
     area, inertia = 0.00527668 * 0.01156978, 0.00527668 * 0.01156978**3 / 12
     roots = np.array([1.87510407, 4.69409113, 7.85475744])
     exact = roots**2 * np.sqrt(185e9 * inertia / (7830.0 * area * 0.7**4))

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nmt_rig.model.beam import euler_bernoulli_cantilever
+from nmt_rig.model.beam import euler_bernoulli_beam
 from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.shaker import ElectrodynamicShaker
@@ -14,7 +14,7 @@ from nmt_rig.model.structure import Structure
 
 @pytest.fixture(scope="session")
 def beam() -> Structure:
-    return euler_bernoulli_cantilever(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 7, 1e-4)
+    return euler_bernoulli_beam(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 7, 1e-4)
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.harmonic_balance import ModalImpedance, Ports, harmonic_responses, transfer_matrices
+from nmt_rig.model.harmonic_balance import ModalImpedance, OutputTables, Ports, harmonic_responses, transfer_matrices
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_system
 
@@ -46,11 +46,10 @@ def test_ports_give_what_the_whole_matrices_give(
     for omega in 10.0 ** rng.uniform(1.0, 4.0, 6):
         both = [
             transfer_matrices(
-                float(omega), excitation, ORDERS, impedance.mass, impedance.damping, impedance.stiffness, False, ports,
-                inputs, *rows, np.ones((4, 3)), shift, mode,
+                float(omega), excitation, ORDERS, own.tables, inputs, OutputTables(*rows, np.ones((4, 3))), shift, mode
             )
-            for ports in (impedance.ports, without_ports(size))
-        ]  # fmt: skip
+            for own in (impedance, replace(impedance, ports=without_ports(size)))
+        ]
         for ours, whole in zip(*both, strict=True):
             for position in range(ORDERS.size):
                 assert np.abs(ours[position] - whole[position]).max() <= 1e-8 * np.abs(whole[position]).max() + 1e-300

@@ -9,7 +9,8 @@ import pytest
 
 from nmt_rig.model.assembly import assemble
 from nmt_rig.model.chain import lumped_chain
-from nmt_rig.model.rest_response import responses_at_rest
+from nmt_rig.model.harmonic_balance import ModalImpedance
+from nmt_rig.model.rest_response import RestResponse
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_system
 
@@ -29,8 +30,9 @@ def test_ports_give_what_the_whole_system_gives(rig: str, changes: list[str]) ->
     system = build_system(load_rig(rig, changes))
     rng = np.random.default_rng(3)
     frequencies = np.sort(10.0 ** rng.uniform(1.0, 4.5, 40))
-    found = responses_at_rest(system, frequencies)
-    assert found is not None
+    response = RestResponse.of(system, ModalImpedance.with_every_port(system))
+    assert response is not None
+    found = response(frequencies)
     for k, omega in enumerate(frequencies):
         unknowns, force = system.response(float(omega))
         assert found[0][k] == pytest.approx(system.motion(system.drive_point, unknowns), rel=1e-7)
@@ -59,4 +61,5 @@ def test_damping_of_another_form_is_refused() -> None:
     extra = np.zeros_like(system.damping)
     root = rng.normal(size=(system.structure_size, system.structure_size))
     extra[: system.structure_size, : system.structure_size] = root @ root.T
-    assert responses_at_rest(replace(system, damping=system.damping + extra), np.array([100.0])) is None
+    other = replace(system, damping=system.damping + extra)
+    assert RestResponse.of(other, ModalImpedance.with_every_port(other)) is None

@@ -17,7 +17,7 @@ from nmt_core.vocabulary import Waveform
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import ElectromechanicalSystem, assemble, displacement_output
-from nmt_rig.model.beam import euler_bernoulli_cantilever
+from nmt_rig.model.beam import euler_bernoulli_beam
 from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.propagator import state_space
 from nmt_rig.model.time_integration import TimeIntegrator
@@ -230,7 +230,7 @@ def contact_speed(places: int, slipping: int, seconds: float = 0.5, every_place:
         every_place: solve for all places at every step, as for smooth local elements.
     """
     rate, block = 10_000.0, 200
-    beam = euler_bernoulli_cantilever(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 50, 1e-4)
+    beam = euler_bernoulli_beam(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 50, 1e-4)
     points = np.round(np.linspace(2, 50, places)).astype(int)
     weak = set(np.round(np.linspace(0, places - 1, slipping)).astype(int)) if slipping else set()
     elements = [

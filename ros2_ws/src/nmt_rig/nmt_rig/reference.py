@@ -21,7 +21,6 @@ from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
-from nmt_rig.model.continuation import StepControl
 from nmt_rig.model.epmc import EpmcBackbone, epmc_backbone
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -111,8 +110,6 @@ def compute_reference(
     harmonics: int = 7,
     modal_amplitudes: Sequence[float] | FloatArray | None = None,
     points: int = 100,
-    odd_only: bool = False,
-    control: StepControl | None = None,
 ) -> Reference:
     """EPMC backbone of the rig's target mode (paper eq. 2), without its exciter.
 
@@ -121,8 +118,6 @@ def compute_reference(
         harmonics: highest harmonic order.
         modal_amplitudes: q (m√kg), positive and ascending; see ``default_amplitudes`` when None.
         points: number of amplitudes when ``modal_amplitudes`` is None.
-        odd_only: keep odd orders only (symmetric local elements), else all orders and the mean.
-        control: settings of the continuation.
 
     Raises:
         BenchError: wrong amplitudes or harmonics, or no solution.
@@ -133,8 +128,8 @@ def compute_reference(
     amplitudes = (
         default_amplitudes(rig, points) if modal_amplitudes is None else np.asarray(modal_amplitudes, dtype=np.float64)
     )
-    basis = FourierBasis.up_to(harmonics, odd_only)
-    backbone = epmc_backbone(structure, elements, amplitudes, basis, rig.test.mode - 1, control=control)
+    basis = FourierBasis.up_to(harmonics)
+    backbone = epmc_backbone(structure, elements, amplitudes, basis, rig.test.mode - 1)
     return Reference(
         backbone.modal_amplitude,
         backbone.omega_rad_s,
@@ -215,7 +210,6 @@ def single_point_reference(
     exciter_point: int | None = None,
     levels: Sequence[float] | FloatArray = (),
     harmonics: int = 7,
-    control: StepControl | None = None,
 ) -> SinglePointReference:
     """Phase-resonant responses of the rig's real single-point drive and the method's extraction from them.
 
@@ -227,7 +221,6 @@ def single_point_reference(
         exciter_point: point of the drive instead of the rig's.
         levels: (k,) drive amplitudes, V, positive and ascending.
         harmonics: highest harmonic order.
-        control: settings of the continuation.
 
     Raises:
         BenchError: wrong levels or point, or no phase resonance.
@@ -245,7 +238,7 @@ def single_point_reference(
     drives = volts * input_per_volt(rig)
     if drives.size and np.all(np.isfinite(drives)) and drives[0] > 0.0:
         lead_in = drives[0] * np.array([1e-3])
-        backbone = phase_resonant_backbone(problem, np.concatenate((lead_in, drives)), control, skip_unreached=True)
+        backbone = phase_resonant_backbone(problem, np.concatenate((lead_in, drives)), skip_unreached=True)
         responses = backbone.responses[1:]
     else:
         raise BenchError("levels must be positive and ascending voltages; give at least one.")

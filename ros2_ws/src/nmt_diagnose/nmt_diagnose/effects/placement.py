@@ -52,11 +52,6 @@ class Placement:
             detail += f" at {mains_hz:g} Hz"
         return cls(kind, (point, picked_up) if picked_up else (point,), channel, detail)
 
-    def meets(self, other: Placement) -> bool:
-        """Whether both act at the same point (between the same points) or in the same channel."""
-        same_channel = bool(self.channel) and self.channel == other.channel
-        return same_channel or (bool(self.points) and frozenset(self.points) == frozenset(other.points))
-
 
 @dataclass(frozen=True)
 class Cause:
@@ -117,9 +112,3 @@ class Explanation:
     def kinds(self) -> str:
         """Kinds of its places, each once."""
         return joined(dict.fromkeys(placement.kind for placement in self.placements))
-
-    @property
-    def together(self) -> bool:
-        """Whether all of several causes act at one point or in one channel."""
-        first, *others = self.placements or (None,)
-        return first is not None and bool(others) and all(other.meets(first) for other in others)

@@ -133,16 +133,6 @@ class Search:
         """Parameters of the model and of some effects."""
         return Parametrisation(self.rig, self.parameters, tuple(candidates), tuple(spreads))
 
-    def null(self, start: Fitted | None = None) -> Found:
-        """The model alone, its own parameters re-fitted.
-
-        Raises:
-            FitError: it has no solution.
-        """
-        own = self.parametrisation()
-        theta = own.zero if start is None else start.theta[: len(self.parameters)]
-        return Found((), fit(self.data, own, theta, None if start is None else start.prediction))
-
     def scores(self, base: Found) -> list[Score]:
         """All candidates on top of a fit, the best first."""
         found = self._columns(base)

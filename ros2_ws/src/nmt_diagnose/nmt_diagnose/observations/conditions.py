@@ -48,7 +48,6 @@ class LockedLevel:
             whose phase is zero; empty = pure.
         amplitude_leans: of each channel of the test, how far its amplitude may still be from where it would have
             settled, its transient taken out, relative; empty = nowhere.
-        phase_moved: what of ``phase_error`` was not measured but found from all observations, see true_phase.py, rad.
     """
 
     index: int
@@ -64,7 +63,6 @@ class LockedLevel:
     phase_lean: float = 0.0
     drive_harmonics: tuple[complex, ...] = ()
     amplitude_leans: tuple[float, ...] = ()
-    phase_moved: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -11,15 +10,14 @@ from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import BackboneTable, LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.twin.demand import Demand
-from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin, Tangent
+from nmt_diagnose.twin.parts_cache import PartsCache
+from nmt_diagnose.twin.phase_resonance_twin import PeriodicLevels, PeriodicState
 from nmt_diagnose.twin.rig_parts import RigParts
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig, ShakerSection
 
 
-class BackboneTwin:
+class BackboneTwin(PeriodicLevels):
     """Predicts a backbone: frequency and damping over the amplitude of a response.
 
     A table is the nonlinear mode's own, as from free decays: only the sensor of the amplitudes has a part in it.
@@ -32,7 +30,6 @@ class BackboneTwin:
     """
 
     def __init__(self, test: BackboneTable, rows: Rows, settings: TwinSettings) -> None:
-        self.test, self.rows = test, rows
         levels = []
         for position, amplitude in enumerate(test.amplitudes):
             own = rows.frequency_hz[rows.level == position]
@@ -44,60 +41,17 @@ class BackboneTwin:
         inner = PhaseResonanceTest(
             test.name, test.drive_point, probe.name, channels, settings.harmonics, "response", tuple(levels)
         )
-        nothing = rows.take(np.zeros(0, dtype=np.int64))
-        self.inner = PhaseResonanceTwin(inner, nothing, settings)
-
-    @property
-    def setup(self) -> Setup:
-        """Setup of the phase-resonant solutions."""
-        return self.inner.setup
-
-    def use(self, setup: Setup) -> None:
-        """Take the parts of rigs from a setup that other tests share."""
-        self.inner.use(setup)
-
-    @property
-    def levels(self) -> Any:
-        """Given amplitudes."""
-        return self.inner.levels
-
-    def solve(
-        self,
-        rig: Rig,
-        cache: PartsCache,
-        start: tuple[PeriodicState | None, ...] | None,
-        demand: Demand | None = None,
-    ) -> list[Any]:
-        """One state per amplitude; None where there is no solution.
-
-        Raises:
-            UnsolvedError: an amplitude that is needed has none.
-        """
-        return self.inner.solve(rig, cache, start, demand)
-
-    def stepped(
-        self, rig: Rig, cache: PartsCache, states: tuple[PeriodicState | None, ...]
-    ) -> list[PeriodicState | None]:
-        """Solutions of a slightly different rig by one Newton step."""
-        return self.inner.stepped(rig, cache, states)
-
-    def tangent(self, rig: Rig, cache: PartsCache, states: tuple[PeriodicState | None, ...]) -> Tangent | None:
-        """What ``advanced`` needs of solved levels."""
-        return self.inner.tangent(rig, cache, states)
-
-    def advanced(self, rig: Rig, cache: PartsCache, tangent: Tangent) -> list[PeriodicState | None] | None:
-        """Solutions of a slightly different rig by one step with the Jacobian of the rig that was solved."""
-        return self.inner.advanced(rig, cache, tangent)
+        super().__init__(inner, rows, settings)
 
     def values(self, rig: Rig, cache: PartsCache, states: list[PeriodicState | None]) -> FloatArray:
         """Observables of the test's rows."""
-        count = self.test.amplitudes.size
+        count = len(self.levels)
         log_omega, damping = np.full(count, np.nan), np.full(count, np.nan)
         groups: dict[int, tuple[RigParts, list[int]]] = {}
         for position, state in enumerate(states):
             if state is not None and state.omega > 0.0:  # one Newton step may lead anywhere
                 log_omega[position] = np.log(state.omega / (1.0 + rig.clock_error))
-                parts = self.inner.parts(rig, cache, self.inner.levels[position])
+                parts = self.parts(rig, cache, self.levels[position])
                 groups.setdefault(id(parts), (parts, []))[1].append(position)
         if np.any(self.rows.part == Part.DAMPING):
             for parts, positions in groups.values():
@@ -111,7 +65,7 @@ class BackboneTwin:
 
     def _damping(self, rig: Rig, parts: RigParts, states: Sequence[PeriodicState]) -> FloatArray:
         """Damping ratios of some levels of one rig, (levels,)."""
-        shapes, force = self.inner.fundamental_unknowns(parts, states)
+        shapes, force = self.fundamental_unknowns(parts, states)
         omega = np.array([state.omega for state in states])
         system = parts.system
         n = system.structure_size

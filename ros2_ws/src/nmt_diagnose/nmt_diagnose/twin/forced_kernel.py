@@ -269,8 +269,6 @@ def newton_line(
 def solve_lines(
     start: FloatArray,
     known: np.ndarray,
-    needed: np.ndarray,
-    left: np.ndarray,
     given: int,
     target: ComplexArray,
     omega: FloatArray,
@@ -285,8 +283,6 @@ def solve_lines(
     Args:
         start: (lines, nz) unknowns to start from.
         known: (lines,) whether a line has a start.
-        needed: (lines,) lines without whose solution nothing is wanted: the first that has none ends the work.
-        left: (lines,) lines that are not solved.
         given: row of the channel whose fundamental is given; −1 = the amplitude of the drive is.
         target: (lines,) given complex amplitudes.
         omega: (lines,) true angular frequencies, rad/s.
@@ -311,8 +307,6 @@ def solve_lines(
     slopes = np.zeros((lines, c, nz), dtype=np.complex128)
     wanted = forced_orders(orders, factor, tables)
     for line in range(lines):
-        if left[line]:
-            continue
         w = omega[line]
         transfer = transfers(w, orders, wanted, model)
         done = False
@@ -354,8 +348,6 @@ def solve_lines(
             inverses[line] = inverse
             values[line] = y
             slopes[line] = slope
-        elif needed[line]:
-            break
     return good, solved, forces, inverses, values, slopes
 
 

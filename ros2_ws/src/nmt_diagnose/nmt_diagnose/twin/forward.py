@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import BoolArray, FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.observations.conditions import (
@@ -23,7 +23,6 @@ from nmt_diagnose.observations.conditions import (
 )
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.backbone_twin import BackboneTwin
-from nmt_diagnose.twin.demand import Demand
 from nmt_diagnose.twin.influence import Source, SourceColumn, random_influence, resonance_influence
 from nmt_diagnose.twin.parts_cache import PartsCache, joint_setup
 from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
@@ -117,40 +116,19 @@ class Forward:
                 found.append((int(row), test.channels[self.rows.channel[row]].name))
         return found
 
-    def predict(
-        self,
-        rig: Rig,
-        start: Prediction | None = None,
-        near: Rig | None = None,
-        needed: BoolArray | None = None,
-        left: BoolArray | None = None,
-    ) -> Prediction:
-        """Observables of a rig; ``start`` is a prediction for a similar one.
-
-        Where ``near``, the rig of ``start``, differs in converters alone, its solutions are those of the rig.
-
-        Args:
-            rig: the rig.
-            start: solutions to start from.
-            near: rig of ``start``.
-            needed: (m,) rows without which the prediction is worth nothing; None = none.
-            left: (m,) rows that nobody asks for: NaN, and their levels keep the solutions that they start from, unless
-                other rows of theirs are asked for; None = none.
+    def predict(self, rig: Rig, start: Prediction | None = None) -> Prediction:
+        """Observables of a rig; ``start`` is a prediction for a similar one, whose solutions are started from.
 
         Raises:
             BenchError: the rig does not fit the tests, or has something the twin does not cover.
-            UnsolvedError: a level of a needed row has no solution.
         """
-        if start is not None and near is not None and _same_but_converters(rig, near):
-            return self._converted(rig, start)
         cache = PartsCache(self.settings)
         values = np.full(len(self.rows), np.nan)
         states: list[Any] = []
         reasons: list[str] = []
         for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
-            before = start.states[index] if start is not None else None
             if hasattr(twin, "solve"):
-                solved = twin.solve(rig, cache, before, self._demand(index, before, needed, left))
+                solved = twin.solve(rig, cache, start.states[index] if start is not None else None)
                 values[where] = twin.values(rig, cache, solved)
                 states.append(tuple(solved))
                 reasons += _unsolved(twin, solved)
@@ -158,36 +136,7 @@ class Forward:
                 values[where] = twin.values(rig, cache)
                 states.append(None)
         self._add_unexcited(rig, values)
-        if left is not None:
-            values[left] = np.nan
         return Prediction(values, np.isfinite(values), tuple(reasons), tuple(states))
-
-    def _demand(
-        self, test: int, before: Sequence[Any] | None, needed: BoolArray | None, left: BoolArray | None
-    ) -> Demand:
-        """What rows ask of the levels or lines of a test; of what had no solution before, nothing is needed."""
-        where = self._where[test]
-        level, count = self.rows.level[where], _level_count(self.tests[test])
-        here = ~np.isin(self.rows.part[where], _OF_THE_CHANNEL)
-        none = np.zeros(count, dtype=bool)
-
-        def marked(rows: BoolArray | None) -> BoolArray:
-            return none if rows is None else np.bincount(level[rows[where] & here], minlength=count)[:count] > 0
-
-        return Demand(
-            marked(needed) & _known(self.tests[test], before),
-            marked(left) & ~marked(None if left is None else ~left),
-        )
-
-    def _converted(self, rig: Rig, solved: Prediction) -> Prediction:
-        """Observables of a rig that has the solutions of a prediction."""
-        cache = PartsCache(self.settings)
-        values = np.full(len(self.rows), np.nan)
-        for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
-            own = (list(solved.states[index]),) if hasattr(twin, "solve") else ()
-            values[where] = twin.values(rig, cache, *own)
-        self._add_unexcited(rig, values)
-        return replace(solved, values=values, converged=np.isfinite(values))
 
     def _tangents(self, rig: Rig, prediction: Prediction, cache: PartsCache) -> list[Any]:
         """What each test's solutions need to follow small changes of the rig; None where the test has its own way."""
@@ -272,7 +221,7 @@ class Forward:
         return result
 
     def influence(
-        self, rig: Rig, prediction: Prediction, source: Source, shared: bool = False
+        self, rig: Rig, prediction: Prediction, source: Source
     ) -> tuple[FloatArray, tuple[SourceColumn, ...]]:
         """Response of all rows to unit sources at a place, linearised about a prediction.
 
@@ -280,7 +229,6 @@ class Forward:
             rig: the rig of ``prediction``.
             prediction: solved levels.
             source: where they sit; the number of a channel in each test is looked up by its name.
-            shared: one source for all levels of a test together (proportional to the level) instead of one for each.
 
         Returns:
             (m, s) and what each of the s columns is the response to. A unit is 1 % of the fundamental force, or of the
@@ -316,8 +264,6 @@ class Forward:
                     own, labels = np.hstack((own, direct)), labels + more
                 else:
                     own, labels = random_influence(twin, rig, cache, here, self.settings)
-            if shared and own.shape[1]:
-                own, labels = _shared(own, labels)
             full = np.zeros((len(self.rows), own.shape[1]))
             full[where] = own
             blocks.append(self.difference(full, np.zeros_like(full)))
@@ -345,19 +291,6 @@ class Forward:
         return result
 
 
-def _same_but_converters(rig: Rig, other: Rig) -> bool:
-    """Whether two rigs differ in nothing but clipping levels, ranges and bits of their channels."""
-    if len(rig.sensors) != len(other.sensors) or any(
-        getattr(rig, name) != getattr(other, name) for name in type(rig).model_fields if name != "sensors"
-    ):
-        return False
-    same = {"clip": None, "range": None, "bits": None}
-    return all(
-        a is b or a.model_copy(update=same) == b.model_copy(update=same)
-        for a, b in zip(rig.sensors, other.sensors, strict=True)
-    )
-
-
 def traced(tests: Sequence[Test], prediction: Prediction) -> tuple[Test, ...]:
     """The tests with the noise of measured amplitudes propagated as a prediction's solutions say."""
     return tuple(
@@ -383,32 +316,6 @@ def _channel_sources(
             columns.append(0.01 * min(sizes) * (mine & (twin.rows.level == level)))
             names.append(SourceColumn(twin.test.name, "level", int(level), own=part))
     return (np.stack(columns, axis=1), names) if columns else empty
-
-
-def _shared(columns: FloatArray, labels: Sequence[SourceColumn]) -> tuple[FloatArray, list[SourceColumn]]:
-    """Columns of all levels (or lines) of one order and part added up."""
-    keys = [replace(label, number=-1) for label in labels]
-    names = list(dict.fromkeys(keys))
-    picks = [[i for i, key in enumerate(keys) if key == name] for name in names]
-    return np.stack([columns[:, pick].sum(axis=1) for pick in picks], axis=1), names
-
-
-def _level_count(test: Test) -> int:
-    """Levels, amplitudes or lines that a test's model solves for one by one; 0 where it does not."""
-    if isinstance(test, PhaseResonanceTest):
-        return len(test.levels)
-    if isinstance(test, SteppedSineTest):
-        return int(test.lines_hz.size)
-    return int(test.amplitudes.size) if isinstance(test, BackboneTable | RingDownTest) else 0
-
-
-def _known(test: Test, before: Sequence[Any] | None) -> BoolArray:
-    """Which levels or lines of a test were solved before."""
-    if before is None or (isinstance(test, SteppedSineTest) and before[0] is None):
-        return np.zeros(_level_count(test), dtype=bool)
-    if isinstance(test, SteppedSineTest):
-        return np.asarray(np.isfinite(before[0].z[:, 0]))
-    return np.array([state is not None for state in before], dtype=bool)
 
 
 def _unsolved(twin: Any, states: Sequence[Any]) -> list[str]:

@@ -16,7 +16,6 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.converter import recorded_harmonics
-from nmt_diagnose.twin.demand import Demand, UnsolvedError, nothing_needed
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import (
     DRIVE_GIVEN,
@@ -99,8 +98,8 @@ class LevelProblem:
     harmonics: tuple[complex, ...] = ()
 
 
-class PhaseResonanceTwin:
-    """Predicts one test of locked windows.
+class PeriodicLevels:
+    """Phase-resonant solutions of the model at the levels of one test.
 
     Args:
         test: the test.
@@ -137,9 +136,6 @@ class PhaseResonanceTwin:
             )
         self.power = VELOCITY_POWER[quantity]
         self.use(Setup(test.drive_point, self.ideal_force, self.channels, self.basis))
-        self._parts = _by_part(rows)
-        if np.any(rows.harmonic > self.basis.orders[-1]):
-            raise BenchError(f"test {test.name} has observables beyond harmonic {test.harmonics}.")
         self.levels = tuple(self._problem(position) for position in range(len(test.levels)))
         # Of a backbone: the range of frequencies over which its resonance moves, Hz.
         frequencies = [level.frequency_hz for level in test.levels if level.frequency_hz > 0.0]
@@ -168,32 +164,15 @@ class PhaseResonanceTwin:
             given, amplitude, level.phase_error, frequency, middle, level.cycles_before, level.drive_harmonics
         )  # fmt: skip
 
-    def solve(
-        self,
-        rig: Rig,
-        cache: PartsCache,
-        start: tuple[PeriodicState | None, ...] | None,
-        demand: Demand | None = None,
-    ) -> list[Any]:
-        """One state per level; None where a level has no solution.
-
-        Raises:
-            UnsolvedError: a level that is needed has none.
-        """
-        demand = nothing_needed(len(self.levels)) if demand is None else demand
+    def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
+        """One state per level; None where a level has no solution."""
         order = np.argsort([level.amplitude for level in self.levels], kind="stable")
         states: list[PeriodicState | None] = [None] * len(self.levels)
         last: PeriodicState | None = None
         for position in order:
             level = self.levels[position]
-            first = None if start is None else start[position]
-            if demand.left[position]:
-                states[position] = first
-                continue
             parts = self.parts(rig, cache, level)
-            states[position] = self._level(parts, level, first, last)
-            if states[position] is None and demand.needed[position]:
-                raise UnsolvedError(f"level {position} has no solution")
+            states[position] = self._level(parts, level, None if start is None else start[position], last)
             last = states[position] if states[position] is not None else last
         return states
 
@@ -514,6 +493,16 @@ class PhaseResonanceTwin:
         drives = np.array([self._drive(parts, level, level.amplitude) for level in levels])
         result: tuple[FloatArray, ComplexArray] = residuals(z, control, logs, phases, drives, tables)
         return result
+
+
+class PhaseResonanceTwin(PeriodicLevels):
+    """Predicts one test of locked windows; arguments and errors as of `PeriodicLevels`."""
+
+    def __init__(self, test: PhaseResonanceTest, rows: Rows, settings: TwinSettings) -> None:
+        super().__init__(test, rows, settings)
+        self._parts = _by_part(rows)
+        if np.any(rows.harmonic > self.basis.orders[-1]):
+            raise BenchError(f"test {test.name} has observables beyond harmonic {test.harmonics}.")
 
     def values(self, rig: Rig, cache: PartsCache, states: list[PeriodicState | None]) -> FloatArray:
         """Observables of the test's rows; NaN where a level has no solution."""

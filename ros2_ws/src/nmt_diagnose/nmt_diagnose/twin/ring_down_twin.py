@@ -23,7 +23,6 @@ from nmt_diagnose.twin.decay_kernel import (
     observed_ratios,
     stepped_decays,
 )
-from nmt_diagnose.twin.demand import Demand, UnsolvedError, nothing_needed
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import sensor_gain
 from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
@@ -57,29 +56,17 @@ class RingDownTwin:
         self._places = setup.index(self.channels)
         self._own = self._places[0]
 
-    def solve(
-        self, rig: Rig, cache: PartsCache, start: tuple[DecayState | None, ...] | None, demand: Demand | None = None
-    ) -> list[Any]:
-        """One state per amplitude; None where there is no solution.
-
-        Raises:
-            UnsolvedError: an amplitude that is needed has none.
-        """
-        demand = nothing_needed(self.test.amplitudes.size) if demand is None else demand
+    def solve(self, rig: Rig, cache: PartsCache, start: tuple[DecayState | None, ...] | None) -> list[Any]:
+        """One state per amplitude; None where there is no solution."""
         parts = cache.parts(rig, self.setup)
         states: list[DecayState | None] = [None] * self.test.amplitudes.size
         last: DecayState | None = None
         for position in np.argsort(self.test.amplitudes, kind="stable"):
-            if demand.left[position]:
-                states[position] = None if start is None else start[position]
-                continue
             amplitude = float(self.test.amplitudes[position])
             for guess in (None if start is None else start[position], last, None):
                 states[position] = self._continued(parts, guess, amplitude)
                 if states[position] is not None:
                     break
-            if states[position] is None and demand.needed[position]:
-                raise UnsolvedError(f"amplitude {position} has no solution")
             last = states[position] or last
         return states
 

@@ -35,7 +35,6 @@ from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.twin.demand import Demand, UnsolvedError, nothing_needed
 from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.rig_parts import RigParts, shared_unknowns
@@ -127,21 +126,12 @@ class SteppedSineTwin:
         return cache.parts(rig, self.setup)
 
     def solve(
-        self,
-        rig: Rig,
-        cache: PartsCache,
-        start: tuple[SteppedSineState | None, ...] | None,
-        demand: Demand | None = None,
+        self, rig: Rig, cache: PartsCache, start: tuple[SteppedSineState | None, ...] | None
     ) -> list[SteppedSineState | None]:
-        """One state for all lines.
-
-        Raises:
-            UnsolvedError: a line that is needed has no solution.
-        """
+        """One state for all lines."""
         parts = self.parts(rig, cache)
         before = start[0] if start else None
         lines = self.amplitudes.size
-        demand = nothing_needed(lines) if demand is None else demand
         size = parts.coordinates * parts.basis.size + 2
         if before is not None and before.keys == parts.keys:
             known = np.isfinite(before.z[:, 0])
@@ -149,14 +139,10 @@ class SteppedSineTwin:
         else:
             known, first = np.zeros(lines, dtype=bool), np.zeros((lines, size))
         good, z, forces, inverses, values, slopes = solve_lines(
-            first, known, demand.needed, demand.left, *self._given(parts), *parts.resting, parts.kernel_tables,
+            first, known, *self._given(parts), *parts.resting, parts.kernel_tables,
             self.settings.iterations, self.settings.tolerance,
         )  # fmt: skip
-        if not np.all(good[demand.needed]):
-            raise UnsolvedError(f"a line of {self.test.name} has no solution")
         z[~good] = np.nan
-        if demand.left.any():
-            z[demand.left & known] = first[demand.left & known]
         responses, reference = self._over_reference(parts, z, values)
         # The closure's rows are its real and imaginary part: one of the real one is the change by s.
         local = size - 2

@@ -8,7 +8,7 @@ period, with enough samples that polynomial forces are free of aliasing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -121,7 +121,6 @@ class LocalForces:
         cls,
         elements: Sequence[LocalElement],
         basis: FourierBasis,
-        samples: int | None = None,
         idle_direction: FloatArray | None = None,
     ) -> LocalForces:
         """Sort the elements by direction and kind.
@@ -129,7 +128,6 @@ class LocalForces:
         Args:
             elements: local elements, directions of equal length.
             basis: harmonic orders kept.
-            samples: samples per period of the sampled elements; chosen from their kinds when None.
             idle_direction: (n,) coordinate to keep (without force) when there is no element at all.
 
         Raises:
@@ -153,7 +151,7 @@ class LocalForces:
 
         highest = int(basis.orders[-1])
         rows, needed = element_rows(members, highest, 64, fitted=False)
-        count = samples if samples is not None else 1 << (needed - 1).bit_length()
+        count = 1 << (needed - 1).bit_length()
         return cls(
             np.array(directions),
             basis,
@@ -201,23 +199,6 @@ class LocalForces:
             self.values,
             self.slopes,
         )
-
-    def with_samples(self, samples: int) -> LocalForces:
-        """The same elements with another number of samples per period."""
-        return replace(
-            self,
-            samples=samples,
-            values=self.basis.sampled(samples),
-            slopes=self.basis.sampled_slope(samples),
-        )
-
-    def sampling_error(self, displacement: FloatArray, angular_frequency: float) -> float:
-        """Largest change of G with four times the samples, relative to the largest |G|; 0 without sampled
-        elements."""
-        coarse = self.forces(displacement, angular_frequency)[0]
-        fine = self.with_samples(4 * self.samples).forces(displacement, angular_frequency)[0]
-        largest = float(np.max(np.abs(fine)))
-        return float(np.max(np.abs(fine - coarse))) / largest if largest > 0.0 else 0.0
 
 
 @njit(cache=True)

@@ -42,25 +42,6 @@ def element_matrices(length: float, bending_stiffness: float, mass_per_length: f
     return mass, stiffness
 
 
-def euler_bernoulli_cantilever(
-    length: float,
-    width: float,
-    height: float,
-    youngs_modulus: float,
-    density: float,
-    elements: int,
-    stiffness_damping: float = 0.0,
-    refinement: int = 1,
-    clamp_rotational_stiffness: float | None = None,
-    clamp_lateral_stiffness: float | None = None,
-) -> Structure:
-    """Clamped-free beam that bends over its `height`; see :func:`euler_bernoulli_beam`."""
-    return euler_bernoulli_beam(
-        length, width, height, youngs_modulus, density, elements, stiffness_damping, refinement,
-        clamp_rotational_stiffness, clamp_lateral_stiffness,
-    )  # fmt: skip
-
-
 def euler_bernoulli_beam(
     length: float,
     width: float,

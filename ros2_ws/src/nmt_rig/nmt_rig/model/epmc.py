@@ -23,14 +23,14 @@ from nmt_rig.model.aft import LocalForces, LocalTables, scaled_local_forces
 from nmt_rig.model.continuation import (
     Branch,
     NotConvergedError,
-    StepControl,
     follow_branch,
     solve_at_parameter,
 )
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.harmonic_balance import (
     ModalImpedance,
-    Ports,
+    ModalTables,
+    OutputTables,
     harmonic_responses,
     local_balance,
     modal_inverse,
@@ -75,7 +75,6 @@ class EpmcProblem:
         elements: local elements with directions of shape (n,).
         basis: harmonic orders.
         mode: number of the linear (sticking) mode the nonlinear mode starts from, from 0.
-        samples: samples per period of smooth elements (chosen when None).
 
     Raises:
         BenchError: the structure has no such mode, or its matrices are not symmetric.
@@ -87,7 +86,6 @@ class EpmcProblem:
         elements: Sequence[LocalElement],
         basis: FourierBasis,
         mode: int = 0,
-        samples: int | None = None,
     ) -> None:
         for name in ("mass", "damping", "stiffness"):
             matrix = getattr(structure, name)
@@ -101,7 +99,7 @@ class EpmcProblem:
         idle[0] = 1.0
         self.structure = structure
         self.basis = basis
-        self.local = LocalForces.gather(elements, basis, samples, idle)
+        self.local = LocalForces.gather(elements, basis, idle)
         self.impedance = ModalImpedance.of(structure)
 
         stiffness, damping = structure.stiffness.copy(), structure.damping.copy()
@@ -159,11 +157,7 @@ class EpmcProblem:
             self.shift,
             self.retained_mode,
             self._local_rows,
-            self.impedance.mass,
-            self.impedance.damping,
-            self.impedance.stiffness,
-            self.impedance.diagonal,
-            self.impedance.ports,
+            self.impedance.tables,
             self.basis.fundamental,
             self.local.tables,
         )
@@ -192,11 +186,7 @@ def _epmc_residual(
     shift: complex,
     retained_mode: int,
     local_rows: FloatArray,
-    mass: FloatArray,
-    damping: FloatArray,
-    stiffness: FloatArray,
-    diagonal: bool,
-    ports: Ports,
+    linear: ModalTables,
     fundamental: int,
     tables: LocalTables,
 ) -> tuple[FloatArray, FloatArray, ComplexArray]:
@@ -212,50 +202,21 @@ def _epmc_residual(
     a = z[local] + 1j * z[local + 1]
 
     displacement = z[:local].copy().reshape(r, size)
-    force, derivative, by_frequency, by_scale = scaled_local_forces(displacement, q, omega, tables)
+    forces = scaled_local_forces(displacement, q, omega, tables)
+    force, derivative, by_frequency, by_scale = forces
+    mass, damping = linear.mass, linear.damping
 
     inputs = np.zeros((modes, r + 1))
     inputs[:, :r] = local_rows.T
     inputs[retained_mode, r] = 1.0
-    rows = np.ascontiguousarray(inputs.T)
     nothing = np.zeros((r + 1, modes))
-    transfer, transfer_by_frequency, transfer_by_excitation = transfer_matrices(
-        omega,
-        excitation,
-        orders,
-        mass,
-        damping,
-        stiffness,
-        diagonal,
-        ports,
-        inputs,
-        rows,
-        nothing,
-        nothing,
-        np.zeros((r + 1, r + 1)),
-        shift,
-        retained_mode,
-    )
+    rows = OutputTables(np.ascontiguousarray(inputs.T), nothing, nothing, np.zeros((r + 1, r + 1)))
+    transfers = transfer_matrices(omega, excitation, orders, linear, inputs, rows, shift, retained_mode)
+    transfer, transfer_by_frequency, transfer_by_excitation = transfers
 
     residual = np.zeros(unknowns)
     jacobian = np.zeros((unknowns, unknowns + 1))
-    local_balance(
-        displacement,
-        force,
-        derivative,
-        by_frequency,
-        by_scale,
-        transfer,
-        transfer_by_frequency,
-        transfer_by_excitation,
-        orders,
-        offsets,
-        residual,
-        jacobian,
-        local + 2,
-        local + 3,
-        unknowns,
-    )
+    local_balance(displacement, forces, transfers, orders, offsets, residual, jacobian, local + 2, local + 3, unknowns)
 
     # Fundamental: input of the retained modal coordinate, and its own two equations.
     offset = offsets[fundamental]
@@ -303,7 +264,7 @@ def _epmc_residual(
 
     # Modal mass of the fundamental: η_1ᴴ η_1 = q².
     s = 1j * omega
-    inverse = modal_inverse(s, excitation, shift, retained_mode, mass, damping, stiffness, diagonal)
+    inverse = modal_inverse(s, excitation, shift, retained_mode, linear)
     forcing = np.zeros(modes, dtype=np.complex128)
     forcing[retained_mode] = fed_back
     for j in range(r):
@@ -354,16 +315,13 @@ def epmc_backbone(
     modal_amplitudes: FloatArray,
     basis: FourierBasis | None = None,
     mode: int = 0,
-    samples: int | None = None,
-    control: StepControl | None = None,
 ) -> EpmcBackbone:
     """Follow the nonlinear mode from its linear limit and evaluate it at given modal amplitudes.
 
     Args:
-        structure, elements, mode, samples: see ``EpmcProblem``.
+        structure, elements, mode: see ``EpmcProblem``.
         modal_amplitudes: (k,) positive, ascending q (m√kg).
         basis: harmonic orders; 0 … 7 when None.
-        control: settings of the continuation.
 
     Raises:
         BenchError: amplitudes not positive and ascending.
@@ -375,7 +333,7 @@ def epmc_backbone(
     if np.any(np.diff(amplitudes) <= 0.0):
         raise BenchError("modal amplitudes of the reference must be ascending and different; check the q range.")
     basis = basis or FourierBasis.up_to(7)
-    problem = EpmcProblem(structure, elements, basis, mode, samples)
+    problem = EpmcProblem(structure, elements, basis, mode)
     logs = np.log10(amplitudes)
     first = float(logs[0])
     while not problem.is_linear_at(first) and first > logs[0] - 8.0:
@@ -389,7 +347,7 @@ def epmc_backbone(
             "the nonlinear mode of a structure that floats has no mean position; hold it by soft springs, as a rig "
             "hangs in its cords, or keep odd harmonics only."
         ) from error
-    branch = follow_branch(problem, start, float(logs[-1]) + 1e-9, control, what="nonlinear mode")
+    branch = follow_branch(problem, start, float(logs[-1]) + 1e-9, what="nonlinear mode")
 
     # First crossing of each amplitude; on a branch that folds in q the later ones are not reported.
     local = problem.local.coordinates * basis.size

@@ -18,7 +18,14 @@ from nmt_rig.model.aft import LocalForces, LocalTables, scaled_local_forces
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.continuation import Branch, StepControl, follow_branch, solve_at_parameter
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.harmonic_balance import ModalImpedance, Ports, harmonic_responses, local_balance, transfer_matrices
+from nmt_rig.model.harmonic_balance import (
+    ModalImpedance,
+    ModalTables,
+    OutputTables,
+    harmonic_responses,
+    local_balance,
+    transfer_matrices,
+)
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,6 @@ class ForcedProblem:
         system: structure with its local elements, with or without shaker.
         basis: harmonic orders.
         reference_frequency: rad/s, scales ω and the displacements; usually the linear frequency of the mode.
-        samples: samples per period of smooth elements (chosen when None).
 
     Raises:
         BenchError: the reference frequency is not positive, or the system has forces that harmonic balance does not
@@ -64,7 +70,6 @@ class ForcedProblem:
         system: ElectromechanicalSystem,
         basis: FourierBasis,
         reference_frequency: float,
-        samples: int | None = None,
     ) -> None:
         if not (np.isfinite(reference_frequency) and reference_frequency > 0.0):
             raise BenchError(f"the reference frequency must be positive, got {reference_frequency} rad/s.")
@@ -81,7 +86,7 @@ class ForcedProblem:
         self.system = system
         self.basis = basis
         self.reference_frequency = float(reference_frequency)
-        self.local = LocalForces.gather(system.elements, basis, samples, system.selector(system.drive_point))
+        self.local = LocalForces.gather(system.elements, basis, system.selector(system.drive_point))
         self.with_every_port = ModalImpedance.with_every_port(system)
         self.impedance = self.with_every_port.worthwhile()
         shapes = self.impedance.shapes
@@ -92,16 +97,13 @@ class ForcedProblem:
         self._inputs = np.ascontiguousarray(shapes.T @ inputs)
         nothing = np.zeros((r + 1, system.size))
         position_rows = np.vstack((self.local.directions, system.selector(system.drive_point)))
-        self._rows = tuple(
-            np.ascontiguousarray(np.vstack((rows, force_row)) @ shapes)
-            for rows, force_row in (
-                (position_rows, displacement),
-                (nothing, velocity),
-                (nothing, acceleration),
-            )
-        )
-        self._feedthrough = np.zeros((r + 2, r + 1))
-        self._feedthrough[r + 1, r] = system.force.feedthrough
+        rows = [
+            np.ascontiguousarray(np.vstack((own, force_row)) @ shapes)
+            for own, force_row in ((position_rows, displacement), (nothing, velocity), (nothing, acceleration))
+        ]
+        feedthrough = np.zeros((r + 2, r + 1))
+        feedthrough[r + 1, r] = system.force.feedthrough
+        self._outputs = OutputTables(rows[0], rows[1], rows[2], feedthrough)
 
         amplitudes, _ = system.response(self.reference_frequency)
         compliance = float(np.max(np.abs(self.local.directions @ amplitudes)))
@@ -134,14 +136,9 @@ class ForcedProblem:
             angular_frequency,
             log_drive,
             self.compliance,
-            self.impedance.mass,
-            self.impedance.damping,
-            self.impedance.stiffness,
-            self.impedance.diagonal,
-            self.impedance.ports,
+            self.impedance.tables,
             self._inputs,
-            *self._rows,
-            self._feedthrough,
+            self._outputs,
             self.basis.fundamental,
             self.local.tables,
         )
@@ -185,16 +182,9 @@ def _forced_residual(
     omega: float,
     log_drive: float,
     compliance: float,
-    mass: FloatArray,
-    damping: FloatArray,
-    stiffness: FloatArray,
-    diagonal: bool,
-    ports: Ports,
+    linear: ModalTables,
     inputs: FloatArray,
-    displacement_rows: FloatArray,
-    velocity_rows: FloatArray,
-    acceleration_rows: FloatArray,
-    feedthrough: FloatArray,
+    outputs: OutputTables,
     fundamental: int,
     tables: LocalTables,
 ) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
@@ -205,47 +195,15 @@ def _forced_residual(
     size = local // r
     amplitude = compliance * 10.0**log_drive
     displacement = local_unknowns.copy().reshape(r, size)
-    force, derivative, by_frequency, by_scale = scaled_local_forces(displacement, amplitude, omega, tables)
+    forces = scaled_local_forces(displacement, amplitude, omega, tables)
+    force, derivative, by_frequency, by_scale = forces
 
-    transfer, transfer_by_frequency, transfer_by_excitation = transfer_matrices(
-        omega,
-        0.0,
-        orders,
-        mass,
-        damping,
-        stiffness,
-        diagonal,
-        ports,
-        inputs,
-        displacement_rows,
-        velocity_rows,
-        acceleration_rows,
-        feedthrough,
-        0j,
-        -1,
-    )
+    transfers = transfer_matrices(omega, 0.0, orders, linear, inputs, outputs, 0j, -1)
     residual = np.zeros(local)
     jacobian = np.zeros((local, local + 2))
-    local_balance(
-        displacement,
-        force,
-        derivative,
-        by_frequency,
-        by_scale,
-        transfer,
-        transfer_by_frequency,
-        transfer_by_excitation,
-        orders,
-        offsets,
-        residual,
-        jacobian,
-        local,
-        -1,
-        local + 1,
-    )
+    local_balance(displacement, forces, transfers, orders, offsets, residual, jacobian, local, -1, local + 1)
     offset = offsets[fundamental]
-    t = transfer[fundamental]
-    t_omega = transfer_by_frequency[fundamental]
+    t, t_omega = transfers[0][fundamental], transfers[1][fundamental]
     for i in range(r):
         row = i * size + offset
         residual[row] -= t[i, r].real / compliance
@@ -379,7 +337,6 @@ def frequency_response(
     stop: float,
     held: Literal["drive", "force"] = "drive",
     points: int = 200,
-    control: StepControl | None = None,
 ) -> FrequencyResponse:
     """Frequency response at constant drive (voltage or force at the drive) or constant stinger force.
 
@@ -390,7 +347,6 @@ def frequency_response(
         start, stop: first and last frequency, rad/s; upwards or downwards.
         held: which amplitude stays constant.
         points: the longest step is set so that a branch has about this many points.
-        control: settings of the continuation, instead of ``points``.
 
     Raises:
         BenchError: amplitude or frequencies not positive, or equal frequencies.
@@ -406,8 +362,7 @@ def frequency_response(
         system = _DriveHeld(problem, float(np.log10(amplitude)), span)
     else:
         system = _ForceHeld(problem, amplitude, span)
-    if control is None:
-        control = StepControl(first_step=1.0 / points, largest_step=1.5 / points)
+    control = StepControl(first_step=1.0 / points, largest_step=1.5 / points)
     first = solve_at_parameter(system, system.start(start), what="forced response")
     branch = follow_branch(system, first, stop / span, control, what="frequency response")
     return FrequencyResponse(tuple(system.response(z) for z in branch.points), branch, span, system)

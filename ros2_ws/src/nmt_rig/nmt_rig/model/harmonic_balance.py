@@ -15,7 +15,7 @@ there. With an exciter or dampers it is diagonal but for a few ports Q,
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numba import njit
@@ -45,6 +45,29 @@ class Ports(NamedTuple):
     directions: FloatArray
     between_stiffness: FloatArray
     between_damping: FloatArray
+
+
+class ModalTables(NamedTuple):
+    """A `ModalImpedance` for compiled functions."""
+
+    mass: FloatArray
+    damping: FloatArray
+    stiffness: FloatArray
+    diagonal: bool
+    ports: Ports
+
+
+class OutputTables(NamedTuple):
+    """Outputs y = (s² acceleration + s velocity + displacement) η + feedthrough · input; (o, N) and (o, p)."""
+
+    displacement: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    feedthrough: FloatArray
+
+
+Transfers: TypeAlias = tuple[ComplexArray, ComplexArray, ComplexArray]
+"""T, ∂T/∂ω, ∂T/∂ξ, each (n_orders, o, p)."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +100,11 @@ class ModalImpedance:
         ports = self.ports.directions.shape[1]
         few = 0 < ports <= MOST_PORTS and _WORTH * ports <= len(self.mass)
         return self if few and not self.diagonal else replace(self, ports=_without_ports(len(self.mass)))
+
+    @property
+    def tables(self) -> ModalTables:
+        """What compiled functions need of it."""
+        return ModalTables(self.mass, self.damping, self.stiffness, self.diagonal, self.ports)
 
     @classmethod
     def with_every_port(cls, system: Structure | ElectromechanicalSystem) -> ModalImpedance:
@@ -144,13 +172,11 @@ def modal_inverse(
     self_excitation: float,
     shift: complex,
     shifted_mode: int,
-    mass: FloatArray,
-    damping: FloatArray,
-    stiffness: FloatArray,
-    diagonal: bool,
+    modal: ModalTables,
 ) -> ComplexArray:
     """Inverse of Z = K + (C − ξ M) s + M s² (+ ``shift`` on the diagonal entry of ``shifted_mode`` if ≥
     0)."""
+    mass, damping, stiffness, diagonal, _ = modal
     size = mass.shape[0]
     if diagonal:
         inverse = np.zeros((size, size), dtype=np.complex128)
@@ -171,34 +197,23 @@ def transfer_matrices(
     angular_frequency: float,
     self_excitation: float,
     orders: IntArray,
-    mass: FloatArray,
-    damping: FloatArray,
-    stiffness: FloatArray,
-    diagonal: bool,
-    ports: Ports,
+    modal: ModalTables,
     inputs: FloatArray,
-    displacement_rows: FloatArray,
-    velocity_rows: FloatArray,
-    acceleration_rows: FloatArray,
-    feedthrough: FloatArray,
+    out: OutputTables,
     shift: complex,
     shifted_mode: int,
-) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+) -> Transfers:
     """Transfer matrices of all orders and their derivatives.
 
     Args:
         angular_frequency: ω, rad/s.
         self_excitation: ξ, rad/s.
-        ports: in place of the matrices where there are any.
+        modal: the linear part; its ports are taken in place of the matrices where there are any.
         inputs: (N, p) modal input vectors.
-        displacement_rows, velocity_rows, acceleration_rows: (o, N) outputs y = (a s² + v s + d) η +
-            feedthrough · input.
         shift, shifted_mode: modal stiffness added to one mode in order 1 only (−1: none).
-
-    Returns:
-        T, ∂T/∂ω, ∂T/∂ξ, each (n_orders, o, p).
     """
-    outputs = displacement_rows.shape[0]
+    mass, damping, stiffness, diagonal, ports = modal
+    outputs = out.displacement.shape[0]
     columns = inputs.shape[1]
     size = mass.shape[0]
     transfer = np.empty((orders.size, outputs, columns), dtype=np.complex128)
@@ -214,10 +229,10 @@ def transfer_matrices(
         n = orders[position]
         s = 1j * n * angular_frequency
         mode = shifted_mode if n == 1 else -1
-        rows = displacement_rows + s * velocity_rows + s * s * acceleration_rows
-        row_slopes = velocity_rows + 2.0 * s * acceleration_rows
+        rows = out.displacement + s * out.velocity + s * s * out.acceleration
+        row_slopes = out.velocity + 2.0 * s * out.acceleration
         if diagonal:
-            inverse = modal_inverse(s, self_excitation, shift, mode, mass, damping, stiffness, diagonal)
+            inverse = modal_inverse(s, self_excitation, shift, mode, modal)
             response = np.empty((size, columns), dtype=np.complex128)
             adjoint = np.empty((outputs, size), dtype=np.complex128)
             impedance_response = np.empty((size, columns), dtype=np.complex128)
@@ -264,7 +279,7 @@ def transfer_matrices(
             mass_response = mass @ real + 1j * (mass @ imag)
             damping_response = damping @ real + 1j * (damping @ imag)
             impedance_response = damping_response + (2.0 * s - self_excitation) * mass_response
-        transfer[position] = rows @ response + feedthrough
+        transfer[position] = rows @ response + out.feedthrough
         by_frequency[position] = (1j * n) * (row_slopes @ response - adjoint @ impedance_response)
         by_excitation[position] = s * (adjoint @ mass_response)
     return transfer, by_frequency, by_excitation
@@ -297,13 +312,8 @@ def add_transferred(
 @njit(cache=True)
 def local_balance(
     displacement: FloatArray,
-    force: FloatArray,
-    force_derivative: FloatArray,
-    force_by_frequency: FloatArray,
-    force_by_scale: FloatArray,
-    transfer: ComplexArray,
-    transfer_by_frequency: ComplexArray,
-    transfer_by_excitation: ComplexArray,
+    forces: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    transfers: Transfers,
     orders: IntArray,
     offsets: IntArray,
     residual: FloatArray,
@@ -315,8 +325,11 @@ def local_balance(
     """Residual w_n + T_n g_n and its Jacobian, written to the first r · size rows.
 
     Columns 0 … r · size − 1 belong to w (coordinate by coordinate); the other columns receive the
-    derivatives with respect to ω, ξ (−1: left out) and the scale of the force argument.
+    derivatives with respect to ω, ξ (−1: left out) and the scale of the force argument. ``forces`` are those of
+    ``scaled_local_forces``.
     """
+    force, force_derivative, force_by_frequency, force_by_scale = forces
+    transfer, transfer_by_frequency, transfer_by_excitation = transfers
     count, size = displacement.shape
     balance = displacement.copy()
     add_transferred(transfer, force, orders, offsets, balance)

@@ -16,10 +16,12 @@ import numpy as np
 
 from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_rig.model.continuation import Branch, StepControl, follow_branch, solve_at_parameter
+from nmt_rig.model.continuation import Branch, follow_branch, solve_at_parameter
 from nmt_rig.model.forced_response import ForcedProblem, PeriodicResponse
 from nmt_rig.model.rest_response import RestResponse
 
+# Half width of the search for a linear phase resonance, relative to the reference frequency.
+_BAND = 0.3
 # Relative distance at which the ports' resonance is checked by the system's own solution.
 _NEAR = 1e-6
 
@@ -102,12 +104,11 @@ class _Quadrature:
         return self.problem.response(z[:-2], z[-2] * self.problem.reference_frequency, z[-1])
 
 
-def linear_phase_resonance(problem: ForcedProblem, band: float = 0.3) -> float:
+def linear_phase_resonance(problem: ForcedProblem) -> float:
     """Frequency (rad/s) nearest to the reference where the system linearised at rest is in phase resonance.
 
     Args:
         problem: forced problem; its reference frequency is the middle of the search.
-        band: half width of the search, relative to the reference frequency.
 
     Raises:
         BenchError: force and displacement are nowhere in quadrature there, e.g. with the drive near a node.
@@ -120,7 +121,7 @@ def linear_phase_resonance(problem: ForcedProblem, band: float = 0.3) -> float:
         unknowns, force = system.response(omega)
         return float((force * np.conj(system.motion(system.drive_point, unknowns))).real)
 
-    grid = reference * np.linspace(1.0 - band, 1.0 + band, 1201)
+    grid = reference * np.linspace(1.0 - _BAND, 1.0 + _BAND, 1201)
     response = RestResponse.of(system, problem.with_every_port)
     if response is not None:
 
@@ -160,7 +161,6 @@ def _falling_bracket(grid: FloatArray, values: FloatArray, reference: float) -> 
 def phase_resonant_backbone(
     problem: ForcedProblem,
     drive_amplitudes: Sequence[float] | FloatArray,
-    control: StepControl | None = None,
     skip_unreached: bool = False,
 ) -> PhaseResonantBackbone:
     """Follow phase resonance from low drive upwards and evaluate it at the given drive amplitudes.
@@ -168,7 +168,6 @@ def phase_resonant_backbone(
     Args:
         problem: forced problem whose reference frequency is the sticking linear frequency of the mode.
         drive_amplitudes: (k,) positive and ascending; the smallest should lie in the linear range.
-        control: settings of the continuation.
         skip_unreached: leave out drive amplitudes beyond a fold of the branch instead of raising.
 
     Raises:
@@ -188,7 +187,7 @@ def phase_resonant_backbone(
     if logs.size == 1:
         branch = Branch(start[None, :], np.zeros((1, start.size)), True)
         return PhaseResonantBackbone((system.response(start),), branch)
-    branch = follow_branch(system, start, float(logs[-1]) + 1e-9, control, what="phase-resonant backbone")
+    branch = follow_branch(system, start, float(logs[-1]) + 1e-9, what="phase-resonant backbone")
     highest = float(branch.points[:, -1].max())
     if logs[-1] > highest and not skip_unreached:
         raise BenchError(

@@ -72,19 +72,3 @@ class RestResponse:
         inner = np.linalg.solve(small, between @ sums[:, :m, m:])
         found = out[:, :, m] - (out[:, :, :m] @ inner)[:, :, 0]
         return found[:, 0], found[:, 1] + self.feedthrough
-
-
-def responses_at_rest(
-    system: ElectromechanicalSystem, frequencies: FloatArray
-) -> tuple[ComplexArray, ComplexArray] | None:
-    """Lateral displacement of the drive point and force on it, for a unit input, at many frequencies.
-
-    Args:
-        system: structure with its local elements and exciter; those behind the force sensor are linear.
-        frequencies: (k,) ω, rad/s.
-
-    Returns:
-        (k,) m and (k,) N; None where the damping is not diagonal but for a few ports.
-    """
-    response = RestResponse.of(system, ModalImpedance.with_every_port(system))
-    return None if response is None else response(frequencies)

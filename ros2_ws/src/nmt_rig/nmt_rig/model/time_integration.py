@@ -306,28 +306,6 @@ class TimeIntegrator:
         """Corners of local elements passed since the start."""
         return int(self._memory[5][1])
 
-    @property
-    def stored_energy(self) -> float:
-        """Kinetic and elastic energy of structure, exciter and local elements, and of the inductance, J.
-
-        What attachments store in unknowns without inertia is not in it.
-        """
-        m = self._space.mechanical_size
-        s = self.physical_state
-        x, v, i = s[:m], s[m : 2 * m], s[2 * m :]
-        system = self.system
-        energy = 0.5 * float(v @ system.mass[:m, :m] @ v + x @ system.stiffness[:m, :m] @ x)
-        if system.current is not None:
-            energy += 0.5 * float(system.damping[system.current, system.current]) * float(i[0]) ** 2
-        for element in system.elements:
-            if element.linear:
-                energy += 0.5 * element.linear_stiffness * float(element.direction[:m] @ x) ** 2
-        slider = self._memory[3]
-        for e, element in enumerate(self._space.elements):
-            w = float(element.direction[:m] @ x)
-            energy += element.energy(w, slider[e])
-        return energy
-
 
 def _local(system: ElectromechanicalSystem) -> list[LocalElement]:
     """Elements that are not part of the linear motion."""

@@ -46,11 +46,6 @@ class UnilateralStop(LocalElement):
         """One stop."""
         return ((self.stiffness, self.gap, 1.0),)
 
-    def energy(self, w: float, slider: float) -> float:
-        """½ k times the square of the overlap, J."""
-        e = max(w - self.gap, 0.0)
-        return 0.5 * self.stiffness * e * e
-
 
 class UnilateralStopSection(ElementSection):
     """g = k max(w − gap, 0).
@@ -86,11 +81,6 @@ class TwoSidedGap(UnilateralStop):
     def contacts(self) -> tuple[tuple[float, float, float], ...]:
         """Two stops."""
         return ((self.stiffness, self.gap, 1.0), (self.stiffness, self.gap, -1.0))
-
-    def energy(self, w: float, slider: float) -> float:
-        """½ k times the square of the overlap, J."""
-        e = max(abs(w) - self.gap, 0.0)
-        return 0.5 * self.stiffness * e * e
 
 
 class TwoSidedGapSection(ElementSection):
@@ -135,11 +125,6 @@ class BacklashDamper(LocalElement):
     def next_branch(k: float, damping: float, gap: float, branch: int, w: float, v: float, slider: float) -> int:
         """The branch that fits."""
         return int(w > gap) - int(w < -gap)
-
-    def energy(self, w: float, slider: float) -> float:
-        """½ k times the square of the overlap, J."""
-        e = max(abs(w) - self.gap, 0.0)
-        return 0.5 * self.stiffness * e * e
 
 
 class BacklashDamperSection(ElementSection):

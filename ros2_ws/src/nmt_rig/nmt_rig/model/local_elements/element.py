@@ -120,10 +120,6 @@ class LocalElement:
         """Stiffness (N/m), gap (m) and side (±1) of the stops that it is, for harmonic balance."""
         return ()
 
-    def energy(self, w: float, slider: float) -> float:
-        """Elastic energy, J; 0 for purely dissipative elements."""
-        return 0.0
-
     def along(self, direction: Array) -> LocalElement:
         """The same element on another direction."""
         return replace(self, direction=direction)

@@ -73,11 +73,6 @@ class Jenkins(LocalElement):
         """One slider."""
         return ((self.tangential_stiffness, self.slip_force),)
 
-    def energy(self, w: float, slider: float) -> float:
-        """½ k_t times the square of the spring's stretch, J."""
-        e = w - slider
-        return 0.5 * self.tangential_stiffness * e * e
-
 
 class JenkinsSection(ElementSection):
     """Elastic Coulomb element: a spring in series with a slider.

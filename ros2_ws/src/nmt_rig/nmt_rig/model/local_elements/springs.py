@@ -20,10 +20,6 @@ class LinearSpring(LocalElement):
         """g and its tangents."""
         return k * w, k, 0.0
 
-    def energy(self, w: float, slider: float) -> float:
-        """½ k w², J."""
-        return 0.5 * self.stiffness * w * w
-
 
 class LinearSpringSection(ElementSection):
     """g = k w.
@@ -48,10 +44,6 @@ class QuadraticSpring(LocalElement):
     def response(k: float, w: float, v: float) -> Response:
         """g and its tangents."""
         return k * w * w, 2.0 * k * w, 0.0
-
-    def energy(self, w: float, slider: float) -> float:
-        """k2 w³ / 3, J."""
-        return self.stiffness * w * w * w / 3.0
 
 
 class QuadraticSpringSection(ElementSection):
@@ -78,10 +70,6 @@ class CubicSpring(LocalElement):
         """g and its tangents."""
         return k * w * w * w, 3.0 * k * w * w, 0.0
 
-    def energy(self, w: float, slider: float) -> float:
-        """k3 w⁴ / 4, J."""
-        return 0.25 * self.stiffness * w * w * w * w
-
 
 class CubicSpringSection(ElementSection):
     """g = k₃ w³.
@@ -107,10 +95,6 @@ class QuinticSpring(LocalElement):
         """g and its tangents."""
         w2 = w * w
         return k * w2 * w2 * w, 5.0 * k * w2 * w2, 0.0
-
-    def energy(self, w: float, slider: float) -> float:
-        """k5 w⁶ / 6, J."""
-        return self.stiffness * w * w * w * w * w * w / 6.0
 
 
 class QuinticSpringSection(ElementSection):

@@ -48,7 +48,7 @@ def made_up_table(rig: BlindRig) -> StrengthTable:
     model, motion = rig.model(), operating()
     curves: dict[str, dict[str, Any]] = {}
     for truth in INJECTED_EFFECTS.values():
-        for spot in truth.spots(model, motion):
+        for spot in truth.spots(model):
             guess = min(truth.guess(model, motion, spot), 0.5 * truth.limit(model, motion, spot))
             curves[spot_key(truth, spot)] = {"points": [[guess, 64.0]], "trouble": ""}
     return StrengthTable(rig.name, motion, curves)

@@ -220,11 +220,11 @@ def test_the_program_has_tables_for_its_rigs(name: str, tolerances: str) -> None
     table = load_table(rig, tolerances)
     model = rig.model()
     for truth in (*KNOWN, *OPEN):
-        spots = truth.spots(model, table.operating)
+        spots = truth.spots(model)
         found = [table.value(truth, spot, 1.0) for spot in spots]
         assert truth.name in YOUNGER or not spots or any(value is not None for value in found), truth.name
     cubic = INJECTED_EFFECTS["cubic_stiffness"]
-    spot = cubic.spots(model, table.operating)[0]
+    spot = cubic.spots(model)[0]
     values = [table.value(cubic, spot, sigma) for sigma in (1.0, 4.0, 16.0)]
     assert all(value is not None for value in values)
     assert values == sorted(values, key=lambda value: value or 0.0)

@@ -12,7 +12,7 @@ import pytest
 from blind.blind_campaign import SHORT, made_up_table, make, operating, short_rig
 
 from nmt_blind.cases.draw import MIXTURE, STRENGTHS, draw_cases
-from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, NEAR_TWINS, OPEN, injected_effect_named
+from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, NEAR_TWINS, OPEN
 from nmt_blind.cases.laboratory import record_backbone, record_random
 from nmt_blind.cases.make import bag_hash, make_campaign
 from nmt_blind.cases.operating import Operating
@@ -204,7 +204,7 @@ def test_shifts_stay_within_their_priors() -> None:
 @pytest.mark.parametrize("truth", [*KNOWN, *OPEN], ids=lambda truth: truth.name)
 def test_every_truth_is_a_rig_file(truth: object) -> None:
     chosen = INJECTED_EFFECTS[truth.name]  # type: ignore[attr-defined]
-    for spot in chosen.spots(MODEL, operating()):
+    for spot in chosen.spots(MODEL):
         value = min(chosen.guess(MODEL, operating(), spot), 0.5 * chosen.limit(MODEL, operating(), spot))
         rig = with_edits(MODEL, chosen.edits(MODEL, operating(), spot, value))
         assert rig != MODEL
@@ -257,8 +257,8 @@ def test_what_hardly_differs_is_withheld_together_and_leaves_nothing_alone() -> 
         "competing": {"transverse_sensitivity": 0.99, "clock_error": 0.6, "ground_loop": 0.98},
     }
     table = replace(plain, curves={**plain.curves, gain: curve})
-    truth = injected_effect_named("response_gain")
-    spot = next(s for s in truth.spots(MODEL, table.operating) if spot_key(truth, s) == gain)
+    truth = INJECTED_EFFECTS["response_gain"]
+    spot = next(s for s in truth.spots(MODEL) if spot_key(truth, s) == gain)
     assert table.twins(truth, spot) == ("transverse_sensitivity",)  # no library has a ground loop
     assert table.alone(truth, spot) == pytest.approx((1.0 - 0.99**2) ** 0.5)
     assert table.alone(truth, spot, ("transverse_sensitivity",)) == pytest.approx(0.8)

@@ -140,9 +140,9 @@ def test_truths_find_places_on_any_rig(points: list[int]) -> None:
         assert motion.stiffness[point] == pytest.approx(motion.omega**2 * seen)
     for name in ("cubic_stiffness", "added_mass", "two_sided_gap", "response_gain", "air_drag"):
         truth = INJECTED_EFFECTS[name]
-        spots = truth.spots(rig, motion)
+        spots = truth.spots(rig)
         assert spots
         for spot in spots:
             with_edits(rig, truth.edits(rig, motion, spot, truth.guess(rig, motion, spot)))
-    assert bool(INJECTED_EFFECTS["transverse_sensitivity"].spots(rig, motion)) == (len(points) > 1)
-    assert not INJECTED_EFFECTS["clamp_compliance"].spots(rig, motion)
+    assert bool(INJECTED_EFFECTS["transverse_sensitivity"].spots(rig)) == (len(points) > 1)
+    assert not INJECTED_EFFECTS["clamp_compliance"].spots(rig)

@@ -152,7 +152,7 @@ def flat_effect(own: Sensitivity, monkeypatch: pytest.MonkeyPatch, most: float =
     object.__setattr__(own, "operating", None)
     own.rig = type("R", (), {"caution": 1.0})()  # type: ignore[assignment]
     truth = INJECTED_EFFECTS["response_gain"]
-    return replace(truth, edits=lambda rig, operating, spot, value: value, guess=lambda *_: 0.001, largest=math.inf)
+    return replace(truth, changes=lambda at, value: value, first=lambda _: 0.001, largest=math.inf)
 
 
 def test_a_curve_goes_from_weak_to_strong(monkeypatch: pytest.MonkeyPatch) -> None:

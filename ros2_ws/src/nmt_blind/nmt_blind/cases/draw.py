@@ -10,15 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_blind.cases.injected_effects import (
-    KNOWN,
-    NEAR_TWINS,
-    OPEN,
-    InjectedEffect,
-    Spot,
-    figures_of,
-    injected_effect_named,
-)
+from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, NEAR_TWINS, OPEN, InjectedEffect, Spot
 from nmt_blind.cases.laboratory import TrialError
 from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.operating import Operating
@@ -229,7 +221,7 @@ class _Draws:
 
     def _spots(self, truth: InjectedEffect, sigma: float) -> list[tuple[Spot, float]]:
         found = []
-        for spot in truth.spots(self.model, self.table.operating):
+        for spot in truth.spots(self.model):
             value = self.table.value(truth, spot, sigma)
             # Beyond the limit no rig is like that.
             if value is not None and value <= truth.limit(self.model, self.table.operating, spot):
@@ -251,7 +243,7 @@ class _Draws:
         if kind == "withheld":
             return self._drawn((self._withheld.deal(), self._unnamed.deal()), withheld=True)
         if kind == "twin":
-            return self._drawn((injected_effect_named(self._pair.deal()[0]), self._strong.deal()))
+            return self._drawn((INJECTED_EFFECTS[self._pair.deal()[0]], self._strong.deal()))
         first, second = self._first.deal(), self._second.deal()
         while second.name == first.name or _near(first.name, second.name) or _overlap(first.name, second.name):
             second = self._second.deal()
@@ -282,7 +274,7 @@ class _Draws:
             effects.append(
                 TrueEffect(
                     truth.name, place, spot.label, STRENGTHS[at], value, truth.unit, truth.known, alone, sigma,
-                    figures_of(truth, operating, spot, value),
+                    truth.figures(self.model, operating, spot, value),
                 )
             )  # fmt: skip
         return tuple(effects), tuple(edits), family

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from nmt_blind.cases.operating import Operating
@@ -39,9 +39,45 @@ class Spot:
     shape: float = 0.0
 
 
-Spots = Callable[[Rig, Operating], tuple[Spot, ...]]
-Edits = Callable[[Rig, Operating, Spot, float], tuple[Edit, ...]]
-Guess = Callable[[Rig, Operating, Spot], float]
+@dataclass(frozen=True)
+class At:
+    """A spot of a rig in its backbone test."""
+
+    rig: Rig
+    operating: Operating
+    spot: Spot
+
+    @property
+    def omega(self) -> float:
+        """Of the motion, rad/s."""
+        return self.operating.omega
+
+    @property
+    def size(self) -> float:
+        """Amplitude at the spot, m."""
+        return self.operating.size(self.spot.point, self.spot.other)
+
+    @property
+    def reach(self) -> float:
+        """Displacement, m, or rotation at which a gap closes or a slider slips: the spot's share of the motion."""
+        turning = self.spot.option == "rotation"
+        return self.spot.shape * (self.operating.rotation[self.spot.point] if turning else self.size)
+
+    @property
+    def stiffness(self) -> float:
+        """Stiffness of the mode there, N/m."""
+        return self.operating.modal_stiffness(self.spot.point, self.spot.other)
+
+    @property
+    def sensor(self) -> SensorSection:
+        """The sensor."""
+        return self.rig.sensors[self.spot.sensor]
+
+
+Spots = Callable[[Rig], tuple[Spot, ...]]
+Edits = Callable[[At, float], tuple[Edit, ...]]
+Guess = Callable[[At], float]
+Figures = Callable[[At, float], dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -53,8 +89,9 @@ class InjectedEffect:
         place: structure, boundary, joint, exciter, force_sensor, response_sensor, controller or time.
         unit: unit of the strength.
         spots: where it may act on a rig; none = not on this one.
-        edits: what is changed at a strength.
-        guess: a strength to start the search with.
+        changes: what is changed at a strength.
+        first: a strength to start the search with.
+        estimated: what a diagnosis has to find, see `figures`.
         signed: the strength may be negative.
         largest: largest strength that makes sense; bound: the same where it depends on rig and spot.
         known: the library of the diagnosis is supposed to have it.
@@ -65,17 +102,33 @@ class InjectedEffect:
     place: str
     unit: str
     spots: Spots
-    edits: Edits
-    guess: Guess
+    changes: Edits
+    first: Guess
+    estimated: Figures = lambda at, value: {}
     signed: bool = False
     largest: float = math.inf
     known: bool = True
     proportional: bool = True
     bound: Guess | None = None
 
+    def edits(self, rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
+        """What is changed at a strength."""
+        return self.changes(At(rig, operating, spot), value)
+
+    def guess(self, rig: Rig, operating: Operating, spot: Spot) -> float:
+        """A strength to start the search with."""
+        return self.first(At(rig, operating, spot))
+
+    def figures(self, rig: Rig, operating: Operating, spot: Spot, value: float) -> dict[str, float]:
+        """True values of the parameters that a diagnosis reports, by the names of the effects' equations.
+
+        Empty where a truth has none in the same terms: what nobody names, and what counts from the model's amplitude.
+        """
+        return self.estimated(At(rig, operating, spot), value)
+
     def limit(self, rig: Rig, operating: Operating, spot: Spot) -> float:
         """Largest strength that makes sense at a spot of a rig."""
-        return self.largest if self.bound is None else min(self.largest, self.bound(rig, operating, spot))
+        return self.largest if self.bound is None else min(self.largest, self.bound(At(rig, operating, spot)))
 
     def place_at(self, rig: Rig, spot: Spot) -> str:
         """Place, with channels sorted into force and response sensors."""
@@ -87,14 +140,14 @@ class InjectedEffect:
 # Where ------------------------------------------------------------------------------------------------------------
 
 
-def _everywhere(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+def _everywhere(rig: Rig) -> tuple[Spot, ...]:
     return (Spot(""),)
 
 
 def _sites(shapes: tuple[float, ...] = (0.0,)) -> Spots:
     """Points that move: of a chain the last one and its first two neighbours, of others beyond the drive point."""
 
-    def spots(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+    def spots(rig: Rig) -> tuple[Spot, ...]:
         found: list[Spot] = []
         for shape in shapes:
             ending = f" at {shape:g}" if shape else ""
@@ -122,14 +175,14 @@ def _free_points(rig: Rig) -> tuple[int, ...]:
     return tuple(sorted({*beyond[:2], beyond[-1]}))
 
 
-def _points(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+def _points(rig: Rig) -> tuple[Spot, ...]:
     ends = sorted({1, rig.structure.points[-1]})
     points = ends if isinstance(rig.structure, ChainSection) else _free_points(rig)
     return tuple(Spot(str(p), p) for p in points)
 
 
 def _channels(*quantities: str) -> Spots:
-    def spots(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+    def spots(rig: Rig) -> tuple[Spot, ...]:
         return tuple(
             Spot(rig.sensor_channel(sensor), rig.sensor_point(sensor), sensor=index)
             for index, sensor in enumerate(rig.sensors)
@@ -142,36 +195,36 @@ def _channels(*quantities: str) -> Spots:
 def _some_channels(*quantities: str) -> Spots:
     """First and last channel of each quantity."""
 
-    def spots(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+    def spots(rig: Rig) -> tuple[Spot, ...]:
         found = []
         for quantity in quantities:
-            own = _channels(quantity)(rig, operating)
+            own = _channels(quantity)(rig)
             found += [own[0], own[-1]] if len(own) > 1 else list(own)
         return tuple(found)
 
     return spots
 
 
-def _groups(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+def _groups(rig: Rig) -> tuple[Spot, ...]:
     """Responses of a quantity that several channels have: these share a conditioner."""
     count = {name: sum(sensor.quantity == name for sensor in rig.sensors) for name in RESPONSES}
     return tuple(Spot(f"{name} channels", option=name) for name in RESPONSES if count[name] > 1)
 
 
-def _sensor_masses(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+def _sensor_masses(rig: Rig) -> tuple[Spot, ...]:
     first: dict[int, Spot] = {}
-    for spot in _channels(*RESPONSES)(rig, operating):
+    for spot in _channels(*RESPONSES)(rig):
         first.setdefault(spot.point, spot)
     return tuple(first.values())
 
 
-def _crossings(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+def _crossings(rig: Rig) -> tuple[Spot, ...]:
     """Each channel with the next measured point, the last with the one before."""
     points = sorted({rig.sensor_point(s) for s in rig.sensors if s.quantity in RESPONSES})
     if len(points) < 2:
         return ()
     found = []
-    for spot in _channels(*RESPONSES)(rig, operating):
+    for spot in _channels(*RESPONSES)(rig):
         place = points.index(spot.point)
         other = points[place + 1] if place + 1 < len(points) else points[place - 1]
         found.append(Spot(f"{spot.label}<{other}", spot.point, other, spot.sensor))
@@ -182,13 +235,13 @@ def _clamped(rig: Rig) -> bool:
     return isinstance(rig.structure, BeamSection) and "clamped" in rig.structure.boundary
 
 
-def _clamp(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+def _clamp(rig: Rig) -> tuple[Spot, ...]:
     if not _clamped(rig):
         return ()
     return (Spot("rotation", option="rotation"), Spot("lateral", option="lateral"))
 
 
-def _clamp_friction(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+def _clamp_friction(rig: Rig) -> tuple[Spot, ...]:
     if not _clamped(rig):
         return ()
     return tuple(
@@ -198,22 +251,18 @@ def _clamp_friction(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
     )
 
 
-def _stinger(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+def _stinger(rig: Rig) -> tuple[Spot, ...]:
     lateral = Spot("lateral", rig.drive_point, option="lateral")
     if not isinstance(rig.structure, BeamSection):
         return (lateral,)
     return lateral, Spot("rotation", rig.drive_point, option="rotation")
 
 
-def _shaker(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+def _shaker(rig: Rig) -> tuple[Spot, ...]:
     return (Spot(""),) if isinstance(rig.exciter, ShakerSection) else ()
 
 
-def _contacts(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
-    return _sites((0.1, 0.4))(rig, operating)
-
-
-def _jenkins(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+def _jenkins(rig: Rig) -> tuple[Spot, ...]:
     return tuple(
         Spot(f"{element.name or element.point} with exponent {shape:g}", element.point, sensor=-1,
              option=str(index), shape=shape)
@@ -223,7 +272,7 @@ def _jenkins(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
     )  # fmt: skip
 
 
-def _joint(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
+def _joint(rig: Rig) -> tuple[Spot, ...]:
     """The largest friction element of the model."""
     forces = [getattr(element, "slip_force_n", 0.0) for element in rig.local_elements]
     if not forces or max(forces) <= 0.0:
@@ -236,15 +285,33 @@ def _joint(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
 # What -------------------------------------------------------------------------------------------------------------
 
 
-def _element(rig: Rig, spot: Spot, kind: str, **keys: Any) -> tuple[Edit, ...]:
-    section: dict[str, Any] = {"kind": kind, "point": spot.point, **keys}
-    if spot.other:
-        section["other_point"] = spot.other
+def _element(at: At, kind: str, **keys: Any) -> tuple[Edit, ...]:
+    section: dict[str, Any] = {"kind": kind, "point": at.spot.point, **keys}
+    if at.spot.other:
+        section["other_point"] = at.spot.other
+    if at.spot.option == "rotation":
+        section["rotation"] = True
     return (Edit(("local_elements",), section, "append"),)
 
 
 def _one_key(kind: str, key: str) -> Edits:
-    return lambda rig, operating, spot, value: _element(rig, spot, kind, **{key: value})
+    return lambda at, value: _element(at, kind, **{key: value})
+
+
+def _set(*path: str, value_of: Callable[[float], float] = lambda value: value) -> Edits:
+    """One key of the rig file."""
+    return lambda at, value: (Edit(path, value_of(value)),)
+
+
+def _sensor(**keys: Callable[[At, float], Any]) -> Edits:
+    """Keys of the spot's sensor."""
+    return lambda at, value: tuple(
+        Edit(("sensors", at.spot.sensor, key), value_of(at, value)) for key, value_of in keys.items()
+    )
+
+
+def _own(at: At, value: float) -> float:
+    return value
 
 
 # Density of air, kg/m³; drag coefficient of a plate that swings by about its width (Keulegan and Carpenter 1958); mass
@@ -252,12 +319,13 @@ def _one_key(kind: str, key: str) -> Edits:
 _AIR, _DRAG_COEFFICIENT, _PLATE = 1.2, 10.0, 5.4
 
 
-def _largest_drag(rig: Rig, operating: Operating, spot: Spot) -> float:
+def _largest_drag(at: At) -> float:
     """What air can do, ½ ρ C_d A: beyond it the same force has another cause, and another name."""
-    if isinstance(rig.structure, BeamSection):
-        area = rig.structure.length_m * rig.structure.width_m
+    beam = at.rig.structure
+    if isinstance(beam, BeamSection):
+        area = beam.length_m * beam.width_m
     else:
-        area = operating.stiffness[spot.point] / operating.omega**2 / _PLATE
+        area = at.operating.stiffness[at.spot.point] / at.omega**2 / _PLATE
     return 0.5 * _AIR * _DRAG_COEFFICIENT * area
 
 
@@ -265,200 +333,129 @@ _EXPONENT = 1.5
 """Of a power-law damper: between viscous damping and drag."""
 
 
-def _power_law(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
+def _power_law(at: At, value: float) -> tuple[Edit, ...]:
     """A damper that takes a force, in newtons, at the largest speed of its spot."""
-    speed = operating.omega * operating.size(spot.point, spot.other)
-    return _element(rig, spot, "power_law_damper", coefficient_n_sp_mp=value / speed**_EXPONENT, exponent=_EXPONENT)
+    speed = at.omega * at.size
+    return _element(at, "power_law_damper", coefficient_n_sp_mp=value / speed**_EXPONENT, exponent=_EXPONENT)
 
 
-def _late_group(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
+def _late_group(at: At, value: float) -> tuple[Edit, ...]:
     return tuple(
         Edit(("sensors", index, "delay_s"), sensor.delay_s + value)
-        for index, sensor in enumerate(rig.sensors)
-        if sensor.quantity == spot.option
+        for index, sensor in enumerate(at.rig.sensors)
+        if sensor.quantity == at.spot.option
     )
 
 
 def _stop(kind: str) -> Edits:
-    def edits(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-        gap = spot.shape * operating.size(spot.point, spot.other)
-        return _element(rig, spot, kind, stiffness_n_m=value, gap_m=gap)
-
-    return edits
+    return lambda at, value: _element(at, kind, stiffness_n_m=value, gap_m=at.reach)
 
 
-def _friction(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    if spot.option == "rotation":
-        reach = spot.shape * operating.rotation[spot.point]
-        return _element(rig, spot, "jenkins", tangential_stiffness_n_m=value, slip_force_n=value * reach, rotation=True)
-    reach = spot.shape * operating.size(spot.point, spot.other)
-    return _element(rig, spot, "jenkins", tangential_stiffness_n_m=value, slip_force_n=value * reach)
+def _friction(at: At, value: float) -> tuple[Edit, ...]:
+    return _element(at, "jenkins", tangential_stiffness_n_m=value, slip_force_n=value * at.reach)
 
 
-def _compliance(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    key = "clamp_rotational_stiffness_nm_rad" if spot.option == "rotation" else "clamp_lateral_stiffness_n_m"
+def _compliance(at: At, value: float) -> tuple[Edit, ...]:
+    turning = at.spot.option == "rotation"
+    key = "clamp_rotational_stiffness_nm_rad" if turning else "clamp_lateral_stiffness_n_m"
     return (Edit(("structure", key), 1.0 / value),)
 
 
-def _compliance_guess(rig: Rig, operating: Operating, spot: Spot) -> float:
-    beam = rig.structure
+def _compliance_guess(at: At) -> float:
+    beam = at.rig.structure
     assert isinstance(beam, BeamSection)
     bending = beam.youngs_modulus_pa * beam.width_m * beam.height_m**3 / 12.0
-    power = 1 if spot.option == "rotation" else 3
+    power = 1 if at.spot.option == "rotation" else 3
     return 0.003 * beam.length_m**power / bending
 
 
-def _microslip(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    index = int(spot.option)
-    return (
-        Edit(("local_elements", index, "kind"), "iwan"),
-        Edit(("local_elements", index, "exponent"), spot.shape),
-        Edit(("local_elements", index, "stiffness_ratio"), 1.0 / value),
-        Edit(("local_elements", index, "sliders"), 30),
-    )
+def _microslip(at: At, value: float) -> tuple[Edit, ...]:
+    path = ("local_elements", int(at.spot.option))
+    joint = {"kind": "iwan", "exponent": at.spot.shape, "stiffness_ratio": 1.0 / value, "sliders": 30}
+    return tuple(Edit((*path, key), own) for key, own in joint.items())
 
 
-def _stinger_edits(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    rotation = {"rotation": True} if spot.option == "rotation" else {}
-    return _element(rig, spot, "linear_spring", stiffness_n_m=value, side="exciter", **rotation)
+def _at_rotation(share: float, point_of: Callable[[At], int]) -> Guess:
+    """A share of the mode's stiffness at a point, of its rotation where that is what turns."""
 
+    def guess(at: At) -> float:
+        point, motion = point_of(at), at.operating
+        stiffness = share * motion.stiffness[point]
+        if at.spot.option != "rotation":
+            return stiffness
+        return stiffness * (motion.displacement[point] / motion.rotation[point]) ** 2
 
-def _stinger_guess(rig: Rig, operating: Operating, spot: Spot) -> float:
-    stiffness = 0.01 * operating.stiffness[rig.drive_point]
-    if spot.option != "rotation":
-        return stiffness
-    return stiffness * (operating.displacement[spot.point] / operating.rotation[spot.point]) ** 2
-
-
-def _suspension(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    at = Spot("", rig.drive_point)
-    return _element(rig, at, "cubic_spring", stiffness_n_m3=value, side="exciter")
-
-
-def _exciter_key(key: str, value_of: Callable[[float], float] = lambda value: value) -> Edits:
-    return lambda rig, operating, spot, value: (Edit(("exciter", key), value_of(value)),)
-
-
-def _sensor_key(key: str, value_of: Callable[[SensorSection, float], Any]) -> Edits:
-    def edits(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-        return (Edit(("sensors", spot.sensor, key), value_of(rig.sensors[spot.sensor], value)),)
-
-    return edits
-
-
-def _clipped(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    largest = operating.peaks[spot.label]
-    return (Edit(("sensors", spot.sensor, "clip"), largest * math.exp(-value)),)
+    return guess
 
 
 _COARSE_BITS = 22
 
 
-def _quantised(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    return (
-        Edit(("sensors", spot.sensor, "bits"), _COARSE_BITS),
-        Edit(("sensors", spot.sensor, "range"), value * 2.0 ** (_COARSE_BITS - 1)),
-    )
-
-
-def _gain(sensor: SensorSection, value: float) -> float:
-    return sensor.gain * (1.0 + value)
-
-
-def _transverse(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    return (Edit(("sensors", spot.sensor, "transverse"), {"point": spot.other, "fraction": value}),)
-
-
 def _drift(key: str, sign: float) -> Edits:
-    return lambda rig, operating, spot, value: (Edit(("drift", spot.option or key), sign * value),)
+    return lambda at, value: (Edit(("drift", at.spot.option or key), sign * value),)
 
 
-def _losses(rig: Rig, operating: Operating) -> tuple[Spot, ...]:
-    if not _joint(rig, operating):
+def _losses(rig: Rig) -> tuple[Spot, ...]:
+    if not _joint(rig):
         return ()
     return (Spot("time", option="slip_force_per_s"), Spot("cycles", option="slip_force_per_cycle"))
 
 
-def _loss_guess(rig: Rig, operating: Operating, spot: Spot) -> float:
-    return 0.03 / (operating.duration if spot.label == "time" else operating.cycles)
-
-
 def _loop_key(key: str) -> Edits:
-    return lambda rig, operating, spot, value: (Edit(("pll",), {key: value}, "merge"),)
+    return lambda at, value: (Edit(("pll",), {key: value}, "merge"),)
 
 
-def _share(rig: Rig, spot: Spot, value: float, section: dict[str, Any]) -> tuple[Edit, ...]:
+def _share(at: At, value: float, kind: str, **keys: Any) -> tuple[Edit, ...]:
     """A share of the joint's friction taken from the model's element and given to another law."""
-    index = int(spot.option)
-    path = ("local_elements", index)
+    path = ("local_elements", int(at.spot.option))
     return (
         Edit((*path, "tangential_stiffness_n_m"), 1.0 - value, "scale"),
         Edit((*path, "slip_force_n"), 1.0 - value, "scale"),
-        *_element(rig, spot, **section),
+        *_element(at, kind, **keys),
     )
 
 
-def _joint_figures(rig: Rig, spot: Spot) -> tuple[float, float]:
-    element = rig.local_elements[int(spot.option)]
+def _joint_figures(at: At) -> tuple[float, float]:
+    element = at.rig.local_elements[int(at.spot.option)]
     stiffness = float(element.tangential_stiffness_n_m)  # type: ignore[union-attr]
     slip = float(element.slip_force_n)  # type: ignore[union-attr]
     return stiffness, slip
 
 
-def _bouc_wen(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    stiffness, slip = _joint_figures(rig, spot)
-    section = {
-        "kind": "bouc_wen",
-        "stiffness_n_m": value * stiffness,
-        "yield_displacement_m": slip / stiffness,
-        "exponent": 1.0,
-        "shape": 0.8,
-    }
-    return _share(rig, spot, value, section)
+def _bouc_wen(at: At, value: float) -> tuple[Edit, ...]:
+    stiffness, slip = _joint_figures(at)
+    return _share(
+        at, value, "bouc_wen",
+        stiffness_n_m=value * stiffness, yield_displacement_m=slip / stiffness, exponent=1.0, shape=0.8,
+    )  # fmt: skip
 
 
-def _lugre(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    stiffness, slip = _joint_figures(rig, spot)
-    section = {
-        "kind": "lugre",
-        "bristle_stiffness_n_m": value * stiffness,
-        "coulomb_force_n": 0.8 * value * slip,
-        "static_force_n": 1.4 * value * slip,
-        "stribeck_velocity_m_s": 0.2 * operating.omega * operating.size(spot.point, spot.other),
-    }
-    return _share(rig, spot, value, section)
+def _lugre(at: At, value: float) -> tuple[Edit, ...]:
+    stiffness, slip = _joint_figures(at)
+    return _share(
+        at, value, "lugre",
+        bristle_stiffness_n_m=value * stiffness, coulomb_force_n=0.8 * value * slip, static_force_n=1.4 * value * slip,
+        stribeck_velocity_m_s=0.2 * at.omega * at.size,
+    )  # fmt: skip
 
 
-def _backlash(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    gap = spot.shape * operating.size(spot.point, spot.other)
-    damping = value * 0.5 / operating.omega / max(gap, 1e-12)
-    return _element(rig, spot, "backlash_damper", stiffness_n_m=value, damping_ns_m2=damping, gap_m=gap)
+def _backlash(at: At, value: float) -> tuple[Edit, ...]:
+    damping = value * 0.5 / at.omega / max(at.reach, 1e-12)
+    return _element(at, "backlash_damper", stiffness_n_m=value, damping_ns_m2=damping, gap_m=at.reach)
 
 
-def _eddy(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    critical = 0.3 * operating.omega * operating.size(spot.point, spot.other)
-    return _element(rig, spot, "eddy_brake", damping_ns_m=value, critical_velocity_m_s=critical)
-
-
-def _coupling(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    mass = 0.01 * operating.modal_stiffness(spot.point, spot.other) / operating.omega**2
-    frequency = 2.0 * operating.omega / (2.0 * math.pi)
+def _coupling(at: At, value: float) -> tuple[Edit, ...]:
     return _element(
-        rig, spot, "tuned_mass_quadratic", mass_kg=mass, frequency_hz=frequency, damping_ratio=0.02, coupling_n_m2=value
-    )
+        at, "tuned_mass_quadratic", mass_kg=0.01 * at.stiffness / at.omega**2,
+        frequency_hz=2.0 * at.omega / (2.0 * math.pi), damping_ratio=0.02, coupling_n_m2=value,
+    )  # fmt: skip
 
 
-def _coupling_guess(rig: Rig, operating: Operating, spot: Spot) -> float:
-    size = operating.size(spot.point, spot.other)
-    return 0.01 * operating.modal_stiffness(spot.point, spot.other) / size
-
-
-def _rattle(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-    gap = spot.shape * operating.size(spot.point, spot.other)
-    stiffness = value * (8.0 * operating.omega) ** 2
+def _rattle(at: At, value: float) -> tuple[Edit, ...]:
+    stiffness = value * (8.0 * at.omega) ** 2
     return _element(
-        rig, spot, "rattling_mass", mass_kg=value, gap_m=gap, contact_stiffness_n_m=stiffness,
-        contact_damping_ns_m2=0.2 * stiffness / operating.omega / gap, friction_ns_m=0.3 * value * operating.omega,
+        at, "rattling_mass", mass_kg=value, gap_m=at.reach, contact_stiffness_n_m=stiffness,
+        contact_damping_ns_m2=0.2 * stiffness / at.omega / at.reach, friction_ns_m=0.3 * value * at.omega,
     )  # fmt: skip
 
 
@@ -467,145 +464,146 @@ def _rattle(rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[E
 
 def _elastic(share: float, power: int) -> Guess:
     """A force of so many parts of the modal one at the largest amplitude, growing with a power of it."""
-
-    def guess(rig: Rig, operating: Operating, spot: Spot) -> float:
-        size = operating.size(spot.point, spot.other)
-        return share * operating.modal_stiffness(spot.point, spot.other) / size ** (power - 1)
-
-    return guess
+    return lambda at: share * at.stiffness / at.size ** (power - 1)
 
 
 def _viscous(share: float, power: int) -> Guess:
-    def guess(rig: Rig, operating: Operating, spot: Spot) -> float:
-        speed = operating.omega * operating.size(spot.point, spot.other)
-        size = operating.size(spot.point, spot.other)
-        return share * operating.modal_stiffness(spot.point, spot.other) * size / speed**power
-
-    return guess
+    return lambda at: share * at.stiffness * at.size / (at.omega * at.size) ** power
 
 
-def _clamp_friction_guess(rig: Rig, operating: Operating, spot: Spot) -> float:
-    stiffness = 0.02 * operating.stiffness[1]
-    if spot.option != "rotation":
-        return stiffness
-    return stiffness * (operating.displacement[1] / operating.rotation[1]) ** 2
+def _mass_guess(at: At) -> float:
+    return 0.003 * at.operating.stiffness[at.spot.point] / at.omega**2
 
 
-def _mass_guess(rig: Rig, operating: Operating, spot: Spot) -> float:
-    return 0.003 * operating.stiffness[spot.point] / operating.omega**2
-
-
-def _drive_guess(share: float, power: int) -> Guess:
-    return lambda rig, operating, spot: share / operating.displacement[rig.drive_point] ** power
+def _drive_guess(power: int) -> Guess:
+    return lambda at: 0.02 / at.operating.displacement[at.rig.drive_point] ** power
 
 
 def _constant(value: float) -> Guess:
-    return lambda rig, operating, spot: value
+    return lambda at: value
 
 
 def _per_omega(share: float) -> Guess:
-    return lambda rig, operating, spot: share / operating.omega
-
-
-def _of_channel(share: float) -> Guess:
-    return lambda rig, operating, spot: share * operating.channels[spot.label]
+    return lambda at: share / at.omega
 
 
 def _of_noise(share: float) -> Guess:
-    return lambda rig, operating, spot: share * operating.noise[spot.label]
+    return lambda at: share * at.operating.noise[at.spot.label]
 
 
-def _positive_rate(rig: Rig, operating: Operating, spot: Spot) -> float:
-    return 0.002 / operating.duration
+# What is to be estimated -------------------------------------------------------------------------------------------
+
+
+def _named(name: str, value_of: Callable[[float], float] = lambda value: value) -> Figures:
+    return lambda at, value: {name: value_of(value)}
+
+
+def _stop_figures(at: At, value: float) -> dict[str, float]:
+    return {"k": value, "gap": at.reach}
+
+
+def _friction_figures(at: At, value: float) -> dict[str, float]:
+    turning = at.spot.option == "rotation"
+    size = at.operating.rotation[at.spot.point] if turning else at.size
+    return {"kt": value, "slip_force": value * at.spot.shape * size}
 
 
 _ANY = (*RESPONSES, "force")
 _GAPS = (0.35, 0.75)
+_CONTACTS = _sites((0.1, 0.4))
 
 KNOWN: tuple[InjectedEffect, ...] = (
     InjectedEffect("cubic_stiffness", "structure", "N/m³", _sites(), _one_key("cubic_spring", "stiffness_n_m3"),
-          _elastic(0.01, 3), signed=True),
+          _elastic(0.01, 3), _named("k"), signed=True),
     InjectedEffect("quintic_stiffness", "structure", "N/m⁵", _sites(), _one_key("quintic_spring", "stiffness_n_m5"),
-          _elastic(0.01, 5), signed=True),
+          _elastic(0.01, 5), _named("k"), signed=True),
     InjectedEffect("quadratic_stiffness", "structure", "N/m²", _sites(), _one_key("quadratic_spring", "stiffness_n_m2"),
-          _elastic(0.01, 2), signed=True),
+          _elastic(0.01, 2), _named("k"), signed=True),
     InjectedEffect("air_drag", "structure", "N s²/m²", _points, _one_key("quadratic_drag", "drag_ns2_m2"),
-          _viscous(0.002, 2),
-          bound=_largest_drag),
+          _viscous(0.002, 2), _named("c2"), bound=_largest_drag),
     InjectedEffect("amplitude_damping", "structure", "N s/m³", _sites(), _one_key("amplitude_damper", "damping_ns_m3"),
-          lambda rig, operating, spot: (
-              0.005 * operating.modal_stiffness(spot.point, spot.other)
-              / (operating.omega * operating.size(spot.point, spot.other) ** 2)
-          )),
+          lambda at: 0.005 * at.stiffness / (at.omega * at.size**2), _named("c")),
     InjectedEffect("power_law_damping", "structure", "N", _sites(), _power_law,
-          lambda rig, operating, spot: (
-              0.002 * operating.modal_stiffness(spot.point, spot.other) * operating.size(spot.point, spot.other)
-          )),
-    InjectedEffect("structural_damping", "structure", "1", _everywhere,
-          lambda rig, operating, spot, value: (Edit(("structure", "loss_factor"), value),), _constant(0.003),
-          largest=0.1),
+          lambda at: 0.002 * at.stiffness * at.size, lambda at, value: {"p": _EXPONENT}),
+    InjectedEffect("structural_damping", "structure", "1", _everywhere, _set("structure", "loss_factor"),
+          _constant(0.003), _named("eta"), largest=0.1),
     InjectedEffect("viscous_damping", "structure", "N s/m", _sites(), _one_key("linear_damper", "damping_ns_m"),
-          _viscous(0.002, 1)),
+          _viscous(0.002, 1), _named("c")),
     InjectedEffect("added_mass", "structure", "kg", _points,
-          lambda rig, operating, spot, value: (
-              Edit(("structure", "added_masses"), {"point": spot.point, "mass_kg": value}, "append"),
-          ), _mass_guess),
-    InjectedEffect("one_sided_stop", "structure", "N/m", _sites(_GAPS), _stop("unilateral_stop"), _elastic(0.05, 1)),
-    InjectedEffect("two_sided_gap", "structure", "N/m", _sites(_GAPS), _stop("two_sided_gap"), _elastic(0.05, 1)),
-    InjectedEffect("clamp_compliance", "boundary", "rad/(N m) or m/N", _clamp, _compliance, _compliance_guess),
-    InjectedEffect("clamp_friction", "boundary", "N/m or N m/rad", _clamp_friction, _friction, _clamp_friction_guess),
+          lambda at, value: (
+              Edit(("structure", "added_masses"), {"point": at.spot.point, "mass_kg": value}, "append"),
+          ), _mass_guess, _named("m")),
+    InjectedEffect("one_sided_stop", "structure", "N/m", _sites(_GAPS), _stop("unilateral_stop"), _elastic(0.05, 1),
+          _stop_figures),
+    InjectedEffect("two_sided_gap", "structure", "N/m", _sites(_GAPS), _stop("two_sided_gap"), _elastic(0.05, 1),
+          _stop_figures),
+    InjectedEffect("clamp_compliance", "boundary", "rad/(N m) or m/N", _clamp, _compliance, _compliance_guess,
+          _named("k", lambda value: 1.0 / value)),
+    InjectedEffect("clamp_friction", "boundary", "N/m or N m/rad", _clamp_friction, _friction,
+          _at_rotation(0.02, lambda at: 1), _friction_figures),
     InjectedEffect("microslip", "joint", "1", _jenkins, _microslip, _constant(0.1), largest=50.0, proportional=False),
-    InjectedEffect("second_friction_contact", "joint", "N/m", _contacts, _friction, _elastic(0.02, 1)),
-    InjectedEffect("preload_loss", "time", "1/s or 1/period", _losses, _drift("slip_force_per_s", -1.0), _loss_guess),
-    InjectedEffect("temperature_drift", "time", "1/s", _everywhere, _drift("stiffness_per_s", 1.0), _positive_rate,
-          signed=True),
-    InjectedEffect("stinger_stiffness", "exciter", "N/m or N m/rad", _stinger, _stinger_edits, _stinger_guess),
+    InjectedEffect("second_friction_contact", "joint", "N/m", _CONTACTS, _friction, _elastic(0.02, 1),
+          _friction_figures),
+    InjectedEffect("preload_loss", "time", "1/s or 1/period", _losses, _drift("slip_force_per_s", -1.0),
+          lambda at: 0.03 / (at.operating.duration if at.spot.label == "time" else at.operating.cycles),
+          _named("rate", lambda value: -value)),
+    InjectedEffect("temperature_drift", "time", "1/s", _everywhere, _drift("stiffness_per_s", 1.0),
+          lambda at: 0.002 / at.operating.duration, _named("rate"), signed=True),
+    InjectedEffect("stinger_stiffness", "exciter", "N/m or N m/rad", _stinger,
+          lambda at, value: _element(at, "linear_spring", stiffness_n_m=value, side="exciter"),
+          _at_rotation(0.01, lambda at: at.rig.drive_point), _named("k")),
     InjectedEffect("amplifier_saturation", "exciter", "1/V²", _shaker,
-          _exciter_key("amplifier_saturation_v", lambda value: value**-0.5),
-          lambda rig, operating, spot: 0.01 / operating.voltage**2),
-    InjectedEffect("source_impedance", "exciter", "Ω", _shaker, _exciter_key("source_resistance_ohm"), _constant(0.2)),
-    InjectedEffect("suspension_cubic", "exciter", "N/m³", _shaker, _suspension,
-          lambda rig, operating, spot: (
-              0.01 * operating.stiffness[rig.drive_point] / operating.displacement[rig.drive_point] ** 2
-          ), signed=True),
-    InjectedEffect("force_factor_symmetric", "exciter", "1/m²", _shaker, _exciter_key("force_factor_quadratic_per_m2"),
-          _drive_guess(0.02, 2), signed=True),
-    InjectedEffect("force_factor_asymmetric", "exciter", "1/m", _shaker, _exciter_key("force_factor_linear_per_m"),
-          _drive_guess(0.02, 1), signed=True),
-    InjectedEffect("force_gain", "force_sensor", "1", _channels("force"), _sensor_key("gain", _gain), _constant(0.003),
+          _set("exciter", "amplifier_saturation_v", value_of=lambda value: value**-0.5),
+          lambda at: 0.01 / at.operating.voltage**2, _named("V", lambda value: value**-0.5)),
+    InjectedEffect("source_impedance", "exciter", "Ω", _shaker, _set("exciter", "source_resistance_ohm"),
+          _constant(0.2), _named("R")),
+    InjectedEffect("suspension_cubic", "exciter", "N/m³", _shaker,
+          lambda at, value: _element(
+              replace(at, spot=Spot("", at.rig.drive_point)), "cubic_spring", stiffness_n_m3=value, side="exciter"
+          ),
+          lambda at: (
+              0.01 * at.operating.stiffness[at.rig.drive_point] / at.operating.displacement[at.rig.drive_point] ** 2
+          ), _named("k"), signed=True),
+    InjectedEffect("force_factor_symmetric", "exciter", "1/m²", _shaker,
+          _set("exciter", "force_factor_quadratic_per_m2"), _drive_guess(2), _named("b2"), signed=True),
+    InjectedEffect("force_factor_asymmetric", "exciter", "1/m", _shaker, _set("exciter", "force_factor_linear_per_m"),
+          _drive_guess(1), _named("b1"), signed=True),
+    InjectedEffect("force_gain", "force_sensor", "1", _channels("force"),
+          _sensor(gain=lambda at, value: at.sensor.gain * (1.0 + value)), _constant(0.003), _named("g"),
           signed=True, largest=0.5),
-    InjectedEffect("force_cell_mass", "force_sensor", "kg", _channels("force"), _sensor_key("mass_kg", lambda s, v: v),
-          _mass_guess),
-    InjectedEffect("response_gain", "response_sensor", "1", _channels(*RESPONSES), _sensor_key("gain", _gain),
-          _constant(0.003),
+    InjectedEffect("force_cell_mass", "force_sensor", "kg", _channels("force"), _sensor(mass_kg=_own), _mass_guess,
+          _named("m")),
+    InjectedEffect("response_gain", "response_sensor", "1", _channels(*RESPONSES),
+          _sensor(gain=lambda at, value: at.sensor.gain * (1.0 + value)), _constant(0.003), _named("g"),
           signed=True, largest=0.5),
-    InjectedEffect("transverse_sensitivity", "response_sensor", "1", _crossings, _transverse, _constant(0.003),
-          signed=True,
-          largest=0.3),
-    InjectedEffect("sensor_mass", "response_sensor", "kg", _sensor_masses, _sensor_key("mass_kg", lambda s, v: v),
-          _mass_guess),
-    InjectedEffect("channel_skew", "response_sensor", "s", _some_channels(*_ANY), _sensor_key("delay_s", lambda s,
-          v: v),
-          _per_omega(0.003), largest=0.002),
-    InjectedEffect("shared_delay", "response_sensor", "s", _groups, _late_group, _per_omega(0.003), largest=0.002),
+    InjectedEffect("transverse_sensitivity", "response_sensor", "1", _crossings,
+          _sensor(transverse=lambda at, value: {"point": at.spot.other, "fraction": value}), _constant(0.003),
+          _named("s"), signed=True, largest=0.3),
+    InjectedEffect("sensor_mass", "response_sensor", "kg", _sensor_masses, _sensor(mass_kg=_own), _mass_guess,
+          _named("m")),
+    InjectedEffect("channel_skew", "response_sensor", "s", _some_channels(*_ANY), _sensor(delay_s=_own),
+          _per_omega(0.003), _named("tau"), largest=0.002),
+    InjectedEffect("shared_delay", "response_sensor", "s", _groups, _late_group, _per_omega(0.003), _named("tau"),
+          largest=0.002),
     InjectedEffect("low_pass", "response_sensor", "s", _some_channels(*_ANY),
-          _sensor_key("low_pass_hz", lambda s, v: 1.0 / (2.0 * math.pi * v)), _per_omega(0.003), largest=0.003),
-    InjectedEffect("charge_high_pass", "response_sensor", "Hz", _some_channels(*_ANY),
-          _sensor_key("high_pass_hz", lambda s, v: v),
-          lambda rig, operating, spot: 0.003 * operating.omega / (2.0 * math.pi), largest=20.0),
-    InjectedEffect("clipping", "response_sensor", "1", _some_channels(*_ANY), _clipped, _constant(0.05), largest=3.0,
-          proportional=False),
-    InjectedEffect("quantisation", "response_sensor", "channel", _some_channels(*_ANY), _quantised, _of_noise(5.0),
-          proportional=False),
-    InjectedEffect("mains_hum", "response_sensor", "channel", _some_channels(*_ANY),
-          _sensor_key("hum_amplitude", lambda s, v: v), _of_noise(0.05)),
-    InjectedEffect("clock_error", "response_sensor", "1", _everywhere,
-          lambda rig, operating, spot, value: (Edit(("clock_error",), value),), _constant(1e-3), signed=True,
-          largest=0.05),
+          _sensor(low_pass_hz=lambda at, value: 1.0 / (2.0 * math.pi * value)), _per_omega(0.003),
+          _named("low_pass_hz", lambda value: 1.0 / (2.0 * math.pi * value)), largest=0.003),
+    InjectedEffect("charge_high_pass", "response_sensor", "Hz", _some_channels(*_ANY), _sensor(high_pass_hz=_own),
+          lambda at: 0.003 * at.omega / (2.0 * math.pi), _named("f_h"), largest=20.0),
+    InjectedEffect("clipping", "response_sensor", "1", _some_channels(*_ANY),
+          _sensor(clip=lambda at, value: at.operating.peaks[at.spot.label] * math.exp(-value)), _constant(0.05),
+          largest=3.0, proportional=False),
+    InjectedEffect("quantisation", "response_sensor", "channel", _some_channels(*_ANY),
+          _sensor(bits=lambda at, value: _COARSE_BITS, range=lambda at, value: value * 2.0 ** (_COARSE_BITS - 1)),
+          _of_noise(5.0), _named("lsb"), proportional=False),
+    InjectedEffect("mains_hum", "response_sensor", "channel", _some_channels(*_ANY), _sensor(hum_amplitude=_own),
+          _of_noise(0.05), _named("amplitude")),
+    InjectedEffect("clock_error", "response_sensor", "1", _everywhere, _set("clock_error"), _constant(1e-3),
+          _named("e"), signed=True, largest=0.05),
     InjectedEffect("phase_offset", "controller", "rad", _everywhere, _loop_key("phase_offset_rad"), _constant(5e-3),
-          signed=True, largest=0.5),
+          _named("phi0"), signed=True, largest=0.5),
     InjectedEffect("loop_latency", "controller", "s", _everywhere, _loop_key("loop_latency_s"), _per_omega(5e-3),
-          signed=True),
+          _named("tau"), signed=True),
 )  # fmt: skip
 
 OPEN: tuple[InjectedEffect, ...] = (
@@ -614,30 +612,29 @@ OPEN: tuple[InjectedEffect, ...] = (
     InjectedEffect("lugre_joint", "joint", "share", _joint, _lugre, _constant(0.1), largest=0.98,
           proportional=False, known=False),
     InjectedEffect("fractional_damper", "structure", "N s^0.5/m", _sites(),
-          lambda rig, operating, spot, value: _element(
-              rig, spot, "fractional_damper", coefficient_n_sa_m=value, order=0.5, low_hz=0.5,
-              high_hz=0.5 * rig.sample_rate_hz,
+          lambda at, value: _element(
+              at, "fractional_damper", coefficient_n_sa_m=value, order=0.5, low_hz=0.5,
+              high_hz=0.5 * at.rig.sample_rate_hz,
           ),
-          lambda rig, operating, spot: (
-              0.003 * operating.modal_stiffness(spot.point, spot.other) / math.sqrt(operating.omega)
-          ), known=False),
+          lambda at: 0.003 * at.stiffness / math.sqrt(at.omega), known=False),
     InjectedEffect("backlash_damper", "structure", "N/m", _sites((0.4,)), _backlash, _elastic(0.05, 1), known=False,
           proportional=False),
-    InjectedEffect("eddy_brake", "structure", "N s/m", _points, _eddy, _viscous(0.005, 1), known=False),
-    InjectedEffect("mode_coupling", "structure", "N/m²", _sites(), _coupling, _coupling_guess, known=False,
+    InjectedEffect("eddy_brake", "structure", "N s/m", _points,
+          lambda at, value: _element(
+              at, "eddy_brake", damping_ns_m=value, critical_velocity_m_s=0.3 * at.omega * at.size
+          ), _viscous(0.005, 1), known=False),
+    InjectedEffect("mode_coupling", "structure", "N/m²", _sites(), _coupling, _elastic(0.01, 2), known=False,
           proportional=False),
     InjectedEffect("cable_rattle", "structure", "kg", _sites((0.5,)), _rattle,
-          lambda rig, operating, spot: 0.01 * operating.modal_stiffness(spot.point, spot.other) / operating.omega**2,
-          known=False, proportional=False),
+          lambda at: 0.01 * at.stiffness / at.omega**2, known=False, proportional=False),
     InjectedEffect("loose_accelerometer", "response_sensor", "channel", _channels("acceleration"),
-          _sensor_key("dead_zone", lambda s, v: v), _of_channel(0.003), proportional=False, known=False),
-    InjectedEffect("dropped_samples", "response_sensor", "share", _some_channels(*_ANY),
-          _sensor_key("dropped_fraction", lambda s, v: v), _constant(0.03), largest=0.9,
-          proportional=False, known=False),
+          _sensor(dead_zone=_own), lambda at: 0.003 * at.operating.channels[at.spot.label], proportional=False,
+          known=False),
+    InjectedEffect("dropped_samples", "response_sensor", "share", _some_channels(*_ANY), _sensor(dropped_fraction=_own),
+          _constant(0.03), largest=0.9, proportional=False, known=False),
     InjectedEffect("ground_loop", "response_sensor", "channel/V", _some_channels(*_ANY),
-          _sensor_key("crosstalk_per_volt", lambda s, v: v),
-          lambda rig, operating, spot: 0.001 * operating.channels[spot.label] / operating.voltage,
-          signed=True, known=False),
+          _sensor(crosstalk_per_volt=_own),
+          lambda at: 0.001 * at.operating.channels[at.spot.label] / at.operating.voltage, signed=True, known=False),
 )  # fmt: skip
 
 INJECTED_EFFECTS: dict[str, InjectedEffect] = {truth.name: truth for truth in (*KNOWN, *OPEN)}
@@ -658,71 +655,3 @@ NEAR_TWINS: tuple[tuple[str, str], ...] = (
     ("response_gain", "transverse_sensitivity"),
 )
 """Pairs that are hard to distinguish."""
-
-
-def injected_effect_named(name: str) -> InjectedEffect:
-    """Injected effect of a name.
-
-    Raises:
-        KeyError: there is none.
-    """
-    return INJECTED_EFFECTS[name]
-
-
-# What is to be estimated -------------------------------------------------------------------------------------------
-
-Figures = Callable[[Operating, Spot, float], dict[str, float]]
-
-
-def _named(name: str, value_of: Callable[[float], float] = lambda value: value) -> Figures:
-    return lambda operating, spot, value: {name: value_of(value)}
-
-
-def _stop_figures(operating: Operating, spot: Spot, value: float) -> dict[str, float]:
-    return {"k": value, "gap": spot.shape * operating.size(spot.point, spot.other)}
-
-
-def _friction_figures(operating: Operating, spot: Spot, value: float) -> dict[str, float]:
-    turning = spot.option == "rotation"
-    size = operating.rotation[spot.point] if turning else operating.size(spot.point, spot.other)
-    return {"kt": value, "slip_force": value * spot.shape * size}
-
-
-_FIGURES: dict[str, Figures] = {
-    **dict.fromkeys(
-        ("cubic_stiffness", "quintic_stiffness", "quadratic_stiffness", "stinger_stiffness", "suspension_cubic"),
-        _named("k"),
-    ),
-    **dict.fromkeys(("added_mass", "sensor_mass", "force_cell_mass"), _named("m")),
-    **dict.fromkeys(("force_gain", "response_gain"), _named("g")),
-    **dict.fromkeys(("channel_skew", "shared_delay", "loop_latency"), _named("tau")),
-    **dict.fromkeys(("one_sided_stop", "two_sided_gap"), _stop_figures),
-    **dict.fromkeys(("clamp_friction", "second_friction_contact"), _friction_figures),
-    "air_drag": _named("c2"),
-    "structural_damping": _named("eta"),
-    **dict.fromkeys(("viscous_damping", "amplitude_damping"), _named("c")),
-    "power_law_damping": lambda operating, spot, value: {"p": _EXPONENT},
-    "clamp_compliance": _named("k", lambda value: 1.0 / value),
-    "preload_loss": _named("rate", lambda value: -value),
-    "temperature_drift": _named("rate"),
-    "amplifier_saturation": _named("V", lambda value: value**-0.5),
-    "source_impedance": _named("R"),
-    "force_factor_symmetric": _named("b2"),
-    "force_factor_asymmetric": _named("b1"),
-    "transverse_sensitivity": _named("s"),
-    "low_pass": _named("low_pass_hz", lambda value: 1.0 / (2.0 * math.pi * value)),
-    "charge_high_pass": _named("f_h"),
-    "quantisation": _named("lsb"),
-    "mains_hum": _named("amplitude"),
-    "clock_error": _named("e"),
-    "phase_offset": _named("phi0"),
-}
-
-
-def figures_of(truth: InjectedEffect, operating: Operating, spot: Spot, value: float) -> dict[str, float]:
-    """True values of the parameters that a diagnosis reports, by the names of the effects' equations.
-
-    Empty where a truth has none in the same terms: what nobody names, and what counts from the model's amplitude.
-    """
-    found = _FIGURES.get(truth.name)
-    return {} if found is None else found(operating, spot, value)

@@ -70,7 +70,7 @@ class StrengthTable:
 
     def missing(self, model: Rig) -> tuple[str, ...]:
         """Keys of what the table lacks: curves of truths at places of the rig, or what they have in common."""
-        keys = [spot_key(t, spot) for t in INJECTED_EFFECTS.values() for spot in t.spots(model, self.operating)]
+        keys = [spot_key(t, spot) for t in INJECTED_EFFECTS.values() for spot in t.spots(model)]
         return tuple(key for key in keys if "competing" not in self.curves.get(key, {}))
 
     def twins(self, effect: InjectedEffect, spot: Spot) -> tuple[str, ...]:
@@ -184,7 +184,7 @@ def make_table(
                 (rank, effect, spot)
                 for effect in INJECTED_EFFECTS.values()
                 if not names or effect.name in names
-                for rank, spot in enumerate(effect.spots(sensitivity.model, sensitivity.operating))
+                for rank, spot in enumerate(effect.spots(sensitivity.model))
             ),
             key=lambda item: item[0],
         )
@@ -231,7 +231,7 @@ def _add_competing(
     reached = [
         (spot_key(effect, spot), effect, spot)
         for effect in INJECTED_EFFECTS.values()
-        for spot in effect.spots(sensitivity.model, sensitivity.operating)
+        for spot in effect.spots(sensitivity.model)
         if "compared" in curves.get(spot_key(effect, spot), {})
     ]
     missing = [item for item in reached if item[0] not in signatures]

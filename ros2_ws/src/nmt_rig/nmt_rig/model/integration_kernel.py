@@ -3,6 +3,9 @@
 A piecewise linear element (Jenkins, stop, gap) has a branch: sticking 0, slipping ±1; open 0, closed ±1.
 Within a sub-step branches are frozen; a sub-step whose end contradicts its branch is refused and halved, down
 to step / 2^K. There it is accepted and the branch switched, so a corner is timed to step / 2^K.
+
+Ports of elements come first, those of couplings (forces of two arguments) behind them. Newton's method works on the
+forces and slopes of all of them.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from nmt_rig.model.couplings import BOUC_WEN, FORCE_FACTOR, LUGRE
 from nmt_rig.model.element_kernels import frozen, next_branch_here, piece_here
 from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.structure import Array
@@ -53,39 +57,88 @@ def solve_in_place(matrix: Array, right: Array, n: int) -> None:
 
 
 @njit(cache=True)
+def coupling_response(kind: int, p: Array, first: float, second: float) -> tuple[float, float, float]:
+    """f, ∂f/∂y₁ and ∂f/∂y₂ of one coupling.
+
+    Args:
+        kind: code of the coupling.
+        p: (COUPLING_PARAMETERS,) parameters.
+        first, second: y₁ and y₂.
+    """
+    if kind == FORCE_FACTOR:
+        share = first * (p[1] + p[2] * first)
+        return p[0] * share * second, p[0] * (p[1] + 2.0 * p[2] * first) * second, p[0] * share
+    if kind == BOUC_WEN:
+        v, z = first, second
+        reach = abs(z) / p[0]
+        side = 1.0 if v * z > 0.0 else -1.0
+        weight = p[2] * side + 1.0 - p[2]
+        power = reach ** p[1]
+        by_z = 0.0
+        if z != 0.0:
+            by_z = v * weight * p[1] * power / z
+        return v * power * weight, power * weight, by_z
+    if kind == LUGRE:
+        v, z = first, second
+        ratio = v / p[3]
+        bump = (p[2] - p[1]) * np.exp(-ratio * ratio)
+        level = p[1] + bump
+        side = 1.0 if v > 0.0 else -1.0
+        f = p[0] * abs(v) * z / level
+        by_v = p[0] * z / level * (side + abs(v) * bump * 2.0 * ratio / (p[3] * level))
+        return f, by_v, p[0] * abs(v) / level
+    return 0.0, 0.0, 0.0
+
+
+@njit(cache=True, forceinline=True)
 def port_forces(
     kinds: Integers,
     parameters: Array,
     element_port: Integers,
     branch: Integers,
     slider: Array,
+    coupling_kinds: Integers,
+    coupling_parameters: Array,
     kinematics: Array,
-    ports: int,
+    own: int,
     forces: Array,
-    stiffness: Array,
-    damping: Array,
+    tangents: Array,
 ) -> None:
-    """Port forces and slopes, and tangents, for the ports' displacement, velocity and acceleration.
+    """Forces, slopes and tangents of all ports for what elements and couplings see.
 
     Args:
         kinds, parameters, element_port, branch, slider: (elements,…) description and memory.
-        kinematics: (3 ports,) displacements, velocities, accelerations.
-        ports: number of ports.
+        coupling_kinds, coupling_parameters: (couplings,…).
+        kinematics: (3 own + 4 couplings,) displacements, velocities, accelerations of the elements' ports, then what
+            the couplings observe, then its rates.
+        own: number of ports of elements.
         forces: (2 ports,) overwritten: forces (N), slopes (N/s).
-        stiffness, damping: (ports,) overwritten: tangents.
+        tangents: (ports, 2) overwritten: with respect to displacement and velocity, or to y₁ and y₂.
     """
+    ports = tangents.shape[0]
     for q in range(ports):
         forces[q] = 0.0
-        stiffness[q] = 0.0
-        damping[q] = 0.0
+        tangents[q, 0] = 0.0
+        tangents[q, 1] = 0.0
     for e in range(kinds.size):
         q = element_port[e]
-        g, g_w, g_v = frozen(kinds[e], parameters, e, branch[e], kinematics[q], kinematics[ports + q], slider[e])
+        g, g_w, g_v = frozen(kinds[e], parameters, e, branch[e], kinematics[q], kinematics[own + q], slider[e])
         forces[q] += g
-        stiffness[q] += g_w
-        damping[q] += g_v
-    for q in range(ports):
-        forces[ports + q] = stiffness[q] * kinematics[ports + q] + damping[q] * kinematics[2 * ports + q]
+        tangents[q, 0] += g_w
+        tangents[q, 1] += g_v
+    for q in range(own):
+        forces[ports + q] = tangents[q, 0] * kinematics[own + q] + tangents[q, 1] * kinematics[2 * own + q]
+    for k in range(coupling_kinds.size):
+        first = 3 * own + 2 * k
+        rate = first + 2 * coupling_kinds.size
+        q = own + k
+        f, f_1, f_2 = coupling_response(
+            coupling_kinds[k], coupling_parameters[k], kinematics[first], kinematics[first + 1]
+        )
+        forces[q] = f
+        tangents[q, 0] = f_1
+        tangents[q, 1] = f_2
+        forces[ports + q] = f_1 * kinematics[rate] + f_2 * kinematics[rate + 1]
 
 
 @njit(cache=True, forceinline=True)
@@ -130,6 +183,8 @@ def integrate(
     kinds: Integers,
     parameters: Array,
     element_port: Integers,
+    coupling_kinds: Integers,
+    coupling_parameters: Array,
     affine: bool,
     levels: int,
     substeps: int,
@@ -151,10 +206,11 @@ def integrate(
     """Integrate one block; outputs are taken at the samples, before each step.
 
     Args:
+        affine: all elements are piecewise linear, and there are no couplings.
         inputs: (n + 1,) input at the samples and one beyond; straight between them.
         state: (Z,) working state, updated.
         forces: (2 ports,) port forces and slopes at the present time, updated.
-        kinematics: (3 ports,) of the ports at the present time, updated.
+        kinematics: (3 own + 4 couplings,) of the ports at the present time, see `port_forces`, updated.
         branch, slider, dissipated: (elements,) memory and energy lost in sliders (J), updated.
         counters: [sub-steps, corners], updated.
         outputs_state, outputs_force, outputs_input: C (outputs, Z), D_g (outputs, ports), D_u (outputs,).
@@ -169,19 +225,22 @@ def integrate(
     pairs = size // 2
     ports = port_feedthrough.shape[1]
     elements = kinds.size
+    couplings = coupling_kinds.size
+    own = ports - couplings
     trial = state.copy()
     force_trial = forces.copy()
     kin_free = kinematics.copy()
     kin_trial = kinematics.copy()
-    stiffness = kinematics[:ports].copy()
-    damping = stiffness.copy()
+    tangents = np.zeros((ports, 2))
     jacobian = outputs_state[:0, :0].copy()
     residual = forces.copy()
     if ports > 0:
         jacobian = compliance[0, : 2 * ports, : 2 * ports].copy()
     ticks = 1 << levels
     # Accelerations of the ports matter only to elements that depend on velocity.
-    rows = 2 * ports if affine else 3 * ports
+    rows = 2 * ports if affine else kinematics.size
+    # Sums are taken four terms at a time, of systems with couplings one at a time.
+    lanes = size - size % 4 if couplings == 0 else 0
     good = True
 
     for k in range(samples):
@@ -245,12 +304,12 @@ def integrate(
                     total1 = 0.0
                     total2 = 0.0
                     total3 = 0.0
-                    for i in range(0, size - 3, 4):
+                    for i in range(0, lanes, 4):
                         total0 += port_rows[r, i] * trial[i]
                         total1 += port_rows[r, i + 1] * trial[i + 1]
                         total2 += port_rows[r, i + 2] * trial[i + 2]
                         total3 += port_rows[r, i + 3] * trial[i + 3]
-                    for i in range(size - size % 4, size):
+                    for i in range(lanes, size):
                         total0 += port_rows[r, i] * trial[i]
                     kin_free[r] = (total0 + total1) + (total2 + total3)
 
@@ -294,20 +353,27 @@ def integrate(
                                 total += compliance[level, r, c] * force_trial[c]
                             kin_trial[r] = total
                         port_forces(
-                            kinds, parameters, element_port, branch, slider, kin_trial, ports,
-                            residual, stiffness, damping,
+                            kinds, parameters, element_port, branch, slider, coupling_kinds, coupling_parameters,
+                            kin_trial, own, residual, tangents,
                         )  # fmt: skip
                         for q in range(2 * ports):
                             residual[q] -= force_trial[q]
                         for q in range(ports):
+                            if q < own:
+                                first, second = q, own + q
+                                rate_first, rate_second = own + q, 2 * own + q
+                            else:
+                                first = 3 * own + 2 * (q - own)
+                                second = first + 1
+                                rate_first, rate_second = first + 2 * couplings, second + 2 * couplings
                             for c in range(2 * ports):
                                 jacobian[q, c] = -(
-                                    stiffness[q] * compliance[level, q, c]
-                                    + damping[q] * compliance[level, ports + q, c]
+                                    tangents[q, 0] * compliance[level, first, c]
+                                    + tangents[q, 1] * compliance[level, second, c]
                                 )
                                 jacobian[ports + q, c] = -(
-                                    stiffness[q] * compliance[level, ports + q, c]
-                                    + damping[q] * compliance[level, 2 * ports + q, c]
+                                    tangents[q, 0] * compliance[level, rate_first, c]
+                                    + tangents[q, 1] * compliance[level, rate_second, c]
                                 )
                             jacobian[q, q] += 1.0
                             jacobian[ports + q, ports + q] += 1.0
@@ -319,10 +385,10 @@ def integrate(
                             for q in range(ports):
                                 scale_g = abs(force_trial[q]) + abs(forces[q])
                                 scale_s = abs(force_trial[ports + q]) + abs(forces[ports + q])
-                                # The slope's tangents leave out second derivatives.
-                                if abs(residual[q]) > _NEWTON_TOLERANCE * scale_g + _SMALLEST:
+                                # The slope's tangents leave out second derivatives. NaN counts as not solved.
+                                if not abs(residual[q]) <= _NEWTON_TOLERANCE * scale_g + _SMALLEST:
                                     solved = False
-                                if abs(residual[ports + q]) > _SLOPE_TOLERANCE * scale_s + _SMALLEST:
+                                if not abs(residual[ports + q]) <= _SLOPE_TOLERANCE * scale_s + _SMALLEST:
                                     solved = False
                         if solved:
                             break
@@ -337,7 +403,7 @@ def integrate(
                     q = element_port[e]
                     if (
                         next_branch_here(
-                            kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[ports + q], slider[e]
+                            kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[own + q], slider[e]
                         )
                         != branch[e]
                     ):
@@ -349,7 +415,7 @@ def integrate(
                     good = False
 
                 # Accept the sub-step.
-                if ports == 1:
+                if ports == 1 and couplings == 0:
                     g1 = force_trial[0]
                     s1 = force_trial[1]
                     for i in range(size):
@@ -362,13 +428,13 @@ def integrate(
                     for i in range(size):
                         state[i] = trial[i]
                 accept(
-                    kinds, parameters, element_port, branch, slider, dissipated, kinematics, kin_trial, ports, corner
+                    kinds, parameters, element_port, branch, slider, dissipated, kinematics, kin_trial, own, corner
                 )  # fmt: skip
                 if corner:
                     counters[1] += 1
                     port_forces(
-                        kinds, parameters, element_port, branch, slider, kin_trial, ports,
-                        force_trial, stiffness, damping,
+                        kinds, parameters, element_port, branch, slider, coupling_kinds, coupling_parameters,
+                        kin_trial, own, force_trial, tangents,
                     )  # fmt: skip
                 for q in range(2 * ports):
                     forces[q] = force_trial[q]
@@ -385,7 +451,7 @@ def integrate(
     for o in range(outputs.shape[0]):
         for k in range(samples):
             outputs[o, k] = outputs_input[o] * inputs[k]
-        for i in range(0, size - 3, 4):
+        for i in range(0, lanes, 4):
             c0 = outputs_state[o, i]
             c1 = outputs_state[o, i + 1]
             c2 = outputs_state[o, i + 2]
@@ -394,7 +460,7 @@ def integrate(
                 outputs[o, k] += (c0 * history[i, k] + c1 * history[i + 1, k]) + (
                     c2 * history[i + 2, k] + c3 * history[i + 3, k]
                 )
-        for i in range(size - size % 4, size):
+        for i in range(lanes, size):
             for k in range(samples):
                 outputs[o, k] += outputs_state[o, i] * history[i, k]
         for q in range(ports):

@@ -9,7 +9,6 @@ import numpy as np
 
 from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
 from nmt_rig.model.contact_kernel import integrate_contacts
-from nmt_rig.model.coupled_kernel import coupled_forces, integrate_coupled
 from nmt_rig.model.couplings import COUPLING_PARAMETERS
 from nmt_rig.model.integration_kernel import integrate, port_forces
 from nmt_rig.model.local_elements.element import PARAMETER_COUNT, LocalElement
@@ -61,7 +60,7 @@ class TimeIntegrator:
         self._levels = int(corner_levels)
         self._outputs = list(outputs)
         self._dense = bool(dense or system.couplings)
-        self._affine = all(hasattr(element, "piece") for element in _local(system))
+        self._affine = not system.couplings and all(hasattr(element, "piece") for element in _local(system))
         self._take(system)
         elements, couplings = self._space.elements, self._space.couplings
         self._kinds = np.array([element.kind for element in elements], dtype=np.int64)
@@ -194,16 +193,10 @@ class TimeIntegrator:
             return
         # Twice: the accelerations in the slopes depend on the forces.
         for _ in range(2):
-            if self._space.couplings:
-                coupled_forces(
-                    self._kinds, self._parameters, self._space.element_port, branch, slider, self._coupling_kinds,
-                    self._coupling_parameters, kinematics, ports, forces, np.zeros((total, 2)),
-                )  # fmt: skip
-            else:
-                port_forces(
-                    self._kinds, self._parameters, self._space.element_port, branch, slider, kinematics, ports,
-                    forces, np.zeros(ports), np.zeros(ports),
-                )  # fmt: skip
+            port_forces(
+                self._kinds, self._parameters, self._space.element_port, branch, slider, self._coupling_kinds,
+                self._coupling_parameters, kinematics, ports, forces, np.zeros((total, 2)),
+            )  # fmt: skip
             kinematics[:] = p.port_rows @ self._state + p.port_feedthrough @ forces[:total]
 
     def _settle_own_forces(self) -> None:
@@ -256,16 +249,12 @@ class TimeIntegrator:
             )  # fmt: skip
             return self._moved(n, good, result)
         try:
-            good = integrate_coupled(
-                p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.compliance, self._kinds,
-                self._parameters, self._space.element_port, self._coupling_kinds, self._coupling_parameters,
-                self._levels, self.substeps, inputs, self._state, *self._memory, self._c, self._d_ports,
-                self._d_input, result,
-            ) if self._space.couplings else integrate(
+            good = integrate(
                 p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input,
                 p.port_feedthrough, p.compliance, self._kinds, self._parameters, self._space.element_port,
-                self._affine, self._levels, self.substeps, inputs, self._state, *self._memory, self._c,
-                self._d_ports, self._d_input, self._history, self._force_history, result,
+                self._coupling_kinds, self._coupling_parameters, self._affine, self._levels, self.substeps, inputs,
+                self._state, *self._memory, self._c, self._d_ports, self._d_input, self._history, self._force_history,
+                result,
             )  # fmt: skip
         except ZeroDivisionError:  # a force without bound has no slope
             good = False

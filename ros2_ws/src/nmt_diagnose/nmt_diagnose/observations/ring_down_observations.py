@@ -36,6 +36,9 @@ from nmt_diagnose.observations.row_table import Place, RowTable, empty
 
 _SWITCH_OFF = 1  # periods within which the drive goes to zero
 _WRONG_FREQUENCY = 1.6
+_SAME_LINE = 0.02  # relative distance of two frequencies that are one
+_FEW_NODES, _RINGS_TOO = 3, 0.2
+_CROSS = 2.0  # shift by the motion in another mode over that by as much own motion, of a cubic spring
 _FEW = 3  # times the periods that spectra need: up to there turning points are tried
 _WIDTHS = (1, 2, 4)
 _NARROWER_PAYS = 0.5  # share of the uncertainty from which a narrower band is taken
@@ -55,6 +58,7 @@ class _Decay:
     good: list[Node]
     ridge: Ridge
     hum: tuple[Hum, ...]
+    others: FloatArray  # motion in other modes over that in this one at each good node, squared
 
 
 def ring_down_observations(
@@ -97,7 +101,7 @@ def ring_down_observations(
     others = [c for c in usable if c is not own]
     table = RowTable()
     floors = settings.floors
-    amplitudes = _add_nodes(table, decay.good, stretch, settings)
+    amplitudes = _add_nodes(table, decay.good, stretch, settings, decay.others)
     for index, other in enumerate(others, start=1):
         samples = stretch.row(other.name)
         samples, _ = without_hum(samples - samples.mean(), stretch.sample_rate, decay.ridge, _SWITCH_OFF)
@@ -108,6 +112,7 @@ def ring_down_observations(
                 continue
             place = Place(level, stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
             size = math.log(abs(ratio) * node.amplitude)
+            std = math.hypot(std, 2.0 * _shift(node, _rest(decay.good), decay.others[level]))
             table.add(Part.LOG_MAGNITUDE, size, std, floors.decay_shape, place, index, 1)
             table.add(Part.PHASE, cmath.phase(ratio), std, floors.decay_shape, place, index, 1)
     notes += _notes(name, decay)
@@ -122,17 +127,34 @@ def ring_down_observations(
     return table.observations(test, notes)
 
 
-def _add_nodes(table: RowTable, good: list[Node], stretch: SampleStretch, settings: ObservationSettings) -> list[float]:
+def _add_nodes(
+    table: RowTable, good: list[Node], stretch: SampleStretch, settings: ObservationSettings, others: FloatArray
+) -> list[float]:
     """Rows of frequency and damping of every node; returns their amplitudes."""
-    floors = settings.floors
-    for level, (node, bend) in enumerate(zip(good, _bends(good), strict=True)):
+    floors, rest = settings.floors, _rest(good)
+    for level, (node, bend, other) in enumerate(zip(good, _bends(good), others, strict=True)):
         place = Place(level, stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
-        std = math.hypot(node.omega_std / node.omega, bend * node.log_std)
+        shift = _shift(node, rest, other)
+        std = math.hypot(node.omega_std / node.omega, bend * node.log_std, shift)
         table.add(Part.LOG_FREQUENCY, math.log(node.omega), std, floors.decay_log_frequency, place, 0, 1)
-        std = node.rate_std / node.omega
+        # The shape follows that shift, and so the amplitude, as the other mode decays.
+        more = math.hypot(_CROSS * other * (node.damping - rest.damping), 4.0 * node.damping * shift)
+        std = math.hypot(node.rate_std / node.omega, more)
         if std < max(_WORST_DAMPING * abs(node.damping), 1e-5):
             table.add(Part.DAMPING, node.damping, std, floors.decay_damping * abs(node.damping), place, 0, 1)
     return [node.amplitude for node in good]
+
+
+def _rest(good: list[Node]) -> Node:
+    return min(good, key=lambda node: node.amplitude)
+
+
+def _shift(node: Node, rest: Node, other: float) -> float:
+    """Uncertainty of ln ω at a node where other modes ring too, with ``other`` times its motion squared.
+
+    What bends the backbone sees their motion as well, but how much of it is not known.
+    """
+    return abs(_CROSS * other * math.log(node.omega / rest.omega))
 
 
 def _short_decay(
@@ -153,7 +175,7 @@ def _short_decay(
     except BenchError as error:
         return empty((f"{name}: the ring-down is left out: {reason}; {error}.",))
     table = RowTable()
-    amplitudes = _add_nodes(table, good, stretch, settings)
+    amplitudes = _add_nodes(table, good, stretch, settings, np.zeros(len(good)))
     note = f"{name}: the decay lasts a few periods only: frequency and damping are those between its turning points."
     test = RingDownTest(name, view.rig.drive_point, own, np.array(amplitudes), good[-1].omega / (2.0 * math.pi))
     return table.observations(test, [note])
@@ -189,13 +211,30 @@ def _decay(
         if not good:
             reason = reason or "the decay does not stand out of the noise, or something else rings on"
             continue
-        decay = _Decay(slow, found, good, ridge, hum)
+        decay = _Decay(slow, found, good, ridge, hum, _in_others(good, ridge, found_ridges, hum))
         # A narrower band lets less of other modes through, but makes less of a fast decay.
         if best is None or _pays(decay, best, settings.floors.decay_log_frequency):
             best = decay
     if best is None:
         raise BenchError(reason)
     return best
+
+
+def _in_others(good: list[Node], own: Ridge, found: list[Ridge], hum: tuple[Hum, ...]) -> FloatArray:
+    """Square of the motion in other modes over that in the own one at each node, shape (nodes,).
+
+    Harmonics are no other mode, nor is the mains. Of slower modes velocities are compared, not displacements: a body
+    that swings on its suspension does not strain.
+    """
+    total = np.zeros(own.time_s.size)
+    for ridge in found:
+        ratio = ridge.late_hz / own.late_hz
+        foreign = any(abs(ridge.late_hz / line.frequency_hz - 1.0) < _SAME_LINE for line in hum)
+        if ridge is own or foreign or abs(ratio - max(1.0, round(ratio))) < _SAME_LINE * ratio:
+            continue
+        energy = np.interp(own.time_s, ridge.time_s, np.where(ridge.clear, ridge.energy, 0.0))
+        total += energy / np.maximum(own.energy, 1e-300) / max(1.0, ratio) ** 2
+    return np.asarray(np.interp([node.time_s for node in good], own.time_s, total))
 
 
 def _bends(good: list[Node]) -> FloatArray:
@@ -266,6 +305,17 @@ def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView, seconds: f
 def _notes(name: str, decay: _Decay) -> list[str]:
     """What of a decay is not used, and why."""
     result = []
+    if len(decay.good) < _FEW_NODES:
+        result.append(
+            f"{name}: frequency and damping could be read at {len(decay.good)} of the decay's amplitudes only, which "
+            "say little of what changes with the amplitude: hit harder, or record nearer to where the mode moves."
+        )
+    most = math.sqrt(float(decay.others.max()))
+    if most > _RINGS_TOO:
+        result.append(
+            f"{name}: other modes ring too, with {100.0 * most:.0f} % of the mode's motion at its "
+            "largest amplitude; what they change is part of the stated uncertainties."
+        )
     left = [node for node in decay.nodes if node not in decay.good]
     if left:
         worst = max((node.omega_std / abs(node.omega) for node in left), default=math.inf)

@@ -24,6 +24,7 @@ from nmt_diagnose.twin.periodic_kernel import (
     set_jacobian,
     set_residual,
 )
+from nmt_rig.model.aft import LocalTables
 
 
 @njit(cache=True)
@@ -149,29 +150,93 @@ def stepped_decays(z: FloatArray, amplitudes: FloatArray, channel: int, rig: Rig
 
 
 @njit(cache=True)
-def observed_ratios(
-    z: FloatArray, amplitudes: FloatArray, derivatives: float, channel: int, rig: RigTables
-) -> FloatArray:
-    """Damping ratios (levels,) with the change of frequency over amplitude, for the amplitudes of the channel itself.
+def _drive(true: complex, output: int, t: ComplexArray, g: FloatArray, offset: int) -> complex:
+    """The fictitious drive that holds an output; it vanishes, but not its response at a pole of the linear system."""
+    h = true
+    for j in range(t.shape[1] - 1):
+        h += t[output, j] * phasor(g, j, offset, 1)
+    return complex(h / t[output, t.shape[1] - 1])
+
+
+@njit(cache=True)
+def _pole_amounts(own: FloatArray, true: complex, output: int, rig: RigTables) -> ComplexArray:
+    """Fundamental of each pole of the linear model, (k,)."""
+    model, _, factor, tables = rig
+    poles, inputs = model[0], model[4]
+    offset, size = _fundamental(tables), tables[1][-1] + 2
+    r = inputs.shape[1] - 1
+    omega = own[-2]
+    s = omega * (1j - own[-1])
+    g = local_amounts(own[: r * size].copy().reshape(r, size), omega, factor, tables)
+    t, _ = transfer_at(s, model, r + 1)
+    h = _drive(true, output, t, g, offset)
+    result = np.empty(poles.size, dtype=np.complex128)
+    for k in range(poles.size):
+        total = inputs[k, r] * h
+        for j in range(r):
+            total -= inputs[k, j] * phasor(g, j, offset, 1)
+        result[k] = total / (s - poles[k])
+    return result
+
+
+@njit(cache=True)
+def _fundamental(tables: LocalTables) -> int:
+    """Where the fundamental is among the coefficients of one coordinate."""
+    orders, offsets = tables[0], tables[1]
+    for n in range(orders.size):
+        if orders[n] == 1:
+            return int(offsets[n])
+    return int(offsets[0])
+
+
+@njit(cache=True)
+def observed_ratios(z: FloatArray, amplitudes: FloatArray, channel: int, rig: RigTables) -> FloatArray:
+    """Damping ratios (levels,) as the amplitude of the channel itself decays.
+
+    Solutions take all amplitudes to decay alike. But the shape and the frequency of a nonlinear mode change with the
+    amplitude A as it decays: each pole of the linear model has y' = λ y + b f with an amplitude y(A) of its own, so
+    that (s − λ) y = b f + α (dy/d ln A − y) for A' = −α A; outputs that are time derivatives change alike. That moves
+    all outputs by α D, and κ with them. With one degree of freedom it is 2 ω A' + ω' A = −2 α₀ ω A, the slow form of
+    its equation of motion.
 
     Args:
         z: unknowns (levels, nz).
         amplitudes: (levels,) of the channel.
-        derivatives: order of the time derivative from a displacement to what the channel measures.
     """
     result = np.empty(z.shape[0])
-    size = rig[3][1][-1] + 2
-    output = rig[0][4].shape[1] - 1 + channel
-    step = 1e-5
+    model, tables = rig[0], rig[3]
+    poles, displacement, velocity, acceleration = model[0], model[1], model[2], model[3]
+    offset, size = _fundamental(tables), tables[1][-1] + 2
+    r = model[4].shape[1] - 1
+    output = r + channel
+    step = 1e-3
     for level in range(z.shape[0]):
         own = z[level]
+        omega = own[-2]
+        s = omega * (1j - own[-1])
         true, weight = closure(own, amplitudes[level], channel, rig)
         residual, jacobian = evaluate_decay(own, true, weight, output, rig)
-        moved, _ = evaluate_decay(own, true * (1.0 + step), weight, output, rig)
-        slope = -newton_step(jacobian, (moved - residual) / step, own, size)[-2] / own[-2]
-        # From the channel's amplitude to that of the displacement.
-        slope = slope / (1.0 - derivatives * slope)
-        result[level] = own[-1] * (1.0 + derivatives * slope) / (1.0 + 0.5 * slope)
+        moved, _ = evaluate_decay(own, true * (1.0 + 1e-5), weight, output, rig)
+        along = newton_step(jacobian, (residual - moved) / 1e-5, own, size)
+        amounts = _pole_amounts(own, true, output, rig)
+        later = _pole_amounts(own + step * along, true * (1.0 + step), output, rig)
+        t, _ = transfer_at(s, model, r + 1)
+        shift = np.zeros(r + 1, dtype=np.complex128)
+        for o in range(r + 1):
+            row = o if o < r else output
+            for k in range(poles.size):
+                out = displacement[row, k] + s * (velocity[row, k] + s * acceleration[row, k])
+                by_s = velocity[row, k] + 2.0 * s * acceleration[row, k]
+                change_of_shape = (later[k] - amounts[k]) / step - amounts[k]
+                shift[o] += (out / (s - poles[k]) - by_s) * change_of_shape
+                shift[o] -= 1j * acceleration[row, k] * along[-2] * amounts[k]
+        change = np.zeros(own.size)
+        held = -shift[r] / t[output, r]
+        change[r * size], change[r * size + 1] = held.real * weight, held.imag * weight
+        for o in range(r):
+            value = shift[o] + t[o, r] * held
+            change[o * size + offset], change[o * size + offset + 1] = -value.real, value.imag
+        result[level] = own[-1] / (1.0 + omega * newton_step(jacobian, change, own, size)[-1])
     return result
 
 
@@ -190,12 +255,7 @@ def decay_shapes(
         places: numbers of the channels.
     """
     model, channels, factor, tables = rig
-    orders, offsets = tables[0], tables[1]
-    size = offsets[-1] + 2
-    offset = offsets[0]
-    for n in range(orders.size):
-        if orders[n] == 1:
-            offset = offsets[n]
+    offset, size = _fundamental(tables), tables[1][-1] + 2
     r = model[4].shape[1] - 1
     result = np.empty((z.shape[0], places.size), dtype=np.complex128)
     for level in range(z.shape[0]):
@@ -204,10 +264,8 @@ def decay_shapes(
         s = omega * (1j - ratio)
         g = local_amounts(own[: r * size].copy().reshape(r, size), omega, factor, tables)
         t, _ = transfer_at(s, model, r + 1)
-        drive = amplitudes[level] / abs(sensor_gain(1j * omega, channels[channel])[0]) + 0j
-        for j in range(r):
-            drive += t[r + channel, j] * phasor(g, j, offset, 1)
-        drive /= t[r + channel, r]
+        true = amplitudes[level] / abs(sensor_gain(1j * omega, channels[channel])[0]) + 0j
+        drive = _drive(true, r + channel, t, g, offset)
         for k in range(places.size):
             motion = output_of(t, r + places[k], drive, g, offset, 1)
             result[level, k] = motion * sensor_gain(s, channels[places[k]])[0]

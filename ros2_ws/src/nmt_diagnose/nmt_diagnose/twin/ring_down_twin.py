@@ -1,8 +1,4 @@
-"""Free decays as the model predicts them: frequency and damping ratio over amplitude.
-
-Where the frequency depends on the amplitude A, a decay is slower or faster than its power balance at frozen frequency
-says: with q̈ of a slowly varying oscillation, 2 ω Ȧ + ω̇ A = −2 α₀ ω A, so that −Ȧ/A = α₀ / (1 + ½ d ln ω / d ln A).
-"""
+"""Free decays as the model predicts them: frequency and damping ratio over amplitude."""
 
 from __future__ import annotations
 
@@ -12,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import RingDownTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.decay_kernel import (
@@ -84,8 +79,7 @@ class RingDownTwin:
             amplitudes = np.array([state[2] for state in states if state is not None])
             # Not at the pole of the linear system itself, where transfer functions are infinite.
             z[:, -2] *= 1.0 + _OFF_POLE
-            derivatives = {Quantity.VELOCITY: 1.0, Quantity.ACCELERATION: 2.0}.get(self.test.channel.quantity, 0.0)
-            ratio[solved] = observed_ratios(z, amplitudes, derivatives, self._own, parts.kernel_tables)
+            ratio[solved] = observed_ratios(z, amplitudes, self._own, parts.kernel_tables)
             if shape.any():
                 places = np.array(self._places, dtype=np.int64)
                 shapes[solved] = decay_shapes(z, amplitudes, self._own, places, parts.kernel_tables)

@@ -22,10 +22,10 @@ GAP = Gap(20.0, 1.1, 1.0, 30.0, 0.99, 0.98, 1.0, {"run: frequency": {"after": 1.
 MASS = Recalibrated("structure.masses_kg.0", 0.5, 0.52, 1e-3, "kg", 0.01, 4.0)
 
 
-def best(theta: float = 0.0, converged: bool = True, candidates: tuple[Candidate, ...] = (CUBIC,)) -> Found:
+def best(theta: float = 0.0, promised: float = 0.5, candidates: tuple[Candidate, ...] = (CUBIC,)) -> Found:
     """A fit of a model with one parameter of its own and an effect."""
     own = SimpleNamespace(values=lambda values, _: {p: float(values[1]) for p in ("k", "c2")})
-    fit = SimpleNamespace(theta=np.array([theta, 1.0]), converged=converged, parametrisation=own)
+    fit = SimpleNamespace(theta=np.array([theta, 1.0]), promised=promised, parametrisation=own)
     return Found(candidates, fit)  # type: ignore[arg-type]
 
 
@@ -41,9 +41,9 @@ def test_a_parameter_that_nobody_would_believe(sign: float) -> None:
 
 
 def test_a_fit_that_stopped_early() -> None:
-    (sentence,) = warned(Verdict.EFFECT, best(converged=False), (MASS,), GAP)
-    assert sentence.startswith("The fit with cubic_stiffness@2 stopped before its optimum")
-    alone = best(converged=False, candidates=())
+    (sentence,) = warned(Verdict.EFFECT, best(promised=4.0), (MASS,), GAP)
+    assert sentence.startswith("The fit with cubic_stiffness@2 stopped before its optimum, some 2.0 standard")
+    alone = best(promised=4.0, candidates=())
     assert warned(Verdict.CALIBRATION, alone, (MASS,), GAP)[0].startswith("The re-fit of the model stopped")
 
 

@@ -30,9 +30,13 @@ def warned(
         alike: explanations that the tests cannot distinguish, the accepted one among them.
     """
     found = []
-    if not best.fit.converged:
+    away = math.sqrt(max(0.0, best.fit.promised))
+    if away >= 1.0:
         what = f"The fit with {best.explanation.label}" if best.candidates else "The re-fit of the model"
-        found.append(f"{what} stopped before its optimum: its values and their uncertainties are not to be relied on.")
+        found.append(
+            f"{what} stopped before its optimum, some {away:.1f} standard uncertainties away: its values are not to be "
+            "relied on."
+        )
     theta = best.fit.theta[: len(calibration)]
     far = [(item, float(value)) for item, value in zip(calibration, theta, strict=True) if abs(value) > CREDIBLE]
     for item, value in sorted(far, key=lambda pair: -abs(pair[1])) if verdict is not Verdict.NONE else ():

@@ -29,7 +29,7 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import starts_of
-from nmt_diagnose.inference.diagnose import Findings, about, find, model_alone, observed, own_parameters
+from nmt_diagnose.inference.diagnose import about, find, model_alone, observed, own_parameters
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.fitting import FitError, approach, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
@@ -206,9 +206,9 @@ def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, t
     """
     findings = find(rig, observations, settings)
     null = findings.null
-    leader = findings.comparison.classes[0].head if findings.comparison.classes else None
-    raised = leader is not None and findings.comparison.none < leader_probability(findings)
-    winner = leader if leader is not None and raised else null
+    leading = findings.comparison.classes[0] if findings.comparison.classes else None
+    raised = leading is not None and findings.comparison.none < leading.probability
+    winner = leading.head if leading is not None and raised else null
     true = _fitted(findings.search, findings.null, rig, truth)
     fits = [null, winner, true or null]
     costs = null.fit.cost, winner.fit.cost, true.fit.cost if true is not None else math.nan
@@ -221,7 +221,7 @@ def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, t
     sigma = math.sqrt(max(0.0, costs[0] - costs[2])) if true is not None else math.nan
     drawn = min((float(effect["sigma"]) for effect in truth["effects"]), default=0.0)
     named = frozenset(str(effect["name"]) for effect in truth["effects"])
-    members = findings.comparison.classes[0].members if raised else (null,)
+    members = leading.members if leading is not None and raised else (null,)
     found = any(frozenset(member.effects) == named for member in members)
     return Account(
         str(truth["case"]),
@@ -234,11 +234,6 @@ def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, t
         {name: (own[0], own[1], own[2]) for name, own in scales.items()},
         follows(found, bool(truth["effects"]), costs, evidence, sigma, drawn, [own[2] for own in scales.values()]),
     )
-
-
-def leader_probability(findings: Findings) -> float:
-    """Probability of the most probable class."""
-    return findings.comparison.classes[0].probability
 
 
 def follows(

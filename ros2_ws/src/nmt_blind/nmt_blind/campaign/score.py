@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,10 +62,6 @@ class MethodScore:
     roc_area: float
     unknown_area: float
 
-    def to_mapping(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {name: _plain(getattr(self, name)) for name in self.__dataclass_fields__}
-
 
 @dataclass(frozen=True)
 class BandScore:
@@ -87,10 +83,6 @@ class BandScore:
     covered: Proportion
     unknown: Proportion
     pairs: Proportion
-
-    def to_mapping(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {name: _plain(getattr(self, name)) for name in self.__dataclass_fields__}
 
 
 @dataclass(frozen=True)
@@ -165,10 +157,7 @@ class Scores:
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; of the cases only what they came to."""
-        result: dict[str, Any] = {"format": SCORE_FORMAT}
-        for name in self.__dataclass_fields__:
-            if name != "cases":
-                result[name] = _plain(getattr(self, name))
+        result = {"format": SCORE_FORMAT, **_plain(replace(self, cases=()))}
         result["cases"] = [
             {
                 "case": case.name,
@@ -504,10 +493,10 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, Proportion | MethodScore | BandScore):
+    if isinstance(value, Proportion):
         return value.to_mapping()
-    if isinstance(value, ReliabilityDiagram):
-        return {name: _plain(getattr(value, name)) for name in value.__dataclass_fields__}
+    if is_dataclass(value):
+        return {entry.name: _plain(getattr(value, entry.name)) for entry in fields(value)}
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -9,6 +9,7 @@ the model for other values, and are the same for windows, random tests, tables, 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -31,6 +32,7 @@ from nmt_diagnose.inference.tuned import (
 )
 from nmt_diagnose.observations.conditions import (
     BackboneTable,
+    LockedLevel,
     PhaseResonanceTest,
     RandomTest,
     RecordTest,
@@ -39,13 +41,12 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.model_view import ORDER, ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.stepped_sine_twin import gain_error
 from nmt_rig.rig import Rig, SensorSection
 
-_MOTIONS = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
 _COVERED = (PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest)
 _IMAGE = "image"
@@ -108,7 +109,7 @@ def shared_delays(observations: Observations, rig: Rig) -> tuple[SharedDelay, ..
         if chain is None or not held:
             continue
         for channel in getattr(test, "channels", ()):
-            if channel.quantity in (*_MOTIONS, Quantity.FORCE):
+            if channel.quantity in (*ORDER, Quantity.FORCE):
                 found[channel.quantity] = chain.shared_delay_s
     kinds = {sensor.quantity for sensor in rig.sensors}
     return tuple(SharedDelay.of(own, std) for own, std in found.items() if own.name.lower() in kinds)
@@ -163,12 +164,7 @@ def _stood(observations: Observations, rig: Rig, prediction: Prediction) -> dict
         return {}
     forward = Forward(observations.tests, observations.rows)
     base = forward.predict(rig, prediction)
-    moved = tuple(
-        replace(t, levels=tuple(replace(level, phase_error=level.phase_error + PHASE_STEP) for level in t.levels))
-        if isinstance(t, PhaseResonanceTest)
-        else t
-        for t in observations.tests
-    )
+    moved = _with_levels(observations.tests, lambda level: replace(level, phase_error=level.phase_error + PHASE_STEP))
     slopes = forward.difference(Forward(moved, observations.rows).predict(rig, base).values, base.values) / PHASE_STEP
     rows, found = observations.rows, {}
     for number, test in enumerate(observations.tests):
@@ -176,6 +172,14 @@ def _stood(observations: Observations, rig: Rig, prediction: Prediction) -> dict
             mine = (rows.test == number) & (rows.level == position) & (rows.part != Part.PHASE_ERROR)
             found[f"phase of {test.name} {position}"] = np.where(mine, level.phase_error_std * slopes, 0.0)
     return found
+
+
+def _with_levels(tests: Sequence[Test], change: Callable[[LockedLevel], LockedLevel]) -> tuple[Test, ...]:
+    """Tests with every locked level changed."""
+    return tuple(
+        replace(t, levels=tuple(change(level) for level in t.levels)) if isinstance(t, PhaseResonanceTest) else t
+        for t in tests
+    )
 
 
 def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) -> FloatArray:
@@ -315,12 +319,7 @@ class _Builder:
     def _voltage(self) -> dict[str, FloatArray]:
         """Gain of the drive's voltage, recorded or commanded."""
         size = max(chain.voltage_gain for chain in self.tests.own)
-        moved = tuple(
-            replace(t, levels=tuple(replace(level, drive=level.drive * (1.0 + _GAIN_STEP)) for level in t.levels))
-            if isinstance(t, PhaseResonanceTest)
-            else t
-            for t in self.tests.tests
-        )
+        moved = _with_levels(self.tests.tests, lambda level: replace(level, drive=level.drive * (1.0 + _GAIN_STEP)))
         both = self.tests.moved(moved, self.base) / _GAIN_STEP
         recorded = np.zeros(len(self.rows))
         commanded = any(isinstance(test, PhaseResonanceTest) and test.commanded for test in self.tests.tests)
@@ -421,12 +420,7 @@ class _Builder:
         found = {}
         for order in (2, 3):
             for part, share in (("re", 1.0), ("im", 1j)):
-                moved = tuple(
-                    replace(t, levels=tuple(_distorted(level, order, share) for level in t.levels))
-                    if isinstance(t, PhaseResonanceTest)
-                    else t
-                    for t in self.tests.tests
-                )
+                moved = _with_levels(self.tests.tests, partial(_distorted, order=order, share=share))
                 found[f"harmonic {order} of the drive {part}"] = self.tests.moved(moved, self.base)
         return found
 
@@ -447,7 +441,7 @@ class _Builder:
         return found
 
 
-def _distorted(level: Any, order: int, share: complex) -> Any:
+def _distorted(level: LockedLevel, order: int, share: complex) -> LockedLevel:
     own = list(level.drive_harmonics) + [0j] * max(0, order - 1 - len(level.drive_harmonics))
     own[order - 2] += DRIVE_HARMONIC_STD * share
     return replace(level, drive_harmonics=tuple(own))

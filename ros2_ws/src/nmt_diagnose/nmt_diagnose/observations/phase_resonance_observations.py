@@ -18,7 +18,7 @@ from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, P
 from nmt_diagnose.observations.converter_step import converter_step
 from nmt_diagnose.observations.drive_hold import hold_factor, image_responses
 from nmt_diagnose.observations.floors import Floors
-from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.model_view import ORDER, ModelView
 from nmt_diagnose.observations.moderated_variance import moderated
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -695,7 +695,6 @@ def _frequency_per_phase(window: LockedWindow, view: ModelView, response: Measur
     if force is None or response is None or response.name not in window.rows:
         return 0.05
     omega = 2.0 * math.pi * window.frequency_hz
-    order = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}[response.quantity]
-    displacement = abs(window.amplitudes[window.row(response.name), 1]) / omega**order
+    displacement = abs(window.amplitudes[window.row(response.name), 1]) / omega ** ORDER[response.quantity]
     amplitude = abs(window.amplitudes[window.row(force.name), 1])
     return float(np.clip(amplitude * view.shape**2 / (2.0 * omega**2 * displacement), 1e-4, 0.5))

@@ -22,6 +22,7 @@ from nmt_diagnose.observations.conditions import (
     SteppedSineTest,
     Test,
 )
+from nmt_diagnose.observations.model_view import ORDER
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.twin.lateness import lateness
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
@@ -255,7 +256,7 @@ def _stepped(
 ) -> list[Found]:
     """Lines of largest and smallest motion, in the shape that the system linearised at rest has at its resonance."""
     lead = test.channels[0]
-    order = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}[lead.quantity]
+    order = ORDER[lead.quantity]
     motion = test.amplitudes / (2.0 * np.pi * test.lines_hz) ** order
     if not np.any(np.isfinite(motion)):
         return []
@@ -352,7 +353,7 @@ def _measured_sizes(observations: Observations, test: Test, number: int, drive: 
         return {}
     sizes: dict[str, float] = {}
     for index, channel in enumerate(test.channels):
-        if channel.quantity not in (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION):
+        if channel.quantity not in ORDER:
             continue
         mine = (rows.test == number) & (rows.channel == index)
         mine &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)

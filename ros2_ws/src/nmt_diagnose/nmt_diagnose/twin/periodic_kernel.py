@@ -274,9 +274,8 @@ def evaluate(
             column[local] = transfer_slope[o, r] * u * 1j * order
             column[local + 1] = transfer[o, r] * u
             for j in range(r):
-                column[local] -= 1j * order * transfer_slope[o, j] * phasor(g, j, offset, order) + transfer[
-                    o, j
-                ] * phasor(g_omega, j, offset, order)
+                amount, faster = phasor(g, j, offset, order), phasor(g_omega, j, offset, order)
+                column[local] -= 1j * order * transfer_slope[o, j] * amount + transfer[o, j] * faster
             add_force_slopes(column, transfer, o, dg, offset, order)
             if o < r:
                 set_residual(residual, z, o * size + offset, value, order)
@@ -386,9 +385,10 @@ def residuals(
     residual = np.zeros((levels, local + 2))
     measured = np.zeros((levels, c, count), dtype=np.complex128)
     for level in range(levels):
-        omega = z[level, local]
-        amplitude = np.exp(z[level, local + 1])
-        displacement = z[level, :local].copy().reshape(r, size)
+        own, left = z[level], residual[level]
+        omega = own[local]
+        amplitude = np.exp(own[local + 1])
+        displacement = own[:local].copy().reshape(r, size)
         g = local_amounts(displacement, omega, factor, tables)
         for n in range(count):
             order = orders[n]
@@ -398,16 +398,14 @@ def residuals(
             if u == 0.0 and not np.any(g[:, offset]) and (order == 0 or not np.any(g[:, offset + 1])):
                 # Nothing acts at this order, and nothing responds.
                 for o in range(r):
-                    set_residual(residual[level], z[level], o * size + offset, 0j, order)
+                    set_residual(left, own, o * size + offset, 0j, order)
                 continue
             transfer = response_at(s, model, r + c, r if u == 0.0 else r + 1)
             for o in range(r + c):
                 value = output_of(transfer, o, u, g, offset, order)
                 if o < r:
-                    set_residual(residual[level], z[level], o * size + offset, value, order)
+                    set_residual(left, own, o * size + offset, value, order)
                 else:
                     measured[level, o - r, n] = sensor_gain(s, channels[o - r])[0] * value
-        residual[level, local], residual[level, local + 1] = close(
-            measured[level], z[level, local + 1], control, given_log[level], phase[level]
-        )
+        left[local], left[local + 1] = close(measured[level], own[local + 1], control, given_log[level], phase[level])
     return residual, measured

@@ -146,6 +146,9 @@ def shared_unknowns(
         Their positions in those of the other rig and of the solved one, and positions of the rest of the other's; None
         where a coordinate with a force is missing.
     """
+    if tuple(before) == tuple(keys):
+        every = np.arange(len(keys) * size + 2)
+        return every, every, every[:0]
     if any(key not in keys and key != IDLE for key in before):
         return None
     pairs = [(list(keys).index(key), j) for j, key in enumerate(before) if key in keys]

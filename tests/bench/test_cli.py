@@ -349,11 +349,7 @@ def test_a_missing_module_of_our_own_is_a_fault(
 def test_demo_is_the_run_of_the_beam(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     module = tmp_path / "pretended_run.py"
     module.write_text(
-        "def add_parser(subparsers):\n"
-        "    parser = subparsers.add_parser('run')\n"
-        "    parser.add_argument('rig')\n"
-        "    parser.add_argument('--out')\n"
-        "    parser.add_argument('--force', action='store_true')\n"
+        "USAGE = 'A test.\\n\\nrig\\n--out DIR :text\\n--force\\n'\n"
         "seen = []\n"
         "def run(arguments):\n"
         "    seen.append(arguments)\n"

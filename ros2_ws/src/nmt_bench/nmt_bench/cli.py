@@ -1,7 +1,8 @@
 """The command line: picks the command, loads only its module, and turns every end into an exit code.
 
-Each command is a module with ``add_parser(subparsers)`` and ``run(arguments) -> int``. Nothing but the chosen
-command's module is imported, so help and refusals come at once; what few ends need is imported where they need it.
+Each command is a module with ``USAGE``, its description and options, and ``run(arguments) -> int``. Nothing but the
+chosen command's module is imported, so help and refusals come at once; what few ends need is imported where they need
+it.
 
 Exit codes: 0 done, 1 unexpected error (its traceback is in a log file), 2 a mistake that the user can fix,
 130 interrupted.
@@ -28,7 +29,6 @@ from nmt_bench.command_parser import (
     EXIT_USER,
     CommandParser,
     CommandRefusal,
-    leaf_parsers,
 )
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
@@ -134,11 +134,11 @@ _REASONS = {
 """What the user can fix where the operating system refuses."""
 
 
-def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+def build_parser(*wanted: str | None) -> argparse.ArgumentParser:
     """The parser of the whole command line.
 
     Args:
-        command: the command whose options are wanted; the others get their line of help only.
+        *wanted: the commands whose options are wanted; the others get their line of help only.
 
     Raises:
         BenchError: the command's module is not installed.
@@ -152,29 +152,11 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"nmt {_version()}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     for name, (module, summary) in COMMANDS.items():
-        if name == command:
-            from nmt_bench.commands.json_output import add_json_option
+        own = subparsers.add_parser(name, help=summary, add_help=name in wanted)
+        if name in wanted:
+            from nmt_bench.commands.bench_options import add_options
 
-            _load(name, module).add_parser(subparsers)
-            for leaf in leaf_parsers(subparsers.choices[name]):
-                add_json_option(leaf)
-        else:
-            subparsers.add_parser(name, help=summary, add_help=False)
-    return parser
-
-
-def build_whole_parser() -> argparse.ArgumentParser:
-    """The parser with the options of every command.
-
-    Raises:
-        BenchError: a command's module is not installed.
-    """
-    parser = build_parser()
-    commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-    for name in COMMANDS:
-        whole = build_parser(name)
-        group = next(action for action in whole._actions if isinstance(action, argparse._SubParsersAction))
-        commands.choices[name] = group.choices[name]
+            add_options(own, _load(name, module))
     return parser
 
 

@@ -14,37 +14,30 @@ import argparse
 import contextlib
 import gc
 import os
-import select
 import shutil
-import signal
-import stat
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_plant.hardware_rig import device_of
 from nmt_plant.specimen import Specimen, write_port
-from nmt_plant.specimen_faults import parse_fault
-from nmt_plant.specimen_options import add_options
-from nmt_rig.device_sections import SPECIMEN, PortAudioSection
-from nmt_rig.rig import load_rig
+from nmt_plant.specimen_process import answer, hurry, main_of, specimen_of
+from nmt_rig.device_sections import SPECIMEN
 
 _PRIORITY = 20
 _START_TIME = 15.0
 SERVER_VARIABLE = "JACK_DEFAULT_SERVER"
 
 
-def real_time_allowed(priority: int = _PRIORITY) -> bool:
+def real_time_allowed() -> bool:
     """Whether this user may run processes at a real-time priority."""
     allowed = subprocess.run(
-        [sys.executable, "-c", f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({priority}))"],
+        [sys.executable, "-c", f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({_PRIORITY}))"],
         capture_output=True,
     )
     return allowed.returncode == 0
@@ -191,27 +184,15 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: rig, option or JACK are refused.
     """
-    changes = [*arguments.set, *([f"exciter.point={arguments.exciter}"] if arguments.exciter is not None else [])]
-    rig = load_rig(arguments.rig, changes)
-    device = rig.device if isinstance(rig.device, PortAudioSection) else device_of(rig, "portaudio")
+    rig, _, specimen, record = specimen_of(arguments, "portaudio", 1e-6 * arguments.clock_ppm)
     if rig.sample_rate_hz != round(rig.sample_rate_hz):
         raise BenchError(f"JACK needs a whole number of samples a second, got {rig.sample_rate_hz:g} Hz.")
-    specimen = Specimen(
-        rig,
-        device,
-        bits=arguments.bits,
-        noise=arguments.noise,
-        clock_error=1e-6 * arguments.clock_ppm,
-        delay=arguments.delay,
-        faults=[parse_fault(text) for text in arguments.fault],
-    )
     load_jack()
     server_name = os.environ.get(SERVER_VARIABLE, "default")
     server = None
     if not is_running(server_name):
         period = arguments.period or max(rig.block_samples // 2, 32)
         server = JackServer(server_name, int(rig.sample_rate_hz), period, arguments.log)
-    record = 0 if arguments.record is None else round(arguments.record_s * rig.sample_rate_hz)
     try:
         client = JackSpecimen(specimen, arguments.name, record)
         if client.sample_rate != rig.sample_rate_hz:
@@ -220,20 +201,15 @@ def run(arguments: argparse.Namespace) -> int:
                 f"The JACK server runs at {client.sample_rate} Hz and the rig at {rig.sample_rate_hz:g} Hz; write "
                 f"--set sample_rate_hz={client.sample_rate}, or end the server."
             )
-        with contextlib.suppress(OSError):
-            # A thread that holds the interpreter must not be held up itself while JACK's thread waits for it.
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
+        hurry()  # a thread that holds the interpreter must not be held up itself while JACK's thread waits for it
         client.start()
         priority = "" if server is None else (", real-time priority" if server.real_time else ", no real-time priority")
-        sys.stdout.write(
-            f"ready: {rig.name} behind JACK client {arguments.name}, {client.sample_rate} Hz, channels "
-            f"{', '.join(specimen.channels)}{priority}\n"
+        answer(
+            f"{rig.name} behind JACK client {arguments.name}, {client.sample_rate} Hz, channels "
+            f"{', '.join(specimen.channels)}{priority}",
+            client.gone.is_set,
+            lambda: bool(client.failure),
         )
-        sys.stdout.flush()
-        told = threading.Event()
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, lambda *_: told.set())
-        follow_input(told, client.gone.is_set, lambda: bool(client.failure))
         client.close()
         if arguments.record is not None:
             client.write_record(arguments.record)
@@ -246,36 +222,5 @@ def run(arguments: argparse.Namespace) -> int:
             server.close()
 
 
-def follow_input(
-    told: threading.Event, *ends: Callable[[], bool], meanwhile: Callable[[], None] = lambda: None
-) -> None:
-    """Wait for an event, for one of the ends, or for the end of the standard input where it is a pipe.
-
-    Args:
-        told: the event.
-        *ends: asked ten times a second.
-        meanwhile: done as often.
-    """
-    follow = False
-    with contextlib.suppress(OSError, ValueError):
-        follow = stat.S_ISFIFO(os.fstat(sys.stdin.fileno()).st_mode)
-    while not told.is_set() and not any(end() for end in ends):
-        if follow and select.select([sys.stdin], [], [], 0.0)[0] and not os.read(sys.stdin.fileno(), 100):
-            return
-        meanwhile()
-        told.wait(0.1)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run it; one sentence and exit code 2 for what the user can fix."""
-    parser = argparse.ArgumentParser(prog="nmt_plant.jack_specimen", description=__doc__)
-    add_options(parser)
-    try:
-        return run(parser.parse_args(arguments))
-    except BenchError as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main_of("jack_specimen", __doc__, run, None))

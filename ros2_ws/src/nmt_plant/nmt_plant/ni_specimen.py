@@ -13,12 +13,9 @@ stops and idles at zero volts where the client has asked for that, else it keeps
 from __future__ import annotations
 
 import argparse
-import contextlib
 import gc
 import math
-import os
 import re
-import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -32,13 +29,9 @@ import numpy as np
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
-from nmt_plant.hardware_rig import device_of
-from nmt_plant.jack_specimen import follow_input
 from nmt_plant.specimen import Specimen, write_port
-from nmt_plant.specimen_faults import parse_fault
-from nmt_plant.specimen_options import add_options
-from nmt_rig.device_sections import NiDaqmxSection, StopInputSection
-from nmt_rig.rig import load_rig
+from nmt_plant.specimen_process import answer, hurry, main_of, specimen_of
+from nmt_rig.device_sections import StopInputSection
 
 _MOST_AT_ONCE = 200  # samples
 _HELD = 10.0  # s of input samples that are kept unread
@@ -419,22 +412,9 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: rig, option or address are refused.
     """
-    changes = [*arguments.set, *([f"exciter.point={arguments.exciter}"] if arguments.exciter is not None else [])]
-    rig = load_rig(arguments.rig, changes)
-    device = rig.device if isinstance(rig.device, NiDaqmxSection) else device_of(rig, "nidaqmx")
-    specimen = Specimen(
-        rig,
-        device,
-        bits=arguments.bits,
-        noise=arguments.noise,
-        delay=arguments.delay,
-        faults=[parse_fault(text) for text in arguments.fault],
-    )
+    rig, device, specimen, record = specimen_of(arguments, "nidaqmx")
     specimen.respond(np.zeros(32))  # compiled, or loaded, before the first sample is due
-    # Before there are threads, which inherit it.
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
-    record = 0 if arguments.record is None else round(arguments.record_s * rig.sample_rate_hz)
+    hurry()  # before there are threads, which inherit it
     stop = getattr(device, "stop_input", None)
     line = None if stop is None else _stop_line(stop, arguments.stop_file)
     hardware = Hardware(specimen, float(rig.sample_rate_hz), 1e-6 * arguments.clock_ppm, record, line)
@@ -442,16 +422,12 @@ def run(arguments: argparse.Namespace) -> int:
     server, port = make_server(hardware, ", ".join(names), arguments.address)
     gc.collect()
     gc.freeze()
-    told = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: told.set())
     host = arguments.address.rpartition(":")[0]
-    sys.stdout.write(
-        f"ready: {rig.name} behind {', '.join(names)} at {host}:{port}, {rig.sample_rate_hz:g} Hz, channels "
-        f"{', '.join(specimen.channels)}\n"
+    answer(
+        f"{rig.name} behind {', '.join(names)} at {host}:{port}, {rig.sample_rate_hz:g} Hz, channels "
+        f"{', '.join(specimen.channels)}",
+        meanwhile=hardware.keep_up,
     )
-    sys.stdout.flush()
-    follow_input(told, meanwhile=hardware.keep_up)
     server.stop(0.5)
     if arguments.record is not None:
         write_port(arguments.record, *hardware.at_the_port())
@@ -464,16 +440,5 @@ def _stop_line(section: StopInputSection, path: Path | None) -> Callable[[], flo
     return lambda: beyond if path is not None and path.exists() else within
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run it; one sentence and exit code 2 for what the user can fix."""
-    parser = argparse.ArgumentParser(prog="nmt_plant.ni_specimen", description=__doc__)
-    add_options(parser)
-    try:
-        return run(parser.parse_args(arguments))
-    except BenchError as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main_of("ni_specimen", __doc__, run, None))

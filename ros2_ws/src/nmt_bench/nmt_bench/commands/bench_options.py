@@ -1,31 +1,113 @@
-"""Options that every command which starts the bench's nodes has."""
+"""Options that several commands have, and the options of a command from its module."""
 
 from __future__ import annotations
 
 import argparse
+import time
+from functools import partial
+from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Unpack
 
+from nmt_bench.commands.output_folder import free_folder
+from nmt_core.option_table import declare
+
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from nmt_bench.harness import Bench
     from nmt_session.node_plan import PlanSettings
 
-_LATENCY = "blocks of converter buffering (default: 0; in real time 6, and 3 at least)"
+_DEVICE = """\
+--device KIND =""  what is driven: {}portaudio, nidaqmx, or nidaqmx@HOST:PORT for NI's device server; a converter that
+    the rig file does not describe is taken for the simulated specimen's (default: the rig file's device{})"""
 
 
-def add_rig_options(parser: argparse.ArgumentParser, example: str = "") -> None:
-    """``--exciter``, ``--seed`` and ``--set``: what is changed of the rig."""
-    parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
-    parser.add_argument("--seed", metavar="N", type=int, help="seed of all noise (default: the rig's)")
-    add_set_option(parser, example)
-
-
-def add_set_option(parser: argparse.ArgumentParser, example: str = "") -> None:
-    """``--set``; ``example``: key=value, for its help."""
+def _set(example: str) -> str:
     shown = f", for example {example}" if example else ""
-    text = f"change a value of the rig file{shown}; may be repeated"
-    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=text)
+    return f"--set KEY=VALUE...  change a value of the rig file{shown}; may be repeated"
+
+
+def _rig(example: str) -> str:
+    return f"""\
+--exciter N  drive point (default: the rig's)
+--seed N  seed of all noise (default: the rig's)
+{_set(example)}"""
+
+
+def _output(contents: str, command: str, replace: str = "force") -> str:
+    """``--out`` and ``--force``.
+
+    Args:
+        contents: what the command leaves in the folder, for the help text.
+        command: its name: without ``--out`` the results go to a folder with it and the time. Empty: ``out`` is None.
+        replace: name of the option that allows earlier results to be replaced, where ``--force`` means something else.
+    """
+    folder, told = "", ""
+    if command:
+        folder = f" ={free_folder(Path('out') / time.strftime(f'{command}-%Y%m%d-%H%M%S'))}"
+        told = f" (default: out/{command}-DATE-TIME)"
+    return f"""\
+--out DIR{folder}  folder for the results ({contents}); made if it does not exist{told}
+--{replace}  replace earlier results in the folder; files that nmt did not write stay"""
+
+
+SHARED: dict[str, str | Callable[[str], str]] = {
+    "output-undated": partial(_output, command=""),
+    "output-replace": partial(_output, command="sweep", replace="replace"),
+    "set": _set,
+    "rig": _rig,
+    "pacing": """\
+--pacing lockstep|realtime =lockstep  lockstep: simulated, as fast as the machine goes; realtime: by the clock
+    (default: lockstep)
+""",
+    "latency": "--latency-blocks N =0  blocks of converter buffering (default: 0; in real time 6, and 3 at least)",
+    "device": _DEVICE.format("simulated, ", ", else simulated"),
+    "device-of-hardware": _DEVICE.format("", ""),
+    "processes": """\
+--one-process  all nodes in one process instead of one process each
+--domain N  ROS domain, 1 to 100 (default: a free one)
+--quiet  no progress display
+@page
+""",
+    "page": "--page  live page in the browser, to watch, steer and stop; prints its address",
+    "task-page": "--page  progress in the browser, to watch only; prints the page's address",
+    "jobs": "--jobs N  worker processes (default: one for each core)",
+    "json": """\
+--json  print one JSON document (exit code, files, results) on standard output, all else on standard error""",
+    "scheduler": '--scheduler ADDRESS =""  Dask scheduler, tcp://host:port, in place of own processes',
+}
+"""What several commands have, by the name behind the @ in their tables."""
+
+
+def add_options(parser: argparse.ArgumentParser, command: ModuleType) -> None:
+    """Give a command's parser what its module states.
+
+    Args:
+        parser: of the command.
+        command: its module. ``USAGE`` has the description, the table of options (see `nmt_core.option_table`) and what
+            stands below them, with an empty line between; ``KINDS`` types of its own; ``PART_USAGE``
+            the same of each part, with its line of help in place of the description.
+    """
+    parser.description, table, below = _sections(command.USAGE)
+    if below:
+        parser.epilog = below.rstrip()
+    if "\n" in below.rstrip():
+        parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    shared = {**SHARED, "output": partial(_output, command=parser.prog.rpartition(" ")[2])}
+    if not hasattr(command, "PART_USAGE"):
+        declare(parser, table, getattr(command, "KINDS", None), shared)
+        return
+    parts = parser.add_subparsers(dest="part", metavar="PART", title="parts", required=True)
+    for name, usage in command.PART_USAGE.items():
+        summary, table, _ = _sections(usage)
+        declare(parts.add_parser(name, help=summary), table, shared=shared)
+
+
+def _sections(usage: str) -> tuple[str, str, str]:
+    """What stands above the table of options, the table with ``--json``, and what stands below."""
+    above, table, below = (*usage.split("\n\n", 2), "", "")[:3]
+    return " ".join(above.split()), table if "--json" in table else f"{table}\n@json", below
 
 
 def bench_of(
@@ -50,56 +132,4 @@ def bench_of(
         seed=arguments.seed,
         **settings,
         **device_settings(arguments),
-    )
-
-
-def add_pacing_option(parser: argparse.ArgumentParser) -> None:
-    """``--pacing``."""
-    parser.add_argument(
-        "--pacing",
-        choices=("lockstep", "realtime"),
-        default="lockstep",
-        help="lockstep: simulated, as fast as the machine goes; realtime: by the clock (default: lockstep)",
-    )
-
-
-def add_latency_option(parser: argparse.ArgumentParser) -> None:
-    """``--latency-blocks``."""
-    parser.add_argument("--latency-blocks", metavar="N", type=int, default=0, help=_LATENCY)
-
-
-def add_device_option(parser: argparse.ArgumentParser, simulated: bool = True) -> None:
-    """``--device``; ``simulated``: whether the command knows what to do with a simulated rig."""
-    words = ("simulated, ", ", else simulated") if simulated else ("", "")
-    parser.add_argument(
-        "--device",
-        metavar="KIND",
-        default="",
-        help=f"what is driven: {words[0]}portaudio, nidaqmx, or nidaqmx@HOST:PORT for NI's device server; a converter "
-        f"that the rig file does not describe is taken for the simulated specimen's (default: the rig file's device"
-        f"{words[1]})",
-    )
-
-
-def add_process_options(parser: argparse.ArgumentParser) -> None:
-    """``--one-process``, ``--domain``, ``--quiet`` and ``--page``: how the nodes are started and watched."""
-    parser.add_argument(
-        "--one-process", action="store_true", help="all nodes in one process instead of one process each"
-    )
-    parser.add_argument("--domain", metavar="N", type=int, help="ROS domain, 1 to 100 (default: a free one)")
-    parser.add_argument("--quiet", action="store_true", help="no progress display")
-    add_page_option(parser)
-
-
-def add_page_option(parser: argparse.ArgumentParser) -> None:
-    """``--page``."""
-    parser.add_argument(
-        "--page", action="store_true", help="live page in the browser, to watch, steer and stop; prints its address"
-    )
-
-
-def add_task_page_option(parser: argparse.ArgumentParser) -> None:
-    """``--page`` of a command that computes."""
-    parser.add_argument(
-        "--page", action="store_true", help="progress in the browser, to watch only; prints the page's address"
     )

@@ -6,10 +6,8 @@ import argparse
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nmt_bench.command_parser import Subparsers
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
@@ -20,35 +18,18 @@ if TYPE_CHECKING:
 PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "ramp", "command", "bench", "channels", "scheduler")
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "benchmark",
-        help="speed of this machine beside limits and peers",
-        description=(
-            "Measures the plant's time integration, the harmonic-balance reference, the work per block of each "
-            "node, reading and extracting bags, runs of very many levels, a diagnosis, ramped levels, whole commands, "
-            "and the whole bench with its nodes in one process and in one process each, also with many channels, and "
-            "what a Dask scheduler leaves of its workers' time. Each figure is printed beside its limit, or beside a "
-            "peer measured in the same run, and the limits that were missed are named at the end. Takes some minutes "
-            "on two idle cores."
-        ),
-    )
-    parser.add_argument("--json", metavar="FILE", type=Path, help="also write the figures to this JSON file")
-    parser.add_argument(
-        "--part",
-        choices=PARTS,
-        action="append",
-        help="measure this part only; may be repeated (default: all parts)",
-    )
-    parser.add_argument(
-        "--seconds",
-        metavar="S",
-        type=float,
-        default=20.0,
-        help="bench time of each timed run, s (default: 20); longer is steadier",
-    )
-    parser.add_argument("--check", action="store_true", help="exit with code 1 if a limit is missed")
+USAGE = f"""\
+Measures the plant's time integration, the harmonic-balance reference, the work per block of each node, reading and
+extracting bags, runs of very many levels, a diagnosis, ramped levels, whole commands, and the whole bench with its
+nodes in one process and in one process each, also with many channels, and what a Dask scheduler leaves of its
+workers' time. Each figure is printed beside its limit, or beside a peer measured in the same run, and the limits that
+were missed are named at the end. Takes some minutes on two idle cores.
+
+--json FILE  also write the figures to this JSON file
+--part {"|".join(PARTS)}...  measure this part only; may be repeated (default: all parts)
+--seconds S =20  bench time of each timed run, s (default: 20); longer is steadier
+--check  exit with code 1 if a limit is missed
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

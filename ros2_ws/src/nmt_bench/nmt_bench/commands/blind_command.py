@@ -5,12 +5,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, Subparsers
-from nmt_bench.commands.bench_options import add_task_page_option
-from nmt_bench.commands.worker_count import add_jobs, worker_count
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED
+from nmt_bench.commands.worker_count import worker_count
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,126 +19,75 @@ RIGS = ("beam", "joint_resonator", "modal_beam")
 TOLERANCES = ("laboratory", "none")
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command, its parts and their options."""
-    parser = subparsers.add_parser(
-        "blind",
-        help="blind check of the diagnosis: make sealed cases, diagnose them, score",
-        description=(
-            "Checks the diagnosis on simulated tests whose truth it cannot know. 'make' seals the truth and writes "
-            "bags, 'run' diagnoses them, 'score' opens the seal and compares. All parts go on where they stopped."
-        ),
-    )
-    parts = parser.add_subparsers(dest="part", metavar="PART", title="parts", required=True)
-    _add_make(parts)
-    _add_run(parts)
-    _add_score(parts)
-    _add_explain(parts)
-    _add_strengths(parts)
+USAGE = """\
+Checks the diagnosis on simulated tests whose truth it cannot know. 'make' seals the truth and writes bags, 'run'
+diagnoses them, 'score' opens the seal and compares. All parts go on where they stopped.
+"""
 
+_RIG = f"--rig {'|'.join(RIGS)} =beam"
+_OUT = "--out DIR required  folder of the campaign"
+_RESULTS = "--results DIR  folder of the results (default: results in the campaign's folder)"
+_TOLERANCES = f"""\
+--tolerances {"|".join(TOLERANCES)} ={TOLERANCES[0]}  measuring chain: gains, phases, delays, held drive and the like of
+    an ordinary laboratory, drawn for every case, or none (default: laboratory)"""
 
-def _add_make(parts: Subparsers) -> None:
-    make = parts.add_parser("make", help="draw cases, seal their truth, record their bags")
-    make.add_argument("--rig", choices=RIGS, default="beam", help="rig of the cases (default: beam)")
-    make.add_argument("--cases", metavar="N", type=int, default=400, help="number of cases (default: 400)")
-    make.add_argument(
-        "--seed", metavar="S", type=int, required=True, help="seed: even for development, odd for a sealed campaign"
-    )
-    make.add_argument("--sealed", action="store_true", help="a sealed campaign; needs an odd seed")
-    make.add_argument(
-        "--kinds",
-        metavar="KIND,…",
-        default="",
-        help="only these kinds of case: null, effect, open, compound, twin, withheld (default: all)",
-    )
-    make.add_argument(
-        "--batch", metavar="N", type=int, default=0,
-        help="make N more cases now, the others another time; the truth of all of them is sealed at once",
-    )  # fmt: skip
-    _add_tolerances(make)
-    _add_folder(make)
-    add_jobs(make)
-    add_task_page_option(make)
-    _add_scheduler(make)
+PART_USAGE = {
+    "make": f"""\
+draw cases, seal their truth, record their bags
 
+{_RIG}  rig of the cases (default: beam)
+--cases N =400  number of cases (default: 400)
+--seed S :int required  seed: even for development, odd for a sealed campaign
+--sealed  a sealed campaign; needs an odd seed
+--kinds KIND,… =""  only these kinds of case: null, effect, open, compound, twin, withheld (default: all)
+--batch N =0  make N more cases now, the others another time; the truth of all of them is sealed at once
+{_TOLERANCES}
+{_OUT}
+@jobs
+@task-page
+@scheduler
+""",
+    "run": f"""\
+diagnose all cases that have no result yet; the truth stays sealed
 
-def _add_run(parts: Subparsers) -> None:
-    run_part = parts.add_parser("run", help="diagnose all cases that have no result yet; the truth stays sealed")
-    _add_folder(run_part)
-    _add_results(run_part)
-    add_jobs(run_part)
-    add_task_page_option(run_part)
-    _add_scheduler(run_part)
-    run_part.add_argument(
-        "--discard-bags", action="store_true", help="remove the bags of a case once it is diagnosed; hashes stay"
-    )
-    run_part.add_argument("--again", action="store_true", help="diagnose cases that have a result, too")
+{_OUT}
+{_RESULTS}
+@jobs
+@task-page
+@scheduler
+--discard-bags  remove the bags of a case once it is diagnosed; hashes stay
+--again  diagnose cases that have a result, too
+""",
+    "score": f"""\
+open the seal and compare the results with the truth
 
+{_OUT}
+{_RESULTS}
+--again  score although the seal has been opened before; is noted
+--train DIR  diagnosed development campaign that the generic classifier learns from
+--measured  judge strengths by the noise that each case's recordings have, in place of the generator's
+@jobs
+@task-page
+--docs FILE  write the score sheet as a page of the documentation, too
+""",
+    "explain": f"""\
+of an opened case: cost of model, winner and truth under the same noise, and what follows
 
-def _add_score(parts: Subparsers) -> None:
-    score = parts.add_parser("score", help="open the seal and compare the results with the truth")
-    _add_folder(score)
-    _add_results(score)
-    score.add_argument("--again", action="store_true", help="score although the seal has been opened before; is noted")
-    score.add_argument(
-        "--train",
-        metavar="DIR",
-        type=Path,
-        help="diagnosed development campaign that the generic classifier learns from",
-    )
-    score.add_argument(
-        "--measured", action="store_true",
-        help="judge strengths by the noise that each case's recordings have, in place of the generator's",
-    )  # fmt: skip
-    add_jobs(score)
-    add_task_page_option(score)
-    score.add_argument(
-        "--docs", metavar="FILE", type=Path, help="write the score sheet as a page of the documentation, too",
-    )  # fmt: skip
+CASE  number of the case, as in its folder
+{_OUT}
+""",
+    "strengths": f"""\
+table of strengths of all effects of a rig, in standard deviations
 
-
-def _add_explain(parts: Subparsers) -> None:
-    part = parts.add_parser(
-        "explain", help="of an opened case: cost of model, winner and truth under the same noise, and what follows"
-    )
-    part.add_argument("case", metavar="CASE", help="number of the case, as in its folder")
-    _add_folder(part)
-
-
-def _add_strengths(parts: Subparsers) -> None:
-    strengths = parts.add_parser("strengths", help="table of strengths of all effects of a rig, in standard deviations")
-    strengths.add_argument("--rig", choices=RIGS, default="beam", help="the rig (default: beam)")
-    _add_tolerances(strengths)
-    strengths.add_argument("--effects", metavar="NAME,…", default="", help="only these effects (default: all)")
-    strengths.add_argument("--table", metavar="FILE", type=Path, help="the table (default: the program's own)")
-    add_jobs(strengths)
-    add_task_page_option(strengths)
-
-
-def _add_tolerances(part: argparse.ArgumentParser) -> None:
-    part.add_argument(
-        "--tolerances",
-        choices=TOLERANCES,
-        default=TOLERANCES[0],
-        help="measuring chain: gains, phases, delays, held drive and the like of an ordinary laboratory, drawn for "
-        "every case, or none (default: laboratory)",
-    )
-
-
-def _add_scheduler(part: argparse.ArgumentParser) -> None:
-    part.add_argument(
-        "--scheduler", metavar="ADDRESS", default="", help="Dask scheduler, tcp://host:port, in place of own processes"
-    )
-
-
-def _add_folder(part: argparse.ArgumentParser) -> None:
-    part.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder of the campaign")
-
-
-def _add_results(part: argparse.ArgumentParser) -> None:
-    part.add_argument(
-        "--results", metavar="DIR", type=Path, help="folder of the results (default: results in the campaign's folder)"
-    )
+{_RIG}  the rig (default: beam)
+{_TOLERANCES}
+--effects NAME,… =""  only these effects (default: all)
+--table FILE  the table (default: the program's own)
+@jobs
+@task-page
+""",
+}
+"""Line of help, then arguments and options of each part; see `nmt_bench.commands.bench_options.add_options`."""
 
 
 def run(arguments: argparse.Namespace) -> int:

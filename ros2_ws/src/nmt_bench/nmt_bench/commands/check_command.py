@@ -5,12 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.command_parser import Subparsers
-from nmt_bench.commands.bench_options import add_device_option
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
@@ -20,29 +17,21 @@ if TYPE_CHECKING:
 EXIT_PASSED, EXIT_FOUND = 0, 1
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "check",
-        help="low-level check of every channel and of the loop before a test on hardware",
-        description=(
-            "Listens to the converter, then drives it with noise of at most one hundredth of the drive's limit, and "
-            "compares every channel with the rig's model: noise, mains, offset, overload, open or shorted channels, "
-            "dead ICP supply, sign, exchanged channels, sensitivity and delay of each, response to the drive, headroom "
-            "for the planned levels, clock, and frequency of each mode. A test on hardware begins only after a check "
-            "that passed."
-        ),
-    )
-    parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
-    add_output_options(parser, "check.json, report.html")
-    add_device_option(parser, simulated=False)
-    parser.add_argument("--levels", metavar="PLAN", help="planned levels, V, as for './nmt run' (default: the rig's)")
-    parser.add_argument("--linear", metavar="FILE", type=Path, help="linear.json whose resonance is expected")
-    parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
-    parser.add_argument(
-        "--set", metavar="KEY=VALUE", action="append", default=[], help="change a value of the rig file"
-    )
-    parser.add_argument("--quiet", action="store_true", help="no progress display")
+USAGE = """\
+Listens to the converter, then drives it with noise of at most one hundredth of the drive's limit, and compares every
+channel with the rig's model: noise, mains, offset, overload, open or shorted channels, dead ICP supply, sign,
+exchanged channels, sensitivity and delay of each, response to the drive, headroom for the planned levels, clock, and
+frequency of each mode. A test on hardware begins only after a check that passed.
+
+RIG  name of a rig (for example beam) or path of a rig file
+@output check.json, report.html
+@device-of-hardware
+--levels PLAN  planned levels, V, as for './nmt run' (default: the rig's)
+--linear FILE  linear.json whose resonance is expected
+--exciter N  drive point (default: the rig's)
+--set KEY=VALUE...  change a value of the rig file
+--quiet  no progress display
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -5,22 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 
-from nmt_bench.command_parser import Subparsers
 from nmt_core.errors import BenchError
 
+USAGE = """\
+Prints a script that lets the shell complete commands and options with the tabulator key. bash: eval "$(./nmt
+completion bash)" in ~/.bashrc, with the launcher's full path. zsh: the same with zsh, after compinit, in ~/.zshrc.
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "completion",
-        help="completion of commands and options for bash or zsh",
-        description=(
-            "Prints a script that lets the shell complete commands and options with the tabulator key. "
-            'bash: eval "$(./nmt completion bash)" in ~/.bashrc, with the launcher\'s full path. '
-            "zsh: the same with zsh, after compinit, in ~/.zshrc."
-        ),
-    )
-    parser.add_argument("shell", choices=("bash", "zsh"), help="for which shell")
+shell bash|zsh  for which shell
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -29,13 +21,13 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: the library that writes it is not installed.
     """
-    from nmt_bench.cli import build_whole_parser
+    from nmt_bench.cli import COMMANDS, build_parser
 
     try:
         import shtab
     except ModuleNotFoundError as error:
         raise BenchError("'shtab' is not installed; type: pip install 'nmt[completion]'.") from error
-    parser = build_whole_parser()
+    parser = build_parser(*COMMANDS)
     parser.prog = "nmt"
     sys.stdout.write(shtab.complete(parser, arguments.shell) + "\n")
     if arguments.shell == "bash":  # the launcher is called by its path

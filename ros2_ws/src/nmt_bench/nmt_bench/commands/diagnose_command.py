@@ -6,13 +6,11 @@ import argparse
 import os
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nmt_bench.command_parser import EXIT_DONE, Subparsers
-from nmt_bench.commands.bench_options import add_task_page_option
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
-from nmt_bench.commands.worker_count import add_jobs, worker_count
+from nmt_bench.command_parser import EXIT_DONE
+from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.worker_count import worker_count
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
@@ -22,85 +20,31 @@ if TYPE_CHECKING:
     from nmt_diagnose.inference.diagnosis import Diagnosis
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "diagnose",
-        help="where a model and recordings of the real rig part, which effect causes it, and how far the gap shrinks",
-        description=(
-            "Compares a rig file with recordings of the real rig: re-fits the model's own parameters, weighs every "
-            "effect of the library at every place, and says where the gap lies, which effect causes it and how far it "
-            "shrinks on data kept out of the fit; or that there is no gap, or that nothing in the library explains it."
-        ),
-    )
-    parser.add_argument(
-        "--model", metavar="RIG", required=True, help="name of a rig (for example beam) or path of a rig file"
-    )
-    parser.add_argument(
-        "--real",
-        metavar="BAG",
-        type=Path,
-        action="append",
-        required=True,
-        help="results folder or bag of './nmt run', 'linear' or 'import' on the real rig; may be repeated: different "
-        "tests tell more effects apart",
-    )
-    parser.add_argument(
-        "--floor",
-        metavar="BAG",
-        type=Path,
-        action="append",
-        default=[],
-        help="repeat of a test among --real: what differs between the two no model can explain; may be repeated",
-    )
-    parser.add_argument(
-        "--set",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        help="change a value of the model before the diagnosis; may be repeated",
-    )
-    parser.add_argument(
-        "--without",
-        metavar="EFFECT",
-        action="append",
-        default=[],
-        help="leave an effect out of the library; may be repeated",
-    )
-    parser.add_argument(
-        "--hold-out",
-        metavar="TEST",
-        action="append",
-        default=[],
-        help="keep a test (named as its folder) out of every fit and judge the gap by it alone; may be repeated "
-        "(default: levels and whole tests in turn)",
-    )
-    add_output_options(parser, "diagnosis.json, report.html, model.yaml, observables.csv")
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="seed of the intervals (default: 0)")
-    parser.add_argument(
-        "--calibration",
-        metavar="FILE",
-        type=Path,
-        help="calibration file with uncertainties of the real sensors' sensitivities (default: what the bags say, else "
-        "ordinary tolerances)",
-    )
-    parser.add_argument(
-        "--allow-own-model",
-        action="store_true",
-        help="take recordings that were simulated from the model itself, too: they show what a rig without a gap looks "
-        "like",
-    )
-    parser.add_argument(
-        "--matters",
-        metavar="KIND=SIZE",
-        action="append",
-        default=[],
-        help="smallest relative size of a gap that matters, of frequency (default: 0.0005), damping (0.02), response "
-        "(0.02) or harmonics over the fundamental (0.001); may be repeated",
-    )
-    add_jobs(parser)
-    parser.add_argument("--quiet", action="store_true", help="no progress display")
-    add_task_page_option(parser)
+USAGE = """\
+Compares a rig file with recordings of the real rig: re-fits the model's own parameters, weighs every effect of the
+library at every place, and says where the gap lies, which effect causes it and how far it shrinks on data kept out of
+the fit; or that there is no gap, or that nothing in the library explains it.
+
+--model RIG required  name of a rig (for example beam) or path of a rig file
+--real BAG... required  results folder or bag of './nmt run', 'linear' or 'import' on the real rig; may be repeated:
+    different tests tell more effects apart
+--floor BAG...  repeat of a test among --real: what differs between the two no model can explain; may be repeated
+--set KEY=VALUE...  change a value of the model before the diagnosis; may be repeated
+--without EFFECT...  leave an effect out of the library; may be repeated
+--hold-out TEST...  keep a test (named as its folder) out of every fit and judge the gap by it alone; may be repeated
+    (default: levels and whole tests in turn)
+@output diagnosis.json, report.html, model.yaml, observables.csv
+--seed N =0  seed of the intervals (default: 0)
+--calibration FILE  calibration file with uncertainties of the real sensors' sensitivities (default: what the bags
+    say, else ordinary tolerances)
+--allow-own-model  take recordings that were simulated from the model itself, too: they show what a rig without a gap
+    looks like
+--matters KIND=SIZE...  smallest relative size of a gap that matters, of frequency (default: 0.0005), damping (0.02),
+    response (0.02) or harmonics over the fundamental (0.001); may be repeated
+@jobs
+--quiet  no progress display
+@task-page
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -5,51 +5,27 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nmt_bench.command_parser import Subparsers
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
 from nmt_record.exchange import FORMATS
 
 _OTHER_NAMES = {"hdf5": "h5", "hdf": "h5", "matlab": "mat", "uff58": "uff", "unv": "uff"}
 
+KINDS = {"format": lambda word: _OTHER_NAMES.get(word.lower(), word.lower())}
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "export",
-        help="a recording as UFF58, CSV, NPZ, HDF5 or MATLAB, ready for './nmt import'; modes as UFF55",
-        description=(
-            "Writes the samples of a bag, and the frequency responses beside it, for other tools, together with "
-            "a sidecar: './nmt import' of that gives a bag from which './nmt extract' computes the same results. With "
-            "UFF the modes of a linear test, or of the levels of a run, come too: modes.uff with nodes, trace line and "
-            "shapes (data sets 15, 82, 55)."
-        ),
-    )
-    parser.add_argument(
-        "source",
-        metavar="BAG",
-        type=Path,
-        help="rosbag2 folder, .mcap or .db3 file, or the results folder of a run, linear test or sweep",
-    )
-    parser.add_argument(
-        "--format",
-        type=lambda word: _OTHER_NAMES.get(word.lower(), word.lower()),
-        choices=FORMATS,
-        default="uff",
-        help="uff: one dataset 58 a channel, binary (58b); csv; npz; h5: HDF5; mat: MATLAB 5 (default: uff)",
-    )
-    add_output_options(
-        parser, "data.FORMAT, sidecar.yaml, oscillator.csv, loop.csv, linear.json, rig.yaml, frf.uff, modes.uff"
-    )
-    parser.add_argument("--ascii", action="store_true", help="UFF in ASCII: 13 digits instead of every bit")
-    parser.add_argument(
-        "--segment",
-        metavar="N",
-        type=int,
-        action="append",
-        default=[],
-        help="only the N-th segment (level) of the recording, into a folder segment-N; may be repeated",
-    )
+
+USAGE = f"""\
+Writes the samples of a bag, and the frequency responses beside it, for other tools, together with a sidecar: './nmt
+import' of that gives a bag from which './nmt extract' computes the same results. With UFF the modes of a linear test,
+or of the levels of a run, come too: modes.uff with nodes, trace line and shapes (data sets 15, 82, 55).
+
+BAG >source  rosbag2 folder, .mcap or .db3 file, or the results folder of a run, linear test or sweep
+--format {"|".join(FORMATS)} :format =uff  uff: one dataset 58 a channel, binary (58b); csv; npz; h5: HDF5;
+    mat: MATLAB 5 (default: uff)
+@output data.FORMAT, sidecar.yaml, oscillator.csv, loop.csv, linear.json, rig.yaml, frf.uff, modes.uff
+--ascii  UFF in ASCII: 13 digits instead of every bit
+--segment N...  only the N-th segment (level) of the recording, into a folder segment-N; may be repeated
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nmt_bench.command_parser import Subparsers
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value, read_text
 
@@ -20,57 +19,21 @@ if TYPE_CHECKING:
     from nmt_record.exchange.calibration_file import CalibrationSheet
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "extract",
-        help="modal properties from a recorded bag; equal to the live ones",
-        description=(
-            "Extracts modal frequency, damping, amplitude and shape from every locked window of a recorded "
-            "bag, with the code of the live node: the results are the same, bit for bit. Opens bags of "
-            "killed recorders too and says what they lost."
-        ),
-    )
-    parser.add_argument(
-        "bag",
-        metavar="BAG",
-        type=Path,
-        help="rosbag2 folder (MCAP or SQLite), .mcap or .db3 file, or the results folder of a run",
-    )
-    add_output_options(parser, "modal.csv, modal.json, uncertainty.csv, uncertainty.json, report.html")
-    parser.add_argument(
-        "--linear",
-        metavar="FILE",
-        type=Path,
-        help="linear.json to use in place of the linear modes named in the bag",
-    )
-    parser.add_argument(
-        "--harmonics",
-        metavar="H",
-        type=int,
-        help="highest harmonic to extract, 1 to 200 (default: as recorded in the bag)",
-    )
-    parser.add_argument(
-        "--reference",
-        metavar="FILE",
-        type=Path,
-        help="reference.csv of './nmt reference' to compare with in table and report",
-    )
-    parser.add_argument(
-        "--calibration",
-        metavar="FILE",
-        type=Path,
-        help="calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget (default: "
-        "what the bag says, else ordinary tolerances)",
-    )
-    parser.add_argument(
-        "--model-run",
-        metavar="DIR",
-        type=Path,
-        help="results folder of a run of the rig's model with its reference.csv: shows the error of single-point "
-        "excitation for the uncertainty budget",
-    )
-    parser.add_argument("--no-report", action="store_true", help="write modal.csv and modal.json only")
+USAGE = """\
+Extracts modal frequency, damping, amplitude and shape from every locked window of a recorded bag, with the code of
+the live node: the results are the same, bit for bit. Opens bags of killed recorders too and says what they lost.
+
+BAG  rosbag2 folder (MCAP or SQLite), .mcap or .db3 file, or the results folder of a run
+@output modal.csv, modal.json, uncertainty.csv, uncertainty.json, report.html
+--linear FILE  linear.json to use in place of the linear modes named in the bag
+--harmonics H  highest harmonic to extract, 1 to 200 (default: as recorded in the bag)
+--reference FILE  reference.csv of './nmt reference' to compare with in table and report
+--calibration FILE  calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget
+    (default: what the bag says, else ordinary tolerances)
+--model-run DIR  results folder of a run of the rig's model with its reference.csv: shows the error of single-point
+    excitation for the uncertainty budget
+--no-report  write modal.csv and modal.json only
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

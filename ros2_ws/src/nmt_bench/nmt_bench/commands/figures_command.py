@@ -5,34 +5,20 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nmt_bench.command_parser import Subparsers
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
 
+USAGE = """\
+Draws every figure of a report anew at the width of a column, with letters of a stated size, and writes the plotted
+numbers beside it as a table with one point a row. Figures that take the page get two columns.
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "figures",
-        help="figures of a report as SVG, PDF and PNG for a paper, each with its table",
-        description=(
-            "Draws every figure of a report anew at the width of a column, with letters of a stated size, and writes "
-            "the plotted numbers beside it as a table with one point a row. Figures that take the page get two "
-            "columns."
-        ),
-    )
-    parser.add_argument(
-        "source", metavar="DIR", type=Path, help="results folder of any command with a report, or a report.html"
-    )
-    parser.add_argument(
-        "--format", default="svg,pdf,png", help="svg, pdf, png, eps; several by commas (default: all but eps)"
-    )
-    parser.add_argument("--width", default="85mm", help="width of a column, in mm, cm or in (default: 85mm)")
-    parser.add_argument("--letters", type=float, default=7.0, metavar="PT", help="letter size, points (default: 7)")
-    parser.add_argument(
-        "--figure", action="append", default=[], metavar="NAME", help="only this figure; may be repeated (default: all)"
-    )
-    add_output_options(parser, "FIGURE.svg, .pdf, .png, .csv; by default DIR/figures", dated=False)
+DIR >source  results folder of any command with a report, or a report.html
+--format FORMAT =svg,pdf,png  svg, pdf, png, eps; several by commas (default: all but eps)
+--width WIDTH =85mm  width of a column, in mm, cm or in (default: 85mm)
+--letters PT =7  letter size, points (default: 7)
+--figure NAME...  only this figure; may be repeated (default: all)
+@output-undated FIGURE.svg, .pdf, .png, .csv; by default DIR/figures
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import argparse
 
-from nmt_bench.command_parser import Subparsers
 from nmt_core.errors import BenchError
 
+USAGE = """\
+Shows the list of commands, or the description and options of one: the same as COMMAND --help.
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "help",
-        help="the commands, or the options of one",
-        description="Shows the list of commands, or the description and options of one: the same as COMMAND --help.",
-    )
-    parser.add_argument(
-        "topic", metavar="COMMAND", nargs="*", help="the command, and its part as in 'blind make' (default: the list)"
-    )
+COMMAND* >topic  the command, and its part as in 'blind make' (default: the list)
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nmt_bench.command_parser import Subparsers
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
@@ -20,28 +19,15 @@ _DATA = (".csv", ".txt", ".tsv", ".dat", ".asc", ".npz", ".mat", ".h5", ".hdf5",
          ".tdms")  # fmt: skip
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "import",
-        help="data measured elsewhere (tables, MATLAB, HDF5, LabVIEW, UFF58) as a bag",
-        description=(
-            "Reads time data, frequency responses and backbones measured elsewhere as a sidecar describes them, "
-            "checks them, and writes a bag that './nmt extract' and './nmt diagnose' take. What cannot be right "
-            "is refused with one sentence; what was fixed is said and kept in the bag."
-        ),
-    )
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument(
-        "sidecar", metavar="SIDECAR", type=Path, nargs="?", help="YAML file that says what the columns of the data are"
-    )
-    what.add_argument(
-        "--init",
-        metavar="FILE",
-        type=Path,
-        help="look into a file of data and write a sidecar beside it, with the ending .yaml; one for each recording",
-    )
-    add_output_options(parser, "bag/")
+USAGE = """\
+Reads time data, frequency responses and backbones measured elsewhere as a sidecar describes them, checks them, and
+writes a bag that './nmt extract' and './nmt diagnose' take. What cannot be right is refused with one sentence; what
+was fixed is said and kept in the bag.
+
+| SIDECAR?  YAML file that says what the columns of the data are
+| --init FILE  look into a file of data and write a sidecar beside it, with the ending .yaml; one for each recording
+@output bag/
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

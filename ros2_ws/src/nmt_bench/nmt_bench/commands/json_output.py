@@ -25,16 +25,6 @@ _RESULTS = {
 """The file in the results folder that holds a command's results."""
 
 
-def add_json_option(parser: argparse.ArgumentParser) -> None:
-    """Add ``--json`` to a command's parser, unless the command has an option of that name."""
-    if "--json" not in parser._option_string_actions:
-        parser.add_argument(
-            "--json",
-            action="store_true",
-            help="print one JSON document (exit code, files, results) on standard output, all else on standard error",
-        )
-
-
 def json_document(arguments: argparse.Namespace, module: ModuleType, status: int) -> str:
     """The document of a command that ended.
 

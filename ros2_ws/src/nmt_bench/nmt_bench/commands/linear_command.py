@@ -7,15 +7,9 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, Subparsers
-from nmt_bench.commands.bench_options import (
-    add_device_option,
-    add_pacing_option,
-    add_process_options,
-    add_rig_options,
-    bench_of,
-)
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
+from nmt_bench.commands.bench_options import bench_of
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
 
@@ -29,59 +23,29 @@ DEFAULT_BAND = "10:2000"
 _STEPS = "evaluating the recording", "writing the report"
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "linear",
-        help="linear modal test: random excitation, frequency responses, fitted modes",
-        description=(
-            "Drives the rig with low random noise, at half the level first and then at the level, and finds the linear "
-            "modes: averaged frequency responses, stabilisation diagram, fit, mass-normalised shapes, residuals, and "
-            "the plant with its exciter. Give linear.json to './nmt run --linear': loop and extraction then need no "
-            "model."
-        ),
-    )
-    parser.add_argument(
-        "rig", metavar="RIG", nargs="?", help="name of a rig (for example joint_resonator) or path of a rig file"
-    )
-    add_output_options(parser, "bag/, linear.json, frf.csv, report.html, rig.yaml, run.json")
-    parser.add_argument("--bag", metavar="BAG", type=Path, help="evaluate a recording again instead of measuring")
-    parser.add_argument(
-        "--level", metavar="V", type=float, help="drive, V rms (default: the number of the rig's lowest test level)"
-    )
-    parser.add_argument(
-        "--duration",
-        metavar="S",
-        type=float,
-        default=DEFAULT_DURATION,
-        help=f"length of the record at each level, s (default: {DEFAULT_DURATION:g})",
-    )
-    parser.add_argument(
-        "--band", metavar="LOW:HIGH", default=DEFAULT_BAND, help=f"band of the noise, Hz (default: {DEFAULT_BAND})"
-    )
-    parser.add_argument(
-        "--mode",
-        metavar="N",
-        type=int,
-        help="target: number of the fitted mode in the band, from 1 (default: the rig's test.mode, less one where a "
-        "suspension mode lies below the band)",
-    )
-    parser.add_argument("--near", metavar="HZ", type=float, help="target: the fitted mode nearest to this frequency")
-    parser.add_argument("--modes", metavar="N", type=int, help="most modes to keep (default: the rig's linear_modes)")
-    parser.add_argument(
-        "--segment", metavar="S", type=float, help="length of an averaged segment, s (default: a tenth of the record)"
-    )
-    parser.add_argument("--no-half-level", action="store_true", help="leave out the record at half the level")
-    parser.add_argument(
-        "--reference",
-        choices=("model", "none"),
-        default="model",
-        help="what the report compares with; linear.json never uses it (default: the rig's model)",
-    )
-    add_rig_options(parser)
-    add_pacing_option(parser)
-    add_device_option(parser)
-    add_process_options(parser)
+USAGE = f"""\
+Drives the rig with low random noise, at half the level first and then at the level, and finds the linear modes:
+averaged frequency responses, stabilisation diagram, fit, mass-normalised shapes, residuals, and the plant with its
+exciter. Give linear.json to './nmt run --linear': loop and extraction then need no model.
+
+RIG?  name of a rig (for example joint_resonator) or path of a rig file
+@output bag/, linear.json, frf.csv, report.html, rig.yaml, run.json
+--bag BAG  evaluate a recording again instead of measuring
+--level V  drive, V rms (default: the number of the rig's lowest test level)
+--duration S ={DEFAULT_DURATION}  length of the record at each level, s (default: {DEFAULT_DURATION:g})
+--band LOW:HIGH ={DEFAULT_BAND}  band of the noise, Hz (default: {DEFAULT_BAND})
+--mode N  target: number of the fitted mode in the band, from 1 (default: the rig's test.mode, less one where a
+    suspension mode lies below the band)
+--near HZ  target: the fitted mode nearest to this frequency
+--modes N  most modes to keep (default: the rig's linear_modes)
+--segment S  length of an averaged segment, s (default: a tenth of the record)
+--no-half-level  leave out the record at half the level
+--reference model|none =model  what the report compares with; linear.json never uses it (default: the rig's model)
+@rig
+@pacing
+@device
+@processes
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import tempfile
-import time
 from pathlib import Path
 from types import TracebackType
 
@@ -43,33 +41,6 @@ RESULT_NAMES = (
     "figures",
 )
 """Names that commands write; ``--force`` replaces these and touches nothing else in the folder."""
-
-
-def add_output_options(
-    parser: argparse.ArgumentParser, contents: str, dated: bool = True, replace: str = "force"
-) -> None:
-    """Add ``--out`` and ``--force`` to a command's parser.
-
-    Args:
-        parser: the command's parser.
-        contents: what the command leaves in the folder, for the help text.
-        dated: without ``--out`` the results go to a folder with the command's name and the time; else ``out`` is None.
-        replace: name of the option that allows earlier results to be replaced, where ``--force`` means something else.
-    """
-    command = parser.prog.rpartition(" ")[2]
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        default=free_folder(Path("out") / f"{command}-{time.strftime('%Y%m%d-%H%M%S')}") if dated else None,
-        help=f"folder for the results ({contents}); made if it does not exist"
-        + (f" (default: out/{command}-DATE-TIME)" if dated else ""),
-    )
-    parser.add_argument(
-        f"--{replace}",
-        action="store_true",
-        help="replace earlier results in the folder; files that nmt did not write stay",
-    )
 
 
 class OutputFolder:

@@ -6,35 +6,21 @@ import argparse
 import json
 from pathlib import Path
 
-from nmt_bench.command_parser import Subparsers
-from nmt_bench.commands.bench_options import add_device_option, add_set_option
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 
+USAGE = """\
+Writes what the nodes need to test a rig: nodes.yaml for '--ros-args --params-file', rig.yaml and run.json, and prints
+the commands that start the nodes and the run.
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "params",
-        help="parameter file of a rig for starting the nodes with 'ros2 run'",
-        description=(
-            "Writes what the nodes need to test a rig: nodes.yaml for '--ros-args --params-file', rig.yaml and "
-            "run.json, and prints the commands that start the nodes and the run."
-        ),
-    )
-    parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
-    add_output_options(parser, "nodes.yaml, rig.yaml, run.json")
-    parser.add_argument("--exciter", metavar="N", type=int, help="drive point (default: the rig's)")
-    parser.add_argument(
-        "--levels", metavar="PLAN", help="drive amplitudes in V, as in './nmt run' (default: the rig's)"
-    )
-    parser.add_argument(
-        "--pacing",
-        choices=("lockstep", "realtime"),
-        default="realtime",
-        help="realtime: by the clock, as with hardware; lockstep: as fast as the machine goes (default: realtime)",
-    )
-    add_device_option(parser)
-    add_set_option(parser)
+RIG  name of a rig (for example beam) or path of a rig file
+@output nodes.yaml, rig.yaml, run.json
+--exciter N  drive point (default: the rig's)
+--levels PLAN  drive amplitudes in V, as in './nmt run' (default: the rig's)
+--pacing lockstep|realtime =realtime  realtime: by the clock, as with hardware; lockstep: as fast as the machine goes
+    (default: realtime)
+@device
+@set
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

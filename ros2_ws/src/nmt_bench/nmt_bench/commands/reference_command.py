@@ -7,9 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nmt_bench.command_parser import Subparsers
-from nmt_bench.commands.bench_options import add_set_option
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
@@ -23,43 +21,21 @@ if TYPE_CHECKING:
 CONVERGENCE_ORDERS = (1, 3, 5, 7, 20, 61)
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "reference",
-        help="computed backbone of a rig's model (EPMC, harmonic balance)",
-        description=(
-            "Computes modal frequency and damping over modal amplitude of a rig's model by the extended "
-            "periodic motion concept (EPMC) with harmonic balance: what a perfect test of the mode would "
-            "give. Give the file to './nmt extract --reference' to compare a test with it."
-        ),
-    )
-    parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
-    add_output_options(parser, "reference.csv, shapes.csv, report.html")
-    add_set_option(parser, "local_elements.0.slip_force_n=2")
-    parser.add_argument(
-        "--harmonics", metavar="H", type=int, default=7, help="highest harmonic order, 1 to 200 (default: 7)"
-    )
-    parser.add_argument(
-        "--amplitudes",
-        metavar="q1:q2:n",
-        help=(
-            "modal amplitudes in m√kg: n values from q1 to q2 in geometric steps (default: 100 values that "
-            "cover the rig's levels generously)"
-        ),
-    )
-    parser.add_argument(
-        "--compare",
-        metavar="FILE",
-        type=Path,
-        help="table with the columns of reference.csv to compare with, at its own amplitudes unless --amplitudes "
-        "is given",
-    )
-    parser.add_argument(
-        "--convergence",
-        action="store_true",
-        help=f"also print how the result converges over {', '.join(map(str, CONVERGENCE_ORDERS))} harmonics",
-    )
+USAGE = f"""\
+Computes modal frequency and damping over modal amplitude of a rig's model by the extended periodic motion concept
+(EPMC) with harmonic balance: what a perfect test of the mode would give. Give the file to './nmt extract --reference'
+to compare a test with it.
+
+RIG  name of a rig (for example beam) or path of a rig file
+@output reference.csv, shapes.csv, report.html
+@set local_elements.0.slip_force_n=2
+--harmonics H =7  highest harmonic order, 1 to 200 (default: 7)
+--amplitudes q1:q2:n  modal amplitudes in m√kg: n values from q1 to q2 in geometric steps (default: 100 values that
+    cover the rig's levels generously)
+--compare FILE  table with the columns of reference.csv to compare with, at its own amplitudes unless --amplitudes is
+    given
+--convergence  also print how the result converges over {", ".join(map(str, CONVERGENCE_ORDERS))} harmonics
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

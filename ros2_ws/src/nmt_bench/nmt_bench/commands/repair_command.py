@@ -4,26 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 
-from nmt_bench.command_parser import Subparsers
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 
+USAGE = """\
+Writes every message that can be read to a regular rosbag2 folder, with a record of what was lost, and prints it. A
+damaged chunk costs its own messages only.
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "repair",
-        help="what can be saved of a damaged or cut bag, and what was lost",
-        description=(
-            "Writes every message that can be read to a regular rosbag2 folder, with a record of what was lost, and "
-            "prints it. A damaged chunk costs its own messages only."
-        ),
-    )
-    parser.add_argument(
-        "bag", metavar="BAG", type=Path, help="rosbag2 folder, .mcap file, or the results folder of a run"
-    )
-    add_output_options(parser, "bag/, repair.json")
+BAG  rosbag2 folder, .mcap file, or the results folder of a run
+@output bag/, repair.json
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

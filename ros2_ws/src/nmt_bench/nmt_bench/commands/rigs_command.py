@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import argparse
 
-from nmt_bench.command_parser import Subparsers
+USAGE = """\
+Lists the rigs that every command takes by name, with where their files are: those in the folders of the variable
+NMT_RIG_PATH, then those that come with the bench. Copy a file to make a rig of your own.
 
-
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "rigs",
-        help="the rigs that can be given by name",
-        description=(
-            "Lists the rigs that every command takes by name, with where their files are: those in the folders of "
-            "the variable NMT_RIG_PATH, then those that come with the bench. Copy a file to make a rig of your own."
-        ),
-    )
-    parser.add_argument("--paths", action="store_true", help="also the path of each file")
+--paths  also the path of each file
+"""
 
 
 def rig_rows() -> list[dict[str, str]]:

@@ -8,16 +8,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, Subparsers
-from nmt_bench.commands.bench_options import (
-    add_device_option,
-    add_latency_option,
-    add_pacing_option,
-    add_process_options,
-    add_rig_options,
-    bench_of,
-)
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
+from nmt_bench.commands.bench_options import bench_of
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_bench.orchestration.interrupts import deferred_interrupts, terminate_as_interrupt
 from nmt_core.errors import BenchError
 
@@ -30,84 +23,38 @@ if TYPE_CHECKING:
     from nmt_session.run_result import RunResult
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "run",
-        help="one test of a rig: step the level, lock, record, extract, report",
-        description=(
-            "Tests a rig: the phase-locked loop holds phase resonance at the drive point, the level is stepped, "
-            "and every locked window gives a modal point. Everything is recorded to a bag. Ctrl-C ramps the drive "
-            "to zero, closes the bag and reports what was measured."
-        ),
-    )
-    parser.add_argument("rig", metavar="RIG", help="name of a rig (for example beam) or path of a rig file")
-    add_output_options(parser, "bag/, modal.csv, modal.json, uncertainty.csv, report.html, rig.yaml, run.json")
-    parser.add_argument(
-        "--linear",
-        metavar="FILE",
-        type=Path,
-        help="linear.json of './nmt linear' for loop and extraction (default: the linear modes of the rig's model)",
-    )
-    parser.add_argument(
-        "--levels",
-        metavar="PLAN",
-        help="levels in the unit of --control: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or a "
-        "list a,b,c (default: the rig's, in V)",
-    )
-    parser.add_argument(
-        "--strategy",
-        choices=("stepped", "ramp"),
-        default="stepped",
-        help="stepped: wait for lock at every level; ramp: lock once, then windows of 20 periods during slow ramps, "
-        "evaluated by the balance of power (default: stepped)",
-    )
-    parser.add_argument(
-        "--control",
-        choices=("voltage", "response", "force"),
-        default="voltage",
-        help="what the levels are: drive voltage (V), amplitude of the drive-point response that is held (m or "
-        "m/s^2), or force fundamental that is held (N) (default: voltage)",
-    )
-    parser.add_argument(
-        "--direction",
-        choices=("up", "down", "both", "given"),
-        default="given",
-        help="order of the levels: up, down, up and down again, or as given (default)",
-    )
-    parser.add_argument("--periods", metavar="N", type=int, help="whole periods a window (default: the rig's)")
-    parser.add_argument("--ramp", metavar="S", type=float, help="half-cosine between levels, s (default: the rig's)")
-    parser.add_argument(
-        "--timeout", metavar="S", type=float, help="bench time a level may take to lock, s (default: the rig's)"
-    )
-    parser.add_argument(
-        "--stop-on-lost-lock", action="store_true", help="end the test at the first level that does not lock"
-    )
-    parser.add_argument(
-        "--pll",
-        choices=("adaptive", "paper"),
-        help="phase-locked loop: adaptive filter with guard band, or the paper's (default: the rig's, else adaptive)",
-    )
-    add_pacing_option(parser)
-    add_device_option(parser)
-    add_latency_option(parser)
-    add_rig_options(parser, "local_elements.0.slip_force_n=2")
-    parser.add_argument(
-        "--reference",
-        metavar="FILE",
-        help="reference.csv to compare with; 'none' for no comparison (default: computed from the rig's model)",
-    )
-    parser.add_argument(
-        "--calibration",
-        metavar="FILE",
-        type=Path,
-        help="calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget (default: "
-        "section device of the rig file, else ordinary tolerances; none for a simulated rig)",
-    )
-    parser.add_argument(
-        "--no-report", action="store_true", help="tables only; './nmt extract' makes a report of the bag at any time"
-    )
-    add_process_options(parser)
+USAGE = """\
+Tests a rig: the phase-locked loop holds phase resonance at the drive point, the level is stepped, and every locked
+window gives a modal point. Everything is recorded to a bag. Ctrl-C ramps the drive to zero, closes the bag and
+reports what was measured.
+
+RIG  name of a rig (for example beam) or path of a rig file
+@output bag/, modal.csv, modal.json, uncertainty.csv, report.html, rig.yaml, run.json
+--linear FILE  linear.json of './nmt linear' for loop and extraction (default: the linear modes of the rig's model)
+--levels PLAN  levels in the unit of --control: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or a
+    list a,b,c (default: the rig's, in V)
+--strategy stepped|ramp =stepped  stepped: wait for lock at every level; ramp: lock once, then windows of 20 periods
+    during slow ramps, evaluated by the balance of power (default: stepped)
+--control voltage|response|force =voltage  what the levels are: drive voltage (V), amplitude of the drive-point
+    response that is held (m or m/s^2), or force fundamental that is held (N) (default: voltage)
+--direction up|down|both|given =given  order of the levels: up, down, up and down again, or as given (default)
+--periods N  whole periods a window (default: the rig's)
+--ramp S  half-cosine between levels, s (default: the rig's)
+--timeout S  bench time a level may take to lock, s (default: the rig's)
+--stop-on-lost-lock  end the test at the first level that does not lock
+--pll adaptive|paper  phase-locked loop: adaptive filter with guard band, or the paper's (default: the rig's, else
+    adaptive)
+@pacing
+@device
+@latency
+@rig local_elements.0.slip_force_n=2
+--reference FILE :text  reference.csv to compare with; 'none' for no comparison (default: computed from the rig's
+    model)
+--calibration FILE  calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget
+    (default: section device of the rig file, else ordinary tolerances; none for a simulated rig)
+--no-report  tables only; './nmt extract' makes a report of the bag at any time
+@processes
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

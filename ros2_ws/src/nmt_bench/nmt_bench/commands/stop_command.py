@@ -7,7 +7,6 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from nmt_bench.command_parser import Subparsers
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
@@ -17,25 +16,14 @@ EXIT_STOPPED, EXIT_UNKNOWN = 0, 1
 _LAST_DOMAIN = 232
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "stop",
-        help="emergency stop of the benches of this host",
-        description=(
-            "Takes the drive of every bench on this host to zero, or that of one domain, and holds it there until the "
-            "service 'reset' of its plant is called. Says what each plant answers. It is no substitute for the switch "
-            "of the amplifier."
-        ),
-    )
-    parser.add_argument(
-        "--domain",
-        metavar="N",
-        type=int,
-        help="ROS domain of the bench (default: those of all benches that './nmt' runs here, and ROS_DOMAIN_ID)",
-    )
-    parser.add_argument("--namespace", metavar="NAME", default="", help="namespace of the bench (default: none)")
-    parser.add_argument("--timeout", metavar="S", type=float, default=5.0, help="s to wait for each bench (default: 5)")
+USAGE = """\
+Takes the drive of every bench on this host to zero, or that of one domain, and holds it there until the service
+'reset' of its plant is called. Says what each plant answers. It is no substitute for the switch of the amplifier.
+
+--domain N  ROS domain of the bench (default: those of all benches that './nmt' runs here, and ROS_DOMAIN_ID)
+--namespace NAME =""  namespace of the bench (default: none)
+--timeout S =5  s to wait for each bench (default: 5)
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -9,9 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, Subparsers
-from nmt_bench.commands.bench_options import add_task_page_option
-from nmt_bench.commands.worker_count import add_jobs, worker_count
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED
+from nmt_bench.commands.worker_count import worker_count
 from nmt_core.errors import BenchError
 from nmt_core.whole_file import write_whole
 from nmt_study import STUDIES
@@ -25,36 +24,27 @@ if TYPE_CHECKING:
     from nmt_study.study_table import SummaryRow
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    listed = "\n".join(f"  {name:<18}{summary}" for name, (_, summary) in STUDIES.items())
-    parser = subparsers.add_parser(
-        "study",
-        help="one of the paper's studies, all cases, compared with references",
-        description=(
-            "Runs the cases of a study through the bench's nodes in lockstep, in parallel over the cores, and compares "
-            "every level with two references: EPMC (error of the method) and the single-point phase-resonant test "
-            "(error of the test). A finished case is kept; the same command again goes on where it stopped."
-        ),
-        epilog=f"studies:\n{listed}\n  {'all':<18}all of them, each in a folder of its own",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("name", metavar="NAME", choices=(*STUDIES, "all"), help="name of the study, or all")
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        help="folder for the results (study.csv, report.html, cases/); one of the same study is gone on with "
-        "(default: out/study-NAME)",
-    )
-    parser.add_argument("--force", action="store_true", help="start over in a folder that has results")
-    parser.add_argument("--quick", action="store_true", help="few, short cases: shows that it works, no more")
-    add_jobs(parser)
-    parser.add_argument(
-        "--scheduler", metavar="ADDRESS", default="", help="Dask scheduler, tcp://host:port, in place of own processes"
-    )
-    add_task_page_option(parser)
-    parser.add_argument("--keep-bags", action="store_true", help="keep the recording of every case in bags/")
+_LISTED = "\n".join(f"  {name:<18}{summary}" for name, (_, summary) in STUDIES.items())
+
+USAGE = f"""\
+Runs the cases of a study through the bench's nodes in lockstep, in parallel over the cores, and compares every level
+with two references: EPMC (error of the method) and the single-point phase-resonant test (error of the test). A
+finished case is kept; the same command again goes on where it stopped.
+
+NAME {"|".join((*STUDIES, "all"))}  name of the study, or all
+--out DIR  folder for the results (study.csv, report.html, cases/); one of the same study is gone on with (default:
+    out/study-NAME)
+--force  start over in a folder that has results
+--quick  few, short cases: shows that it works, no more
+@jobs
+@scheduler
+@task-page
+--keep-bags  keep the recording of every case in bags/
+
+studies:
+{_LISTED}
+  {"all":<18}all of them, each in a folder of its own
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -7,16 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, Subparsers
-from nmt_bench.commands.bench_options import (
-    add_device_option,
-    add_latency_option,
-    add_pacing_option,
-    add_process_options,
-    add_rig_options,
-    bench_of,
-)
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
+from nmt_bench.commands.bench_options import bench_of
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
@@ -29,60 +22,31 @@ if TYPE_CHECKING:
 _MOST_STEPS = 2000
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "sweep",
-        help="sine sweep or stepped sine with a held force; frequency responses",
-        description=(
-            "Sweeps the frequency slowly while a controller holds the amplitude of the force's fundamental, records "
-            "everything, and finds the frequency responses of all sensors by order analysis. With --stepped the "
-            "frequency stands still at N places instead. Where the rig is simulated, the steady response of its "
-            "model (harmonic balance) is laid over the measurement."
-        ),
-    )
-    parser.add_argument("rig", metavar="RIG", help="name of a rig (for example joint_resonator) or path of a rig file")
-    add_output_options(parser, "bag/, frf.csv, report.html, rig.yaml, run.json", replace="replace")
-    parser.add_argument(
-        "--force",
-        dest="levels",
-        metavar="F[,F2…]",
-        required=True,
-        help="amplitudes held, one sweep each: N; with --control voltage V, with --control response m/s^2 or m",
-    )
-    parser.add_argument("--from", dest="start", metavar="f1", type=float, required=True, help="first frequency, Hz")
-    parser.add_argument("--to", dest="stop", metavar="f2", type=float, required=True, help="last frequency, Hz")
-    parser.add_argument(
-        "--rate", metavar="r", type=float, default=0.2, help="sweep rate, Hz/s, without sign (default: 0.2)"
-    )
-    parser.add_argument(
-        "--stepped", metavar="N", type=int, help="stand still at N evenly spaced frequencies instead of sweeping"
-    )
-    parser.add_argument(
-        "--direction",
-        choices=("given", "up", "down"),
-        default="given",
-        help="from the lower to the higher frequency, the reverse, or as given (default)",
-    )
-    parser.add_argument(
-        "--control",
-        choices=("force", "voltage", "response"),
-        default="force",
-        help="amplitude that is held (default: force)",
-    )
-    parser.add_argument(
-        "--periods", metavar="N", type=int, help="--stepped: whole periods a window (default: the rig's)"
-    )
-    parser.add_argument("--ramp", metavar="S", type=float, help="half-cosine to the amplitude, s (default: the rig's)")
-    add_rig_options(parser, "test.ramp_s=1")
-    add_pacing_option(parser)
-    add_device_option(parser)
-    add_latency_option(parser)
-    parser.add_argument("--points", metavar="N", type=int, default=400, help="frequencies of frf.csv (default: 400)")
-    parser.add_argument(
-        "--reference", choices=("model", "none"), default="model", help="what to compare with (default: the model)"
-    )
-    add_process_options(parser)
+USAGE = """\
+Sweeps the frequency slowly while a controller holds the amplitude of the force's fundamental, records everything, and
+finds the frequency responses of all sensors by order analysis. With --stepped the frequency stands still at N places
+instead. Where the rig is simulated, the steady response of its model (harmonic balance) is laid over the measurement.
+
+RIG  name of a rig (for example joint_resonator) or path of a rig file
+@output-replace bag/, frf.csv, report.html, rig.yaml, run.json
+--force F[,F2…] >levels required  amplitudes held, one sweep each: N; with --control voltage V, with --control
+    response m/s^2 or m
+--from f1 >start required  first frequency, Hz
+--to f2 >stop required  last frequency, Hz
+--rate r =0.2  sweep rate, Hz/s, without sign (default: 0.2)
+--stepped N  stand still at N evenly spaced frequencies instead of sweeping
+--direction given|up|down =given  from the lower to the higher frequency, the reverse, or as given (default)
+--control force|voltage|response =force  amplitude that is held (default: force)
+--periods N  --stepped: whole periods a window (default: the rig's)
+--ramp S  half-cosine to the amplitude, s (default: the rig's)
+@rig test.ramp_s=1
+@pacing
+@device
+@latency
+--points N =400  frequencies of frf.csv (default: 400)
+--reference model|none =model  what to compare with (default: the model)
+@processes
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -4,53 +4,28 @@ from __future__ import annotations
 
 import argparse
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nmt_bench.command_parser import Subparsers
-from nmt_bench.commands.output_folder import OutputFolder, add_output_options, check_output
+from nmt_bench.commands.output_folder import OutputFolder, check_output
 
 if TYPE_CHECKING:
     from nmt_extract.synthesised_responses import SynthesisResult
 
 
-def add_parser(subparsers: Subparsers) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "synthesis",
-        help="frequency response from a backbone alone, beside measured sweeps",
-        description=(
-            "Computes the frequency response near a resonance from nothing but the measured backbone (modal frequency, "
-            "damping and shape over the modal amplitude) and the residuals of the other linear modes, and compares it "
-            "with measured sweeps at the same force."
-        ),
-    )
-    parser.add_argument(
-        "--backbone", metavar="RUN_OUT", type=Path, required=True, help="results folder of './nmt run', or a modal.json"
-    )
-    parser.add_argument(
-        "--linear",
-        metavar="FILE",
-        type=Path,
-        help="linear.json of './nmt linear', for the other modes (default: the linear modes that the run used)",
-    )
-    parser.add_argument(
-        "--sweep",
-        metavar="SWEEP_OUT",
-        type=Path,
-        action="append",
-        default=[],
-        help="results folder of './nmt sweep', or a frf.csv, to compare with; may be repeated",
-    )
-    parser.add_argument("--levels", metavar="F[,F2…]", help="forces, N (default: those of the sweeps)")
-    for option, place, name, which in (("--from", "start", "f1", "first"), ("--to", "stop", "f2", "last")):
-        parser.add_argument(
-            option, dest=place, metavar=name, type=float, help=f"{which} frequency, Hz (default: that of the sweeps)"
-        )
-    parser.add_argument(
-        "--points", metavar="N", type=int, default=801, help="frequencies of synthesis.csv (default: 801)"
-    )
-    add_output_options(parser, "synthesis.csv, report.html")
+USAGE = """\
+Computes the frequency response near a resonance from nothing but the measured backbone (modal frequency, damping and
+shape over the modal amplitude) and the residuals of the other linear modes, and compares it with measured sweeps at
+the same force.
+
+--backbone RUN_OUT required  results folder of './nmt run', or a modal.json
+--linear FILE  linear.json of './nmt linear', for the other modes (default: the linear modes that the run used)
+--sweep SWEEP_OUT...  results folder of './nmt sweep', or a frf.csv, to compare with; may be repeated
+--levels F[,F2…]  forces, N (default: those of the sweeps)
+--from f1 >start  first frequency, Hz (default: that of the sweeps)
+--to f2 >stop  last frequency, Hz (default: that of the sweeps)
+--points N =801  frequencies of synthesis.csv (default: 801)
+@output synthesis.csv, report.html
+"""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -8,11 +8,6 @@ import os
 from nmt_core.errors import BenchError
 
 
-def add_jobs(parser: argparse.ArgumentParser) -> None:
-    """Add the option."""
-    parser.add_argument("--jobs", metavar="N", type=int, help="worker processes (default: one for each core)")
-
-
 def worker_count(arguments: argparse.Namespace) -> int:
     """Processes that were asked for; one for each core that this process may use where none were.
 

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from bench.synthetic_bag import write_bag
@@ -290,7 +291,7 @@ def test_unexpected_error_names_a_log(
 
 
 def test_command_without_its_libraries(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(cli.COMMANDS, "run", ("nmt_bench.no_such_module", "a test"))
+    monkeypatch.setitem(sys.modules, "nmt_bench.commands.run_command", None)
     status, _, err = run(capsys, "run", "beam")
     assert status == 2
     assert one_sentence(err)
@@ -347,24 +348,17 @@ def test_a_missing_module_of_our_own_is_a_fault(
 
 
 def test_demo_is_the_run_of_the_beam(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    module = tmp_path / "pretended_run.py"
-    module.write_text(
-        "USAGE = 'A test.\\n\\nrig\\n--out DIR :text\\n--force\\n'\n"
-        "seen = []\n"
-        "def run(arguments):\n"
-        "    seen.append(arguments)\n"
-        "    return 7\n"
-    )
-    monkeypatch.syspath_prepend(str(tmp_path))
+    seen = []
+    pretended = ModuleType("run_command")
+    pretended.USAGE = "A test.\n\nrig\n--out DIR :text\n--force\n"  # type: ignore[attr-defined]
+    pretended.run = lambda arguments: seen.append(arguments) or 7  # type: ignore[attr-defined, func-returns-value]
+    monkeypatch.setitem(sys.modules, "nmt_bench.commands.run_command", pretended)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(cli.COMMANDS, "run", ("pretended_run", "a test"))
     (tmp_path / "out" / "demo").mkdir(parents=True)
     (tmp_path / "out" / "demo" / "modal.csv").write_text("an earlier demo")
     assert cli.main(["demo"]) == 7
-    import pretended_run  # type: ignore[import-not-found]
-
-    assert pretended_run.seen[0].rig == "beam"
-    assert pretended_run.seen[0].out == str(Path("out") / "demo-2")
+    assert seen[0].rig == "beam"
+    assert seen[0].out == str(Path("out") / "demo-2")
 
 
 @pytest.mark.campaign

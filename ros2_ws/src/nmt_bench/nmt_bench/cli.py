@@ -42,59 +42,33 @@ EXIT_UNEXPECTED = 1
 PROGRAM = "nmt" if os.path.basename(sys.argv[0]) == "nmt" else "./nmt"
 """As the user calls it: the script that pip installs, or the launcher, which starts ``python -m nmt_bench``."""
 
-COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("nmt_bench.commands.demo_command", "the paper's virtual experiment, from the first node to the report"),
-    "run": ("nmt_bench.commands.run_command", "one test of a rig: step the level, lock, record, extract, report"),
-    "page": ("nmt_bench.commands.page_command", "live page in the browser: watch, steer and stop a test; replay a bag"),
-    "extract": ("nmt_bench.commands.extract_command", "modal properties from a recorded bag; equal to the live ones"),
-    "linear": (
-        "nmt_bench.commands.linear_command",
-        "linear modal test: random drive, frequency responses, fitted modes",
-    ),
-    "check": (
-        "nmt_bench.commands.check_command",
-        "low-level check of every channel and of the loop before a test on hardware",
-    ),
-    "specimen": (
-        "nmt_bench.commands.specimen_command",
-        "the simulated rig behind a converter's ports, in real time: hardware to try without hardware",
-    ),
-    "sweep": ("nmt_bench.commands.sweep_command", "sine sweep or stepped sine with a held force; frequency responses"),
-    "synthesis": (
-        "nmt_bench.commands.synthesis_command",
-        "frequency response from a backbone alone, beside measured sweeps",
-    ),
-    "diagnose": (
-        "nmt_bench.commands.diagnose_command",
-        "where model and real rig part, which effect causes it, how far the gap shrinks",
-    ),
-    "import": (
-        "nmt_bench.commands.import_command",
-        "data measured elsewhere (tables, MATLAB, LabVIEW, UFF58) as a bag",
-    ),
-    "repair": ("nmt_bench.commands.repair_command", "what can be saved of a damaged or cut bag, and what was lost"),
-    "export": ("nmt_bench.commands.export_command", "a recording as UFF58, CSV, NPZ, HDF5 or MATLAB; modes as UFF55"),
-    "figures": (
-        "nmt_bench.commands.figures_command",
-        "figures of a report as SVG, PDF and PNG for a paper, each with its table",
-    ),
-    "reference": (
-        "nmt_bench.commands.reference_command",
-        "computed backbone of a rig's model (EPMC, harmonic balance)",
-    ),
-    "study": ("nmt_bench.commands.study_command", "the paper's studies, all cases, compared with references"),
-    "blind": (
-        "nmt_bench.commands.blind_command",
-        "blind check of the diagnosis: make sealed cases, diagnose, score",
-    ),
-    "stop": ("nmt_bench.commands.stop_command", "emergency stop of the benches of this host"),
-    "rigs": ("nmt_bench.commands.rigs_command", "the rigs that can be given by name"),
-    "params": ("nmt_bench.commands.params_command", "parameter file of a rig for starting the nodes with 'ros2 run'"),
-    "benchmark": ("nmt_bench.commands.benchmark_command", "speed of this machine beside limits and peers"),
-    "completion": ("nmt_bench.commands.completion_command", "completion of commands and options for bash or zsh"),
-    "help": ("nmt_bench.commands.help_command", "the commands, or the options of one"),
+COMMANDS = {
+    "demo": "the paper's virtual experiment, from the first node to the report",
+    "run": "one test of a rig: step the level, lock, record, extract, report",
+    "page": "live page in the browser: watch, steer and stop a test; replay a bag",
+    "extract": "modal properties from a recorded bag; equal to the live ones",
+    "linear": "linear modal test: random drive, frequency responses, fitted modes",
+    "check": "low-level check of every channel and of the loop before a test on hardware",
+    "specimen": "the simulated rig behind a converter's ports, in real time: hardware to try without hardware",
+    "sweep": "sine sweep or stepped sine with a held force; frequency responses",
+    "synthesis": "frequency response from a backbone alone, beside measured sweeps",
+    "diagnose": "where model and real rig part, which effect causes it, how far the gap shrinks",
+    "import": "data measured elsewhere (tables, MATLAB, LabVIEW, UFF58) as a bag",
+    "repair": "what can be saved of a damaged or cut bag, and what was lost",
+    "export": "a recording as UFF58, CSV, NPZ, HDF5 or MATLAB; modes as UFF55",
+    "figures": "figures of a report as SVG, PDF and PNG for a paper, each with its table",
+    "reference": "computed backbone of a rig's model (EPMC, harmonic balance)",
+    "study": "the paper's studies, all cases, compared with references",
+    "blind": "blind check of the diagnosis: make sealed cases, diagnose, score",
+    "stop": "emergency stop of the benches of this host",
+    "rigs": "the rigs that can be given by name",
+    "params": "parameter file of a rig for starting the nodes with 'ros2 run'",
+    "benchmark": "speed of this machine beside limits and peers",
+    "completion": "completion of commands and options for bash or zsh",
+    "help": "the commands, or the options of one",
 }
-"""Module and one line of help of each command; ``test``, ``doctor`` and ``setup`` belong to the launcher."""
+"""Line of help of each command, whose module is ``nmt_bench.commands.<name>_command``; ``test``, ``doctor`` and ``setup``
+belong to the launcher."""
 
 _LAUNCHER_COMMANDS = """\
 also, from the launcher:
@@ -151,12 +125,12 @@ def build_parser(*wanted: str | None) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"nmt {_version()}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
-    for name, (module, summary) in COMMANDS.items():
+    for name, summary in COMMANDS.items():
         own = subparsers.add_parser(name, help=summary, add_help=name in wanted)
         if name in wanted:
             from nmt_bench.commands.bench_options import add_options
 
-            add_options(own, _load(name, module))
+            add_options(own, _load(name))
     return parser
 
 
@@ -212,7 +186,7 @@ def _document(words: Sequence[str], end: _End, status: int) -> str:
 
     if end.arguments is None or end.sentence is not None:
         return json_refusal(_command_of(words), status, end.sentence)
-    module = _load(end.arguments.command, COMMANDS[end.arguments.command][0])
+    module = _load(end.arguments.command)
     return json_document(end.arguments, module, status)
 
 
@@ -273,7 +247,7 @@ def run_parsed(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: a mistake that the user can fix.
     """
-    status = int(_load(arguments.command, COMMANDS[arguments.command][0]).run(arguments))
+    status = int(_load(arguments.command).run(arguments))
     sys.stdout.flush()
     return status
 
@@ -299,9 +273,9 @@ def write_error_log(words: Sequence[str]) -> Path:
     return Path(name)
 
 
-def _load(name: str, module: str) -> ModuleType:
+def _load(name: str) -> ModuleType:
     try:
-        return importlib.import_module(module)
+        return importlib.import_module(f"nmt_bench.commands.{name}_command")
     except ModuleNotFoundError as error:
         if error.name is None:
             raise

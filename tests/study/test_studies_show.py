@@ -67,14 +67,14 @@ def test_a_far_point_that_is_best_contradicts_the_lower_accuracy(monkeypatch):
     )
     monkeypatch.setattr(exciter_location, "summary_row", lambda *_: SimpleNamespace(epmc=(0.0, 0.0)))
     results = [{"case": {"exciter": point}} for point in errors]
-    findings = exciter_location._findings(results)
+    findings = list(exciter_location._findings(results))
     lower = next(finding for finding in findings if "5 or 6" in finding.claim)
     assert not lower.holds
     assert lower.found.endswith("best at point 5")
     whole = SimpleNamespace(locked=4, levels=4)
     assert _verdict(findings, [whole]) == ("4 of 5 statements hold; 4 of 4 levels locked and extracted", "partly")
     errors[5] = 0.04
-    assert _verdict(exciter_location._findings(results), [whole])[1] == "good"
+    assert _verdict(list(exciter_location._findings(results)), [whole])[1] == "good"
 
 
 @pytest.mark.campaign

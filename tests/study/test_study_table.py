@@ -9,7 +9,7 @@ import pytest
 from study.synthetic_result import perfect_result
 
 from nmt_study.case import StudyCase
-from nmt_study.study_table import COLUMNS, at_amplitude, csv_text, level_rows, summary_row
+from nmt_study.study_table import COLUMNS, at_amplitude, level_rows, study_csv, summary_row
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def test_a_level_without_a_lock_has_no_values_but_a_reason(result):
 
 def test_table_reads_back(result):
     rows = level_rows("s", result)
-    read = list(csv.DictReader(io.StringIO(csv_text(rows))))
+    read = list(csv.DictReader(io.StringIO(study_csv(rows))))
     assert tuple(read[0]) == COLUMNS
     assert float(read[0]["omega_rad_s"]) == rows[0]["omega_rad_s"]
     assert read[1]["omega_rad_s"] == ""

@@ -95,51 +95,18 @@ def plant_figures(seconds: float) -> list[Figure]:
     channels, more_channels = channel_speed(32), channel_speed(12) / channel_speed(48)
     name = f"plant: {_CONTACTS} joints along a beam"
     contacts = [
-        Figure(f"{name}, {_CONTACTS // 10} slip", few, "× real time", LIMIT_CONTACTS, AT_LEAST, few >= LIMIT_CONTACTS),
+        Figure.limited(f"{name}, {_CONTACTS // 10} slip", few, "× real time", LIMIT_CONTACTS),
         Figure(f"{name}, {_CONTACTS // 10} slip", few, "× real time", every, "all of them solved for at every step"),
-        Figure(f"{name}, all slip", all_slip, "× real time", LIMIT_CONTACTS, AT_LEAST, all_slip >= LIMIT_CONTACTS),
-        Figure(
-            "plant: growth over four times the joints, a quarter slip",
-            growth,
-            "×",
-            LIMIT_GROWTH,
-            AT_MOST,
-            growth <= LIMIT_GROWTH,
+        Figure.limited(f"{name}, all slip", all_slip, "× real time", LIMIT_CONTACTS),
+        Figure.limited("plant: growth over four times the joints, a quarter slip", growth, "×", LIMIT_GROWTH, AT_MOST),
+        Figure.limited("plant: growth over four times the joints, all slip", growth_all, "×", LIMIT_GROWTH, AT_MOST),
+        Figure.limited(
+            "plant: whole device, 49 elements, 32 channels, 51.2 kHz", channels, "× real time", LIMIT_CHANNELS
         ),
-        Figure(
-            "plant: growth over four times the joints, all slip",
-            growth_all,
-            "×",
-            LIMIT_GROWTH,
-            AT_MOST,
-            growth_all <= LIMIT_GROWTH,
-        ),
-        Figure(
-            "plant: whole device, 49 elements, 32 channels, 51.2 kHz",
-            channels,
-            "× real time",
-            LIMIT_CHANNELS,
-            AT_LEAST,
-            channels >= LIMIT_CHANNELS,
-        ),
-        Figure(
-            "plant: growth over four times the channels",
-            more_channels,
-            "×",
-            LIMIT_GROWTH,
-            AT_MOST,
-            more_channels <= LIMIT_GROWTH,
-        ),
+        Figure.limited("plant: growth over four times the channels", more_channels, "×", LIMIT_GROWTH, AT_MOST),
     ]
     return [
-        Figure(
-            "plant: time integration",
-            kernel,
-            "× real time",
-            LIMIT_KERNEL,
-            AT_LEAST,
-            kernel >= LIMIT_KERNEL,
-        ),
+        Figure.limited("plant: time integration", kernel, "× real time", LIMIT_KERNEL),
         Figure("plant: time integration", kernel, "× real time", result.peer, "scipy solve_ivp, same equations"),
         Figure("plant: whole device", result.device, "× real time", None, "with oscillator, sensors and safety"),
         Figure("plant: real time, output of its own process", 100.0 * owned.device, "% of a core", None, "the device"),
@@ -178,38 +145,14 @@ def reference_figures(_: float) -> list[Figure]:
     search = _best(lambda: default_amplitudes(fine), 1)
     growth = search / _best(lambda: default_amplitudes(coarse))
     return [
-        Figure(
-            f"reference: search of the amplitudes, {_ELEMENTS} elements",
-            search,
-            "s",
-            LIMIT_AMPLITUDES,
-            AT_MOST,
-            search <= LIMIT_AMPLITUDES,
+        Figure.limited(
+            f"reference: search of the amplitudes, {_ELEMENTS} elements", search, "s", LIMIT_AMPLITUDES, AT_MOST
         ),
-        Figure(
-            "reference: growth of that search over four times the elements",
-            growth,
-            "×",
-            LIMIT_GROWTH,
-            AT_MOST,
-            growth <= LIMIT_GROWTH,
+        Figure.limited(
+            "reference: growth of that search over four times the elements", growth, "×", LIMIT_GROWTH, AT_MOST
         ),
-        Figure(
-            "reference: 100 backbone points, 7 harmonics",
-            backbone,
-            "s",
-            LIMIT_BACKBONE,
-            AT_MOST,
-            backbone <= LIMIT_BACKBONE,
-        ),
-        Figure(
-            f"reference: force-held response, {points} points",
-            response,
-            "s",
-            LIMIT_RESPONSE,
-            AT_MOST,
-            response <= LIMIT_RESPONSE,
-        ),
+        Figure.limited("reference: 100 backbone points, 7 harmonics", backbone, "s", LIMIT_BACKBONE, AT_MOST),
+        Figure.limited(f"reference: force-held response, {points} points", response, "s", LIMIT_RESPONSE, AT_MOST),
     ]
 
 
@@ -254,14 +197,7 @@ def bag_figures(seconds: float) -> list[Figure]:
         Figure("bag: size, 24 bits a sample", sizes[1], "MB a minute", sizes[0], "all 53 bits, same run"),
         Figure("bag: read", ours, "messages/s", bare, rosbags),
         Figure("bag: extraction", extraction, "messages/s", bare, rosbags),
-        Figure(
-            "bag: extraction over bare read",
-            ratio,
-            "×",
-            LIMIT_EXTRACTION,
-            AT_LEAST,
-            ratio >= LIMIT_EXTRACTION,
-        ),
+        Figure.limited("bag: extraction over bare read", ratio, "×", LIMIT_EXTRACTION),
     ]
 
 
@@ -295,17 +231,17 @@ def level_figures(_: float) -> list[Figure]:
         opening = 1e3 * _best(lambda: Bag.open(bag.path))
     growth = reports[_MANY] / reports[_MANY // 4]
     figures = [
-        Figure(f"report of {_MANY} levels", reports[_MANY], "s", LIMIT_REPORT, AT_MOST, reports[_MANY] <= LIMIT_REPORT),
-        Figure(f"report of {_MANY} levels: page", pages[_MANY], "MB", LIMIT_PAGE, AT_MOST, pages[_MANY] <= LIMIT_PAGE),
-        Figure("report: growth over four times the levels", growth, "×", LIMIT_GROWTH, AT_MOST, growth <= LIMIT_GROWTH),
-        Figure("bag: opening", opening, "ms", LIMIT_OPENING, AT_MOST, opening <= LIMIT_OPENING),
+        Figure.limited(f"report of {_MANY} levels", reports[_MANY], "s", LIMIT_REPORT, AT_MOST),
+        Figure.limited(f"report of {_MANY} levels: page", pages[_MANY], "MB", LIMIT_PAGE, AT_MOST),
+        Figure.limited("report: growth over four times the levels", growth, "×", LIMIT_GROWTH, AT_MOST),
+        Figure.limited("bag: opening", opening, "ms", LIMIT_OPENING, AT_MOST),
     ]
     for count in _READ_LEVELS:
         with tempfile.TemporaryDirectory(prefix="nmt-benchmark-") as folder:
             bag = _recorded(Path(folder), load_rig("beam", [_SHORT]), np.geomspace(0.3, 0.9, count), 20)
             ratio = _over_bare_read(bag)
         name = f"bag: extraction over bare read, {count} levels"
-        figures.append(Figure(name, ratio, "×", LIMIT_MANY_LEVELS, AT_LEAST, ratio >= LIMIT_MANY_LEVELS))
+        figures.append(Figure.limited(name, ratio, "×", LIMIT_MANY_LEVELS))
     return figures
 
 
@@ -392,14 +328,7 @@ def diagnosis_figures(_: float) -> list[Figure]:
     forward.jacobian(parametrisation, theta, start)  # compiles or loads the kernels
     together = _best(lambda: forward.jacobian(parametrisation, theta, start))
     return [
-        Figure(
-            f"diagnosis: levels and a random test, {jobs} processes",
-            whole,
-            "s",
-            LIMIT_DIAGNOSIS,
-            AT_MOST,
-            whole <= LIMIT_DIAGNOSIS,
-        ),
+        Figure.limited(f"diagnosis: levels and a random test, {jobs} processes", whole, "s", LIMIT_DIAGNOSIS, AT_MOST),
         Figure(
             f"diagnosis: sensitivities to {theta.size} parameters",
             1e3 * together,

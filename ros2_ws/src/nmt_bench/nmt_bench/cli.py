@@ -67,7 +67,7 @@ COMMANDS = {
     "completion": "completion of commands and options for bash or zsh",
     "help": "the commands, or the options of one",
 }
-"""Line of help of each command, whose module is ``nmt_bench.commands.<name>_command``; ``test``, ``doctor`` and ``setup``
+"""Line of help of each command; its module is ``nmt_bench.commands.<name>_command``. ``test``, ``doctor`` and ``setup``
 belong to the launcher."""
 
 _LAUNCHER_COMMANDS = """\

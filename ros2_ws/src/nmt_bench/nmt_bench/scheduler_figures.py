@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_bench.benchmark_figures import AT_LEAST, Figure
+from nmt_bench.benchmark_figures import Figure
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.workers import worked
@@ -64,7 +64,7 @@ def waiting_times(count: int) -> FloatArray:
 
 
 def _figure(name: str, value: float) -> Figure:
-    return Figure(name, value, "%", LIMIT_EFFICIENCY, AT_LEAST, value >= LIMIT_EFFICIENCY)
+    return Figure.limited(name, value, "%", LIMIT_EFFICIENCY)
 
 
 def _cluster(distributed: Any, workers: int) -> Any:

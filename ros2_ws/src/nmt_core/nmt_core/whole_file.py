@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,6 +24,25 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Rows as CSV with a line feed behind each."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
+def write_result(path: Path, text: str) -> None:
+    """Write a file of results by `write_whole`.
+
+    Raises:
+        BenchError: it cannot be written; an older file is then left as it was.
+    """
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        raise BenchError(f"{path} cannot be written: {error.strerror}; check the folder and the free space.") from error
 
 
 def write_whole(path: Path, text: str) -> None:

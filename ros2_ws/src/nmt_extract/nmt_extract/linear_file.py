@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -15,6 +13,8 @@ import numpy as np
 from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.linear_description import LinearDescription
 from nmt_core.number_words import significant
+from nmt_core.plain_json import plain_json
+from nmt_core.whole_file import csv_text
 from nmt_extract.frf import FrfEstimate
 from nmt_extract.linear_residuals import Residuals
 from nmt_extract.linear_test import LinearTest
@@ -171,7 +171,7 @@ def linear_mapping(test: LinearTest, check: Linearity | None = None, level: floa
         "linearity": None if check is None else {**asdict(check), "is_linear": check.is_linear},
         "remarks": list(test.remarks),
     }
-    return _plain(values)  # type: ignore[no-any-return]
+    return plain_json(values)  # type: ignore[no-any-return]
 
 
 def _mode(test: LinearTest, index: int) -> dict[str, Any]:
@@ -201,21 +201,6 @@ def _spacing(frf: FrfEstimate) -> float:
     return float(frf.frequency_hz[1] - frf.frequency_hz[0])
 
 
-def _plain(value: Any) -> Any:
-    """Only what JSON knows: complex numbers as [re, im], NaN as null."""
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, complex):
-        return [value.real, value.imag]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def frf_table(test: LinearTest) -> str:
     """``frf.csv``: frequency, then for every response over the force, and for every channel over the voltage, the
     estimates (real and imaginary part, SI units of the channels) and the coherence.
@@ -240,9 +225,4 @@ def frf_table(test: LinearTest) -> str:
                     columns += [values[row].real, values[row].imag]
             head.append(f"{name}_coherence")
             columns.append(frf.coherence[row])
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(head)
-    table = np.column_stack(columns)
-    writer.writerows([f"{value:.9g}" for value in row] for row in table.tolist())
-    return buffer.getvalue()
+    return csv_text([head, *([f"{value:.9g}" for value in row] for row in np.column_stack(columns).tolist())])

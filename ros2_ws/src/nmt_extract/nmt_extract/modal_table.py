@@ -6,8 +6,6 @@ extraction are identical. Rows of levels without values hold ``nan``; ``modal.js
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,8 +17,9 @@ import numpy as np
 
 from nmt_core.arrays import ComplexArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import json_value, read_text
-from nmt_core.whole_file import write_whole
+from nmt_core.hardened import json_value, read_rows, read_text
+from nmt_core.plain_json import plain_json
+from nmt_core.whole_file import csv_text, write_result
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
 from nmt_extract.modal_point import COMPLEX, ModalPoint, Status
 
@@ -46,6 +45,8 @@ LOOP_SAMPLES = 256
 
 FORMAT = "nmt modal points 1"
 
+_WHAT = "table of modal points"
+
 
 def write_csv(points: Iterable[ModalPoint], path: Path | str) -> None:
     """Write ``modal.csv``: one row for each level, in the given order.
@@ -53,12 +54,8 @@ def write_csv(points: Iterable[ModalPoint], path: Path | str) -> None:
     Raises:
         BenchError: the file cannot be written; an older file is then left as it was.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for point in points:
-        writer.writerow([repr(float(getattr(point, name))) for name in COLUMNS])
-    _write_whole(Path(path), text.getvalue())
+    rows = ([repr(float(getattr(point, name))) for name in COLUMNS] for point in points)
+    write_result(Path(path), csv_text([COLUMNS, *rows]))
 
 
 def read_csv(path: Path | str) -> dict[str, list[float]]:
@@ -70,7 +67,7 @@ def read_csv(path: Path | str) -> dict[str, list[float]]:
     Raises:
         BenchError: not there, other columns, or a value that is no number.
     """
-    rows = list(csv.reader(io.StringIO(_read(Path(path)))))
+    rows = read_rows(Path(path), _WHAT)
     if not rows or tuple(rows[0]) != COLUMNS:
         raise BenchError(f"{path} is not a table of modal points; its first line must be {','.join(COLUMNS)}.")
     columns: dict[str, list[float]] = {name: [] for name in COLUMNS}
@@ -96,10 +93,10 @@ def write_json(points: Iterable[ModalPoint], path: Path | str, inputs: Mapping[s
     """
     document = {
         "format": FORMAT,
-        "inputs": _plain(dict(inputs or {})),
+        "inputs": plain_json(dict(inputs or {})),
         "points": [_point_to_mapping(point) for point in points],
     }
-    _write_whole(Path(path), json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+    write_result(Path(path), json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
 
 
 def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
@@ -112,7 +109,7 @@ def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
         BenchError: not there, or not such a file.
     """
     try:
-        document = json_value(_read(Path(path)), str(path), bounded=False)
+        document = json_value(read_text(Path(path), _WHAT), str(path), bounded=False)
         if document["format"] != FORMAT:
             raise ValueError(f"its format is '{document['format']}'")
         return [_point_from_mapping(values) for values in document["points"]], document["inputs"]
@@ -141,9 +138,7 @@ def write_loops(points: Iterable[ModalPoint], layout: HysteresisLayout, path: Pa
     Raises:
         BenchError: the file cannot be written; an older file is then left as it was.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(LOOP_COLUMNS)
+    rows: list[Sequence[str]] = [LOOP_COLUMNS]
     for point in points:
         loop = loop_of_point(layout, point)
         if loop is None:
@@ -152,14 +147,16 @@ def write_loops(points: Iterable[ModalPoint], layout: HysteresisLayout, path: Pa
         for phase, (displacement, force) in enumerate(
             zip(loop.relative_displacement[::step], loop.force[::step], strict=True)
         ):
-            writer.writerow([repr(float(v)) for v in (point.level, phase / LOOP_SAMPLES, displacement, force)])
-    _write_whole(Path(path), text.getvalue())
+            rows.append([repr(float(v)) for v in (point.level, phase / LOOP_SAMPLES, displacement, force)])
+    write_result(Path(path), csv_text(rows))
 
 
 def _point_to_mapping(point: ModalPoint) -> dict[str, Any]:
     values: dict[str, Any] = {item.name: getattr(point, item.name) for item in fields(point)}
     values["status"] = point.status.name
-    return {name: _plain(value) for name, value in values.items()}
+    for name in COMPLEX:
+        values[name] = {"real": values[name].real, "imag": values[name].imag}
+    return plain_json(values)  # type: ignore[no-any-return]
 
 
 def _point_from_mapping(values: Mapping[str, Any]) -> ModalPoint:
@@ -182,34 +179,3 @@ def _complex_array(value: Mapping[str, Any], dimensions: int) -> ComplexArray:
     result = np.empty(real.shape if real.size else (0,) * dimensions, dtype=np.complex128)
     result.real, result.imag = real.reshape(result.shape), imag.reshape(result.shape)
     return result
-
-
-def _plain(value: Any) -> Any:
-    """JSON values; numbers that are not finite become null."""
-    if isinstance(value, np.ndarray):
-        if np.iscomplexobj(value):
-            return {"real": _plain(value.real.tolist()), "imag": _plain(value.imag.tolist())}
-        return _plain(value.tolist())
-    if isinstance(value, (bool, int, str)) or value is None:
-        return value
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    raise TypeError(f"{type(value).__name__} has no form in JSON")
-
-
-def _read(path: Path) -> str:
-    return read_text(path, "table of modal points")
-
-
-def _write_whole(path: Path, text: str) -> None:
-    """Write a file completely or not at all."""
-    try:
-        write_whole(path, text)
-    except OSError as error:
-        raise BenchError(f"{path} cannot be written: {error.strerror}; check the folder and the free space.") from error

@@ -8,8 +8,6 @@ and for every response channel ``<name>_real``, ``<name>_imag`` (A₁/F₁, unit
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,7 +15,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_rows
-from nmt_core.whole_file import write_whole
+from nmt_core.whole_file import csv_text, write_result
 from nmt_extract.swept_response import FrequencyResponseTable
 
 FIXED_COLUMNS = ("segment", "level", "level_unit", "rate_hz_s", "frequency_hz", "force_n", "voltage_v")
@@ -35,23 +33,16 @@ def write_response_csv(tables: Sequence[FrequencyResponseTable], path: Path | st
     channels = tables[0].channels
     if any(table.channels != channels for table in tables):
         raise BenchError("The levels of this sweep have different response channels.")
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*FIXED_COLUMNS, *(name + part for name in channels for part in _PARTS)])
+    rows: list[list[object]] = [[*FIXED_COLUMNS, *(name + part for name in channels for part in _PARTS)]]
     for number, table in enumerate(tables):
         for k, frequency in enumerate(table.frequency_hz):
             numbers = [frequency, table.force_n[k], table.voltage_v[k]]
             for row in range(len(channels)):
                 value = table.frf[row, k]
                 numbers += [value.real, value.imag, table.frf_std[row, k]]
-            writer.writerow(
-                [number, repr(float(table.level)), table.level_unit, repr(float(table.rate_hz_s))]
-                + [repr(float(item)) for item in numbers]
-            )
-    try:
-        write_whole(Path(path), text.getvalue())
-    except OSError as error:
-        raise BenchError(f"{path} cannot be written: {error.strerror}; check the folder and the free space.") from error
+            head = [number, repr(float(table.level)), table.level_unit, repr(float(table.rate_hz_s))]
+            rows.append([*head, *(repr(float(item)) for item in numbers)])
+    write_result(Path(path), csv_text(rows))
 
 
 def read_response_csv(path: Path | str) -> list[FrequencyResponseTable]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_json as read_json_file
 from nmt_core.linear_description import LinearDescription
+from nmt_core.whole_file import csv_text
 from nmt_extract.modal_table import read_json
 from nmt_extract.response_table import read_response_csv
 from nmt_extract.swept_response import FrequencyResponseTable
@@ -64,20 +63,16 @@ class SynthesisResult:
         """
         if not 2 <= points <= 100_000:
             raise BenchError(f"The number of frequencies (--points) must be 2 to 100000, got {points}.")
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(
-            ["force_n", "frequency_hz", "solution", "modal_amplitude"]
-            + [f"a{point}_{part}" for point in self.backbone.points for part in ("real", "imag")]
-        )
+        parts = [f"a{point}_{part}" for point in self.backbone.points for part in ("real", "imag")]
+        rows: list[list[object]] = [["force_n", "frequency_hz", "solution", "modal_amplitude", *parts]]
         for force, s in self.synthesised.items():
             for hertz in np.linspace(self.low_hz, self.high_hz, points):
                 omega = 2.0 * math.pi * float(hertz)
                 for number, (q, displacement) in enumerate(s.solutions(omega)):
                     values = -(omega**2) * displacement
                     parts = [repr(float(x)) for value in values for x in (value.real, value.imag)]
-                    writer.writerow([repr(float(force)), repr(float(hertz)), number, repr(float(q)), *parts])
-        return text.getvalue()
+                    rows.append([repr(float(force)), repr(float(hertz)), number, repr(float(q)), *parts])
+        return csv_text(rows)
 
 
 def synthesise(

@@ -10,8 +10,6 @@ The equations are ``q = |Φ⁺ ψ̃₁|`` and ``δ̃ = P₁ / (ω̃³ q²)`` (me
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,9 +22,8 @@ import numpy as np
 
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
-from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_core.whole_file import write_whole
+from nmt_core.whole_file import csv_text, write_result
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.student import two_sided_quantile
 from nmt_record.exchange.channel_tolerances import Tolerances
@@ -348,17 +345,13 @@ def write_budget(budgets: Sequence[PointBudget], folder: Path | str, inputs: Bud
     Raises:
         BenchError: a file cannot be written.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    table: list[Sequence[object]] = [COLUMNS]
     for point in budgets:
         for name, budget in point.budgets.items():
             rows = [(source.name.lower(), std) for source, std in budget.parts.items()]
             rows += [("repeatability", budget.repeatability), ("total", budget.total), ("expanded_95", budget.expanded)]
             for source, std in rows:
-                writer.writerow(
-                    [point.level_index, repr(point.level), name, repr(budget.value), source, repr(float(std))]
-                )
+                table.append([point.level_index, repr(point.level), name, repr(budget.value), source, repr(float(std))])
     document = {
         "format": FORMAT,
         "coverage": COVERAGE,
@@ -367,17 +360,9 @@ def write_budget(budgets: Sequence[PointBudget], folder: Path | str, inputs: Bud
         "not_included": list(left_out(inputs)),
         "points": [_mapping(point) for point in budgets],
     }
-    for name, content in (
-        ("uncertainty.csv", text.getvalue()),
-        ("uncertainty.json", json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"),
-    ):
-        path = Path(folder) / name
-        try:
-            write_whole(path, content)
-        except OSError as error:
-            raise BenchError(
-                f"{path} cannot be written: {error.strerror}; check the folder and the free space."
-            ) from error
+    write_result(Path(folder) / "uncertainty.csv", csv_text(table))
+    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    write_result(Path(folder) / "uncertainty.json", text)
 
 
 def left_out(inputs: BudgetInputs) -> Iterator[str]:

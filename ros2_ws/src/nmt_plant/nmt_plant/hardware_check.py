@@ -16,6 +16,7 @@ import numpy as np
 
 from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
+from nmt_core.plain_json import plain_json
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_plant.device import DeviceFault
@@ -47,6 +48,28 @@ _HEADROOM = 0.9  # of the range that planned levels may reach
 _CLOCK_PPM = 200.0  # a short record knows no better
 _MAINS_HZ = (50.0, 60.0)
 _MOST_LOST = 0.02  # of the blocks; fewer are marked and cost a window each
+
+_REMEDIES = {
+    "overload": "take a larger range or a less sensitive sensor; look for a broken sensor or amplifier",
+    "short": "look for a short circuit, a muted or wrong port",
+    "icp": "switch the sensor's supply on, look for an open cable, set coupling: ac",
+    "offset": "zero the conditioner or set coupling: ac",
+    "mains": "look for a ground loop, insulate the sensor, connect the shield on one side",
+    "noise": "look at cable and connector, at the conditioner's gain, and for vibration from elsewhere",
+    "rate": "set sample_rate_hz to the converter's true rate, look for a wrong external clock",
+    "no_drive": "switch the amplifier on, look at its gain, at the emergency stop and at the stinger",
+    "open": "look at its cable, at the sensor's mounting and at the channel map",
+    "losses": "give real-time priority ('./nmt doctor'), larger blocks, and end other programs",
+    "delay": "let output and input share one clock; look for lost samples",
+    "resonance": "look at the clamping and at the rig file, or make a linear test ('./nmt linear') and give its file",
+    "sensitivity": "compare sensitivity_v with the calibration sheet, and the conditioner's gain",
+    "force_response": "exchange their cables, or their ports in the channel map",
+    "permuted": "exchange their cables, or their ports in the channel map",
+    "late": "look at filters and delays of its conditioner and converter; sample all inputs together",
+    "sign": "turn the sensor round, or write its sensitivity_v with a minus",
+    "headroom": "take a larger range, a less sensitive sensor, or lower levels",
+}
+"""What fixes a finding, by its name."""
 
 
 class CheckFinding(NamedTuple):
@@ -156,16 +179,8 @@ class CheckResult:
     def to_mapping(self) -> dict[str, Any]:
         """As JSON takes it; not-a-number becomes None."""
         values = {**asdict(self), "findings": [each._asdict() for each in self.findings], "passed": self.passed}
-        cleaned: dict[str, Any] = _without_nan(values)
+        cleaned: dict[str, Any] = plain_json(values)
         return cleaned
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass
@@ -324,8 +339,9 @@ class _Evaluation:
         self.fit: ModelFit | None = None
         self.noise, self.mains, self.offset = self._floor()
 
-    def add(self, name: str, rows: Sequence[int], sentence: str, remedy: str) -> None:
-        self.findings.append(CheckFinding(name, tuple(self.names[row] for row in rows), sentence, remedy))
+    def add(self, name: str, rows: Sequence[int], sentence: str, remedy: str = "") -> None:
+        channels = tuple(self.names[row] for row in rows)
+        self.findings.append(CheckFinding(name, channels, sentence, remedy or _REMEDIES[name]))
 
     def _floor(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Noise (V rms), mains (V) and mean (V) of every channel in silence."""
@@ -364,18 +380,11 @@ class _Evaluation:
         peak = max(float(np.abs(self.record.silent[row]).max()), float(np.abs(self.record.driven[row]).max()))
         if peak >= 0.999 * full:
             self.condemned.add(row)
-            self.add(
-                "overload",
-                [row],
-                f"{name} reaches the end of its range ({full:g} V)",
-                "take a larger range or a less sensitive sensor; look for a broken sensor or amplifier",
-            )
+            self.add("overload", [row], f"{name} reaches the end of its range ({full:g} V)")
             return
         if np.ptp(self.record.silent[row]) == 0.0 and np.ptp(self.record.driven[row]) == 0.0:
             self.condemned.add(row)
-            self.add(
-                "short", [row], f"{name} does not move by a bit", "look for a short circuit, a muted or wrong port"
-            )
+            self.add("short", [row], f"{name} does not move by a bit")
             return
         if abs(self.offset[row]) >= _RAIL * full:
             self.condemned.add(row)
@@ -383,41 +392,20 @@ class _Evaluation:
                 "icp",
                 [row],
                 f"{name} sits at {self.offset[row]:.3g} V of {full:g} V, as an ICP input without supply does",
-                "switch the sensor's supply on, look for an open cable, set coupling: ac",
             )
             return
         if abs(self.offset[row]) > _MOST_OFFSET * full:
-            self.add(
-                "offset",
-                [row],
-                f"{name} has a mean of {self.offset[row]:.3g} V",
-                "zero the conditioner or set coupling: ac",
-            )
+            self.add("offset", [row], f"{name} has a mean of {self.offset[row]:.3g} V")
         if self.mains[row] > _MOST_MAINS * full:
-            self.add(
-                "mains",
-                [row],
-                f"{name} carries {self.mains[row]:.3g} V of the mains' frequency",
-                "look for a ground loop, insulate the sensor, connect the shield on one side",
-            )
+            self.add("mains", [row], f"{name} carries {self.mains[row]:.3g} V of the mains' frequency")
         if self.noise[row] > _MOST_NOISE * full:
-            self.add(
-                "noise",
-                [row],
-                f"{name} has {self.noise[row]:.3g} V rms of noise",
-                "look at cable and connector, at the conditioner's gain, and for vibration from elsewhere",
-            )
+            self.add("noise", [row], f"{name} has {self.noise[row]:.3g} V rms of noise")
 
     def _ask_bench(self) -> None:
         """What concerns all channels: response at all, delay, clock, losses."""
         figures = self.device.figures
         if abs(figures.clock_ppm) > _CLOCK_PPM:
-            self.add(
-                "rate",
-                (),
-                f"the converter's clock is {figures.clock_ppm:+.0f} ppm off this computer's",
-                "set sample_rate_hz to the converter's true rate, look for a wrong external clock",
-            )
+            self.add("rate", (), f"the converter's clock is {figures.clock_ppm:+.0f} ppm off this computer's")
         others = [
             row
             for row, name in enumerate(self.names)
@@ -425,12 +413,7 @@ class _Evaluation:
         ]
         deaf = [row for row in others if self.coherence[row] < _CONNECTED]
         if self.is_driven and others and len(deaf) == len(others):
-            self.add(
-                "no_drive",
-                (),
-                "no channel responds to the drive: the loop does not close",
-                "switch the amplifier on, look at its gain, at the emergency stop and at the stinger",
-            )
+            self.add("no_drive", (), "no channel responds to the drive: the loop does not close")
             return
         monitors = [row for row, name in enumerate(self.names) if self.quantities[name] is Quantity.VOLTAGE]
         for row in [
@@ -443,20 +426,12 @@ class _Evaluation:
             if any(each.name in ("noise", "mains") and self.names[row] in each.channels for each in self.findings):
                 continue  # what hides the response has been named
             self.add(
-                "open",
-                [row],
-                f"{self.names[row]} does not follow the drive (coherence {self.coherence[row]:.2f})",
-                "look at its cable, at the sensor's mounting and at the channel map",
+                "open", [row], f"{self.names[row]} does not follow the drive (coherence {self.coherence[row]:.2f})"
             )
         if self.is_driven:
             self._ask_delay()
         if self.record.lost_blocks > _MOST_LOST * (self.record.put_out.size / self.device.block_samples):
-            self.add(
-                "losses",
-                (),
-                f"{self.record.lost_blocks} blocks had lost samples",
-                "give real-time priority ('./nmt doctor'), larger blocks, and end other programs",
-            )
+            self.add("losses", (), f"{self.record.lost_blocks} blocks had lost samples")
 
     @property
     def _delay_moves(self) -> bool:
@@ -495,12 +470,7 @@ class _Evaluation:
     def _ask_delay(self) -> None:
         """Whether the delay from drive to monitor is the same in every second."""
         if self._delay_moves:
-            self.add(
-                "delay",
-                (),
-                f"the delay from drive to monitor moves by {max(self.lags) - min(self.lags)} samples",
-                "let output and input share one clock; look for lost samples",
-            )
+            self.add("delay", (), f"the delay from drive to monitor moves by {max(self.lags) - min(self.lags)} samples")
 
     def _move_modes(self) -> None:
         """Let the model's modes lie where the responses have them, whatever gains and phases are."""
@@ -540,12 +510,7 @@ class _Evaluation:
             > max(_FREQUENCY_TOLERANCE * mode.model_hz, _SURE * mode.frequency_std)
         ]
         if off:
-            self.add(
-                "resonance",
-                (),
-                "; ".join(off),
-                "look at the clamping and at the rig file, or make a linear test ('./nmt linear') and give its file",
-            )
+            self.add("resonance", (), "; ".join(off))
 
     def _ask_lateness(self) -> None:
         """Channels that come later or earlier than the others."""
@@ -563,7 +528,6 @@ class _Evaluation:
                     f"{self.names[row]} comes {1e3 * abs(delay):.4g} ms (±{1e3 * std:.1g}) "
                     f"{'after' if delay > 0 else 'before'} the others, {abs(turn):.2g}° at {self.target_hz:.4g} Hz: "
                     f"the test would give {_error_words(damping, frequency)}",
-                    "look at filters and delays of its conditioner and converter; sample all inputs together",
                 )
 
     def test_errors(self, row: int, gain: float, delay: float) -> tuple[float, float]:
@@ -616,12 +580,7 @@ class _Evaluation:
                 continue
             self._ask_sensitivity(row, self.gains[row])
             if self._turn(row) < -0.5:
-                self.add(
-                    "sign",
-                    [row],
-                    f"{self.names[row]} has the wrong sign",
-                    "turn the sensor round, or write its sensitivity_v with a minus",
-                )
+                self.add("sign", [row], f"{self.names[row]} has the wrong sign")
 
     def _ask_sensitivity(self, row: int, gain: float) -> None:
         tolerance = _GAIN_TOLERANCE + 4.0 * (self.inputs[row].uncertainty or 0.0)
@@ -631,7 +590,6 @@ class _Evaluation:
                 [row],
                 f"{self.names[row]} measures {gain:.3g} times what the model expects: the test would give "
                 f"{_error_words(*self.test_errors(row, gain, 0.0))}",
-                "compare sensitivity_v with the calibration sheet, and the conditioner's gain",
             )
 
     def _turn(self, row: int) -> float:
@@ -665,7 +623,6 @@ class _Evaluation:
                 "force_response" if with_force else "permuted",
                 [first, second],
                 f"{names[0]} and {names[1]} are exchanged",
-                "exchange their cables, or their ports in the channel map",
             )
             for row, as_row in ((one, other), (other, one)):
                 if row not in self.condemned:
@@ -747,10 +704,7 @@ class _Evaluation:
             share = self.headroom(row)
             if share > _HEADROOM:
                 self.add(
-                    "headroom",
-                    [row],
-                    f"{name} would reach {100 * share:.0f} % of its range at {max(self.levels):g} V",
-                    "take a larger range, a less sensitive sensor, or lower levels",
+                    "headroom", [row], f"{name} would reach {100 * share:.0f} % of its range at {max(self.levels):g} V"
                 )
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from matplotlib.figure import Figure
-
+from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import uncertain
 from nmt_report.response_page import ResponsePage, html_figures, html_table
-from nmt_report.svg import BLUE, MUTED, ReportFigure, figure_style, svg_text
+from nmt_report.svg import BLUE, MUTED, ReportFigure, figure_style
 
 
 def check_page(document: Mapping[str, Any]) -> str:
@@ -102,9 +101,7 @@ def check_page(document: Mapping[str, Any]) -> str:
 
 def _fit_figure(channels: Sequence[Mapping[str, Any]]) -> ReportFigure:
     """Gain and delay of the fitted channels, with bars of two standard uncertainties."""
-    figure = Figure(figsize=(6.3, 3.4))
-    left, right = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.11, right=0.97, bottom=0.17, top=0.96, wspace=0.35)
+    figure, (left, right) = plot_panels((6.3, 3.4), 1, 2, left=0.11, right=0.97, bottom=0.17, top=0.96, wspace=0.35)
     places, names = range(len(channels)), [str(channel["channel"]) for channel in channels]
     for axes, name, factor, centre in ((left, "gain", 1.0, 1.0), (right, "delay", 1e6, 0.0)):
         values = [factor * channel[name] for channel in channels]
@@ -114,14 +111,12 @@ def _fit_figure(channels: Sequence[Mapping[str, Any]]) -> ReportFigure:
         axes.set_xticks(list(places), names, rotation=90 if len(names) > 8 else 0)
     left.set_ylabel("gain, measured over expected")
     right.set_ylabel("delay against the others (µs)")
-    return ReportFigure(
-        "fit",
-        "Gain and delay of each channel",
+    caption = (
         "Fitted to the responses together with frequency and damping of the model's modes; bars: two standard "
-        "uncertainties. A negative gain is a wrong sign.",
-        svg_text(figure, "fit", "Gain and delay of each channel"),
-        wide=True,
+        "uncertainties. A negative gain is a wrong sign."
     )
+    title = "Gain and delay of each channel"
+    return report_figure(figure, "fit", title, caption, wide=True, label=title)
 
 
 def _pair(value: float | None, std: float | None, factor: float) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from nmt_core.arrays import FloatArray
+from nmt_core.whole_file import csv_text
 from nmt_diagnose.inference.residual_map import channel_name, channels_of
 from nmt_diagnose.observations.conditions import (
     BackboneTable,
@@ -228,12 +227,11 @@ def has(observations: Observations, test: int, part: Part) -> bool:
 
 def observables_csv(observations: Observations, models: Models) -> str:
     """Text of ``observables.csv``: every observable, measured and of the three models."""
-    rows, out = observations.rows, io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(
+    rows = observations.rows
+    table: list[list[object]] = [
         ["test", "level", "amplitude", "frequency_hz", "time_s", "channel", "harmonic", "part", "measured", "std",
          "floor", "model_as_given", "model_refitted", "model_final"]
-    )  # fmt: skip
+    ]  # fmt: skip
     for k in range(len(rows)):
         channel = int(rows.channel[k])
         name = channel_name(observations, int(rows.test[k]), channel) if channel >= 0 else ""
@@ -242,7 +240,7 @@ def observables_csv(observations: Observations, models: Models) -> str:
             observations.values[k], observations.std[k], observations.floor[k], models.as_given[k], models.refitted[k],
             models.final[k],
         )  # fmt: skip
-        writer.writerow(
+        table.append(
             [
                 observations.tests[int(rows.test[k])].name, int(rows.level[k]), repr(float(rows.amplitude[k])),
                 repr(float(rows.frequency_hz[k])), repr(float(rows.time_s[k])), name,
@@ -250,4 +248,4 @@ def observables_csv(observations: Observations, models: Models) -> str:
                 *(repr(float(value)) for value in numbers),
             ]
         )  # fmt: skip
-    return out.getvalue()
+    return csv_text(table)

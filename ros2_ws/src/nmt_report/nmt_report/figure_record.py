@@ -7,8 +7,6 @@ of lists, numbers and texts only, so it can be written as JSON.
 from __future__ import annotations
 
 import base64
-import csv
-import io
 import json
 import math
 import re
@@ -25,6 +23,7 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.text import Annotation
 
 from nmt_core.errors import BenchError
+from nmt_core.whole_file import csv_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,12 +106,7 @@ def tidy_csv(figure: Mapping[str, Any]) -> str:
         CSV with the columns of :data:`COLUMNS`; cells that a point has not are empty. ``value`` is that of a cell of a
         map, whose ``x`` and ``y`` are its middle. Reference lines have one coordinate only.
     """
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for row in _rows(figure):
-        writer.writerow(["" if cell is None else cell for cell in row])
-    return out.getvalue()
+    return csv_text([COLUMNS, *_rows(figure)])
 
 
 def _rows(figure: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:

@@ -17,10 +17,11 @@ from nmt_extract.linear_file import synthesis_correlation
 from nmt_extract.linear_residuals import modal_receptance
 from nmt_extract.linear_test import LinearMode, LinearTest
 from nmt_extract.modal import estimated_mass
+from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.html_page import Table
 from nmt_report.quantity_format import duration, plain, significant, uncertain
 from nmt_report.response_page import ResponsePage, text_table
-from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, figure_style, svg_text
+from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, figure_style
 
 if TYPE_CHECKING:
     from nmt_rig.rig import Rig
@@ -292,9 +293,10 @@ def _thinned(frequency: FloatArray, values: ComplexArray) -> tuple[FloatArray, C
 
 
 def _two_axes() -> tuple[Figure, Any, Any]:
-    figure = Figure(figsize=(6.3, 4.6))
-    top, bottom = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (1.8, 1)})
-    figure.subplots_adjust(left=0.13, right=0.97, bottom=0.11, top=0.97, hspace=0.1)
+    figure, (top, bottom) = plot_panels(
+        (6.3, 4.6), 2, 1, {"sharex": True, "height_ratios": (1.8, 1)},
+        left=0.13, right=0.97, bottom=0.11, top=0.97, hspace=0.1,
+    )  # fmt: skip
     bottom.set_xlabel("frequency (Hz)")
     bottom.set_ylabel("phase (°)")
     bottom.set_ylim(-235, 145)
@@ -324,12 +326,9 @@ def _response_figure(test: LinearTest, row: int) -> ReportFigure:
         bottom.semilogx(f, _phase(h), color=colour, linewidth=width)
     top.set_ylabel("receptance (m/N)")
     top.legend(loc="lower left")
-    return ReportFigure(
-        f"frf-{point}",
-        f"Receptance of point {point}",
-        f"Displacement at point {point} over force at point {test.settings.drive_point}.",
-        svg_text(figure, f"frf-{point}", f"Receptance of point {point} over frequency"),
-    )
+    caption = f"Displacement at point {point} over force at point {test.settings.drive_point}."
+    title = f"Receptance of point {point}"
+    return report_figure(figure, f"frf-{point}", title, caption, label=f"{title} over frequency")
 
 
 def _target_figure(test: LinearTest) -> ReportFigure:
@@ -364,18 +363,15 @@ def _target_figure(test: LinearTest) -> ReportFigure:
     bottom.set_ylim(lowest + 45.0, lowest + 315.0)
     top.set_ylabel("receptance (m/N)")
     top.legend(loc="upper right")
-    return ReportFigure(
-        "target",
-        f"Target mode at point {test.points[row]}",
-        "Estimators of the averaged spectra, all widened by the window, and the fit of the whole record without one.",
-        svg_text(figure, "target", "Frequency response around the target mode"),
+    caption = (
+        "Estimators of the averaged spectra, all widened by the window, and the fit of the whole record without one."
     )
+    title = f"Target mode at point {test.points[row]}"
+    return report_figure(figure, "target", title, caption, label="Frequency response around the target mode")
 
 
 def _coherence_figure(test: LinearTest) -> ReportFigure:
-    figure = Figure(figsize=(6.3, 3.4))
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.13, right=0.97, bottom=0.15, top=0.96)
+    figure, axes = plot_panels((6.3, 3.4), left=0.13, right=0.97, bottom=0.15, top=0.96)
     frf = test.force_frf
     colours = [BLUE, ORANGE, GREEN, RED, INK, MUTED]
     for row, point in enumerate(test.points):
@@ -386,19 +382,16 @@ def _coherence_figure(test: LinearTest) -> ReportFigure:
     axes.set_xlabel("frequency (Hz)")
     axes.set_ylabel("coherence γ²")
     axes.legend(loc="lower left", ncols=3)
-    return ReportFigure(
-        "coherence",
-        "Coherence of force and responses",
+    caption = (
         "Lowest value of every stretch of frequency. Dips at narrow resonances are leakage of the window, which the "
-        "fit avoids; dips at antiresonances are noise.",
-        svg_text(figure, "coherence", "Coherence over frequency"),
+        "fit avoids; dips at antiresonances are noise."
     )
+    title = "Coherence of force and responses"
+    return report_figure(figure, "coherence", title, caption, label="Coherence over frequency")
 
 
 def _diagram_figure(test: LinearTest) -> ReportFigure:
-    figure = Figure(figsize=(6.3, 3.8))
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.13, right=0.97, bottom=0.14, top=0.96)
+    figure, axes = plot_panels((6.3, 3.8), left=0.13, right=0.97, bottom=0.14, top=0.96)
     stable: list[tuple[float, int]] = []
     loose: list[tuple[float, int]] = []
     for poles in test.diagrams[0]:
@@ -416,13 +409,12 @@ def _diagram_figure(test: LinearTest) -> ReportFigure:
     axes.set_xlabel("frequency (Hz)")
     axes.set_ylabel("order")
     axes.legend(loc="lower left")
-    return ReportFigure(
-        "stabilisation",
-        "Stabilisation diagram",
+    caption = (
         "Poles of the LSCF polynomials over their order; stable: frequency within 0.5 % and damping within 5 % of the "
-        "order below. Lines: fitted modes, dotted where not kept.",
-        svg_text(figure, "stabilisation", "Stabilisation diagram"),
+        "order below. Lines: fitted modes, dotted where not kept."
     )
+    title = "Stabilisation diagram"
+    return report_figure(figure, "stabilisation", title, caption, label=title)
 
 
 def _shape_figure(test: LinearTest) -> ReportFigure:
@@ -443,9 +435,6 @@ def _shape_figure(test: LinearTest) -> ReportFigure:
         if index == 0:
             axes.set_ylabel("Im ψ (1/√kg)")
     figure.subplots_adjust(left=0.1, right=0.98, bottom=0.13, top=0.92, wspace=0.3)
-    return ReportFigure(
-        "complexity",
-        "Shapes in the complex plane",
-        "A mode of proportional damping lies on the real axis; the real part goes to loop and extraction.",
-        svg_text(figure, "complexity", "Complex shapes at the response points"),
-    )
+    caption = "A mode of proportional damping lies on the real axis; the real part goes to loop and extraction."
+    label = "Complex shapes at the response points"
+    return report_figure(figure, "complexity", "Shapes in the complex plane", caption, label=label)

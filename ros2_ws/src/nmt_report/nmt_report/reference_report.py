@@ -9,11 +9,12 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from nmt_core.arrays import FloatArray
+from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.html_page import Column, Row, Table, part
 from nmt_report.quantity_format import plain, significant
 from nmt_report.response_page import ResponsePage, html_figures
 from nmt_report.run_data import ReferenceCurve
-from nmt_report.svg import BLUE, INK, ORANGE, ReportFigure, figure_style, level_colours, svg_text
+from nmt_report.svg import BLUE, INK, ORANGE, ReportFigure, figure_style, level_colours
 
 if TYPE_CHECKING:
     from nmt_rig.reference import PointShapes, Reference
@@ -41,23 +42,14 @@ def reference_page(rig: Rig, reference: Reference, shapes: PointShapes, compared
             _curve(reference, 100.0 * damping, "damping", "Modal damping ratio", "modal damping ratio (%)", compared),
         ]
         details = [_shape_figure(reference, shapes), _harmonics_figure(reference, shapes)]
-    top = int(damping.argmax())
+    (f0, d0, q0), (f1, d1, q1), (f2, d2, q2) = (
+        (f"{plain(hertz[k], 4)} Hz", f"{plain(100 * damping[k], 3)} %", f"{significant(q[k], 3)} m√kg")
+        for k in (0, -1, int(damping.argmax()))
+    )
     cards = [
-        (
-            "Lowest amplitude",
-            f"{plain(hertz[0], 4)} Hz",
-            f"{plain(100 * damping[0], 3)} % at {significant(q[0], 3)} m√kg",
-        ),
-        (
-            "Highest amplitude",
-            f"{plain(hertz[-1], 4)} Hz",
-            f"{plain(100 * damping[-1], 3)} % at {significant(q[-1], 3)} m√kg",
-        ),
-        (
-            "Highest damping",
-            f"{plain(100 * damping[top], 3)} %",
-            f"{plain(hertz[top], 4)} Hz at {significant(q[top], 3)} m√kg",
-        ),
+        ("Lowest amplitude", f0, f"{d0} at {q0}"),
+        ("Highest amplitude", f1, f"{d1} at {q1}"),
+        ("Highest damping", d2, f"{f2} at {q2}"),
     ]
     notices = [] if reference.single_valued else ["The backbone folds over the amplitude; the first crossing is given."]
     page = ResponsePage(
@@ -103,7 +95,7 @@ def _curve(
         axes.legend(loc="best")
     axes.set_xlabel("modal amplitude (m√kg)")
     axes.set_ylabel(label)
-    return ReportFigure(name, title, caption, svg_text(figure, name, f"{title} over modal amplitude"))
+    return report_figure(figure, name, title, caption, label=f"{title} over modal amplitude")
 
 
 def _shape_figure(reference: Reference, shapes: PointShapes) -> ReportFigure:
@@ -120,12 +112,9 @@ def _shape_figure(reference: Reference, shapes: PointShapes) -> ReportFigure:
     axes.set_xlabel("point")
     axes.set_ylabel("shape of the fundamental (1/√kg)")
     axes.legend(loc="best")
-    return ReportFigure(
-        "shapes",
-        "Shape of the fundamental",
-        "Real part, in phase with the largest entry, at amplitudes from the lowest to the highest.",
-        svg_text(figure, "shapes", "Mode shape at several amplitudes"),
-    )
+    caption = "Real part, in phase with the largest entry, at amplitudes from the lowest to the highest."
+    label = "Mode shape at several amplitudes"
+    return report_figure(figure, "shapes", "Shape of the fundamental", caption, label=label)
 
 
 def _harmonics_figure(reference: Reference, shapes: PointShapes) -> ReportFigure:
@@ -142,14 +131,13 @@ def _harmonics_figure(reference: Reference, shapes: PointShapes) -> ReportFigure
     axes.set_ylabel("harmonic / fundamental")
     if present:
         axes.legend(loc="best")
-    return ReportFigure(
-        "harmonics",
-        "Harmonics of the motion",
+    caption = (
         "Euclidean norm of each harmonic's shape over that of the fundamental."
         if present
-        else f"No harmonic reaches {_NEGLIGIBLE:g} of the fundamental.",
-        svg_text(figure, "harmonics", "Harmonics over modal amplitude"),
+        else f"No harmonic reaches {_NEGLIGIBLE:g} of the fundamental."
     )
+    label = "Harmonics over modal amplitude"
+    return report_figure(figure, "harmonics", "Harmonics of the motion", caption, label=label)
 
 
 def _table(reference: Reference) -> Table:
@@ -167,7 +155,4 @@ def _table(reference: Reference) -> Table:
 
 
 def _axes() -> tuple[Figure, Any]:
-    figure = Figure(figsize=(6.3, 3.6))
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.15, right=0.97, bottom=0.15, top=0.96)
-    return figure, axes
+    return plot_panels((6.3, 3.6), left=0.15, right=0.97, bottom=0.15, top=0.96)

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_extract.swept_response import FrequencyResponseTable
+from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import significant
-from nmt_report.svg import INK, MUTED, ReportFigure, level_colours, svg_text
+from nmt_report.svg import INK, MUTED, ReportFigure, level_colours
 
 _QUANTITIES = {"a": ("acceleration", "m/s²"), "v": ("velocity", "m/s"), "x": ("displacement", "m")}
 
@@ -39,10 +41,8 @@ def response_figure(
     """Amplitude, difference to computed curves, and phase of one channel over the frequency, every level."""
     row = tables[0].channels.index(channel)
     title, unit = channel_text(channel)
-    figure = Figure(figsize=(6.3, 6.6 if overlays else 5.2))
     ratios = (1.6, 0.8, 1) if overlays else (1.6, 1)
-    top, *between, bottom = figure.subplots(len(ratios), 1, sharex=True, gridspec_kw={"height_ratios": ratios})
-    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.08, top=0.97, hspace=0.1)
+    figure, (top, *between, bottom) = _stacked(ratios, 6.6 if overlays else 5.2, 0.08)
     levels = list(dict.fromkeys(table.level for table in tables))
     colours = dict(zip(levels, level_colours(len(levels)), strict=True))
     named: set[str] = set()
@@ -90,16 +90,14 @@ def response_figure(
     shown_hz = np.concatenate([table.frequency_hz for table in tables])
     top.set_xlim(float(shown_hz.min()), float(shown_hz.max()))
     top.set_ylim(bottom=0.0)
-    top.set_ylabel(f"{title.split(' ')[0]} / ({unit})" if "/" in unit else f"{title.split(' ')[0]} / {unit}")
+    top.set_ylabel(_ordinate(title, unit))
     for axes in between:
         axes.axhline(0.0, color=MUTED, linewidth=0.8)
         axes.set_ylabel("computed less\nmeasured / % of peak")
     bottom.set_ylabel("phase to force / °")
     bottom.set_xlabel("frequency / Hz")
     top.legend(loc="best")
-    return ReportFigure(
-        f"response-{channel}", title[:1].upper() + title[1:], caption, svg_text(figure, f"response-{channel}", title)
-    )
+    return report_figure(figure, f"response-{channel}", title[:1].upper() + title[1:], caption, label=title)
 
 
 def _excess(overlay: Overlay, row: int, frequency_hz: FloatArray, measured: ComplexArray) -> FloatArray:
@@ -113,9 +111,7 @@ def _excess(overlay: Overlay, row: int, frequency_hz: FloatArray, measured: Comp
 def synthesis_figure(overlays: Sequence[Overlay], row: int, channel: str) -> ReportFigure:
     """Amplitude and phase of computed curves alone."""
     title, unit = channel_text(channel)
-    figure = Figure(figsize=(6.3, 5.2))
-    top, bottom = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (1.6, 1)})
-    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.09, top=0.97, hspace=0.1)
+    figure, (top, bottom) = _stacked((1.6, 1))
     levels = list(dict.fromkeys(overlay.level for overlay in overlays))
     colours = dict(zip(levels, level_colours(max(1, len(levels))), strict=False))
     for overlay in overlays:
@@ -123,14 +119,24 @@ def synthesis_figure(overlays: Sequence[Overlay], row: int, channel: str) -> Rep
         top.plot(overlay.frequency_hz, np.abs(values), color=colour, label=f"{significant(overlay.level)} N")
         bottom.plot(overlay.frequency_hz, _degrees(values), color=colour)
     top.set_ylim(bottom=0.0)
-    top.set_ylabel(f"{title.split(' ')[0]} / ({unit})" if "/" in unit else f"{title.split(' ')[0]} / {unit}")
+    top.set_ylabel(_ordinate(title, unit))
     bottom.set_ylabel("phase to force / °")
     bottom.set_xlabel("frequency / Hz")
     if overlays:
         top.legend(loc="upper right")
-    name = f"synthesis-{channel}"
     caption = "Synthesis from the backbone alone."
-    return ReportFigure(name, title[:1].upper() + title[1:], caption, svg_text(figure, name, title))
+    return report_figure(figure, f"synthesis-{channel}", title[:1].upper() + title[1:], caption, label=title)
+
+
+def _stacked(ratios: Sequence[float], height: float = 5.2, bottom: float = 0.09) -> tuple[Figure, Any]:
+    """Axes below each other over one frequency axis, with the ratios of their heights."""
+    grid = {"sharex": True, "height_ratios": ratios}
+    return plot_panels((6.3, height), len(ratios), 1, grid, left=0.12, right=0.97, bottom=bottom, top=0.97, hspace=0.1)
+
+
+def _ordinate(title: str, unit: str) -> str:
+    """Quantity and unit of a channel as a label."""
+    return f"{title.split(' ')[0]} / ({unit})" if "/" in unit else f"{title.split(' ')[0]} / {unit}"
 
 
 def _degrees(values: ComplexArray) -> FloatArray:
@@ -144,9 +150,7 @@ def _degrees(values: ComplexArray) -> FloatArray:
 
 def force_figure(tables: Sequence[FrequencyResponseTable]) -> ReportFigure:
     """Deviation of the force from its target, and the drive voltage that it took."""
-    figure = Figure(figsize=(6.3, 5.2))
-    top, bottom = figure.subplots(2, 1, sharex=True)
-    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.09, top=0.97, hspace=0.1)
+    figure, (top, bottom) = _stacked((1, 1))
     levels = list(dict.fromkeys(table.level for table in tables))
     colours = dict(zip(levels, level_colours(len(levels)), strict=True))
     for table in tables:
@@ -172,4 +176,4 @@ def force_figure(tables: Sequence[FrequencyResponseTable]) -> ReportFigure:
         else "Above: amplitude of the force’s fundamental. Below: drive voltage."
     )
     heading = "Error and drive voltage" if held else "Force and drive voltage"
-    return ReportFigure("force", heading, caption, svg_text(figure, "force", "Force error"))
+    return report_figure(figure, "force", heading, caption, label="Force error")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from nmt_extract.modal_point import Status
-from nmt_report.svg import RED, ReportFigure, svg_text
+from nmt_report.figure_parts import plot_panels, report_figure
+from nmt_report.svg import RED, ReportFigure
 from nmt_study.case import StudyCase
 from nmt_study.noise import noise_overrides
 from nmt_study.study import Finding, Result, StudyOutput
@@ -68,7 +68,7 @@ def cases(quick: bool) -> list[StudyCase]:
 
 def show(results: Sequence[Result]) -> StudyOutput:
     """Figures and findings."""
-    return StudyOutput([_accuracy_figure(results), _loop_figure(results)], _findings(results), _REMARKS)
+    return StudyOutput([_accuracy_figure(results), _loop_figure(results)], list(_findings(results)), _REMARKS)
 
 
 _REMARKS = (
@@ -84,9 +84,7 @@ _REMARKS = (
 
 
 def _accuracy_figure(results: Sequence[Result]) -> ReportFigure:
-    figure = Figure(figsize=(9.6, 4.4))
-    panels = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.08, right=0.985, bottom=0.29, top=0.94, wspace=0.24)
+    figure, panels = plot_panels((9.6, 4.4), 1, 2, left=0.08, right=0.985, bottom=0.29, top=0.94, wspace=0.24)
     ways = list(dict.fromkeys(result["case"]["labels"]["way"] for result in results))
     for axes, column, target, label in (
         (panels[0], 0, TARGET_OMEGA, r"largest error of $\tilde\omega$ / %"),
@@ -121,22 +119,16 @@ def _accuracy_figure(results: Sequence[Result]) -> ReportFigure:
         axes.minorticks_off()
         axes.set_xlabel("periods per level")
         axes.set_ylabel(label)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=4, fontsize=7.5)
     caption = (
         "Accuracy against periods per level; each way with several window lengths. Dashed: the target of 50 periods, "
         "0.1 % and 3 %. Open markers: sensor noise of the paper's low level."
     )
-    return ReportFigure(
-        "bench-time", "Accuracy against bench time", caption, svg_text(figure, "bench-time", caption), True
-    )
+    return report_figure(figure, "bench-time", "Accuracy against bench time", caption, True, legend=4, fontsize=7.5)
 
 
 def _loop_figure(results: Sequence[Result]) -> ReportFigure:
     """The loops side by side: time to lock, overshoot, residual phase error of each level."""
-    figure = Figure(figsize=(9.6, 3.9))
-    panels = figure.subplots(1, 3)
-    figure.subplots_adjust(left=0.07, right=0.985, bottom=0.27, top=0.94, wspace=0.33)
+    figure, panels = plot_panels((9.6, 3.9), 1, 3, left=0.07, right=0.985, bottom=0.27, top=0.94, wspace=0.33)
     chosen = [r for r in results if r["case"]["labels"]["noise"] == "none"]
     last = {r["case"]["labels"]["way"]: r for r in chosen}
     columns = (
@@ -160,12 +152,10 @@ def _loop_figure(results: Sequence[Result]) -> ReportFigure:
         axes.set_yscale("log")
         axes.set_xlabel("level / V")
         axes.set_ylabel(label)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=4)
     caption = (
         "The loops on the same levels: time from the start of a level to its lock, overshoot, residual phase error."
     )
-    return ReportFigure("loops", "Loops side by side", caption, svg_text(figure, "loops", caption), True)
+    return report_figure(figure, "loops", "Loops side by side", caption, True, legend=4)
 
 
 def _ramp_finding(result: Result) -> Finding:
@@ -193,13 +183,12 @@ def _summary(result: Result) -> Any:
     return summary_row(result, level_rows("bench_time", result))
 
 
-def _findings(results: Sequence[Result]) -> list[Finding]:
-    found = []
+def _findings(results: Sequence[Result]) -> Iterator[Finding]:
     for result in results:
         row = _summary(result)
         if row.locked < row.levels:
             text = f"{row.locked} of {row.levels} levels: {row.note}"
-            found.append(Finding(row.case, text, False))
+            yield Finding(row.case, text, False)
     ours = [r for r in results if r["case"]["labels"]["way"] in ("quick", "ramp")]
     rows = [_summary(r) for r in ours if r["case"]["labels"]["noise"] == "none"]
     rows = [
@@ -207,16 +196,13 @@ def _findings(results: Sequence[Result]) -> list[Finding]:
         for row in rows
         if row.locked == row.levels and row.single_point[0] <= TARGET_OMEGA and row.single_point[1] <= TARGET_DAMPING
     ]
-    found += [_ramp_finding(r) for r in ours if r["case"]["labels"]["way"] == "ramp"]
+    yield from [_ramp_finding(r) for r in ours if r["case"]["labels"]["way"] == "ramp"]
     best = min(rows, key=lambda row: row.periods) if rows else None
-    found.append(
-        Finding(
-            "At most 50 periods per level at 0.1 % of ω̃ and 3 % of δ̃.",
-            f"{best.case}: {best.periods:.1f} periods per level, ω̃ {percent(best.single_point[0])}, δ̃ "
-            f"{percent(best.single_point[1])}"
-            if best
-            else "no way meets it",
-            best is not None and best.periods <= TARGET_PERIODS,
-        )
+    yield Finding(
+        "At most 50 periods per level at 0.1 % of ω̃ and 3 % of δ̃.",
+        f"{best.case}: {best.periods:.1f} periods per level, ω̃ {percent(best.single_point[0])}, δ̃ "
+        f"{percent(best.single_point[1])}"
+        if best
+        else "no way meets it",
+        best is not None and best.periods <= TARGET_PERIODS,
     )
-    return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 import tempfile
 import time
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.plain_json import plain_json
 from nmt_core.vocabulary import ResultCode
 from nmt_extract.modal_point import MEASURED, ModalPoint, Status
 from nmt_study.case import StudyCase
@@ -72,19 +72,7 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
         timings = level_timings(result.bag, plan.rig.sample_rate_hz, plan.rig.block_samples)
         levels: list[dict[str, Any]] = []
         for point in sorted(result.points, key=lambda item: item.level_index):
-            row = level_mapping(point)
-            timing = timings.get(point.level_index)
-            if timing is not None:
-                row.update(
-                    {
-                        "periods": timing.periods,
-                        "duration_s": timing.duration,
-                        "time_to_lock_s": timing.time_to_lock,
-                        "overshoot": timing.overshoot,
-                        "phase_scatter": timing.scatter,
-                    }
-                )
-            levels.append(row)
+            levels.append({**level_mapping(point), **timings.get(point.level_index, {})})
         extra = evaluation(case, result.bag) if evaluation is not None else {}
         # Other tests than phase resonance have no modal points; their evaluation gives the levels.
         levels = extra.pop("levels", levels)
@@ -111,7 +99,7 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
         "extra": extra,
     }
     measured["run"]["case_time_s"] = time.monotonic() - began
-    plain: dict[str, Any] = _plain(measured)
+    plain: dict[str, Any] = plain_json(measured)
     return plain
 
 
@@ -130,14 +118,3 @@ def level_mapping(point: ModalPoint) -> dict[str, Any]:
         row[name] = getattr(point, name)
         row[f"{name}_std"] = getattr(point, f"{name}_std")
     return row
-
-
-def _plain(value: Any) -> Any:
-    """JSON values; what is not finite becomes None."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,27 +13,14 @@ from nmt_core.records import LoopStatus
 from nmt_core.wire import read_status
 
 
-@dataclass(frozen=True)
-class LevelTiming:
-    """One level in bench time.
+def level_timings(bag: Path, sample_rate: float, block_samples: int) -> dict[int, dict[str, float]]:
+    """Timing of every level of a run in bench time from its bag, by level index.
 
-    Attributes:
-        periods: excitation periods from the start of the level to that of the next (or of the end).
-        duration: the same in s.
-        time_to_lock: s from the start of the level to the lock; NaN without one.
-        overshoot: largest excursion of the frequency beyond its final value before the lock, relative to it.
-        scatter: standard deviation of the loop's own phase error over the window, rad; NaN without one.
-    """
-
-    periods: float
-    duration: float
-    time_to_lock: float
-    overshoot: float
-    scatter: float
-
-
-def level_timings(bag: Path, sample_rate: float, block_samples: int) -> dict[int, LevelTiming]:
-    """Timing of every level of a run from its bag, by level index.
+    Returns:
+        ``periods``: excitation periods from the start of the level to that of the next (or of the end); ``duration_s``:
+        the same; ``time_to_lock_s``: from the start of the level to the lock, NaN without one; ``overshoot``: largest
+        excursion of the frequency beyond its final value before the lock, relative to it; ``phase_scatter``: standard
+        deviation of the loop's own phase error over the window, rad, NaN without one.
 
     Raises:
         BenchError: the bag cannot be read.
@@ -49,7 +35,7 @@ def level_timings(bag: Path, sample_rate: float, block_samples: int) -> dict[int
     samples = np.array(sorted(seen))
     frequency = np.array([seen[int(k)].frequency_hz for k in samples])
     error = np.array([seen[int(k)].phase_error for k in samples])
-    timings: dict[int, LevelTiming] = {}
+    timings: dict[int, dict[str, float]] = {}
     previous = math.nan
     for k, level in enumerate(levels):
         if level.amplitude == 0.0:
@@ -60,13 +46,13 @@ def level_timings(bag: Path, sample_rate: float, block_samples: int) -> dict[int
         lock = locks.get(level.index)
         locked_at = lock.sample if lock is not None else None
         final = lock.frequency_hz if lock is not None else math.nan
-        timings[level.index] = LevelTiming(
-            periods=float(frequency[inside].sum() * block_samples / sample_rate),
-            duration=(end - start) / sample_rate,
-            time_to_lock=(locked_at - start) / sample_rate if locked_at is not None else math.nan,
-            overshoot=_overshoot(frequency[inside & (samples <= (locked_at or 0))], previous, final),
-            scatter=_scatter(error, samples, lock),
-        )
+        timings[level.index] = {
+            "periods": float(frequency[inside].sum() * block_samples / sample_rate),
+            "duration_s": (end - start) / sample_rate,
+            "time_to_lock_s": (locked_at - start) / sample_rate if locked_at is not None else math.nan,
+            "overshoot": _overshoot(frequency[inside & (samples <= (locked_at or 0))], previous, final),
+            "phase_scatter": _scatter(error, samples, lock),
+        }
         previous = final if math.isfinite(final) else previous
     return timings
 

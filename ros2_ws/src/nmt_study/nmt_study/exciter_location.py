@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from nmt_report.svg import ReportFigure, svg_text
+from nmt_report.figure_parts import plot_panels, report_figure
+from nmt_report.svg import ReportFigure
 from nmt_study.case import StudyCase
 from nmt_study.case_reference import levels_for_amplitudes
 from nmt_study.study import Finding, Result, StudyOutput
@@ -32,6 +32,8 @@ from nmt_study.study_table import level_rows, summary_row
 TITLE = "Influence of the exciter location"
 POINTS = (2, 4, 5, 6)
 AMPLITUDES = (3e-5, 6e-4)
+_TALL = (6.3, 4.6)
+_MARGINS = {"left": 0.125, "right": 0.975, "bottom": 0.12, "top": 0.96, "hspace": 0.12}
 
 
 def cases(quick: bool) -> list[StudyCase]:
@@ -57,15 +59,13 @@ def show(results: Sequence[Result]) -> StudyOutput:
     figures.append(_pbmif_figure(results))
     figures.append(_gamma_figure(results))
     figures.append(error_figures("exciter", results, lambda r: level_rows("exciter_location", r), "drive points"))
-    return StudyOutput(figures, _findings(results))
+    return StudyOutput(figures, list(_findings(results)))
 
 
 def _participation_figure(result: Result) -> ReportFigure:
     point = result["case"]["exciter"]
     q = measured(result, "modal_amplitude")
-    figure = Figure(figsize=(6.3, 4.6))
-    magnitude, phase = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    figure.subplots_adjust(left=0.125, right=0.975, bottom=0.12, top=0.96, hspace=0.12)
+    figure, (magnitude, phase) = plot_panels(_TALL, 2, 1, {"sharex": True, "height_ratios": (2, 1)}, **_MARGINS)
     epmc = result["epmc"]
     for mode in range(2):
         gamma = participation(result, mode)
@@ -86,7 +86,7 @@ def _participation_figure(result: Result) -> ReportFigure:
     log_q(phase, [q])
     caption = f"Participation of the linear modes, drive at point {point}; lines: EPMC."
     name = f"participation-{point}"
-    return ReportFigure(name, f"Modal participation, point {point}", caption, svg_text(figure, name, caption))
+    return report_figure(figure, name, f"Modal participation, point {point}", caption)
 
 
 def _pbmif_figure(results: Sequence[Result]) -> ReportFigure:
@@ -99,13 +99,11 @@ def _pbmif_figure(results: Sequence[Result]) -> ReportFigure:
     axes.set_ylabel("PBMIF")
     finish_q(axes, [measured(result, "modal_amplitude") for result in results])
     caption = "Power-based mode indicator |P|/S; dotted: the single-point reference."
-    return ReportFigure("pbmif", "PBMIF", caption, svg_text(figure, "pbmif", caption))
+    return report_figure(figure, "pbmif", "PBMIF", caption)
 
 
 def _gamma_figure(results: Sequence[Result]) -> ReportFigure:
-    figure = Figure(figsize=(6.3, 4.6))
-    panels = figure.subplots(2, 1, sharex=True)
-    figure.subplots_adjust(left=0.125, right=0.975, bottom=0.12, top=0.96, hspace=0.12)
+    figure, panels = plot_panels(_TALL, 2, 1, {"sharex": True}, **_MARGINS)
     names = (("gamma_force", r"$\gamma_F$"), ("gamma_acceleration", r"$\gamma_A$"))
     for axes, (name, label) in zip(panels, names, strict=True):
         for k, result in enumerate(results):
@@ -118,63 +116,51 @@ def _gamma_figure(results: Sequence[Result]) -> ReportFigure:
     panels[1].set_xlabel(Q_LABEL)
     log_q(panels[1], [measured(result, "modal_amplitude") for result in results])
     caption = "Fundamental content of force and drive-point acceleration; dotted: the single-point reference."
-    return ReportFigure("gamma", "Fundamental content", caption, svg_text(figure, "gamma", caption))
+    return report_figure(figure, "gamma", "Fundamental content", caption)
 
 
-def _findings(results: Sequence[Result]) -> list[Finding]:
+def _findings(results: Sequence[Result]) -> Iterator[Finding]:
     rows = {r["case"]["exciter"]: level_rows("exciter_location", r) for r in results}
     summary = {r["case"]["exciter"]: summary_row(r, rows[r["case"]["exciter"]]) for r in results}
-    found = []
     omega = {point: row.epmc[0] for point, row in summary.items()}
     damping = {point: row.epmc[1] for point, row in summary.items()}
-    found.append(
-        Finding(
-            "The results agree well with the numerical reference for all drive points.",
-            "largest distance to EPMC "
-            + ", ".join(f"point {p}: f̃ {percent(omega[p])}, δ̃ {percent(damping[p])}" for p in summary),
-            all(value < 0.01 for value in omega.values()),
-        )
+    yield Finding(
+        "The results agree well with the numerical reference for all drive points.",
+        "largest distance to EPMC "
+        + ", ".join(f"point {p}: f̃ {percent(omega[p])}, δ̃ {percent(damping[p])}" for p in summary),
+        all(value < 0.01 for value in omega.values()),
     )
     near = [p for p in (2, 4) if p in summary]
     far = [p for p in (5, 6) if p in summary]
     if near and far:
         rms = {p: _rms(row["damping_error_epmc"] for row in rows[p]) for p in summary}
-        found.append(
-            Finding(
-                "With the exciter at points 5 or 6 the accuracy is slightly lower.",
-                "root mean square of the distance of δ̃ to EPMC "
-                + ", ".join(f"point {p}: {percent(rms[p])}" for p in rms)
-                + f"; best at point {min(rms, key=lambda p: rms[p])}",
-                min(rms[p] for p in far) > max(rms[p] for p in near),
-            )
+        yield Finding(
+            "With the exciter at points 5 or 6 the accuracy is slightly lower.",
+            "root mean square of the distance of δ̃ to EPMC "
+            + ", ".join(f"point {p}: {percent(rms[p])}" for p in rms)
+            + f"; best at point {min(rms, key=lambda p: rms[p])}",
+            min(rms[p] for p in far) > max(rms[p] for p in near),
         )
     second = {p: max(row["participation_2"] or 0.0 for row in rows[p]) for p in summary}
-    found.append(
-        Finding(
-            "The contribution of the second mode is negligible.",
-            "largest |Γ₂| " + ", ".join(f"point {p}: {value:.3f}" for p, value in second.items()),
-            max(second.values()) < 0.1,
-        )
+    yield Finding(
+        "The contribution of the second mode is negligible.",
+        "largest |Γ₂| " + ", ".join(f"point {p}: {value:.3f}" for p, value in second.items()),
+        max(second.values()) < 0.1,
     )
     lowest = {p: min(row["pbmif"] for row in rows[p] if row["pbmif"] is not None) for p in summary}
     if 6 in lowest and len(lowest) > 1:
-        found.append(
-            Finding(
-                "The PBMIF deviates considerably from one at point 6.",
-                "lowest PBMIF " + ", ".join(f"point {p}: {value:.4f}" for p, value in lowest.items()),
-                lowest[6] == min(lowest.values()),
-            )
+        yield Finding(
+            "The PBMIF deviates considerably from one at point 6.",
+            "lowest PBMIF " + ", ".join(f"point {p}: {value:.4f}" for p, value in lowest.items()),
+            lowest[6] == min(lowest.values()),
         )
     gamma = {p: min(row["gamma_force"] for row in rows[p] if row["gamma_force"] is not None) for p in summary}
     ordered = [gamma[p] for p in sorted(gamma)]
-    found.append(
-        Finding(
-            "Higher harmonics of the force are stronger the nearer the shaker is to the free end.",
-            "lowest γ_F " + ", ".join(f"point {p}: {value:.4f}" for p, value in gamma.items()),
-            all(a >= b for a, b in pairwise(ordered)),
-        )
+    yield Finding(
+        "Higher harmonics of the force are stronger the nearer the shaker is to the free end.",
+        "lowest γ_F " + ", ".join(f"point {p}: {value:.4f}" for p, value in gamma.items()),
+        all(a >= b for a, b in pairwise(ordered)),
     )
-    return found
 
 
 def _rms(values: object) -> float:

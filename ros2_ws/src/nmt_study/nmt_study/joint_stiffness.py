@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,8 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_extract.modal_point import Status
-from nmt_report.svg import MUTED, ReportFigure, svg_text
+from nmt_report.figure_parts import report_figure
+from nmt_report.svg import MUTED, ReportFigure
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_structure
@@ -132,7 +133,7 @@ def show(results: Sequence[Result]) -> StudyOutput:
         figures += backbone_figures("kt-6", high, "joints, drive at point 6", epmc_of_each=True)
     figures += [_history_figure(result) for result in hunts]
     figures.append(error_figures("kt", tests, lambda r: level_rows("joint_stiffness", r), "joints"))
-    return StudyOutput(figures, _findings(tests, hunts), _REMARKS)
+    return StudyOutput(figures, list(_findings(tests, hunts)), _REMARKS)
 
 
 _REMARKS = (
@@ -170,25 +171,22 @@ def _history_figure(result: Result) -> ReportFigure:
     axes.set_ylabel(r"excitation frequency $\Omega$ / (rad/s)")
     axes.legend(loc="best")
     caption = f"Excitation frequency over the run: {title_of(result)}; gaps: the drive is off after a lost lock."
-    return ReportFigure(name, f"Course of the frequency: {title_of(result)}", caption, svg_text(figure, name, caption))
+    return report_figure(figure, name, f"Course of the frequency: {title_of(result)}", caption)
 
 
-def _findings(tests: Sequence[Result], hunts: Sequence[Result]) -> list[Finding]:
-    found = []
+def _findings(tests: Sequence[Result], hunts: Sequence[Result]) -> Iterator[Finding]:
     for result in tests:
         row = summary_row(result, level_rows("joint_stiffness", result))
         highest = max((r["damping_ratio"] for r in result["levels"] if r["status"] == Status.OK), default=math.nan)
         lowest = min((r["omega_rad_s"] for r in result["levels"] if r["status"] == Status.OK), default=math.nan)
         shift = 1.0 - lowest / linear_frequency(result)
-        found.append(
-            Finding(
-                f"{row.case}: modal properties can be extracted.",
-                f"{row.locked} of {row.levels} levels; damping up to {percent(highest, 3)}, frequency down by "
-                f"{percent(shift, 3)}; error of the test ω̃ {percent(row.single_point[0])}, δ̃ "
-                f"{percent(row.single_point[1])}; of the method (single-valued range) ω̃ {percent(row.epmc[0])}, δ̃ "
-                f"{percent(row.epmc[1])}",
-                row.locked > 0,
-            )
+        yield Finding(
+            f"{row.case}: modal properties can be extracted.",
+            f"{row.locked} of {row.levels} levels; damping up to {percent(highest, 3)}, frequency down by "
+            f"{percent(shift, 3)}; error of the test ω̃ {percent(row.single_point[0])}, δ̃ "
+            f"{percent(row.single_point[1])}; of the method (single-valued range) ω̃ {percent(row.epmc[0])}, δ̃ "
+            f"{percent(row.epmc[1])}",
+            row.locked > 0,
         )
     for result in hunts:
         first, second = (result["linear"]["frequencies_rad_s"] + [math.nan])[:2]
@@ -196,25 +194,20 @@ def _findings(tests: Sequence[Result], hunts: Sequence[Result]) -> list[Finding]
         elsewhere = [r for r in good if r["omega_rad_s"] > 1.2 * first]
         lost = len(result["levels"]) - len(good)
         if result["case"]["loop"] == "paper":
-            found.append(
-                Finding(
-                    f"{title_of(result)}: the loop locks on the second mode although started at the first.",
-                    f"{len(elsewhere)} of {len(result['levels'])} levels locked far above mode 1"
-                    + (f", at {elsewhere[-1]['omega_rad_s']:.0f} rad/s" if elsewhere else "")
-                    + f" (linear modes: {first:.0f}, {second:.0f} rad/s); {lost} levels not locked",
-                    bool(elsewhere),
-                )
+            yield Finding(
+                f"{title_of(result)}: the loop locks on the second mode although started at the first.",
+                f"{len(elsewhere)} of {len(result['levels'])} levels locked far above mode 1"
+                + (f", at {elsewhere[-1]['omega_rad_s']:.0f} rad/s" if elsewhere else "")
+                + f" (linear modes: {first:.0f}, {second:.0f} rad/s); {lost} levels not locked",
+                bool(elsewhere),
             )
         else:
-            found.append(
-                Finding(
-                    f"{title_of(result)}: the guard band keeps a lock on another mode from being reported.",
-                    f"{lost} of {len(result['levels'])} levels refused ({_first_reason(result)}); "
-                    f"{len(elsewhere)} locked above mode 1",
-                    not elsewhere,
-                )
+            yield Finding(
+                f"{title_of(result)}: the guard band keeps a lock on another mode from being reported.",
+                f"{lost} of {len(result['levels'])} levels refused ({_first_reason(result)}); "
+                f"{len(elsewhere)} locked above mode 1",
+                not elsewhere,
             )
-    return found
 
 
 def _first_reason(result: Result) -> str:

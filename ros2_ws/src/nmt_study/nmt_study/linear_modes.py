@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,8 @@ import numpy as np
 
 from nmt_core.arrays import FloatArray
 from nmt_extract.modal_point import Status
-from nmt_report.svg import INK, ReportFigure, svg_text
+from nmt_report.figure_parts import report_figure
+from nmt_report.svg import INK, ReportFigure
 from nmt_study.case import StudyCase
 from nmt_study.study import Finding, Result, StudyOutput
 from nmt_study.study_figures import (
@@ -117,7 +118,7 @@ def show(results: Sequence[Result]) -> StudyOutput:
     rows: list[Mapping[str, Any]] = []
     for changed in [*_scaled_results(base), *_random_results(base)]:
         rows += level_rows("linear_modes", changed)
-    return StudyOutput(figures, _findings(base), [_NOTE], rows)
+    return StudyOutput(figures, list(_findings(base)), [_NOTE], rows)
 
 
 _NOTE = (
@@ -175,49 +176,39 @@ def _band_figure(base: Result, name: str) -> ReportFigure:
     what = "Natural frequency" if omega else "Damping ratio"
     caption = f"{what} with random errors of the linear shapes, one thin line a draw."
     key = "shape-errors-omega" if omega else "shape-errors-damping"
-    return ReportFigure(key, f"{what}: random shape errors", caption, svg_text(figure, key, caption))
+    return report_figure(figure, key, f"{what}: random shape errors", caption)
 
 
-def _findings(base: Result) -> list[Finding]:
+def _findings(base: Result) -> Iterator[Finding]:
     damping = measured(base, "damping_ratio")
-    found = []
     for scale, values in base["extra"]["scaled"].items():
         kappa = float(scale)
         ratio = np.array(values["damping_ratio"]) / damping
-        found.append(
-            Finding(
-                f"κ = {scale} multiplies the damping ratio by κ² ({percent(kappa**2 - 1.0)}).",
-                f"damping changes by {percent(float(ratio.mean()) - 1.0, 4)}, at every level the same to "
-                f"{percent(float(np.ptp(ratio)), 1)}",
-                bool(np.allclose(ratio, kappa**2, rtol=1e-6)),
-            )
+        yield Finding(
+            f"κ = {scale} multiplies the damping ratio by κ² ({percent(kappa**2 - 1.0)}).",
+            f"damping changes by {percent(float(ratio.mean()) - 1.0, 4)}, at every level the same to "
+            f"{percent(float(np.ptp(ratio)), 1)}",
+            bool(np.allclose(ratio, kappa**2, rtol=1e-6)),
         )
     omega = measured(base, "omega_rad_s")
     same = all(np.allclose(v["omega_rad_s"], omega, rtol=1e-12) for v in base["extra"]["scaled"].values())
-    found.append(
-        Finding(
-            "The natural frequencies do not depend on the shapes.", "equal to all digits" if same else "they do", same
-        )
+    yield Finding(
+        "The natural frequencies do not depend on the shapes.", "equal to all digits" if same else "they do", same
     )
     spread = {}
     for level, values in base["extra"]["random"].items():
         relative = np.array(values["damping_ratio"]) / damping - 1.0
         spread[float(level)] = float(np.sqrt(np.mean(relative**2))), float(np.abs(relative).max())
-    found.append(
-        Finding(
-            "Relative errors of the modal properties are much smaller than those of the shapes.",
-            "; ".join(
-                f"errors of {percent(level)}: damping off by {percent(rms)} (root mean square), {percent(most)} at most"
-                for level, (rms, most) in spread.items()
-            ),
-            all(rms < 0.5 * level for level, (rms, _) in spread.items()),
-        )
+    yield Finding(
+        "Relative errors of the modal properties are much smaller than those of the shapes.",
+        "; ".join(
+            f"errors of {percent(level)}: damping off by {percent(rms)} (root mean square), {percent(most)} at most"
+            for level, (rms, most) in spread.items()
+        ),
+        all(rms < 0.5 * level for level, (rms, _) in spread.items()),
     )
-    found.append(
-        Finding(
-            "Extraction of the bag with distorted shapes gives the same as the equations.",
-            f"largest relative difference of the damping {base['extra']['witness']:.1g}",
-            base["extra"]["witness"] < 1e-9,
-        )
+    yield Finding(
+        "Extraction of the bag with distorted shapes gives the same as the equations.",
+        f"largest relative difference of the damping {base['extra']['witness']:.1g}",
+        base["extra"]["witness"] < 1e-9,
     )
-    return found

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from nmt_core.arrays import FloatArray
 from nmt_extract.modal_point import Status
+from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import plain, significant
-from nmt_report.svg import INK, ReportFigure, svg_text
+from nmt_report.svg import INK, ReportFigure
 from nmt_study.case import StudyCase
 from nmt_study.study import Finding, Result, StudyOutput, StudyTable
 from nmt_study.study_figures import COLOURS, MARKERS, percent
@@ -103,27 +103,18 @@ def _case(method: str, title: str, factor: int, seed: int, **values: Any) -> Stu
     )
 
 
-def _phase_resonance(factor: int, seed: int, quick: bool) -> StudyCase:
+def _phase_resonance(
+    factor: int, seed: int, quick: bool, method: str = "phase_resonance", periods: int = 80
+) -> StudyCase:
     volts = np.geomspace(0.25, 18.0, 4 if quick else 16)
     return _case(
-        "phase_resonance", METHODS["phase_resonance"], factor, seed,
-        levels=_rounded(volts), window_periods=80, ramp=0.2, timeout=25.0, loop_values={"dwell_periods": 40.0},
+        method, METHODS[method], factor, seed,
+        levels=_rounded(volts), window_periods=periods, ramp=0.2, timeout=25.0, loop_values={"dwell_periods": 40.0},
     )  # fmt: skip
 
 
 def _long_windows(factor: int, seed: int, quick: bool) -> StudyCase:
-    base = _phase_resonance(factor, seed, quick)
-    return _case(
-        "long_windows",
-        METHODS["long_windows"],
-        factor,
-        seed,
-        levels=base.levels,
-        window_periods=400,
-        ramp=base.ramp,
-        timeout=base.timeout,
-        loop_values=base.loop_values,
-    )
+    return _phase_resonance(factor, seed, quick, "long_windows", 400)
 
 
 def _paper(factor: int) -> StudyCase:
@@ -143,15 +134,15 @@ def _ring_downs(factor: int, seed: int, quick: bool) -> StudyCase:
     )  # fmt: skip
 
 
-def _forces(count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Forces (N), resonances (Hz) and damping ratios whose peaks are evenly spread over the amplitudes."""
-    acceleration = np.geomspace(42.0, 2100.0, count)
+def _forces() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Ten forces (N), resonances (Hz) and damping ratios whose peaks are evenly spread over the amplitudes."""
+    acceleration = np.geomspace(42.0, 2100.0, 10)
     frequency, damping = expected(acceleration)
     return 2.0 * damping * acceleration / DRIVE_SHAPE, frequency, damping
 
 
 def _sweeps(factor: int, seed: int, quick: bool) -> StudyCase:
-    force, frequency, damping = _forces(10)
+    force, frequency, damping = _forces()
     keep = slice(6, 8) if quick else slice(None)
     return _case(
         "sweeps", "sweeps", factor, seed,
@@ -162,7 +153,7 @@ def _sweeps(factor: int, seed: int, quick: bool) -> StudyCase:
 
 
 def _stepped(factor: int, seed: int, quick: bool) -> StudyCase:
-    force, frequency, damping = _forces(10)
+    force, frequency, damping = _forces()
     levels, places = [], []
     for k in (6, 7) if quick else range(10):
         for offset in _FORCE_OFFSETS[1:-1:2] if quick else _FORCE_OFFSETS:
@@ -310,9 +301,8 @@ def show(results: Sequence[Result]) -> StudyOutput:
         if not any(made is result for result in results):
             rows += level_rows("method_comparison", made)
     figures = [_overlay(results, found), _errors(found), _noise_figure(found), _time_figure(found)]
-    return StudyOutput(
-        figures, _findings(found), [*_FAIRNESS, *_remarks(results)], rows, [_comparison(found), *_noise_tables(found)]
-    )
+    tables = [_comparison(found), *_noise_tables(found)]
+    return StudyOutput(figures, list(_findings(found)), [*_FAIRNESS, *_remarks(results)], rows, tables)
 
 
 _FAIRNESS = (
@@ -346,15 +336,18 @@ def _remarks(results: Sequence[Result]) -> list[str]:
     return texts
 
 
-def _rms(values: Sequence[FloatArray]) -> float:
+def _finite(values: Sequence[FloatArray]) -> FloatArray:
     joined = np.concatenate(values) if values else np.empty(0)
-    joined = joined[np.isfinite(joined)]
+    return np.asarray(joined[np.isfinite(joined)])
+
+
+def _rms(values: Sequence[FloatArray]) -> float:
+    joined = _finite(values)
     return float(np.sqrt(np.mean(joined**2))) if joined.size else math.nan
 
 
 def _largest(values: Sequence[FloatArray]) -> float:
-    joined = np.concatenate(values) if values else np.empty(0)
-    joined = joined[np.isfinite(joined)]
+    joined = _finite(values)
     return float(np.abs(joined).max()) if joined.size else math.nan
 
 
@@ -453,9 +446,7 @@ def _first(found: Sequence[MethodOutcome], method: str, noise: int) -> MethodOut
 
 
 def _overlay(results: Sequence[Result], found: Sequence[MethodOutcome]) -> ReportFigure:
-    figure = Figure(figsize=(9.6, 5.2))
-    panels = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.085, right=0.985, bottom=0.33, top=0.96, wspace=0.22)
+    figure, panels = plot_panels((9.6, 5.2), 1, 2, left=0.085, right=0.985, bottom=0.33, top=0.96, wspace=0.22)
     lowest = min(o.noise for o in found)
     epmc = max(
         (r["epmc"] for r in results if not r["epmc"]["failure"]), key=lambda e: np.ptp(np.log(e["modal_amplitude"]))
@@ -481,20 +472,19 @@ def _overlay(results: Sequence[Result], found: Sequence[MethodOutcome]) -> Repor
     panels[1].set_ylim(bottom=0.0)
     for axes in panels:
         _acceleration_axis(axes)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=2)
     caption = (
         "Frequency and damping over the modal acceleration, all methods at the rig's own noise (first seed), with "
         "standard uncertainties."
     )
-    return ReportFigure("methods", "All methods", caption, svg_text(figure, "methods", caption), True)
+    return report_figure(figure, "methods", "All methods", caption, True, legend=2)
 
 
 def _errors(found: Sequence[MethodOutcome]) -> ReportFigure:
     noises = sorted({o.noise for o in found})
-    figure = Figure(figsize=(9.6, 6.4))
-    panels = figure.subplots(2, len(noises), squeeze=False, sharex=True)
-    figure.subplots_adjust(left=0.085, right=0.985, bottom=0.235, top=0.94, wspace=0.3, hspace=0.12)
+    figure, panels = plot_panels(
+        (9.6, 6.4), 2, len(noises), {"squeeze": False, "sharex": True},
+        left=0.085, right=0.985, bottom=0.235, top=0.94, wspace=0.3, hspace=0.12,
+    )  # fmt: skip
     methods = [method for method in _present(found) if method not in WRONG_BY_CONSTRUCTION]
     for column, noise in enumerate(noises):
         for line, (values, std, label) in enumerate(
@@ -520,21 +510,17 @@ def _errors(found: Sequence[MethodOutcome]) -> ReportFigure:
                 axes.set_title(f"noise x {noise}")
             else:
                 _acceleration_axis(axes)
-    handles, labels = panels[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=2)
     caption = (
         "Errors against EPMC at the same amplitude with stated standard uncertainties, first seed. Left out: what is "
         "wrong by construction (apparent values of structure and exciter, half-power bandwidth). Mind the "
         "different scales."
     )
-    return ReportFigure("method-errors", "Errors and noise", caption, svg_text(figure, "method-errors", caption), True)
+    return report_figure(figure, "method-errors", "Errors and noise", caption, True, legend=2)
 
 
 def _noise_figure(found: Sequence[MethodOutcome]) -> ReportFigure:
     noises = sorted({o.noise for o in found})
-    figure = Figure(figsize=(9.6, 4.8))
-    panels = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.085, right=0.985, bottom=0.37, top=0.96, wspace=0.22)
+    figure, panels = plot_panels((9.6, 4.8), 1, 2, left=0.085, right=0.985, bottom=0.37, top=0.96, wspace=0.22)
     for axes, name, label in (
         (panels[0], "omega_error", r"rms error of $\tilde\omega$ / %"),
         (panels[1], "damping_error", r"rms error of $\tilde\delta$ / %"),
@@ -546,20 +532,14 @@ def _noise_figure(found: Sequence[MethodOutcome]) -> ReportFigure:
         axes.set_yscale("log")
         axes.set_xlabel("sensor noise, times that of the rig")
         axes.set_ylabel(label)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=2)
     caption = "Root mean square of the errors over amplitudes and seeds, over the sensor noise."
-    return ReportFigure(
-        "method-noise", "Sensitivity to noise", caption, svg_text(figure, "method-noise", caption), True
-    )
+    return report_figure(figure, "method-noise", "Sensitivity to noise", caption, True, legend=2)
 
 
 def _time_figure(found: Sequence[MethodOutcome]) -> ReportFigure:
     methods = [method for method in _present(found) if method not in WRONG_BY_CONSTRUCTION][::-1]
     times = [_bench_time(found, method) for method in methods]
-    figure = Figure(figsize=(6.3, 3.2))
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.46, right=0.9, bottom=0.17, top=0.97)
+    figure, axes = plot_panels((6.3, 3.2), left=0.46, right=0.9, bottom=0.17, top=0.97)
     axes.barh(range(len(methods)), times, color=[_style(method)["color"] for method in methods], height=0.6)
     axes.set_yticks(range(len(methods)), [METHODS[method] for method in methods])
     for k, time in enumerate(times):
@@ -569,7 +549,7 @@ def _time_figure(found: Sequence[MethodOutcome]) -> ReportFigure:
     axes.minorticks_off()
     axes.set_xlabel("bench time / s")
     caption = "Bench time of a whole backbone at the rig's own noise."
-    return ReportFigure("method-time", "Bench time", caption, svg_text(figure, "method-time", caption))
+    return report_figure(figure, "method-time", "Bench time", caption)
 
 
 def _acceleration_axis(axes: Any) -> None:
@@ -580,20 +560,16 @@ def _acceleration_axis(axes: Any) -> None:
     axes.set_xlabel(r"modal acceleration $\tilde\omega^2 q$ / (m/s²)$\sqrt{\mathrm{kg}}$")
 
 
-def _findings(found: Sequence[MethodOutcome]) -> list[Finding]:
+def _findings(found: Sequence[MethodOutcome]) -> Iterator[Finding]:
     lowest, highest = min(o.noise for o in found), max(o.noise for o in found)
-    texts: list[Finding] = []
     for method in _present(found):
         own = _of(found, method, lowest)
         omega = _largest([o.omega_error for o in own])
         damping = _largest([o.damping_error for o in own])
-        texts.append(
-            Finding(
-                f"{METHODS[method]}: every ω̃ within 0.1 % and every δ̃ within 3 % of EPMC.",
-                f"largest errors {percent(omega)} and {percent(damping)}, {_bench_time(found, method):.1f} s of bench "
-                "time",
-                bool(omega <= 1e-3 and damping <= 0.03) if math.isfinite(omega) else None,
-            )
+        yield Finding(
+            f"{METHODS[method]}: every ω̃ within 0.1 % and every δ̃ within 3 % of EPMC.",
+            f"largest errors {percent(omega)} and {percent(damping)}, {_bench_time(found, method):.1f} s of bench time",
+            bool(omega <= 1e-3 and damping <= 0.03) if math.isfinite(omega) else None,
         )
     for method in ("phase_resonance", "ring_downs", "stepped", "held_response"):
         own = _of(found, method, highest)
@@ -604,12 +580,9 @@ def _findings(found: Sequence[MethodOutcome]) -> list[Finding]:
         if highest == lowest or not ratios[0].size:
             continue
         typical = [float(np.median(np.abs(values[np.isfinite(values)]))) for values in ratios]
-        texts.append(
-            Finding(
-                f"{METHODS[method]}, noise x {highest}: the stated uncertainties are those of the errors.",
-                f"median of |error| over standard uncertainty {typical[0]:.2f} for ω̃, {typical[1]:.2f} for δ̃ (0.67 "
-                "expected)",
-                all(0.33 < value < 1.35 for value in typical),
-            )
+        yield Finding(
+            f"{METHODS[method]}, noise x {highest}: the stated uncertainties are those of the errors.",
+            f"median of |error| over standard uncertainty {typical[0]:.2f} for ω̃, {typical[1]:.2f} for δ̃ (0.67 "
+            "expected)",
+            all(0.33 < value < 1.35 for value in typical),
         )
-    return texts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +77,7 @@ def show(results: Sequence[Result]) -> StudyOutput:
     shown = [r for r in results if any(row["status"] == Status.OK for row in r["levels"])]
     figures = backbone_figures("noise", shown, "noise levels")
     figures.append(error_figures("noise", shown, lambda r: level_rows("noise", r), "noise levels"))
-    return StudyOutput(figures, _findings(results), [_NOTE])
+    return StudyOutput(figures, list(_findings(results)), [_NOTE])
 
 
 _NOTE = (
@@ -87,8 +87,7 @@ _NOTE = (
 )
 
 
-def _findings(results: Sequence[Result]) -> list[Finding]:
-    found = []
+def _findings(results: Sequence[Result]) -> Iterator[Finding]:
     for result in results:
         label, loop = result["case"]["labels"]["noise"], result["case"]["loop"]
         snr = result["extra"].get("snr_db") or {}
@@ -99,10 +98,8 @@ def _findings(results: Sequence[Result]) -> list[Finding]:
                 values = [entry[name] for entry in snr.values()]
                 texts.append(f"{name} {values[0]:.1f} to {values[-1]:.1f} dB (paper {paper[k][0]} to {paper[k][1]} dB)")
             low = next(entry["force"] for entry in snr.values())
-            found.append(
-                Finding(
-                    f"SNR at the {label} noise level as in the table.", "; ".join(texts), abs(low - paper[0][0]) < 3.0
-                )
+            yield Finding(
+                f"SNR at the {label} noise level as in the table.", "; ".join(texts), abs(low - paper[0][0]) < 3.0
             )
     by_label = {
         r["case"]["labels"]["noise"]: summary_row(r, level_rows("noise", r))
@@ -113,28 +110,23 @@ def _findings(results: Sequence[Result]) -> list[Finding]:
     if table:
         omega = max(row.single_point[0] for row in table)
         damping = max(row.single_point[1] for row in table)
-        found.append(
-            Finding(
-                "The results are highly robust against the noise levels of the table.",
-                f"largest error of the test with both of them: ω̃ {percent(omega)}, δ̃ {percent(damping)}",
-                omega < 1e-3 and damping < 0.02,
-            )
+        yield Finding(
+            "The results are highly robust against the noise levels of the table.",
+            f"largest error of the test with both of them: ω̃ {percent(omega)}, δ̃ {percent(damping)}",
+            omega < 1e-3 and damping < 0.02,
         )
     for result in results:
         label = result["case"]["labels"]["noise"]
         snr = result["extra"].get("snr_db") or {}
         if label == "high x 10" and snr and result["case"]["loop"] == "adaptive":
             first = next(iter(snr.values()))
-            found.append(
-                Finding(
-                    "One decade more: negative SNR of the displacement.",
-                    f"displacement SNR at the lowest level that locked: {first['displacement']:.1f} dB",
-                    first["displacement"] < 0.0,
-                )
+            yield Finding(
+                "One decade more: negative SNR of the displacement.",
+                f"displacement SNR at the lowest level that locked: {first['displacement']:.1f} dB",
+                first["displacement"] < 0.0,
             )
         if label == "high x 100":
-            found.append(_failure_finding(result) if result["case"]["loop"] == "paper" else _honesty_finding(result))
-    return found
+            yield _failure_finding(result) if result["case"]["loop"] == "paper" else _honesty_finding(result)
 
 
 def _failure_finding(result: Result) -> Finding:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from nmt_core.arrays import FloatArray
 from nmt_extract.modal_point import Status
 from nmt_report.backbone_figures import decade_ticks
+from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import significant
 from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
 from nmt_study.study import Result
@@ -103,9 +104,7 @@ def backbone_figures(
             "dotted lines what a perfect single-point test would measure."
         )
         key = "omega" if factor is None else "damping"
-        figures.append(
-            ReportFigure(f"{prefix}-{key}", f"{title}: {what}", caption, svg_text(figure, f"{prefix}-{key}", caption))
-        )
+        figures.append(report_figure(figure, f"{prefix}-{key}", f"{title}: {what}", caption))
     return figures
 
 
@@ -118,9 +117,9 @@ def error_figures(prefix: str, results: Sequence[Result], rows: Callable[[Result
         rows: table rows of a result.
         what: what distinguishes the cases.
     """
-    figure = Figure(figsize=(6.3, 5.4))
-    panels = figure.subplots(2, 2, sharex=True)
-    figure.subplots_adjust(left=0.12, right=0.98, bottom=0.2, top=0.94, hspace=0.16, wspace=0.3)
+    figure, panels = plot_panels(
+        (6.3, 5.4), 2, 2, {"sharex": True}, left=0.12, right=0.98, bottom=0.2, top=0.94, hspace=0.16, wspace=0.3
+    )
     columns = (("single_point", "error of the test"), ("epmc", "error of the method"))
     for column, (reference, title) in enumerate(columns):
         for line, (quantity, symbol, floor) in enumerate(
@@ -166,10 +165,7 @@ def error_figures(prefix: str, results: Sequence[Result], rows: Callable[[Result
 
 def plot_axes(height: float = _SIZE[1]) -> tuple[Figure, Axes]:
     """A figure with one set of axes."""
-    figure = Figure(figsize=(_SIZE[0], height))
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.125, right=0.975, bottom=0.13, top=0.96)
-    return figure, axes
+    return plot_panels((_SIZE[0], height), left=0.125, right=0.975, bottom=0.13, top=0.96)
 
 
 def draw_points(axes: Axes, k: int, x: Any, y: Any, label: str, size: float = 4.2) -> None:

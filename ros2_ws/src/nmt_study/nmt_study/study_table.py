@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from nmt_core.whole_file import csv_text
 from nmt_extract.modal_point import Status
 from nmt_report.columns import status_text
 
@@ -210,14 +209,9 @@ def _largest(values: Iterable[float | None]) -> float:
     return max(finite) if finite else math.nan
 
 
-def csv_text(rows: Iterable[Mapping[str, Any]]) -> str:
+def study_csv(rows: Iterable[Mapping[str, Any]]) -> str:
     """The table as CSV; missing values are empty, numbers read back to the same bits."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for row in rows:
-        writer.writerow([_cell(row[name]) for name in COLUMNS])
-    return text.getvalue()
+    return csv_text([COLUMNS, *([_cell(row[name]) for name in COLUMNS] for row in rows)])
 
 
 def _cell(value: Any) -> str:

@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _run_all(arguments: argparse.Namespace, jobs: int, console: Any, page: TaskFeed) -> bool:
     from nmt_study.case_store import CaseStore
     from nmt_study.study_report import index_page
-    from nmt_study.study_table import csv_text
+    from nmt_study.study_table import study_csv
 
     CaseStore(arguments.out, "all", arguments.force)
     shutil.rmtree(arguments.out / "cases", ignore_errors=True)
@@ -91,7 +91,7 @@ def _run_all(arguments: argparse.Namespace, jobs: int, console: Any, page: TaskF
         complete = complete and whole
         entries.append((name, title, summary, findings))
         rows += study_rows
-    write_whole(arguments.out / "study.csv", csv_text(rows))
+    write_whole(arguments.out / "study.csv", study_csv(rows))
     write_whole(arguments.out / "report.html", index_page(entries, arguments.quick))
     return complete
 
@@ -103,7 +103,7 @@ def _run_study(
     from nmt_study.case_store import CaseStore
     from nmt_study.study_report import study_page
     from nmt_study.study_runner import load_study, run_cases
-    from nmt_study.study_table import csv_text, level_rows, summary_row
+    from nmt_study.study_table import level_rows, study_csv, summary_row
 
     module = load_study(name)
     store = CaseStore(folder, name, arguments.force)
@@ -130,7 +130,7 @@ def _run_study(
         # Few and short cases show that a study works; they carry no conclusion.
         output = replace(output, findings=[replace(finding, holds=None) for finding in output.findings])
     table = [row for own in rows for row in own] + list(output.extra_rows)
-    write_whole(folder / "study.csv", csv_text(table))
+    write_whole(folder / "study.csv", study_csv(table))
     page_text = study_page(name, module.TITLE, results, summary, table, output, arguments.quick)
     write_whole(folder / "report.html", page_text)
     print_summary(console, summary, output.findings)

@@ -7,7 +7,6 @@ endian and each part padded to four bytes. The head is a JSON object; its key ``
 from __future__ import annotations
 
 import json
-import math
 import struct
 from collections.abc import Mapping
 from typing import Any
@@ -15,20 +14,10 @@ from typing import Any
 import numpy as np
 
 from nmt_bench.page.decimation import as_float32
+from nmt_core.plain_json import plain_json
 
 MAGIC = b"NMT1"
 _LENGTH = struct.Struct("<I")
-
-
-def plain_json(value: Any) -> Any:
-    """The value with numbers that JSON does not know (NaN, infinities) as null."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): plain_json(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_json(item) for item in value]
-    return value
 
 
 def write_frame(head: Mapping[str, Any], arrays: Mapping[str, Any]) -> bytes:

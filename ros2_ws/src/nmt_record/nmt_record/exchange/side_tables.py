@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +11,7 @@ from nmt_core.blocks import SAMPLE_TOPICS, OscillatorPhase
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_rows
 from nmt_core.records import LoopStatus
-from nmt_core.whole_file import write_whole, writing
+from nmt_core.whole_file import csv_text, write_whole, writing
 
 _BLOCK_COLUMNS = ("first_sample", "samples", "cycles", "frequency_hz", "rate_hz_s")
 _FLAGS = "flags_"
@@ -129,10 +127,8 @@ def read_loop_table(path: Path) -> list[LoopStatus]:
 
 
 def _write(path: Path, lines: Iterable[Sequence[object]]) -> None:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(lines)
     with writing(path):
-        write_whole(path, text.getvalue())
+        write_whole(path, csv_text(lines))
 
 
 def _read(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:

@@ -6,8 +6,9 @@ import json
 
 import numpy as np
 import pytest
+from bench.frame_reader import read_frame
 
-from nmt_bench.page.frames import read_frame, write_frame
+from nmt_bench.page.frames import write_frame
 from nmt_bench.page.guard import Bucket, Guard, Role
 from nmt_bench.page.server import steering_request
 from nmt_core.errors import BenchError

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bench.frame_reader import read_frame
 
 from nmt_bench.page.bag_player import BagPlayer
-from nmt_bench.page.frames import read_frame
 from nmt_bench.page.live_view import LiveView
 from nmt_bench.page.signal_views import deflection
 from nmt_core.blocks import SampleBlock

@@ -12,10 +12,10 @@ from typing import Any
 import aiohttp
 import numpy as np
 import pytest
+from bench.frame_reader import read_frame
 
 from nmt_bench.page.bench_link import ServiceAnswer, StartRequest
 from nmt_bench.page.door import Door
-from nmt_bench.page.frames import read_frame
 from nmt_bench.page.live_view import LiveView
 from nmt_bench.page.server import PageServer
 from nmt_core.blocks import OscillatorPhase, SampleBlock

@@ -10,10 +10,10 @@ from typing import Any
 
 import aiohttp
 import pytest
+from bench.frame_reader import read_frame
 
 from nmt_bench.commands.diagnose_command import _tell
 from nmt_bench.page.bench_link import StartRequest
-from nmt_bench.page.frames import read_frame
 from nmt_bench.page.start_goal import goal_of, start_request
 from nmt_bench.page.task_feed import TaskFeed, task_page
 from nmt_bench.page.task_view import TaskView

@@ -88,17 +88,6 @@ class OrderKernel:
         return self.weights.size / self.sample_rate
 
     @property
-    def fourth_moment(self) -> float:
-        """μ₄ = Σ k τ⁴, s⁴; the bias of a smoothly varying amplitude is μ₄/24 times its fourth derivative."""
-        time = np.arange(-self.half, self.half + 1) / self.sample_rate
-        return float((self.weights * time**4).sum())
-
-    @property
-    def noise_gain(self) -> float:
-        """√(2 Σ k²): standard deviation of the real part of Â (and of the imaginary) for unit white noise."""
-        return math.sqrt(2.0 * float((self.weights**2).sum()))
-
-    @property
     def bandwidth_hz(self) -> float:
         """Modulation frequency at which the window is 3 dB down, Hz."""
         size = 1 << (3 + math.ceil(math.log2(self.weights.size)))

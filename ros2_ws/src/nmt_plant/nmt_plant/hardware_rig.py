@@ -10,7 +10,6 @@ import numpy as np
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.vocabulary import OutputState
 from nmt_plant.converter_watch import ClockWatch, DelayWatch
 from nmt_plant.guarded_device import GuardedDevice, owned_output
 from nmt_plant.oscillator import OscillatorBlock
@@ -234,11 +233,6 @@ class HardwareRig(GuardedDevice):
         """A sentence for each warning level passed, and for a clock or a delay that moves."""
         own = [self._clock.sentence, self._delays.sentence]
         return (*super().warnings, *(each for each in own if each))
-
-    @property
-    def output_is_known(self) -> bool:
-        """Whether the state of the output is known."""
-        return self.output_state is not OutputState.NOT_KNOWN
 
     def _close(self) -> None:
         pass

@@ -265,116 +265,102 @@ def make_calls(hardware: Hardware, names: str) -> Any:
         known = {f"/{each['terminals']}/{own}" for each in tasks.values() if "terminals" in each}
         refuse(context, 0 if source in known or re.fullmatch(r"/\w+/PFI\d+", source) else _NO_TERMINAL, "read")
 
-    class Servicer(base):  # type: ignore[misc,valid-type]
-        """The calls that mean something here."""
-
-        def CreateAIVoltageChan(self, request: Any, context: Any) -> Any:  # noqa: N802
-            new_channel(request, context)
-            return nidaqmx_pb2.CreateAIVoltageChanResponse()
-
-        def CreateAOVoltageChan(self, request: Any, context: Any) -> Any:  # noqa: N802
-            code, terminals, kind = _parts(request.physical_channel, devices)
-            refuse(context, code or (0 if request.max_val <= 10.0 else _NOT_SUPPORTED), "read")
-            tasks.setdefault(request.task.name, {"channels": {}}).update(terminals=terminals, kind=kind)
-            return nidaqmx_pb2.CreateAOVoltageChanResponse()
-
-        def SetChanAttributeDouble(self, request: Any, context: Any) -> Any:  # noqa: N802
-            task = tasks[request.task.name]
-            if request.attribute_raw == _EXCITATION:
-                known = any(math.isclose(request.value, own) for own in task["kind"].currents_a)
-                refuse(context, 0 if known else _NOT_SUPPORTED, "read")
-                task["excitation"][request.channel] = request.value
-            return nidaqmx_pb2.SetChanAttributeDoubleResponse()
-
-        def GetChanAttributeDouble(self, request: Any, _: Any) -> Any:  # noqa: N802
-            task = tasks[request.task.name]
-            held = task["channels"] if request.attribute_raw == _LARGEST else task["excitation"]
-            return nidaqmx_pb2.GetChanAttributeDoubleResponse(value=held.get(request.channel, 0.0))
-
-        def CfgSampClkTiming(self, request: Any, context: Any) -> Any:  # noqa: N802
-            task = tasks[request.task.name]
-            if request.source:
-                check_terminal(context, request.task.name, request.source, "ai/SampleClock")
-            task["rate"] = task["kind"].rate(request.rate)
-            refuse(context, _NOT_SUPPORTED if math.isnan(task["rate"]) else 0, "read")
-            return nidaqmx_pb2.CfgSampClkTimingResponse()
-
-        def GetTimingAttributeDouble(self, request: Any, _: Any) -> Any:  # noqa: N802
-            known = request.attribute_raw == _RATE
-            return nidaqmx_pb2.GetTimingAttributeDoubleResponse(
-                value=tasks[request.task.name]["rate"] if known else 0.0
-            )
-
-        def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> Any:  # noqa: N802
-            check_terminal(context, request.task.name, request.trigger_source, "ai/StartTrigger")
-            return nidaqmx_pb2.CfgDigEdgeStartTrigResponse()
-
-        def GetDeviceAttributeInt32(self, request: Any, _: Any) -> Any:  # noqa: N802
-            category = _MODULE if "Mod" in request.device_name else _BOARD
-            known = request.attribute_raw == _CATEGORY
-            return nidaqmx_pb2.GetDeviceAttributeInt32Response(value_raw=category if known else 0)
-
-        def GetDeviceAttributeString(self, request: Any, _: Any) -> Any:  # noqa: N802
-            chassis = request.device_name.partition("Mod")[0] if request.attribute_raw == _CHASSIS else ""
-            return nidaqmx_pb2.GetDeviceAttributeStringResponse(value=chassis)
-
-        def ConfigureTEDS(self, request: Any, context: Any) -> Any:  # noqa: N802
-            refuse(context, 0 if request.physical_channel in hardware.sheets else _NO_SHEET, "read")
-            return nidaqmx_pb2.ConfigureTEDSResponse()
-
-        def GetPhysicalChanAttributeUInt32(self, request: Any, _: Any) -> Any:  # noqa: N802
-            number = hardware.sheets.get(request.physical_channel, 0) if request.attribute_raw == _SERIAL else 0
-            return nidaqmx_pb2.GetPhysicalChanAttributeUInt32Response(value=number)
-
-        def CreateTask(self, request: Any, _: Any) -> Any:  # noqa: N802 - NI's names
-            response = nidaqmx_pb2.CreateTaskResponse(new_session_initialized=True)
-            response.task.name = request.session_name
-            return response
-
-        def GetSystemInfoAttributeString(self, request: Any, _: Any) -> Any:  # noqa: N802
-            known = request.attribute_raw == _DEVICE_NAMES
-            return nidaqmx_pb2.GetSystemInfoAttributeStringResponse(value=names if known else "")
-
-        def SetChanAttributeInt32(self, request: Any, _: Any) -> Any:  # noqa: N802
-            if request.attribute_raw == _IDLE_BEHAVIOUR:
-                hardware.idles_at_zero = request.value_raw == _ZERO_VOLTS
-            return nidaqmx_pb2.SetChanAttributeInt32Response()
-
-        def SetBufferAttributeUInt32(self, request: Any, _: Any) -> Any:  # noqa: N802
-            hardware.space = int(request.value)
-            return nidaqmx_pb2.SetBufferAttributeUInt32Response()
-
-        def StartTask(self, request: Any, _: Any) -> Any:  # noqa: N802
-            hardware.start(request.task.name.endswith("input"))
-            return nidaqmx_pb2.StartTaskResponse()
-
-        def StopTask(self, _: Any, __: Any) -> Any:  # noqa: N802
-            hardware.stop()
-            return nidaqmx_pb2.StopTaskResponse()
-
-        def ReadAnalogF64(self, request: Any, context: Any) -> Any:  # noqa: N802
-            count = request.num_samps_per_chan
-            code, values = hardware.read(count, request.timeout)
-            refuse(context, code, "read")
-            return nidaqmx_pb2.ReadAnalogF64Response(read_array=values.ravel(), samps_per_chan_read=count)
-
-        def WriteAnalogF64(self, request: Any, context: Any) -> Any:  # noqa: N802
-            refuse(context, hardware.write(np.array(request.write_array), request.timeout), "written")
-            return nidaqmx_pb2.WriteAnalogF64Response(samps_per_chan_written=request.num_samps_per_chan)
-
     def refuse(context: Any, code: int, what: str) -> None:
         """End a call as NI's server does: a gRPC error with NI's code beside it."""
         if code:
             context.set_trailing_metadata((("ni-error", str(code)), (f"ni-samps-per-chan-{what}", "0")))
             context.abort(grpc.StatusCode.UNKNOWN, _WORDS[code])
 
-    def empty(name: str) -> Any:
-        return lambda _self, _request, _context: getattr(nidaqmx_pb2, f"{name}Response")()
+    # What the calls do that mean something here, and the fields of their answers.
 
-    for name in dir(base):
-        if not name.startswith("_") and name not in vars(Servicer) and hasattr(nidaqmx_pb2, f"{name}Response"):
-            setattr(Servicer, name, empty(name))
-    return Servicer()
+    def create_output(request: Any, context: Any) -> None:
+        code, terminals, kind = _parts(request.physical_channel, devices)
+        refuse(context, code or (0 if request.max_val <= 10.0 else _NOT_SUPPORTED), "read")
+        tasks.setdefault(request.task.name, {"channels": {}}).update(terminals=terminals, kind=kind)
+
+    def set_excitation(request: Any, context: Any) -> None:
+        task = tasks[request.task.name]
+        if request.attribute_raw == _EXCITATION:
+            known = any(math.isclose(request.value, own) for own in task["kind"].currents_a)
+            refuse(context, 0 if known else _NOT_SUPPORTED, "read")
+            task["excitation"][request.channel] = request.value
+
+    def get_range_or_excitation(request: Any, _: Any) -> dict[str, Any]:
+        held = tasks[request.task.name]["channels" if request.attribute_raw == _LARGEST else "excitation"]
+        return {"value": held.get(request.channel, 0.0)}
+
+    def set_clock(request: Any, context: Any) -> None:
+        task = tasks[request.task.name]
+        if request.source:
+            check_terminal(context, request.task.name, request.source, "ai/SampleClock")
+        task["rate"] = task["kind"].rate(request.rate)
+        refuse(context, _NOT_SUPPORTED if math.isnan(task["rate"]) else 0, "read")
+
+    def get_rate(request: Any, _: Any) -> dict[str, Any]:
+        return {"value": tasks[request.task.name]["rate"] if request.attribute_raw == _RATE else 0.0}
+
+    def get_category(request: Any, _: Any) -> dict[str, Any]:
+        category = _MODULE if "Mod" in request.device_name else _BOARD
+        return {"value_raw": category if request.attribute_raw == _CATEGORY else 0}
+
+    def get_chassis(request: Any, _: Any) -> dict[str, Any]:
+        return {"value": request.device_name.partition("Mod")[0] if request.attribute_raw == _CHASSIS else ""}
+
+    def get_serial(request: Any, _: Any) -> dict[str, Any]:
+        sheet = hardware.sheets.get(request.physical_channel, 0)
+        return {"value": sheet if request.attribute_raw == _SERIAL else 0}
+
+    def set_idle(request: Any, _: Any) -> None:
+        if request.attribute_raw == _IDLE_BEHAVIOUR:
+            hardware.idles_at_zero = request.value_raw == _ZERO_VOLTS
+
+    def set_space(request: Any, _: Any) -> None:
+        hardware.space = int(request.value)
+
+    def read(request: Any, context: Any) -> dict[str, Any]:
+        count = request.num_samps_per_chan
+        code, values = hardware.read(count, request.timeout)
+        refuse(context, code, "read")
+        return {"read_array": values.ravel(), "samps_per_chan_read": count}
+
+    def write(request: Any, context: Any) -> dict[str, Any]:
+        refuse(context, hardware.write(np.array(request.write_array), request.timeout), "written")
+        return {"samps_per_chan_written": request.num_samps_per_chan}
+
+    calls: dict[str, Callable[[Any, Any], dict[str, Any] | None]] = {
+        "CreateTask": lambda request, _: {"new_session_initialized": True, "task": {"name": request.session_name}},
+        "GetSystemInfoAttributeString": lambda request, _: {
+            "value": names if request.attribute_raw == _DEVICE_NAMES else ""
+        },
+        "CreateAIVoltageChan": new_channel,
+        "CreateAOVoltageChan": create_output,
+        "SetChanAttributeDouble": set_excitation,
+        "GetChanAttributeDouble": get_range_or_excitation,
+        "CfgSampClkTiming": set_clock,
+        "GetTimingAttributeDouble": get_rate,
+        "CfgDigEdgeStartTrig": lambda request, context: check_terminal(
+            context, request.task.name, request.trigger_source, "ai/StartTrigger"
+        ),
+        "GetDeviceAttributeInt32": get_category,
+        "GetDeviceAttributeString": get_chassis,
+        "ConfigureTEDS": lambda request, context: refuse(
+            context, 0 if request.physical_channel in hardware.sheets else _NO_SHEET, "read"
+        ),
+        "GetPhysicalChanAttributeUInt32": get_serial,
+        "SetChanAttributeInt32": set_idle,
+        "SetBufferAttributeUInt32": set_space,
+        "StartTask": lambda request, _: hardware.start(request.task.name.endswith("input")),
+        "StopTask": lambda _, __: hardware.stop(),
+        "ReadAnalogF64": read,
+        "WriteAnalogF64": write,
+    }
+
+    def method(name: str) -> Any:
+        answer, call = getattr(nidaqmx_pb2, f"{name}Response"), calls.get(name, lambda _, __: None)
+        return lambda _, request, context: answer(**(call(request, context) or {}))
+
+    known = [name for name in dir(base) if not name.startswith("_") and hasattr(nidaqmx_pb2, f"{name}Response")]
+    return type("Servicer", (base,), {name: method(name) for name in known})()
 
 
 def make_server(hardware: Hardware, names: str, address: str) -> tuple[Any, int]:

@@ -56,11 +56,6 @@ class StopNode(Node):  # type: ignore[misc]
         if stop.cause is not StopCause.RELEASED:
             self.answer = stop
 
-    @property
-    def plants(self) -> int:
-        """How many plants tell their stops."""
-        return int(self.count_publishers(self.resolve_topic_name("drive_stop")))
-
 
 def send_stop(domain: int, namespace: str = "", timeout: float = 5.0) -> DriveStop | None:
     """Stop the bench of a domain.

@@ -32,22 +32,3 @@ def write_frame(head: Mapping[str, Any], arrays: Mapping[str, Any]) -> bytes:
     text = json.dumps(plain_json({**head, "arrays": listed}), ensure_ascii=False, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     return b"".join((MAGIC, _LENGTH.pack(len(text)), text, *(part.tobytes() for part in parts.values())))
-
-
-def read_frame(raw: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Head and arrays of a frame, as the browser reads them.
-
-    Raises:
-        ValueError: not a whole frame.
-    """
-    if raw[:4] != MAGIC or len(raw) < 8:
-        raise ValueError("not a frame of the page")
-    (length,) = _LENGTH.unpack_from(raw, 4)
-    head = json.loads(raw[8 : 8 + length])
-    position, arrays = 8 + length, {}
-    for name, size in head.pop("arrays"):
-        if position + 4 * size > len(raw):
-            raise ValueError("the frame ends early")
-        arrays[name] = np.frombuffer(raw, "<f4", size, position)
-        position += 4 * size
-    return head, arrays

@@ -30,25 +30,6 @@ if TYPE_CHECKING:
     from nmt_rig.reference import compute_reference as reference
     from nmt_rig.rig import load_rig
 
-_HOMES = {
-    "Bag": "nmt_record.bag.bag_reader",
-    "BenchError": "nmt_core.errors",
-    "DiagnosisResult": "nmt.results",
-    "FrequencyResponses": "nmt.results",
-    "LinearResult": "nmt.results",
-    "ReferenceResult": "nmt.results",
-    "Results": "nmt.results",
-    "RunResults": "nmt.results",
-    "diagnose": "nmt_diagnose.inference.diagnose:diagnose_bags",
-    "extract": "nmt_extract.offline:extract_bag",
-    "import_data": "nmt_bench.data_import",
-    "linear": "nmt_extract.linear_evaluation:evaluate_linear_test",
-    "load_rig": "nmt_rig.rig",
-    "open": "nmt.opening",
-    "reference": "nmt_rig.reference:compute_reference",
-    "synthesise": "nmt_extract.synthesised_responses",
-    "write_figures": "nmt_report.figure_files",
-}
 __all__ = [
     "Bag",
     "BenchError",
@@ -71,7 +52,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    return loaded(__name__, name, _HOMES)
+    return loaded(__name__, name)
 
 
 def __dir__() -> list[str]:

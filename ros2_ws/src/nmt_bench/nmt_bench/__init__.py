@@ -17,9 +17,8 @@ from nmt_core.public_names import loaded
 if TYPE_CHECKING:
     from nmt_bench.data_import import import_data
 
-_HOMES = {"import_data": "nmt_bench.data_import"}
 __all__ = ["import_data"]
 
 
 def __getattr__(name: str) -> Any:
-    return loaded(__name__, name, _HOMES)
+    return loaded(__name__, name)

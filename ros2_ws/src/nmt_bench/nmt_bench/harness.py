@@ -269,6 +269,7 @@ class Bench:
             points = tuple(MODAL_POINT.read(serialize_message(point)) for point in message.points)
             if lost:
                 code, text = ResultCode.NODE_LOST, obituary
+        lack = f"The bag lacks {lacks:.3f} s of bench time, at its end or in gaps; what is in it can be extracted."
         result = RunResult(
             code=code,
             message=text,
@@ -279,7 +280,7 @@ class Bench:
             bench_time=self._bench_time,
             lost_node=lost,
             interrupted=interrupted or deferred.came,
-            remarks=(*([_lack_sentence(lacks)] if lacks > 0.0 else []), *self.client.remarks(self.test.pacing)),
+            remarks=(*([lack] if lacks > 0.0 else []), *self.client.remarks(self.test.pacing)),
             lacks_s=lacks,
         )
         self._write_end(result)
@@ -662,7 +663,3 @@ def _restore_environment(values: Mapping[str, str | None]) -> None:
             os.environ.pop(name, None)
         else:
             os.environ[name] = value
-
-
-def _lack_sentence(seconds: float) -> str:
-    return f"The bag lacks {seconds:.3f} s of bench time, at its end or in gaps; what is in it can be extracted."

@@ -16,15 +16,6 @@ if TYPE_CHECKING:
     from nmt_blind.campaign.score_sheet import write_sheets
     from nmt_blind.cases.make import Made, make_campaign
 
-_HOMES = {
-    "CampaignRun": "nmt_blind.campaign.run",
-    "Made": "nmt_blind.cases.make",
-    "Scores": "nmt_blind.campaign.score",
-    "make_campaign": "nmt_blind.cases.make",
-    "run_campaign": "nmt_blind.campaign.run",
-    "score_campaign": "nmt_blind.campaign.score",
-    "write_sheets": "nmt_blind.campaign.score_sheet",
-}
 __all__ = [
     "CampaignRun",
     "Made",
@@ -37,4 +28,4 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    return loaded(__name__, name, _HOMES)
+    return loaded(__name__, name)

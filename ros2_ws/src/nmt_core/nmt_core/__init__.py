@@ -15,16 +15,8 @@ if TYPE_CHECKING:
     from nmt_core.parameters import Parameter
     from nmt_core.vocabulary import BlockFlag, Quantity
 
-_HOMES = {
-    "BenchError": "nmt_core.errors",
-    "BlockFlag": "nmt_core.vocabulary",
-    "OscillatorPhase": "nmt_core.blocks",
-    "Parameter": "nmt_core.parameters",
-    "Quantity": "nmt_core.vocabulary",
-    "SampleBlock": "nmt_core.blocks",
-}
 __all__ = ["BenchError", "BlockFlag", "OscillatorPhase", "Parameter", "Quantity", "SampleBlock"]
 
 
 def __getattr__(name: str) -> Any:
-    return loaded(__name__, name, _HOMES)
+    return loaded(__name__, name)

@@ -36,7 +36,7 @@ from nmt_core.errors import BenchError
 from nmt_core.launcher_watch import LauncherWatch
 from nmt_core.link import TAKEN_BY, Link, serve, serve_late
 from nmt_core.liveness import BUSY, HANG_LIMIT, HUNG, READY, Liveness
-from nmt_core.parameters import Parameter, ParameterValue, check_values
+from nmt_core.parameters import Parameter, ParameterValue, check_values, parameter_table
 from nmt_core.process_watch import ProcessWatch
 from nmt_core.shared_memory import remove_dead_segments
 from nmt_core.wire import NodeStatus, read_diagnostics, write_diagnostics
@@ -76,41 +76,16 @@ PACING = Parameter(
     choices=("lockstep", "realtime"),
 )
 """For nodes that watch others or wait for them; plant and sequencer have lockstep as their default."""
-COMMON_PARAMETERS = (
-    PACING,
-    Parameter(
-        "expected_peers",
-        [""],
-        "",
-        "Endpoints that must be connected before the node calls itself ready, as 'topic:count'; empty = none.",
-    ),
-    Parameter(
-        "watched_nodes",
-        [""],
-        "",
-        "Nodes whose heartbeat this node watches, in its own namespace unless they begin with a slash; empty = none.",
-    ),
-    Parameter(
-        "silence_timeout",
-        2.0,
-        "s",
-        "Real time: wall time without a heartbeat after which a watched node is lost.",
-        low=0.5,
-    ),
-    Parameter(
-        "hang_timeout",
-        10.0,
-        "s",
-        "Real time: wall time that the node may be at one piece of work; beyond it the node calls itself hung.",
-        low=1.0,
-    ),
-    Parameter(
-        "linked",
-        False,
-        "",
-        "Lockstep: the nodes, all on this host, hand on the sample path past the middleware.",
-    ),
-)
+COMMON_PARAMETERS = (PACING, *parameter_table("""\
+expected_peers =[""]  Endpoints that must be connected before the node calls itself ready, as 'topic:count'; empty =
+    none.
+watched_nodes =[""]  Nodes whose heartbeat this node watches, in its own namespace unless they begin with a slash;
+    empty = none.
+silence_timeout =2.0 (s) 0.5..  Real time: wall time without a heartbeat after which a watched node is lost.
+hang_timeout =10.0 (s) 1.0..  Real time: wall time that the node may be at one piece of work; beyond it the node calls
+    itself hung.
+linked =False  Lockstep: the nodes, all on this host, hand on the sample path past the middleware.
+"""))  # fmt: skip
 
 
 class Outlet:

@@ -24,6 +24,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from nmt_core.text_table import entries
+
 _PATHS = ("FILE", "DIR", "BAG", "SIDECAR", "RUN_OUT", "SWEEP_OUT")
 _NUMBERS = ("S", "V", "HZ", "PT", "PPM", "f1", "f2", "r")
 _KINDS: dict[str, Callable[[str], Any]] = {
@@ -48,14 +50,7 @@ def declare(
     """
     known = {**_KINDS, **(kinds or {})}
     exclusive: Any = None
-    entries: list[list[str]] = []
-    for line in table.splitlines():
-        if line.startswith(" "):
-            entries[-1][1] += f" {line.strip()}"
-        elif line:
-            head, _, words = line.partition("  ")
-            entries.append([head, words.strip()])
-    for head, words in entries:
+    for head, words in entries(table):
         if head.startswith("@"):
             name, _, rest = head[1:].partition(" ")
             meaning = (shared or {})[name]
@@ -64,7 +59,7 @@ def declare(
         if head.startswith("| ") and exclusive is None:
             exclusive = parser.add_mutually_exclusive_group(required=True)
         name, settings = _settings(head.removeprefix("| "), known)
-        (exclusive if head.startswith("| ") else parser).add_argument(name, **{"help": words.strip(), **settings})
+        (exclusive if head.startswith("| ") else parser).add_argument(name, **{"help": words, **settings})
 
 
 def _settings(head: str, kinds: Mapping[str, Callable[[str], Any]]) -> tuple[str, dict[str, Any]]:

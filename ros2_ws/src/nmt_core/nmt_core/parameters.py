@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 from array import array
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.text_table import entries
 
 ParameterValue = bool | int | float | str | list[float] | list[int] | list[str]
 
@@ -69,6 +71,38 @@ class Parameter:
 
     def _unit(self) -> str:
         return f" {self.unit}" if self.unit else ""
+
+
+def parameter_table(table: str) -> tuple[Parameter, ...]:
+    """Parameters from a table that says a line each: name, default, unit, range or choices, two spaces, description. ::
+
+    ramp =0.5 (s) 0.0..  Half-cosine between levels.
+    pacing =lockstep lockstep|realtime  What paces the run.
+    topics =["force"]  Indented lines go on with the description.
+    """
+    found = []
+    for head, description in entries(table):
+        name, default, *marks = head.split(" ")
+        settings: dict[str, Any] = {"unit": ""}
+        for mark in marks:
+            if mark.startswith("("):
+                settings["unit"] = mark[1:-1]
+            elif ".." in mark:
+                ends = zip(("low", "high"), mark.split(".."), strict=True)
+                settings |= {end: ast.literal_eval(number) for end, number in ends if number}
+            else:
+                settings["choices"] = tuple(mark.split("|"))
+        found.append(Parameter(name, _literal(default[1:]), description=description, **settings))
+    return tuple(found)
+
+
+def _literal(text: str) -> ParameterValue:
+    """The value that a text writes as Python does, or the text itself."""
+    try:
+        value: ParameterValue = ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+    return value
 
 
 def _of_kind(value: Any, kind: type, where: str) -> Any:

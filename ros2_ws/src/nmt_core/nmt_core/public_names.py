@@ -3,23 +3,39 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+import sys
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 
-def loaded(package: str, name: str, homes: Mapping[str, str]) -> Any:
-    """The object of a public name; for the ``__getattr__`` of a package.
+def loaded(package: str, name: str) -> Any:
+    """The object of a public name, from where the package imports it for type checkers; for its ``__getattr__``.
 
     Args:
         package: the package that was asked.
         name: what for.
-        homes: the module that each public name comes from; ``module:name`` where it has another name there.
 
     Raises:
         AttributeError: the package has no such public name.
     """
-    home = homes.get(name)
+    home = _homes(package).get(name) if name in sys.modules[package].__all__ else None
     if home is None:
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
-    module, _, own = home.partition(":")
-    return getattr(importlib.import_module(module), own or name)
+    module, own = home
+    return getattr(importlib.import_module(module), own)
+
+
+@cache
+def _homes(package: str) -> dict[str, tuple[str, str]]:
+    """Module, and name there, of what a package imports for type checkers alone."""
+    import ast
+
+    tree = ast.parse(Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8"))
+    checked = [item for node in tree.body if isinstance(node, ast.If) for item in node.body]
+    return {
+        alias.asname or alias.name: (str(item.module), alias.name)
+        for item in checked
+        if isinstance(item, ast.ImportFrom)
+        for alias in item.names
+    }

@@ -26,6 +26,13 @@ def writing(path: Path) -> Iterator[None]:
         raise BenchError(f"{path} cannot be written: {error.strerror or error}.") from error
 
 
+def umask() -> int:
+    """The rights that new files of this process do not get."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
     """Rows as CSV with a line feed behind each."""
     text = io.StringIO()
@@ -61,9 +68,7 @@ def write_whole(path: Path, text: str) -> None:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
+        os.chmod(name, 0o666 & ~umask())
         os.replace(name, path)
     except BaseException:
         Path(name).unlink(missing_ok=True)

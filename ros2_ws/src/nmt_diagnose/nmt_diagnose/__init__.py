@@ -15,13 +15,6 @@ if TYPE_CHECKING:
     from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
     from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 
-_HOMES = {
-    "Diagnosis": "nmt_diagnose.inference.diagnosis",
-    "DiagnosisSettings": "nmt_diagnose.inference.diagnosis_settings",
-    "DiagnosisOutcome": "nmt_diagnose.inference.diagnose",
-    "Verdict": "nmt_diagnose.inference.diagnosis",
-    "diagnose_bags": "nmt_diagnose.inference.diagnose",
-}
 __all__ = [
     "Diagnosis",
     "DiagnosisOutcome",
@@ -32,4 +25,4 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    return loaded(__name__, name, _HOMES)
+    return loaded(__name__, name)

@@ -24,26 +24,6 @@ if TYPE_CHECKING:
     from nmt_extract.synthesised_responses import SynthesisResult, synthesise
     from nmt_extract.window import SpoiledWindow, Window, WindowAssembler
 
-_HOMES = {
-    "ExtractionResult": "nmt_extract.offline",
-    "ExtractionSettings": "nmt_extract.extraction_settings",
-    "Extractor": "nmt_extract.extractor",
-    "LinearTestResult": "nmt_extract.linear_evaluation",
-    "LockEvent": "nmt_core.records",
-    "ModalPoint": "nmt_extract.modal_point",
-    "SpoiledWindow": "nmt_extract.window",
-    "Status": "nmt_extract.modal_point",
-    "SynthesisResult": "nmt_extract.synthesised_responses",
-    "Window": "nmt_extract.window",
-    "WindowAssembler": "nmt_extract.window",
-    "estimated_mass": "nmt_extract.modal",
-    "evaluate_linear_test": "nmt_extract.linear_evaluation",
-    "extract_bag": "nmt_extract.offline",
-    "frf_table": "nmt_extract.linear_file",
-    "harmonic_amplitudes": "nmt_extract.harmonics",
-    "synthesise": "nmt_extract.synthesised_responses",
-    "write_results": "nmt_extract.modal_table",
-}
 __all__ = [
     "ExtractionResult",
     "ExtractionSettings",
@@ -67,4 +47,4 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    return loaded(__name__, name, _HOMES)
+    return loaded(__name__, name)

@@ -9,37 +9,23 @@ from typing import Any
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.modal_point import ModalPoint
-from nmt_core.parameters import Parameter
+from nmt_core.parameters import parameter_table
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
 
-PARAMETERS = (
-    Parameter(
-        "linear_json",
-        "",
-        "",
-        "Linear description of the rig as JSON, see the reference of linear.json; empty = nothing is extracted.",
-    ),
-    Parameter("harmonics", 10, "", "Number of harmonics H; 0..H are extracted.", low=1, high=200),
-    Parameter(
-        "topics",
-        ["force", "acceleration"],
-        "",
-        "Sample topics a window needs: force and the rig's response topics.",
-    ),
-    Parameter("bundled", [""], "", "Topics that are taken from the bundles of plant and loop; empty = none."),
-    Parameter("sub_windows", 10, "", "Sub-windows for the standard uncertainties.", low=3, high=1000),
-    Parameter("minimum_periods", 3, "periods", "Windows of fewer whole periods are rejected.", low=3),
-    Parameter("power_balance", False, "", "Balance of power for windows whose level still changes."),
-    Parameter(
-        "hysteresis_json",
-        "",
-        "",
-        "Masses and points of a three-mass chain with a joint as JSON; empty = none.",
-    ),
-    Parameter("rig", "", "", "Name of the rig, for the log."),
-)
+PARAMETERS = parameter_table("""\
+linear_json =""  Linear description of the rig as JSON, see the reference of linear.json; empty = nothing is
+    extracted.
+harmonics =10 1..200  Number of harmonics H; 0..H are extracted.
+topics =["force","acceleration"]  Sample topics a window needs: force and the rig's response topics.
+bundled =[""]  Topics that are taken from the bundles of plant and loop; empty = none.
+sub_windows =10 3..1000  Sub-windows for the standard uncertainties.
+minimum_periods =3 (periods) 3..  Windows of fewer whole periods are rejected.
+power_balance =False  Balance of power for windows whose level still changes.
+hysteresis_json =""  Masses and points of a three-mass chain with a joint as JSON; empty = none.
+rig =""  Name of the rig, for the log.
+""")  # fmt: skip
 
 
 class ExtractionCore:

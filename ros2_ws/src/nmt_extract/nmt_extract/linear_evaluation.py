@@ -99,7 +99,7 @@ def evaluate_linear_test(
     main = max(whole, key=lambda segment: segment.level)
     settings = LinearTestSettings(
         drive_point=_drive_point(bag, run) if drive_point is None else drive_point,
-        quantity=_quantity(bag) if quantity is None else quantity,
+        quantity=quantity or (Quantity.ACCELERATION if "acceleration" in bag.topics else Quantity.DISPLACEMENT),
         band_hz=_band(bag, run, main) if band_hz is None else band_hz,
         modes=modes,
         mode=mode,
@@ -143,7 +143,3 @@ def _drive_point(bag: Bag, run: Mapping[str, Any]) -> int:
         return int(known)
     block = next(iter(bag.blocks("force")), None)
     return block.points[0] if block is not None else 0
-
-
-def _quantity(bag: Bag) -> Quantity:
-    return Quantity.ACCELERATION if "acceleration" in bag.topics else Quantity.DISPLACEMENT

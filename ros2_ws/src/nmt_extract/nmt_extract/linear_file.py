@@ -15,7 +15,6 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.number_words import significant
 from nmt_core.plain_json import plain_json
 from nmt_core.whole_file import csv_text
-from nmt_extract.frf import FrfEstimate
 from nmt_extract.linear_residuals import Residuals
 from nmt_extract.linear_test import LinearTest
 from nmt_extract.modal import estimated_mass
@@ -148,7 +147,7 @@ def linear_mapping(test: LinearTest, check: Linearity | None = None, level: floa
     values["estimator"] = {
         "record_s": test.duration_s,
         "level_v_rms": level,
-        "segment_s": 1.0 / _spacing(test.force_frf),
+        "segment_s": 1.0 / float(np.diff(test.force_frf.frequency_hz[:2])[0]),
         "window": "hann",
         "independent_averages": test.force_frf.independent_averages,
         "input_of_the_fit": test.reference,
@@ -195,10 +194,6 @@ def _mode(test: LinearTest, index: int) -> dict[str, Any]:
 
 def _residuals(residuals: Residuals) -> dict[str, Any]:
     return {"lower": residuals.lower, "upper": residuals.upper, "band_hz": list(residuals.band_hz)}
-
-
-def _spacing(frf: FrfEstimate) -> float:
-    return float(frf.frequency_hz[1] - frf.frequency_hz[0])
 
 
 def frf_table(test: LinearTest) -> str:

@@ -58,10 +58,7 @@ class RationalFit:
     @property
     def eigenvalues(self) -> ComplexArray:
         """Poles in the Laplace variable s = iω, rad/s, shape ``(P,)``."""
-        return np.asarray(self._eigenvalue(self.poles))
-
-    def _eigenvalue(self, z: ComplexArray) -> ComplexArray:
-        return np.asarray(2j * np.pi * (self.centre_hz + self.half_width_hz * z))
+        return np.asarray(2j * np.pi * (self.centre_hz + self.half_width_hz * self.poles))
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
         """Channels over input at frequencies within the band, shape ``(channels, frequencies)``."""

@@ -428,8 +428,8 @@ class _Evaluation:
             self.add(
                 "open", [row], f"{self.names[row]} does not follow the drive (coherence {self.coherence[row]:.2f})"
             )
-        if self.is_driven:
-            self._ask_delay()
+        if self.is_driven and self._delay_moves:
+            self.add("delay", (), f"the delay from drive to monitor moves by {max(self.lags) - min(self.lags)} samples")
         if self.record.lost_blocks > _MOST_LOST * (self.record.put_out.size / self.device.block_samples):
             self.add("losses", (), f"{self.record.lost_blocks} blocks had lost samples")
 
@@ -466,11 +466,6 @@ class _Evaluation:
         if row is None or not self._delay_moves:
             return self.record.put_out
         return np.asarray(self.record.driven[row] / self.inputs[row].sensitivity_v)
-
-    def _ask_delay(self) -> None:
-        """Whether the delay from drive to monitor is the same in every second."""
-        if self._delay_moves:
-            self.add("delay", (), f"the delay from drive to monitor moves by {max(self.lags) - min(self.lags)} samples")
 
     def _move_modes(self) -> None:
         """Let the model's modes lie where the responses have them, whatever gains and phases are."""

@@ -21,7 +21,7 @@ from nmt_core.blocks import SampleBlock
 from nmt_core.bundle import LOOP_INPUT, PLANT_BUNDLE, BundleWriter
 from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
-from nmt_core.parameters import Parameter
+from nmt_core.parameters import parameter_table
 from nmt_core.run_announcement import RECORDED_TOPIC
 from nmt_core.vocabulary import OutputState, RunPhase, StopCause
 from nmt_core.wire import DRIVE_STOP, MONITOR, RUN_STATE, BlockWriter, read_drive
@@ -36,63 +36,24 @@ from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS
 from nmt_rig.rig import Rig, load_rig
 
-PARAMETERS = (
-    Parameter("rig_file", "", "", "Rig file to simulate: a path, or the name of a rig that comes with the bench."),
-    Parameter(
-        "pacing",
-        "lockstep",
-        "",
-        "lockstep: every block waits for the drive computed from the one before; realtime: paced by the converter.",
-        choices=("lockstep", "realtime"),
-    ),
-    Parameter(
-        "latency_blocks",
-        0,
-        "blocks",
-        f"Blocks of buffering between command and excitation; in real time at least the {LEAST_LEAD} that wait at the "
-        "output.",
-        low=0,
-        high=100,
-    ),
-    Parameter(
-        "output_record",
-        "",
-        "",
-        "Real time: file in which the process that owns the output says what the output does; empty = none.",
-    ),
-    Parameter("stop_file", "", "", "File whose existence is the simulated rig's external stop input; empty = none."),
-    Parameter(
-        "device",
-        "",
-        "",
-        "What is driven: simulated (also when empty), or the converter of the rig file's section device, or a kind of "
-        "it with the simulated specimen's ports: portaudio, nidaqmx.",
-        choices=("", *SIMULATED_OR_CONVERTERS),
-    ),
-    Parameter(
-        "bundle_blocks",
-        0,
-        "blocks",
-        f"Blocks whose samples are also published together on {PLANT_BUNDLE}, for readers that may be late; 0 = none.",
-        low=0,
-        high=100,
-    ),
-    Parameter(
-        "loop_topics",
-        [""],
-        "",
-        f"Topics whose channel at the drive point is also published, together, on {LOOP_INPUT}; empty = none.",
-    ),
-    Parameter("drive_point", 0, "", "Point of the exciter, for loop_topics.", low=0),
-    Parameter("device_address", "", "", "host:port of NI's gRPC device server; empty = as the rig file says."),
-    Parameter(
-        "recorder_lead",
-        0.0,
-        "s",
-        f"Bench time in lockstep by which the plant may be ahead of the bag, as told on {RECORDED_TOPIC}; 0 = any.",
-        low=0.0,
-    ),
-)
+PARAMETERS = parameter_table(f"""\
+rig_file =""  Rig file to simulate: a path, or the name of a rig that comes with the bench.
+pacing =lockstep lockstep|realtime  lockstep: every block waits for the drive computed from the one before; realtime:
+    paced by the converter.
+latency_blocks =0 (blocks) 0..100  Blocks of buffering between command and excitation; in real time at least the
+    {LEAST_LEAD} that wait at the output.
+output_record =""  Real time: file in which the process that owns the output says what the output does; empty = none.
+stop_file =""  File whose existence is the simulated rig's external stop input; empty = none.
+device ="" {'|'.join(('', *SIMULATED_OR_CONVERTERS))}  What is driven: simulated (also when empty), or the converter
+    of the rig file's section device, or a kind of it with the simulated specimen's ports: portaudio, nidaqmx.
+bundle_blocks =0 (blocks) 0..100  Blocks whose samples are also published together on {PLANT_BUNDLE}, for readers that
+    may be late; 0 = none.
+loop_topics =[""]  Topics whose channel at the drive point is also published, together, on {LOOP_INPUT}; empty = none.
+drive_point =0 0..  Point of the exciter, for loop_topics.
+device_address =""  host:port of NI's gRPC device server; empty = as the rig file says.
+recorder_lead =0.0 (s) 0.0..  Bench time in lockstep by which the plant may be ahead of the bag, as told on
+    {RECORDED_TOPIC}; 0 = any.
+""")  # fmt: skip
 
 # Whoever publishes an emergency stop is heard, whatever quality of service was asked for; the first of these also hears
 # a stop that was latched before the plant came up.

@@ -12,7 +12,7 @@ from nmt_core.cdr import bench_time_ns
 from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_core.parameters import Parameter
+from nmt_core.parameters import parameter_table
 from nmt_core.records import DriveCommand, LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import ControlKind, LoopState, Quantity, TestKind, Waveform
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
@@ -23,48 +23,22 @@ from nmt_pll.paper_settings import paper_parameters, paper_settings_from
 from nmt_pll.random_drive import RandomDrive
 from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
 
-PARAMETERS = (
-    Parameter(
-        "linear_json",
-        "",
-        "",
-        "Linear description of the rig as JSON, see the reference of linear.json; empty = no phase is controlled.",
-    ),
-    Parameter("drive_point", 0, "", "Point of the exciter if there is no linear description.", low=0),
-    Parameter("sample_rate", 10000.0, "Hz", "Sample rate of the blocks.", low=1.0),
-    Parameter("block_samples", 200, "samples", "Samples a block.", low=2, high=100000),
-    Parameter(
-        "response_topic",
-        "displacement",
-        "",
-        "Topic of the drive-point response whose phase is controlled.",
-        choices=("displacement", "velocity", "acceleration"),
-    ),
-    Parameter(
-        "loop",
-        "adaptive",
-        "",
-        "adaptive: adaptive filter, closed-form gains, guard band; paper: product detector, low-pass, PI.",
-        choices=("adaptive", "paper"),
-    ),
-    Parameter(
-        "bundle_blocks",
-        0,
-        "blocks",
-        f"Blocks whose drive commands and states are also published together on {PLL_BUNDLE}; 0 = none.",
-        low=0,
-        high=100,
-    ),
-    Parameter(
-        "joined_input",
-        False,
-        "",
-        f"Take force and response at the drive point, joined, from {LOOP_INPUT} in place of their own topics.",
-    ),
-    Parameter("settling_time", 2.0, "s", "Random test: between the end of the ramp and the window.", low=0.0),
-    *setting_parameters(),
-    *paper_parameters(),
-)
+PARAMETERS = (*parameter_table(f"""\
+linear_json =""  Linear description of the rig as JSON, see the reference of linear.json; empty = no phase is
+    controlled.
+drive_point =0 0..  Point of the exciter if there is no linear description.
+sample_rate =10000.0 (Hz) 1.0..  Sample rate of the blocks.
+block_samples =200 (samples) 2..100000  Samples a block.
+response_topic =displacement displacement|velocity|acceleration  Topic of the drive-point response whose phase is
+    controlled.
+loop =adaptive adaptive|paper  adaptive: adaptive filter, closed-form gains, guard band; paper: product detector,
+    low-pass, PI.
+bundle_blocks =0 (blocks) 0..100  Blocks whose drive commands and states are also published together on {PLL_BUNDLE};
+    0 = none.
+joined_input =False  Take force and response at the drive point, joined, from {LOOP_INPUT} in place of their own
+    topics.
+settling_time =2.0 (s) 0.0..  Random test: between the end of the ramp and the window.
+"""), *setting_parameters(), *paper_parameters())  # fmt: skip
 
 
 def drive_command(output: LoopOutput, delay: int = 0) -> DriveCommand:

@@ -17,13 +17,6 @@ if TYPE_CHECKING:
     from nmt_record.exchange.exported_run import ExportedRun, export_run
     from nmt_record.windows.segments import read_signals
 
-_HOMES = {
-    "Bag": "nmt_record.bag.bag_reader",
-    "BagWriter": "nmt_record.bag.bag_writer",
-    "ExportedRun": "nmt_record.exchange.exported_run",
-    "export_run": "nmt_record.exchange.exported_run",
-    "read_signals": "nmt_record.windows.segments",
-}
 __all__ = [
     "Bag",
     "BagWriter",
@@ -34,4 +27,4 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    return loaded(__name__, name, _HOMES)
+    return loaded(__name__, name)

@@ -16,16 +16,6 @@ if TYPE_CHECKING:
     from nmt_report.run_data import read_reference
     from nmt_report.run_report import report_data_from_bag, write_report
 
-_HOMES = {
-    "exact_modes": "nmt_report.linear_report",
-    "linear_page": "nmt_report.linear_report",
-    "read_reference": "nmt_report.run_data",
-    "report_figures": "nmt_report.figure_files",
-    "report_data_from_bag": "nmt_report.run_report",
-    "write_diagnosis": "nmt_report.diagnosis_files",
-    "write_figures": "nmt_report.figure_files",
-    "write_report": "nmt_report.run_report",
-}
 __all__ = [
     "exact_modes",
     "linear_page",
@@ -39,4 +29,4 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    return loaded(__name__, name, _HOMES)
+    return loaded(__name__, name)

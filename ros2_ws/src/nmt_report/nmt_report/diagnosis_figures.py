@@ -247,7 +247,7 @@ def _ordinate(axes: Axes, deviations: FloatArray, sigma: FloatArray) -> None:
         bound = 6.0 * noise
         axes.set_yscale("symlog", linthresh=bound, linscale=1.2)
         top = 10.0 ** math.ceil(math.log10(finite.max()))
-        inner = _round_tick(bound / 2.0)
+        inner = float(f"{bound / 2.0:.0e}")
         decades = 10.0 ** np.arange(math.ceil(math.log10(2.0 * bound)), math.log10(top) + 1)
         ticks = [inner, *decades[:: max(1, math.ceil(decades.size / 3))]]
         used = [t for t in ticks if t <= 1.2 * finite.max()]
@@ -258,10 +258,6 @@ def _ordinate(axes: Axes, deviations: FloatArray, sigma: FloatArray) -> None:
         axes.set_ylim(min(1.6 * low, -1.1 * bound), max(1.6 * high, 1.1 * bound))
     else:
         axes.yaxis.set_major_locator(MaxNLocator(4))
-
-
-def _round_tick(value: float) -> float:
-    return float(f"{value:.0e}")
 
 
 def _abscissa(axes: Axes, x: FloatArray) -> None:

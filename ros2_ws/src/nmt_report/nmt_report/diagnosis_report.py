@@ -478,7 +478,7 @@ def _input_tables(d: Diagnosis) -> list[Table]:
     tests = [
         (
             str(test.get("name", "")),
-            _kind_text(str(test.get("kind", ""))),
+            _KINDS.get(str(test.get("kind", "")), str(test.get("kind", ""))),
             f"point {test.get('drive_point', '—')}",
             str(test.get("levels", "")),
             str(test.get("observables", "")),
@@ -522,10 +522,6 @@ _KINDS = {
     "RecordTest": "record, driven by the measured input",
     "BackboneTable": "backbone table",
 }
-
-
-def _kind_text(kind: str) -> str:
-    return _KINDS.get(kind, kind)
 
 
 def _candidates(d: Diagnosis) -> Table | None:

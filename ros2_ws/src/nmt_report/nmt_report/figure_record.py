@@ -158,7 +158,8 @@ def _colour(value: Any) -> str:
 
 
 def _panel(axes: Axes, number: int, panels: list[Axes]) -> Record:
-    twins = [panels.index(other) for other in panels[:number] if _is_twin(axes, other)]
+    place = axes.get_position().bounds
+    twins = [k for k, other in enumerate(panels[:number]) if np.allclose(place, other.get_position().bounds)]
     names = _names(axes)
     drawn: list[Record] = []
     contained: set[int] = set()
@@ -187,7 +188,7 @@ def _panel(axes: Axes, number: int, panels: list[Axes]) -> Record:
             drawn.append(_segments(collection))
     return {
         "twin_of": twins[0] if twins else None,
-        "place": [round(float(v), 5) for v in axes.get_position().bounds],
+        "place": [round(float(v), 5) for v in place],
         "cells": _cells(axes),
         "title": axes.get_title("left") or axes.get_title("center"),
         "x": _axis(axes.xaxis, axes.get_xlim(), axes.get_xscale()),
@@ -201,10 +202,6 @@ def _panel(axes: Axes, number: int, panels: list[Axes]) -> Record:
 
 
 _SIDES = ("left", "bottom", "right", "top")
-
-
-def _is_twin(axes: Axes, other: Axes) -> bool:
-    return bool(np.allclose(axes.get_position().bounds, other.get_position().bounds))
 
 
 def _cells(axes: Axes) -> list[list[Any]]:
@@ -314,6 +311,7 @@ def _label(artist: Any, names: Mapping[tuple[Any, ...], str]) -> str:
 
 def _style(line: Any) -> Record:
     dashes = line._unscaled_dash_pattern[1] if _has_line(line) else None
+    face = line.get_markerfacecolor()
     return {
         "colour": _colour(line.get_color()),
         "alpha": line.get_alpha(),
@@ -322,14 +320,9 @@ def _style(line: Any) -> Record:
         "step": str(line.get_drawstyle()),
         "marker": str(line.get_marker()),
         "marker_size": _number(line.get_markersize()),
-        "marker_face": _face(line),
+        "marker_face": "none" if isinstance(face, str) and face == "none" else _colour(face),
         "marker_edge": _number(line.get_markeredgewidth()),
     }
-
-
-def _face(line: Any) -> str:
-    face = line.get_markerfacecolor()
-    return "none" if isinstance(face, str) and face == "none" else _colour(face)
 
 
 def _line(line: Any, axes: Axes, names: Mapping[tuple[Any, ...], str]) -> Record:
@@ -345,7 +338,8 @@ def _line(line: Any, axes: Axes, names: Mapping[tuple[Any, ...], str]) -> Record
 def _error_bars(container: ErrorbarContainer, names: Mapping[tuple[Any, ...], str]) -> tuple[Record, set[int]]:
     line, caps, bars = container.lines
     parts = {id(item) for item in (line, *caps, *bars) if item is not None}
-    series: Record = {"kind": "points", "label": _container_label(container, line, names)}
+    label = _own_label(container) or (_label(line, names) if line is not None else "")
+    series: Record = {"kind": "points", "label": label}
     collection: Any
     for collection in bars:
         segments = [np.asarray(segment, dtype=float) for segment in collection.get_segments()]
@@ -365,11 +359,6 @@ def _error_bars(container: ErrorbarContainer, names: Mapping[tuple[Any, ...], st
         x, y = line.get_data(orig=False)
         series |= {**_style(line), "x": _numbers(x), "y": _numbers(y)}
     return series, parts
-
-
-def _container_label(container: ErrorbarContainer, line: Any, names: Mapping[tuple[Any, ...], str]) -> str:
-    text = _own_label(container)
-    return text or (_label(line, names) if line is not None else "")
 
 
 def _bars(container: BarContainer) -> Record:

@@ -14,15 +14,6 @@ if TYPE_CHECKING:
     from nmt_rig.rig import Rig, load_rig
     from nmt_rig.rig_places import find_rig, rig_names
 
-_HOMES = {
-    "Reference": "nmt_rig.reference",
-    "Rig": "nmt_rig.rig",
-    "compute_reference": "nmt_rig.reference",
-    "find_rig": "nmt_rig.rig_places",
-    "load_rig": "nmt_rig.rig",
-    "rig_names": "nmt_rig.rig_places",
-    "write_reference_csv": "nmt_rig.reference",
-}
 __all__ = [
     "Reference",
     "Rig",
@@ -35,4 +26,4 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    return loaded(__name__, name, _HOMES)
+    return loaded(__name__, name)

@@ -10,7 +10,7 @@ from nmt_core.cdr import bench_time_ns
 from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge, CommandSource
 from nmt_core.excitation import Excitation
 from nmt_core.modal_point import ModalPoint
-from nmt_core.parameters import Parameter
+from nmt_core.parameters import parameter_table
 from nmt_core.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
 from nmt_core.run_announcement import RunAnnouncement
 from nmt_core.vocabulary import ControlKind, ResultCode, RunPhase, StopCause
@@ -18,53 +18,26 @@ from nmt_sequencer.level_plan import LIMIT_PARAMETERS, LevelLimits
 from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
 from nmt_sequencer.steering import SteeringRequest
 
-PARAMETERS = (
-    Parameter("sample_rate", 10000.0, "Hz", "Sample rate of the rig.", low=1.0),
-    Parameter("block_samples", 200, "samples", "Samples a block.", low=2, high=100000),
-    Parameter(
-        "pacing",
-        "lockstep",
-        "",
-        "lockstep for simulated rigs, realtime for hardware.",
-        choices=("lockstep", "realtime"),
-    ),
-    Parameter("tick_blocks", 5, "blocks", "Blocks between two decisions.", low=1, high=1000),
-    Parameter("latency_blocks", 0, "blocks", "Buffering between command and excitation.", low=0, high=100),
-    Parameter("ramp", 0.5, "s", "Half-cosine between levels if the goal gives none.", low=0.0),
-    Parameter("quiet_ramp", 0.5, "s", "Half-cosine to zero at the end of a run.", low=0.0),
-    Parameter("window_periods", 200, "periods", "Whole periods a window if the goal gives none.", low=1, high=1000000),
-    Parameter("timeout", 60.0, "s", "Bench time a level may take to lock if the goal gives none.", low=0.0),
-    Parameter(
-        "open_loop_abort",
-        True,
-        "",
-        "End a phase resonance test where a higher level would follow one that had no force or no response.",
-    ),
-    Parameter(
-        "ready_timeout",
-        30.0,
-        "s",
-        "Time to wait for all watched nodes before a run; in lockstep only while they could work.",
-        low=0.1,
-    ),
-    Parameter(
-        "stall_timeout",
-        20.0,
-        "s",
-        "Time in which no block of a run may be answered, in lockstep while its nodes could work; then the run is "
-        "ended, except during a pause.",
-        low=1.0,
-    ),
-    Parameter("recording", True, "", "A run begins only when a recorder has opened a bag for it."),
-    Parameter(
-        "points_timeout",
-        30.0,
-        "s",
-        "Time to wait for missing modal points after a run; in lockstep only while the nodes could work.",
-        low=0.0,
-    ),
-    *LIMIT_PARAMETERS,
-)
+PARAMETERS = (*parameter_table("""\
+sample_rate =10000.0 (Hz) 1.0..  Sample rate of the rig.
+block_samples =200 (samples) 2..100000  Samples a block.
+pacing =lockstep lockstep|realtime  lockstep for simulated rigs, realtime for hardware.
+tick_blocks =5 (blocks) 1..1000  Blocks between two decisions.
+latency_blocks =0 (blocks) 0..100  Buffering between command and excitation.
+ramp =0.5 (s) 0.0..  Half-cosine between levels if the goal gives none.
+quiet_ramp =0.5 (s) 0.0..  Half-cosine to zero at the end of a run.
+window_periods =200 (periods) 1..1000000  Whole periods a window if the goal gives none.
+timeout =60.0 (s) 0.0..  Bench time a level may take to lock if the goal gives none.
+open_loop_abort =True  End a phase resonance test where a higher level would follow one that had no force or no
+    response.
+ready_timeout =30.0 (s) 0.1..  Time to wait for all watched nodes before a run; in lockstep only while they could
+    work.
+stall_timeout =20.0 (s) 1.0..  Time in which no block of a run may be answered, in lockstep while its nodes could
+    work; then the run is ended, except during a pause.
+recording =True  A run begins only when a recorder has opened a bag for it.
+points_timeout =30.0 (s) 0.0..  Time to wait for missing modal points after a run; in lockstep only while the nodes
+    could work.
+"""), *LIMIT_PARAMETERS)  # fmt: skip
 
 # In real time a sequencer may join a loop that has run for long, and miss blocks that the loop could not answer.
 _LONGEST_BEFORE = 7 * 86400.0  # s

@@ -15,6 +15,10 @@ PAPER_JOINT = 8000.0
 """Tangential stiffness of the paper's joint, N/m."""
 
 _EXCITATION = ("test", "frequencies_hz", "rate_hz_s", "frequency_end_hz", "duration")
+PLANNED = (
+    "levels", "overrides", "exciter", "seed", "window_periods", "ramp", "timeout", "control", "strategy", *_EXCITATION,
+)  # fmt: skip
+"""What of a case :func:`nmt_session.plan_test` takes by the same name."""
 
 JOINT_KEY = "local_elements.0.tangential_stiffness_n_m"
 

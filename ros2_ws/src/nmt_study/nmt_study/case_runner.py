@@ -13,7 +13,7 @@ from nmt_core.errors import BenchError
 from nmt_core.plain_json import plain_json
 from nmt_core.vocabulary import ResultCode
 from nmt_extract.modal_point import MEASURED, ModalPoint, Status
-from nmt_study.case import StudyCase
+from nmt_study.case import PLANNED, StudyCase
 
 Evaluation = Callable[[StudyCase, Path], dict[str, Any]]
 """Further evaluation of a case's bag; what it returns is kept under ``extra``, its ``levels`` in place of the run's."""
@@ -43,13 +43,7 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
     try:
         plan = plan_test(
             case.rig,
-            levels=case.levels,
-            overrides=case.overrides,
-            exciter=case.exciter,
-            seed=case.seed,
-            window_periods=case.window_periods,
-            ramp=case.ramp,
-            timeout=case.timeout,
+            **{name: getattr(case, name) for name in PLANNED},
             run_id=case.name,
             node_values={
                 "pll": {"loop": case.loop, **case.loop_values},
@@ -57,13 +51,6 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
                 # With an interval given, blocks stay as the rig has them: cases are compared block by block.
                 "sequencer": {"tick_blocks": 5},
             },
-            control=case.control,
-            strategy=case.strategy,
-            test=case.test,
-            frequencies_hz=case.frequencies_hz,
-            rate_hz_s=case.rate_hz_s,
-            frequency_end_hz=case.frequency_end_hz,
-            duration=case.duration,
         )
         with Session(plan, folder) as session:
             result = session.run()

@@ -193,6 +193,7 @@ def _findings(tests: Sequence[Result], hunts: Sequence[Result]) -> Iterator[Find
         good = [r for r in result["levels"] if r["status"] == Status.OK]
         elsewhere = [r for r in good if r["omega_rad_s"] > 1.2 * first]
         lost = len(result["levels"]) - len(good)
+        reason = next((r["reason"].rstrip(".") for r in result["levels"] if r["status"] != Status.OK), "none")
         if result["case"]["loop"] == "paper":
             yield Finding(
                 f"{title_of(result)}: the loop locks on the second mode although started at the first.",
@@ -204,11 +205,6 @@ def _findings(tests: Sequence[Result], hunts: Sequence[Result]) -> Iterator[Find
         else:
             yield Finding(
                 f"{title_of(result)}: the guard band keeps a lock on another mode from being reported.",
-                f"{lost} of {len(result['levels'])} levels refused ({_first_reason(result)}); "
-                f"{len(elsewhere)} locked above mode 1",
+                f"{lost} of {len(result['levels'])} levels refused ({reason}); {len(elsewhere)} locked above mode 1",
                 not elsewhere,
             )
-
-
-def _first_reason(result: Result) -> str:
-    return next((r["reason"].rstrip(".") for r in result["levels"] if r["status"] != Status.OK), "none")

@@ -173,7 +173,7 @@ def _case_table(results: Sequence[Result]) -> Table:
         cells = (
             case["name"],
             ", ".join(case["overrides"]) or "none",
-            ", ".join(f"{key}: {_short(value)}" for key, value in settings.items()),
+            ", ".join(f"{k}: {significant(v, 4) if isinstance(v, float) else v}" for k, v in settings.items()),
             case["window_periods"],
             significant(run["bench_time_s"], 4),
             plain(run["real_time_factor"], 0),
@@ -182,10 +182,6 @@ def _case_table(results: Sequence[Result]) -> Table:
         )
         rows.append(Row(cells))
     return Table(_CASE_COLUMNS, rows)
-
-
-def _short(value: Any) -> str:
-    return significant(value, 4) if isinstance(value, float) else str(value)
 
 
 def _percent(value: float) -> str:

@@ -84,7 +84,9 @@ def run(arguments: argparse.Namespace) -> int:
             console.print(sentence, style="yellow")
     print_modal_table(result.points, reference, console)
     if linear is None and settings is None:
-        console.print(_comparison(result.points, recorded_points(bag)))
+        from nmt_core.wire import MODAL_POINT
+
+        console.print(_comparison(result.points, list(bag.records("modal_point", MODAL_POINT))))
     written = ("modal.csv", "modal.json", "uncertainty.csv", "uncertainty.json", "hysteresis.csv", "report.html")
     names = ", ".join(name for name in written if (arguments.out / name).exists())
     console.print(f"Results in {arguments.out}: {names}")
@@ -107,13 +109,6 @@ def _method_error(folder: Path) -> MethodError | None:
     if found is None:
         raise BenchError(f"--model-run: no point of {folder / 'modal.json'} lies on {folder / 'reference.csv'}.")
     return found
-
-
-def recorded_points(bag: Bag) -> list[ModalPoint]:
-    """The modal points that the live node published, as recorded."""
-    from nmt_core.wire import MODAL_POINT
-
-    return list(bag.records("modal_point", MODAL_POINT))
 
 
 def _comparison(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) -> str:

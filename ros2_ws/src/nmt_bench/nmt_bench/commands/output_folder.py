@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 
 from nmt_core.errors import BenchError
+from nmt_core.whole_file import umask
 
 RESULT_NAMES = (
     "bag",
@@ -79,7 +80,7 @@ class OutputFolder:
             else:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
                 self._work = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.part-", dir=self.path.parent))
-                self._work.chmod(0o777 & ~_umask())
+                self._work.chmod(0o777 & ~umask())
         except OSError as error:
             raise BenchError(
                 f"The results folder {self.path} cannot be written ({_reason(error)}); choose another with --out."
@@ -158,9 +159,3 @@ def _remove(path: Path) -> None:
 
 def _reason(error: OSError) -> str:
     return (error.strerror or str(error)).lower()
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

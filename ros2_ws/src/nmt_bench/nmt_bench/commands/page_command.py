@@ -29,35 +29,28 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: the port is taken, or the bag cannot be read.
     """
+    import asyncio
+
     from nmt_bench.page.process import serve, serve_task
     from nmt_core.errors import BenchError
 
     if not 0 <= arguments.port <= 65_535:
         raise BenchError(f"--port must be from 0 to 65535, got {arguments.port}.")
     if arguments.task:
-        serve_task(_tell_task, arguments.port)
+        asyncio.run(serve_task(tell_addresses, arguments.port))
         return 0
-    serve(
-        tell_addresses,
-        arguments.port,
-        arguments.bag,
-        arguments.domain,
-        arguments.namespace,
-        not arguments.no_reference,
-    )
+    reference = not arguments.no_reference
+    port, bag, domain = arguments.port, arguments.bag, arguments.domain
+    asyncio.run(serve(tell_addresses, port, bag, domain, arguments.namespace, reference))
     return 0
 
 
 def tell_addresses(server: PageServer) -> None:
     """Print the addresses of a page."""
-    if server.player is None:
-        sys.stdout.write(f"Page, to watch and steer (works once): {server.steer_address}\n")
-        sys.stdout.write(f"Page, to watch: {server.watch_address}\n")
-    else:
+    if server.player is not None:
         sys.stdout.write(f"Page (works once): {server.steer_address}\n")
-    sys.stdout.flush()
-
-
-def _tell_task(server: PageServer) -> None:
-    sys.stdout.write(f"Page, to watch: {server.watch_address}\n")
+    else:
+        if server.view.PAGE != "task.html":  # a task is not steered
+            sys.stdout.write(f"Page, to watch and steer (works once): {server.steer_address}\n")
+        sys.stdout.write(f"Page, to watch: {server.watch_address}\n")
     sys.stdout.flush()

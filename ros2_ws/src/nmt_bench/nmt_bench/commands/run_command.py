@@ -77,6 +77,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.linear_input import check_fits, read_linear
     from nmt_bench.commands.work_display import WorkDisplay
+    from nmt_core.vocabulary import PointStatus
     from nmt_record.exchange.calibration_file import read_calibration
 
     linear = read_linear(arguments.linear) if arguments.linear is not None else None
@@ -105,7 +106,8 @@ def _run(arguments: argparse.Namespace) -> int:
         _summarise(result, reference, console, folder, unwritten)
     if result.interrupted or interrupted:
         return EXIT_INTERRUPTED
-    return EXIT_FAILED if unwritten else _exit_code(result)
+    locked = any(point.status == PointStatus.OK for point in result.points)
+    return EXIT_DONE if locked and result.complete and not unwritten else EXIT_FAILED
 
 
 def evaluate(
@@ -321,10 +323,3 @@ def _summarise(result: RunResult, reference: ReferenceCurve | None, console: Any
         console.print(unwritten, style="red", soft_wrap=True)
     if (folder / "report.html").exists():
         console.print(f"Report: {(folder / 'report.html').resolve()}", soft_wrap=True)
-
-
-def _exit_code(result: RunResult) -> int:
-    from nmt_extract.modal_point import Status
-
-    locked = any(point.status == Status.OK for point in result.points)
-    return EXIT_DONE if locked and result.complete else EXIT_FAILED

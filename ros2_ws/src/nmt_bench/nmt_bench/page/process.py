@@ -90,7 +90,7 @@ def _parsed(text: str | None) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def serve(
+async def serve(
     tell: Callable[[PageServer], None],
     port: int = 0,
     bag: Path | None = None,
@@ -111,17 +111,6 @@ def serve(
     Raises:
         BenchError: the port is taken, or the bag cannot be read.
     """
-    asyncio.run(_serve(tell, port, bag, domain_id, namespace, with_reference))
-
-
-async def _serve(
-    tell: Callable[[PageServer], None],
-    port: int,
-    bag: Path | None,
-    domain_id: int | None,
-    namespace: str,
-    with_reference: bool,
-) -> None:
     ended = _told_to_end()
     view = LiveView(replay=bag is not None)
     bench = _Bench(view, with_reference)
@@ -156,7 +145,7 @@ async def _serve(
         close()
 
 
-def serve_task(tell: Callable[[PageServer], None], port: int = 0) -> None:
+async def serve_task(tell: Callable[[PageServer], None], port: int = 0) -> None:
     """Serve the progress of a command, told line by line on standard input, until SIGINT or SIGTERM.
 
     Args:
@@ -166,10 +155,6 @@ def serve_task(tell: Callable[[PageServer], None], port: int = 0) -> None:
     Raises:
         BenchError: the port is taken.
     """
-    asyncio.run(_serve_task(tell, port))
-
-
-async def _serve_task(tell: Callable[[PageServer], None], port: int) -> None:
     ended = _told_to_end()
     view = TaskView()
     with contextlib.suppress(OSError):

@@ -9,13 +9,15 @@ import json
 import socket
 import time
 from collections.abc import Awaitable, Callable
+from dataclasses import asdict
 from importlib import resources
 from typing import Any, Protocol
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from nmt_bench.page.bench_link import BenchLink
+from nmt_bench.page.bench_link import BenchLink, ServiceAnswer
 from nmt_bench.page.door import Door
+from nmt_bench.page.frames import write_frame
 from nmt_bench.page.guard import Guard, Role
 from nmt_bench.page.start_goal import start_request
 from nmt_bench.page.stop_door import StopDoor
@@ -253,30 +255,28 @@ class PageServer:
         try:
             asked = steering_request(order)
         except (BenchError, ValueError, TypeError, OverflowError) as error:
-            return web.json_response({"taken": False, "message": str(error)[:300]}, status=400)
-        answer = await self.link.steer(asked)
-        return web.json_response({"taken": answer.taken, "message": answer.message})
+            return _answer(ServiceAnswer(False, str(error)[:300]), 400)
+        return _answer(await self.link.steer(asked))
 
     async def _start(self, request: web.Request) -> web.StreamResponse:
         order = await self._order(request)
         try:
             asked = start_request(order)
         except BenchError as error:
-            return web.json_response({"taken": False, "message": str(error)[:300].rstrip(".")}, status=400)
-        answer = await self.link.start(asked)
-        return web.json_response({"taken": answer.taken, "message": answer.message})
+            return _answer(ServiceAnswer(False, str(error)[:300].rstrip(".")), 400)
+        return _answer(await self.link.start(asked))
 
     async def _stop(self, request: web.Request) -> web.StreamResponse:
         """The emergency stop on this socket too: needs no session, see :mod:`nmt_bench.page.guard`."""
         self.link.emergency_stop()
-        return web.json_response({"taken": True, "message": "Emergency stop requested."})
+        return _answer(ServiceAnswer(True, "Emergency stop requested."))
 
     async def _replay(self, request: web.Request) -> web.StreamResponse:
         order = await self._order(request)
         if self.player is None:
             raise web.HTTPNotFound
         self.player.control(order)
-        return web.json_response({"taken": True, "message": ""})
+        return _answer(ServiceAnswer(True, ""))
 
     # -- frames --------------------------------------------------------------------------------------------------
 
@@ -322,7 +322,7 @@ class PageServer:
             frames.append(self.view.live(since, number % _SPECTRUM_EVERY == 0))
             since = max(0, newest)
             if self.player is not None and number % 2 == 0:
-                frames.append(_player_frame(self.player.state()))
+                frames.append(write_frame({"kind": "player", **self.player.state()}, {}))
             await self._broadcast(frames)
 
     async def _broadcast(self, frames: list[bytes]) -> None:
@@ -349,10 +349,8 @@ class _Viewer:
         self.full_since: float | None = None
 
 
-def _player_frame(state: dict[str, Any]) -> bytes:
-    from nmt_bench.page.frames import write_frame
-
-    return write_frame({"kind": "player", **state}, {})
+def _answer(answer: ServiceAnswer, status: int = 200) -> web.Response:
+    return web.json_response(asdict(answer), status=status)
 
 
 def steering_request(order: dict[str, Any]) -> SteeringRequest:

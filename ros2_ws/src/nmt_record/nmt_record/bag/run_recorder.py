@@ -14,7 +14,7 @@ from typing import Any
 from nmt_core.cdr import read_stamp
 from nmt_core.errors import BenchError
 from nmt_core.hardened import read_text
-from nmt_core.parameters import Parameter
+from nmt_core.parameters import parameter_table
 from nmt_core.run_announcement import RunAnnouncement
 from nmt_core.vocabulary import ResultCode, RunPhase, StopCause
 from nmt_core.wire import DRIVE_STOP, RUN_STATE, BlockReader
@@ -23,33 +23,26 @@ from nmt_record.bag.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, 
 from nmt_record.bag.gap_counter import GapCounter
 from nmt_record.bag.message_definitions import local_definitions
 
-PARAMETERS: tuple[Parameter, ...] = (
-    Parameter(
-        "output",
-        "",
-        "",
-        "Folder of the first bag, which must not exist; the bags of further runs get '-2', '-3', … added.",
-    ),
-    Parameter(
-        "topics",
-        [topic.name for topic in BENCH_TOPICS],
-        "",
-        "Topics to record; those that are not of the bench as 'name:package/msg/Type'.",
-    ),
-    Parameter("bundled", [""], "", "Those of them that are taken from the bundles of plant and loop; empty = none."),
-    Parameter("run_json", "", "", "Self-description of the run, a JSON object."),
-    Parameter("run_file", "", "", "File with the same, instead of run_json."),
-    Parameter("rig_yaml", "", "", "The rig file as used, its text."),
-    Parameter("rig_file", "", "", "File with the same, instead of rig_yaml."),
-    Parameter("chunk_messages", 500, "", "Messages after which a chunk is written.", low=1),
-    Parameter("flush_interval", 0.5, "s", "Wall time after which a chunk is written.", low=0.01),
-    Parameter("compression", "none", "", "Compression of the chunks.", choices=tuple(COMPRESSIONS)),
-    Parameter("split_bytes", 2**30, "byte", "Size after which the bag goes on in another file; 0 = one file.", low=0),
-    Parameter("split_duration", 0.0, "s", "Wall time after which it does so; 0 = one file.", low=0.0),
-    Parameter("least_free_mb", 16, "MB", "Space on the disk without which no run can begin.", low=0),
-    Parameter("settle_time", 0.25, "s", "Silence before the bag of a done run closes.", low=0.0),
-    Parameter("patience", 2.0, "s", "Silence after which missing blocks are given up.", low=0.1),
-)
+_TOPICS = repr([topic.name for topic in BENCH_TOPICS]).replace(" ", "")
+
+PARAMETERS = parameter_table(f"""\
+output =""  Folder of the first bag, which must not exist; the bags of further runs get '-2', '-3', … added.
+topics ={_TOPICS}  Topics to record; those that are not of the bench as
+    'name:package/msg/Type'.
+bundled =[""]  Those of them that are taken from the bundles of plant and loop; empty = none.
+run_json =""  Self-description of the run, a JSON object.
+run_file =""  File with the same, instead of run_json.
+rig_yaml =""  The rig file as used, its text.
+rig_file =""  File with the same, instead of rig_yaml.
+chunk_messages =500 1..  Messages after which a chunk is written.
+flush_interval =0.5 (s) 0.01..  Wall time after which a chunk is written.
+compression =none {'|'.join(COMPRESSIONS)}  Compression of the chunks.
+split_bytes ={2**30} (byte) 0..  Size after which the bag goes on in another file; 0 = one file.
+split_duration =0.0 (s) 0.0..  Wall time after which it does so; 0 = one file.
+least_free_mb =16 (MB) 0..  Space on the disk without which no run can begin.
+settle_time =0.25 (s) 0.0..  Silence before the bag of a done run closes.
+patience =2.0 (s) 0.1..  Silence after which missing blocks are given up.
+""")  # fmt: skip
 
 
 class RunRecorder:

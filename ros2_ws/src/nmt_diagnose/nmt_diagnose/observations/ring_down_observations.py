@@ -37,6 +37,7 @@ from nmt_diagnose.observations.row_table import Place, RowTable, empty
 _SWITCH_OFF = 1  # periods within which the drive goes to zero
 _WRONG_FREQUENCY = 1.6
 _SAME_LINE = 0.02  # relative distance of two frequencies that are one
+_SLOWLY = 0.01  # of the damping for each d ln ω / d ln A: what a model of a slow decay is wrong by
 _FEW_NODES, _RINGS_TOO = 3, 0.2
 _CROSS = 2.0  # shift by the motion in another mode over that by as much own motion, of a cubic spring
 _FEW = 3  # times the periods that spectra need: up to there turning points are tried
@@ -139,7 +140,7 @@ def _add_nodes(
         table.add(Part.LOG_FREQUENCY, math.log(node.omega), std, floors.decay_log_frequency, place, 0, 1)
         # The shape follows that shift, and so the amplitude, as the other mode decays.
         more = math.hypot(_CROSS * other * (node.damping - rest.damping), 4.0 * node.damping * shift)
-        std = math.hypot(node.rate_std / node.omega, more)
+        std = math.hypot(node.rate_std / node.omega, more, _SLOWLY * bend * node.damping)
         if std < max(_WORST_DAMPING * abs(node.damping), 1e-5):
             table.add(Part.DAMPING, node.damping, std, floors.decay_damping * abs(node.damping), place, 0, 1)
     return [node.amplitude for node in good]

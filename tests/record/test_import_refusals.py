@@ -156,6 +156,10 @@ CASES: dict[str, tuple[Case, str]] = {
         "no column force; it has u, f, a2, a4",
     ),
     "no such number": (of_sidecar(set_item("channels", 1, "column", value=9)), "4 columns, so there is no column 9"),
+    "a number before the first": (
+        of_sidecar(lambda values: values.update(time=-4)),
+        "4 columns, so there is no column -4",
+    ),
     "column zero": (of_sidecar(set_item("channels", 1, "column", value=0)), "counted from 1"),
     "column twice": (of_sidecar(set_item("channels", 3, "column", value="a2")), "column a2 is given twice"),
     "column twice by number": (of_sidecar(set_item("channels", 3, "column", value=3)), "both take column a2"),

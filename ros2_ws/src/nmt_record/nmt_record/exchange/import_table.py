@@ -104,7 +104,7 @@ class SourceTable:
             BenchError: there is none, or more than one of that name.
         """
         if isinstance(column, int):
-            if column > len(self.columns):
+            if not 1 <= column <= len(self.columns):
                 raise BenchError(
                     f"{where}: {self.file} has {len(self.columns)} columns, so there is no column {column}."
                 )

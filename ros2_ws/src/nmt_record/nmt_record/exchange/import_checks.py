@@ -197,7 +197,7 @@ def _unusual(channel: ImportedChannel) -> list[str]:
     ]
 
 
-class Stretch(NamedTuple):
+class CheckedStretch(NamedTuple):
     """Window or segment on the grid: its section, name, first sample and sample after the last one."""
 
     segment: SignalSection
@@ -208,7 +208,7 @@ class Stretch(NamedTuple):
 
 def check_physics(
     channels: Sequence[ImportedChannel],
-    stretches: Sequence[Stretch],
+    stretches: Sequence[CheckedStretch],
     sample_rate: float,
     linear: LinearDescription | None,
 ) -> list[str]:
@@ -241,7 +241,7 @@ def check_physics(
 
 
 def _check_power(
-    force: ImportedChannel, response: ImportedChannel, stretches: Sequence[Stretch], sample_rate: float
+    force: ImportedChannel, response: ImportedChannel, stretches: Sequence[CheckedStretch], sample_rate: float
 ) -> None:
     for stretch in stretches:
         steady = stretch.segment.kind in STEADY_KINDS
@@ -274,7 +274,7 @@ def _spectra(
 
 
 def _power_factor(
-    force: ImportedChannel, response: ImportedChannel, stretch: Stretch, sample_rate: float, steady: bool
+    force: ImportedChannel, response: ImportedChannel, stretch: CheckedStretch, sample_rate: float, steady: bool
 ) -> tuple[float, float] | None:
     """Active over apparent power, and over the sum of its magnitudes line by line (−1 = negative everywhere).
 
@@ -297,7 +297,7 @@ def _power_factor(
     return float(active.sum()) / apparent, float(active.sum() / np.abs(active).sum())
 
 
-def _amplitude(channel: ImportedChannel, stretch: Stretch, sample_rate: float) -> tuple[float, float] | None:
+def _amplitude(channel: ImportedChannel, stretch: CheckedStretch, sample_rate: float) -> tuple[float, float] | None:
     """Frequency and amplitude of the strongest line of a steady segment."""
     found = _spectra([channel.data[stretch.first : min(stretch.stop, stretch.first + 2_000_000)]], sample_rate, 1)
     if found is None:
@@ -311,7 +311,7 @@ def _amplitude(channel: ImportedChannel, stretch: Stretch, sample_rate: float) -
 
 
 def _kinematic_notes(
-    channels: Sequence[ImportedChannel], stretches: Sequence[Stretch], sample_rate: float
+    channels: Sequence[ImportedChannel], stretches: Sequence[CheckedStretch], sample_rate: float
 ) -> list[str]:
     """Displacement, velocity and acceleration at one point and one frequency are bound by powers of ω."""
     steady = next((s for s in stretches if s.segment.kind in STEADY_KINDS), None)
@@ -337,7 +337,10 @@ def _kinematic_notes(
 
 
 def _damping_notes(
-    channels: Sequence[ImportedChannel], stretches: Sequence[Stretch], sample_rate: float, linear: LinearDescription
+    channels: Sequence[ImportedChannel],
+    stretches: Sequence[CheckedStretch],
+    sample_rate: float,
+    linear: LinearDescription,
 ) -> list[str]:
     """Force and response at the lowest level give a damping ratio; units off by 1000 put it off by as much."""
     levels = [s for s in stretches if s.segment.kind == "phase_resonance"]

@@ -24,7 +24,7 @@ from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import BENCH_TOPICS
 from nmt_record.bag.message_definitions import local_definitions
 from nmt_record.exchange.frf_checks import ShapeSign, check_responses
-from nmt_record.exchange.import_checks import ImportedChannel, Stretch, check_columns, check_names, check_physics
+from nmt_record.exchange.import_checks import CheckedStretch, ImportedChannel, check_columns, check_names, check_physics
 from nmt_record.exchange.import_clock import Clock, find_clock
 from nmt_record.exchange.import_continuity import doubled_blocks, phase_jump
 from nmt_record.exchange.import_sidecar import (
@@ -243,7 +243,7 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
     run.segments = _segments(run, clock, document)
     run.notes += check_columns(run.channels, table, places)
     stretches = [
-        Stretch(s.section, s.name, window[0] - run.first_sample, window[1] - run.first_sample)
+        CheckedStretch(s.section, s.name, window[0] - run.first_sample, window[1] - run.first_sample)
         for s in run.segments
         for window in [s.window or (s.first_sample, s.stop_sample)]
         if s.section.locked
@@ -259,7 +259,7 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
         run.loop = read_loop_table(run.beside(sidecar.loop, document.place(("loop",))))
 
 
-def _check_continuity(run: ImportedRun, table: SourceTable, clock: Clock, stretches: Sequence[Stretch]) -> None:
+def _check_continuity(run: ImportedRun, table: SourceTable, clock: Clock, stretches: Sequence[CheckedStretch]) -> None:
     """Every row once, as far as the rows themselves and the phase of steady windows tell.
 
     Raises:

@@ -174,7 +174,7 @@ MUTATIONS = [
             "accelerations in g are 0.03 % off",
         ),
         (
-            "nmt_extract/nmt_extract/linear_test.py",
+            "nmt_extract/nmt_extract/linear_identification.py",
             "slopes[row, 0] += shapes[row] * (0.5 - powers[row] + 0.5 * powers[drive]) / eigenvalue",
             "slopes[row, 0] -= shapes[row] * (0.5 - powers[row] + 0.5 * powers[drive]) / eigenvalue",
             "the sign of the slope in the uncertainty of the shapes",

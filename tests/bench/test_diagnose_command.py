@@ -17,7 +17,7 @@ from nmt_bench.cli import build_parser, main
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.records import LockEvent
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.next_test import proposals
+from nmt_diagnose.inference.look_ahead import proposals
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import find_rig, load_rig

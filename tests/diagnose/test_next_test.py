@@ -13,9 +13,9 @@ from diagnose.twin_tests import chain
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.placement import Placement
-from nmt_diagnose.inference import next_test
+from nmt_diagnose.inference import look_ahead
 from nmt_diagnose.inference.comparison import Comparison, Equivalents
-from nmt_diagnose.inference.next_test import Proposal, next_tests
+from nmt_diagnose.inference.look_ahead import Proposal, next_tests
 from nmt_diagnose.inference.search import Found
 
 RIG = chain()
@@ -60,7 +60,7 @@ def future(monkeypatch: pytest.MonkeyPatch) -> dict[str, np.ndarray]:
         def jacobian(self, parametrisation: Any, theta: Any, prediction: Any, which: Any = None) -> np.ndarray:
             return columns[parametrisation.names[0]][:, None]
 
-    monkeypatch.setattr(next_test, "Forward", Future)
+    monkeypatch.setattr(look_ahead, "Forward", Future)
     return columns
 
 
@@ -86,7 +86,7 @@ def test_the_expected_distance_is_that_of_dense_algebra(
     a, b = competing()
     least = min(expected(future, a, b), expected(future, b, a))
     assert least > 3.0
-    monkeypatch.setattr(next_test, "proposals", lambda rig, observations: [proposal()])
+    monkeypatch.setattr(look_ahead, "proposals", lambda rig, observations: [proposal()])
     (found,) = next_tests(RIG, MEASURED, a, compared(((a,), 0.6), ((b,), 0.3)))
     assert found.expected_sigma == pytest.approx(least, rel=1e-6)
     assert found.separates == ("cubic_stiffness", "air_drag")
@@ -100,7 +100,7 @@ def test_a_test_that_cannot_tell_is_not_proposed(
 ) -> None:
     a, b = competing()
     future[DRAG.label] = future[CUBIC.label] * a.fit.theta[0] / b.fit.theta[0]
-    monkeypatch.setattr(next_test, "proposals", lambda rig, observations: [proposal()])
+    monkeypatch.setattr(look_ahead, "proposals", lambda rig, observations: [proposal()])
     assert next_tests(RIG, MEASURED, a, compared(((a, b), 0.9))) == ()
 
 
@@ -108,7 +108,7 @@ def test_one_sure_explanation_needs_no_further_test(monkeypatch: pytest.MonkeyPa
     def never(*_: Any) -> Any:
         raise AssertionError("nothing is left to distinguish")
 
-    monkeypatch.setattr(next_test, "proposals", never)
+    monkeypatch.setattr(look_ahead, "proposals", never)
     a, b = competing()
     assert next_tests(RIG, MEASURED, a, compared(((a,), 0.97), ((b,), 0.01))) == ()
     assert next_tests(RIG, MEASURED, a, compared()) == ()

@@ -10,7 +10,7 @@ import pytest
 from diagnose.observation_bags import record, rig_with_noise
 
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.next_test import proposals
+from nmt_diagnose.inference.look_ahead import proposals
 from nmt_diagnose.observations.origin import Origin, origin_of, refuse_own_recordings, same_rig, strangers
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_record.bag.bag_reader import Bag

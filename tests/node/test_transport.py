@@ -22,7 +22,7 @@ from nmt_core.output_record import read_output
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES, OUTPUT_RECORD, plan_nodes
-from nmt_session.plan_test import plan_test
+from nmt_session.planning import plan_test
 
 BENCH_ADDRESS, STRANGER_ADDRESS = "10.213.7.1", "10.213.7.2"
 DOMAIN = 87

@@ -67,7 +67,7 @@ from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import Rig
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session.node_plan import NODES, NodePlan, plan_nodes
-from nmt_session.plan_test import TestSettings, plan_test
+from nmt_session.planning import TestSettings, plan_test
 from nmt_session.run_result import Progress, RunResult
 
 START_TIMEOUT = 120.0  # s; on a busy computer the plant compiles and loads for a minute
@@ -85,7 +85,7 @@ class Bench:
     """The nodes of one test.
 
     Args:
-        rig, levels, settings: as of :func:`nmt_session.plan_test.plan_test`.
+        rig, levels, settings: as of :func:`nmt_session.planning.plan_test`.
         out: folder that gets ``bag``, ``rig.yaml``, ``run.json`` and the nodes' logs; None = a temporary one.
         processes: each node its own process.
         domain_id: ROS domain; None = any that no other bench uses.

@@ -13,7 +13,7 @@ from nmt_core.vocabulary import TestKind
 from nmt_core.wire import LEVEL
 from nmt_core.work_progress import tell
 from nmt_extract.linear_file import Linearity, linear_mapping, linearity
-from nmt_extract.linear_test import LinearTest, LinearTestSettings, linear_test
+from nmt_extract.linear_identification import LinearTest, LinearTestSettings, linear_test
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Segment, read_signals, segments
 

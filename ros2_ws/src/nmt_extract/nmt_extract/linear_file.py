@@ -15,8 +15,8 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.number_words import significant
 from nmt_core.plain_json import plain_json
 from nmt_core.whole_file import csv_text
+from nmt_extract.linear_identification import LinearTest
 from nmt_extract.linear_residuals import Residuals
-from nmt_extract.linear_test import LinearTest
 from nmt_extract.modal import estimated_mass
 from nmt_extract.stabilisation import DAMPING_TOLERANCE, FREQUENCY_TOLERANCE, MINIMUM_RUN
 

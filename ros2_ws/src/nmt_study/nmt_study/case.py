@@ -18,7 +18,7 @@ _EXCITATION = ("test", "frequencies_hz", "rate_hz_s", "frequency_end_hz", "durat
 PLANNED = (
     "levels", "overrides", "exciter", "seed", "window_periods", "ramp", "timeout", "control", "strategy", *_EXCITATION,
 )  # fmt: skip
-"""What of a case :func:`nmt_session.plan_test` takes by the same name."""
+"""What of a case :func:`nmt_session.planning` takes by the same name."""
 
 JOINT_KEY = "local_elements.0.tangential_stiffness_n_m"
 

@@ -22,8 +22,8 @@ from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.fitting import Data, Errors, FitError, Fitted, Metric, best_errors, data_about, fit
 from nmt_diagnose.inference.gap import Closed, closed, rms
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
+from nmt_diagnose.inference.look_ahead import next_tests
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.next_test import next_tests
 from nmt_diagnose.inference.progress import Progress
 from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.residual_map import per_observable, residual_map

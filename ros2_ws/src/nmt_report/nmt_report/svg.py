@@ -96,6 +96,8 @@ def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | No
         The element, scaled by its container, and behind it the figure's numbers, from which a page saves a table and
         ``./nmt figures`` draws the figure anew; the same text for the same figure.
     """
+    for number, part in enumerate((*figure.axes, *figure.legends)):
+        part.set_gid(part.get_gid() or f"part-{number}")
     buffer = StringIO()
     with matplotlib.rc_context({"svg.hashsalt": name}):
         figure.savefig(buffer, format="svg", metadata={"Creator": None, "Date": None, "Format": None, "Type": None})
@@ -143,7 +145,7 @@ _NUMBER = re.compile(r"\$\\mathdefault\{(.*)\}\$")
 def _columns(figure: Figure, name: str) -> str:
     """Views of the columns of a figure, for a narrow screen to show below each other; empty for one column.
 
-    A view draws nothing anew: it refers to the figure's own element.
+    A view draws nothing anew: it refers to the figure's own elements, and not to those of its neighbours.
     """
     columns: list[tuple[float, list[Any]]] = []
     for axes in sorted(figure.axes, key=lambda axes: float(axes.get_position().x0)):
@@ -167,7 +169,8 @@ def _columns(figure: Figure, name: str) -> str:
         box = Bbox.union([box for box in boxes if box is not None])
         place = (box.x0 - 2.0, height - box.y1 - 2.0, box.width + 4.0, box.height + 4.0)
         frame = " ".join(f"{value:.1f}" for value in place)
-        views += f'<svg viewBox="{frame}" aria-hidden="true"><use href="#{name}-figure_1"/></svg>'
+        parts = "".join(f'<use href="#{name}-{item.get_gid()}"/>' for item in group)
+        views += f'<svg viewBox="{frame}" aria-hidden="true">{parts}</svg>'
     return f'<div class="panels">{views}</div>'
 
 

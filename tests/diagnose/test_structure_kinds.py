@@ -179,3 +179,20 @@ def test_every_effect_finds_its_places(make):
         theta = np.where([p.kind == "strength" for p in own.effect.parameters], 1.0, 0.0)
         changed = Parametrisation(rig, (), (own,)).rig(theta)
         assert validate_rig(RigDocument("changed", changed.model_dump(exclude_none=True), {})) == changed
+
+
+@pytest.mark.parametrize(
+    ("kind", "places"), [("chain", ["1", "2", "1-2"]), ("modal", ["1", "2", "1-2"]), ("one mode", ["1", "2"])]
+)
+def test_springs_are_tried_between_points_too(kind: str, places: list[str]) -> None:
+    """Of one mode the points move together: a spring between them acts as one to the ground."""
+    rig = PAIR if kind == "chain" else modal()
+    if kind == "one mode":
+        structure = rig.structure.model_copy(update={"modes": rig.structure.modes[:1]})
+        rig = rig.model_copy(update={"structure": structure})
+    found = candidates(rig, operating_range(rig, []))
+    springs = [own for own in found if own.effect.name == "cubic_stiffness"]
+    assert [own.site.placement.detail for own in springs] == places
+    if "1-2" in places:
+        changed = springs[-1].effect.change(rig, springs[-1].site, {"k": 1e9})
+        assert (changed.local_elements[-1].point, changed.local_elements[-1].other_point) == (1, 2)

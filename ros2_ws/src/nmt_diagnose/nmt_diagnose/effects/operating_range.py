@@ -16,7 +16,7 @@ class OperatingRange:
         rotation: amplitude of the cross-section at each point of a beam, rad (empty for a chain).
         effective_mass: mass of the resonant mode as seen from each point, 1/φ², kg.
         effective_inertia: the same seen from the rotation of each point, kg m² (empty for a chain).
-        pairs: amplitude (m) and effective mass (kg) across neighbouring points of a chain.
+        pairs: amplitude (m) and effective mass (kg) across two points that an element may join.
         coil_displacement: amplitude of the coil (of the drive point without a shaker), m.
         total_mass: of the structure, kg.
         voltage: largest drive, V.
@@ -56,7 +56,3 @@ class OperatingRange:
     def effective_stiffness(self, point: int) -> float:
         """ω² times the effective mass, N/m."""
         return self.omega**2 * self.effective_mass[point]
-
-    def pair(self, point: int, other: int) -> tuple[float, float] | None:
-        """Amplitude (m) and effective mass (kg) across two points; None where they are no neighbours in a chain."""
-        return self.pairs.get((point, other))

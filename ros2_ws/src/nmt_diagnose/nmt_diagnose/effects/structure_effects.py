@@ -21,7 +21,7 @@ from nmt_rig.model.local_elements.dampers import (
 )
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.model.local_elements.springs import CubicSpringSection, QuadraticSpringSection, QuinticSpringSection
-from nmt_rig.rig import AddedMassSection, BeamSection, ChainSection, Rig
+from nmt_rig.rig import AddedMassSection, BeamSection, Rig
 
 # Gaps as multiples of the largest amplitude at their point: a stop that is not reached does nothing.
 GAP_GRID = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -36,18 +36,16 @@ Sizes = Callable[[float, float, float], Mapping[str, float]]
 def spots(rig: Rig, operating: OperatingRange) -> Iterator[tuple[int, int, float, float]]:
     """Point, other point (0 = ground), amplitude (m) and effective stiffness (N/m) where an element may sit.
 
-    Every point to the ground; in a chain also neighbours to one another. Points that hardly move are left out.
+    Every point to the ground, and the pairs of the operating range. Points that hardly move are left out.
     """
     largest = max(operating.displacement.values())
     for point in rig.structure.points:
         amplitude = operating.displacement[point]
         if amplitude > 1e-3 * largest:
             yield point, 0, amplitude, operating.effective_stiffness(point)
-    if isinstance(rig.structure, ChainSection):
-        for point in list(rig.structure.points)[:-1]:
-            pair = operating.pair(point, point + 1)
-            if pair is not None and pair[0] > 1e-3 * largest:
-                yield point, point + 1, pair[0], operating.omega**2 * pair[1]
+    for (point, other), (amplitude, mass) in operating.pairs.items():
+        if amplitude > 1e-3 * largest:
+            yield point, other, amplitude, operating.omega**2 * mass
 
 
 def local_sites(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.linalg import eigh
@@ -29,12 +29,14 @@ from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
 from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import BeamSection, ChainSection, Rig
 from nmt_rig.rig_model import build_system
 
 # Measured over modelled motion beyond which the model is no measure of it.
 _FAR_OFF = 2.0
+_MOST_JOINED = 4  # points; more pairs than that are more than recordings distinguish
 
 
 def operating_range(
@@ -87,9 +89,9 @@ def operating_range(
             complex_own = amplitudes[len(channels) :]
             for point, value in zip(points, own, strict=True):
                 displacement[point] = max(displacement[point], float(value))
-            for i in range(len(points) - 1):
-                key = (points[i], points[i + 1])
-                pairs[key] = max(pairs.get(key, 0.0), float(abs(complex_own[i + 1] - complex_own[i])))
+            for (i, point), (j, other) in combinations(enumerate(points), 2):
+                apart = float(abs(complex_own[j] - complex_own[i]))
+                pairs[point, other] = max(pairs.get((point, other), 0.0), apart)
             voltage = max(voltage, drive)
             system = parts.system
             if system.coil is not None:
@@ -398,7 +400,7 @@ def _total_mass(rig: Rig) -> float:
 def _effective_masses(
     rig: Rig, omega: float
 ) -> tuple[dict[int, float], dict[int, float], dict[tuple[int, int], float]]:
-    """1/φ² of the mode nearest to ω, as seen from points, rotations and pairs of neighbours (at rest, with exciter)."""
+    """1/φ² of the mode nearest to ω, as points, rotations and joined pairs see it (at rest, with exciter)."""
     system = build_system(rig)
     n = system.mechanical_size
     stiffness = system.sticking_stiffness()[:n, :n]
@@ -417,8 +419,17 @@ def _effective_masses(
     if isinstance(rig.structure, BeamSection):
         least = 1e-3 * max(shape[index + 1] ** 2 for index in system.points.values())
         inertia = {point: seen(shape[index + 1], least) for point, index in system.points.items()}
-    pairs: dict[tuple[int, int], float] = {}
-    if isinstance(rig.structure, ChainSection):
-        for a, b in pairwise(system.point_numbers):
-            pairs[(a, b)] = seen(motion[b] - motion[a], floor)
+    pairs = {(a, b): seen(motion[b] - motion[a], floor) for a, b in _joined(rig, system)}
     return mass, inertia, pairs
+
+
+def _joined(rig: Rig, system: ElectromechanicalSystem) -> list[tuple[int, int]]:
+    """Points that an element may join: neighbours in a chain; any two of modes or matrices with a few points.
+
+    Fewer modes than points hold the motions of the points together: what joins two of them acts as to the ground.
+    """
+    points = list(system.point_numbers)
+    if isinstance(rig.structure, ChainSection):
+        return list(pairwise(points))
+    few = len(points) <= min(_MOST_JOINED, system.structure_size)
+    return list(combinations(points, 2)) if few and not isinstance(rig.structure, BeamSection) else []

@@ -59,7 +59,8 @@ def disturbed(
 
     Past the middleware (``linked``) a stranger is not even heard; without, as in real time, what it says is refused.
     """
-    with Bench("beam", [0.3, 0.4], out=out, window_periods=300, linked=linked) as bench:
+    # A window of two minutes takes a second: nodes hear of a stranger before it is over.
+    with Bench("beam", [0.3, 0.4], out=out, window_periods=3000, linked=linked) as bench:
         node = stranger(bench)
         publishers: list[Any] = []
 

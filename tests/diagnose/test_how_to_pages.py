@@ -1,4 +1,4 @@
-"""The how-tos of hammer and one-mode model: their files import, and are read as the oscillator behind the data."""
+"""The how-tos of hammer, one-mode model and responses at levels: their files give what the pages say."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 from nmt_bench.data_import import import_data
+from nmt_diagnose.inference.diagnose import diagnose_bags
+from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.forward import Forward
@@ -65,3 +69,16 @@ def test_the_files_of_the_one_mode_model_read_a_frequency_response(tmp_path: Pat
     left = forward.difference(observations.values, forward.predict(model).values)
     assert len(observations.rows) == 120
     assert np.abs(left).max() < 1e-6
+
+
+def test_the_example_of_responses_at_levels_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (HOW_TO / "frequency-responses-at-levels.md").read_text(encoding="utf-8")
+    start = page.index("```python\n") + len("```python\n")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(page[start : page.index("```", start)], "example", "exec"), {})
+    import_data(Path("sidecar.yaml"), Path("sweeps"))
+    found = diagnose_bags("one_mode.yaml", [Path("sweeps")], settings=DiagnosisSettings(look_ahead=False)).diagnosis
+    assert (found.verdict, found.ranking[0].effect) == (Verdict.EFFECT, "cubic_stiffness")
+    k = found.ranking[0].parameters["k"]
+    assert abs(k.value - 2.4e9) < 2.0 * k.std < 0.1 * k.value
+    assert not found.warnings

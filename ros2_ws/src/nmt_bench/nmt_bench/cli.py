@@ -136,7 +136,7 @@ def build_parser(*wanted: str | None) -> argparse.ArgumentParser:
 
 def program() -> NoReturn:
     """The command line as a process of its own."""
-    gc.set_threshold(50_000, 20, 50)  # by default a third of the time in which figures are drawn goes into looking
+    gc.set_threshold(50_000, 20, 50)  # by default the collector takes a seventh of the time in which figures are drawn
     end_process(main())
 
 

@@ -40,7 +40,7 @@ compression =none {'|'.join(COMPRESSIONS)}  Compression of the chunks.
 split_bytes ={2**30} (byte) 0..  Size after which the bag goes on in another file; 0 = one file.
 split_duration =0.0 (s) 0.0..  Wall time after which it does so; 0 = one file.
 least_free_mb =16 (MB) 0..  Space on the disk without which no run can begin.
-settle_time =0.25 (s) 0.0..  Silence before the bag of a done run closes.
+settle_time =0.25 (s) 0.0..  In real time: silence before the bag of a done run closes.
 patience =2.0 (s) 0.1..  Silence after which missing blocks are given up.
 """)  # fmt: skip
 

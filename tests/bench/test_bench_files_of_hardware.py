@@ -24,7 +24,7 @@ from nmt_record.bag.run_recorder import PARAMETERS, RunRecorder, described_run
 from nmt_rig.rig import load_rig
 from nmt_session.node_plan import NodePlan
 
-OF_THE_NODE = ("expected_peers", "pacing", "recorder_lead")  # parameters of the recorder that its bag does not need
+OF_THE_NODE = ("expected_peers", "pacing", "reader_lead")  # parameters of the recorder that its bag does not need
 
 
 @pytest.fixture

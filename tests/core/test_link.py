@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from collections.abc import Iterator
 
@@ -99,3 +100,51 @@ def test_messages_without_end_leave_time_for_the_middleware(pair: tuple[Link, Li
     serve(pair, 0.05)
     assert count[0] > 3
     assert time.thread_time() - began < 0.5
+
+
+def test_what_waits_is_sent_as_the_reader_has_room_although_nothing_more_is_sent(pair: tuple[Link, Link]) -> None:
+    """The sender works once, as a node does after the last block; the reader takes a queue at a time."""
+    plant, _ = pair
+    extract = Link(BENCH, "extract")
+    taken: list[bytes] = []
+    extract.take("plant_bundle", taken.append)
+    send = plant.sender("plant_bundle")
+    sent = [number.to_bytes(4, "big") * 1000 for number in range(MANY)]
+    for message in sent:
+        send(message)
+    counters = plant.counters
+    assert counters["outbox_extract_longest"] > MANY // 2
+    assert counters["outbox_extract_bytes"] == 4001 * counters["outbox_extract_longest"]  # one byte says the topic
+    over = threading.Event()
+
+    def send_on() -> None:
+        while not over.is_set():
+            serve((plant,), 0.05)
+
+    sender = threading.Thread(target=send_on)
+    sender.start()
+    late = 0
+    while len(taken) < MANY and late < MANY:
+        serve_late(extract, 0.005)
+        late += 1
+    over.set()
+    sender.join()
+    assert taken == sent
+    assert late < MANY // 20, "a queue at a time, however much waits"
+    assert plant.counters["outbox_extract_bytes"] == 0
+    extract.close()
+
+
+def test_a_reader_that_was_started_anew_gets_what_is_sent_then(pair: tuple[Link, Link]) -> None:
+    plant, pll = pair
+    send = plant.sender("loop_input")
+    send(b"to the first")
+    assert pll.read()
+    pll.close()
+    again = Link(BENCH, "pll")
+    taken: list[bytes] = []
+    again.take("loop_input", taken.append)
+    send(b"to the second")
+    serve((again,), 0.01)
+    again.close()
+    assert taken == [b"to the second"]

@@ -4,6 +4,11 @@
 ./nmt shell <<< "python tests/node/lockstep_trials.py launcher --count 30"    # SIGKILL of the launcher
 ./nmt shell <<< "python tests/node/lockstep_trials.py recorder --count 3"     # SIGSTOP of the recorder for 20 s
 ./nmt shell <<< "python tests/node/lockstep_trials.py start --count 5"        # a node that is stopped as it starts
+./nmt shell <<< "python tests/node/lockstep_trials.py account --levels 40 --periods 200 --processors 1 --loops 3"
+                                               # every level has its point; --hurt extract:stop, extract:slow, … as well
+
+``account`` resumes with --log FILE where it stopped. --queue 512 needs root: it sets the length of the kernel's queues
+in a network of its own.
 """
 
 from __future__ import annotations
@@ -16,6 +21,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,6 +35,8 @@ from node.signal_trials import hear_signals
 
 from nmt_core.errors import BenchError
 from nmt_core.shared_memory import remove_dead_segments
+from nmt_core.wire import MODAL_POINT
+from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES
 
@@ -50,11 +58,23 @@ def busy_loops(count: int) -> Iterator[None]:
             loop.wait()
 
 
-def start(out: Path, mark: str, levels: str, periods: int) -> subprocess.Popen[str]:
-    """Start a run of the beam, every node a process."""
+def start(
+    out: Path, mark: str, levels: str, periods: int, processors: int = 0, queue: int = 0
+) -> subprocess.Popen[str]:
+    """Start a run of the beam, every node a process.
+
+    Args:
+        out, mark, levels, periods: of the run.
+        processors: how many it may use; 0 = all.
+        queue: datagrams that the kernel keeps for a socket; 0 = as it is.
+    """
     words = ["run", "beam", "--levels", levels, "--periods", str(periods), "--reference", "none", "--no-report"]
+    before = ["taskset", "-c", f"0-{processors - 1}"] if processors else []
+    if queue:
+        network = f'ip link set lo up && sysctl -q -w net.unix.max_dgram_qlen={queue} && exec "$@"'
+        before = [*before, "unshare", "-n", "sh", "-c", network, "sh"]
     return subprocess.Popen(
-        [sys.executable, "-m", "nmt_bench", *words, "--out", str(out)],
+        [*before, sys.executable, "-m", "nmt_bench", *words, "--out", str(out)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -123,6 +143,43 @@ def recorder(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
     return held + faults + faults_of_bag(out, whole=True)
 
 
+def account(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
+    """Every level gives its point, as the bag does, whatever the machine and whoever is slow."""
+    count, periods = OPTIONS.levels, OPTIONS.periods
+    command = start(out, mark, f"0.05:1.5:{count}", periods, OPTIONS.processors, OPTIONS.queue)
+    ended = threading.Event()
+    helper = threading.Thread(target=hurt, args=(OPTIONS.hurt, mark, ended, rng), daemon=True)
+    helper.start()
+    said, _ = command.communicate(timeout=_LONGEST)
+    ended.set()
+    helper.join()
+    faults = [] if command.returncode == 0 else [f"exit code {command.returncode}: {said.strip()[-400:]}"]
+    live = {point.level_index: point for point in Bag.open(out / "bag").records("modal_point", MODAL_POINT)}
+    again = extract_bag(out / "bag").points
+    rows = len((out / "modal.csv").read_text().splitlines()) - 1
+    faults += [] if rows == len(live) == len(again) == count else [f"{rows} rows, {len(live)} live, {len(again)} again"]
+    same = all(point.level_index in live and point.identical(live[point.level_index]) for point in again)
+    return faults + ([] if same else ["the digits differ from those of the bag"]) + faults_of_bag(out, whole=True)
+
+
+def hurt(what: str, mark: str, ended: threading.Event, rng: np.random.Generator) -> None:
+    """Stop a node for 5 s, or let it work a tenth of the time only: ``extract:stop``, ``recorder:slow``."""
+    if not what:
+        return
+    node, _, how = what.partition(":")
+    wait_for(lambda: ended.is_set() or node in marked(mark).values())
+    ended.wait(float(rng.uniform(1.0, 2.5)))
+    for process in [process for process, name in marked(mark).items() if name == node]:
+        with contextlib.suppress(ProcessLookupError):
+            while not ended.is_set():
+                os.kill(process, signal.SIGSTOP)
+                ended.wait(5.0 if how == "stop" else 0.09)
+                os.kill(process, signal.SIGCONT)
+                if how == "stop":
+                    return
+                ended.wait(0.01)
+
+
 def start_of_a_node(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
     """A node is stopped as soon as its process is there."""
     victim = str(rng.choice(list(NODES)))
@@ -147,7 +204,8 @@ def wait_for(condition: object) -> None:
         time.sleep(0.02)
 
 
-TRIALS = {"busy": busy, "launcher": launcher, "recorder": recorder, "start": start_of_a_node}
+TRIALS = {"account": account, "busy": busy, "launcher": launcher, "recorder": recorder, "start": start_of_a_node}
+OPTIONS = argparse.Namespace()
 
 
 def main() -> int:
@@ -157,11 +215,18 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--loops", type=int, help="busy loops beside (default: 6 for busy, else none)")
-    options = parser.parse_args()
+    parser.add_argument("--levels", type=int, default=40, help="account: levels of the plan")
+    parser.add_argument("--periods", type=int, default=200, help="account: whole periods a window")
+    parser.add_argument("--processors", type=int, default=0, help="account: processors to use (default: all)")
+    parser.add_argument("--queue", type=int, default=0, help="account: datagrams of a queue (default: the kernel's)")
+    parser.add_argument("--hurt", default="", help="account: NODE:stop for 5 s or NODE:slow to a tenth")
+    parser.add_argument("--log", type=Path, help="account: file of the trials that are done, to go on from")
+    options = parser.parse_args(namespace=OPTIONS)
     loops = options.loops if options.loops is not None else 6 * (options.trial == "busy")
     rng, faulty = np.random.default_rng(options.seed), 0
+    done = len(options.log.read_text().splitlines()) if options.log and options.log.exists() else 0
     with busy_loops(loops):
-        for number in range(options.count):
+        for number in range(done, options.count):
             mark = f"lockstep-{os.getpid()}-{number}"
             began = time.monotonic()
             with tempfile.TemporaryDirectory(prefix="nmt-lockstep-") as folder:
@@ -171,11 +236,14 @@ def main() -> int:
                 with contextlib.suppress(OSError, ValueError, KeyError):
                     lacks = f", bag lacks {json.loads((out / 'run.json').read_text())['result']['bag']['lacks_s']} s"
             faulty += bool(faults)
-            print(
+            line = (
                 f"{number + 1:3d}  {time.monotonic() - began:5.1f} s, load {os.getloadavg()[0]:.0f}{lacks}  "
-                f"{faults or 'as it should'}",
-                flush=True,
+                f"{faults or 'as it should'}"
             )
+            print(line, flush=True)
+            if options.log:
+                with options.log.open("a") as log:
+                    log.write(line + "\n")
     print(f"{options.trial}: {options.count} trials, {faulty} not as they should be")
     return int(faulty > 0)
 

@@ -17,10 +17,12 @@ import yaml
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import LoopState, ResultCode
+from nmt_core.wire import MODAL_POINT
 from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import write_csv
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
+from nmt_report.run_report import report_data_from_bag, write_report
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig
 
@@ -229,39 +231,120 @@ def test_a_killed_node_ends_the_run(victim: str, pacing: str, tmp_path: Path) ->
         assert not blocks[-1].data.any()
 
 
-def test_in_lockstep_a_stopped_recorder_is_waited_for(tmp_path: Path) -> None:
-    """It is stopped until the plant waits for it; the bag is whole."""
+@pytest.mark.parametrize("reader", ["recorder", "extract"])
+def test_in_lockstep_a_stopped_reader_is_waited_for(reader: str, tmp_path: Path) -> None:
+    """It is stopped until the plant waits for it; bag and points are whole."""
     said: list[str] = []
     stopped: list[int] = []
-    values = {"plant": {"recorder_lead": 2.0}}
+    values = {"plant": {"reader_lead": 2.0}}
     with Bench("beam", [0.3], out=tmp_path / "out", processes=True, window_periods=120, node_values=values) as bench:
         assert bench.processes is not None
-        recorder = bench.processes.pids["recorder"]
+        process = bench.processes.pids[reader]
 
         def strike(progress: Progress) -> None:
             if progress.state == LoopState.LOCKED and not stopped:
                 stopped.append(progress.sample)
-                os.kill(recorder, signal.SIGSTOP)
+                os.kill(process, signal.SIGSTOP)
 
         turn = bench._turn
 
         def look() -> None:
             turn()
-            if stopped and bench.client.plant_said.get("waits_for_bag") == "1" and not said:
+            if stopped and bench.client.plant_said.get("waits_for") == reader and not said:
                 said.append(bench.client.plant_said["next_sample"])
-                os.kill(recorder, signal.SIGCONT)
+                os.kill(process, signal.SIGCONT)
 
         bench._turn = look  # type: ignore[method-assign]
         result = bench.run(strike)
     assert said, "the plant did not wait"
     assert result.code == ResultCode.SUCCEEDED, result.message
     assert (result.bag_state, result.lacks_s) == ("closed", 0.0)
+    assert [point.status for point in result.points] == [Status.OK]
+    assert result.missing == ()
     bag = Bag.open(tmp_path / "out" / "bag")
     assert bag.loss is None
     assert bag.run_stop is not None
     assert bag.run_stop["lacks_s"] == 0.0
     run = json.loads((tmp_path / "out" / "run.json").read_text())
     assert run["result"]["bag"] == {"state": "closed", "lacks_s": 0.0}
+    assert run["result"]["points"] == {"count": 1, "not_live": []}
+
+
+RAISING = """
+import nmt_extract.extractor as extractor
+known = extractor.modal_point
+def raising(window, *rest):
+    if window.lock.level_index == 2:
+        raise RuntimeError("made to fail at the third level")
+    return known(window, *rest)
+extractor.modal_point = raising
+"""
+
+
+def test_a_level_at_which_extraction_fails_is_named_and_the_table_comes_from_the_bag(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(RAISING, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    with Bench("beam", [0.2, 0.3, 0.4, 0.5], out=tmp_path / "out", processes=True, window_periods=20) as bench:
+        result = bench.run()
+    assert result.code == ResultCode.NODE_LOST
+    assert result.lost_node == "extract"
+    assert not result.complete
+    assert "made to fail at the third level" in result.message
+    assert 2 in result.missing
+    assert "were extracted from the bag" in result.message
+    assert [point.level_index for point in result.points] == list(range(len(result.points)))
+    again = extract_bag(tmp_path / "out" / "bag").points
+    assert all(one.identical(other) for one, other in zip(result.points, again, strict=True))
+    assert not list(Bag.open(tmp_path / "out" / "bag").blocks("voltage"))[-1].data.any()
+
+
+def test_points_that_do_not_come_are_missed_by_name(tmp_path: Path) -> None:
+    """Extraction lives on and says nothing of two levels: no success, and the table is whole all the same."""
+    values = {"sequencer": {"points_timeout": 1.0}}
+    levels = [0.2, 0.3, 0.5]
+    with Bench("beam", levels, out=tmp_path / "out", window_periods=20, node_values=values) as bench:
+        publisher = bench.nodes["extract"]._publisher
+        publish = publisher.publish
+
+        def silent(raw: bytes) -> None:
+            if MODAL_POINT.read(raw).level_index == 0:
+                publish(raw)
+
+        publisher.publish = silent
+        result = bench.run()
+    assert result.code == ResultCode.POINTS_MISSING
+    assert not result.complete
+    assert result.missing == (1, 2)
+    assert "of 2 of 3 locked levels did not come from extraction: levels 2 and 3." in result.message
+    assert [point.status for point in result.points] == [Status.OK] * 3
+    run = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert run["result"]["code"] == "POINTS_MISSING"
+    assert run["result"]["points"] == {"count": 3, "not_live": [2, 3]}
+    data = report_data_from_bag(tmp_path / "out" / "bag", list(result.points))
+    page = tmp_path / "report.html"
+    write_report(data, page)
+    assert "Extraction sent no point of levels 2 and 3 while the test ran (2 of 3 locked)" in page.read_text()
+
+
+@pytest.mark.parametrize(
+    ("count", "periods"),
+    [(12, 20), pytest.param(40, 200, marks=pytest.mark.campaign), pytest.param(100, 40, marks=pytest.mark.campaign)],
+)
+def test_on_one_processor_every_level_gives_its_point(count: int, periods: int, tmp_path: Path) -> None:
+    processors = os.sched_getaffinity(0)
+    levels = [float(level) for level in np.geomspace(0.05, 1.5, count)]
+    os.sched_setaffinity(0, {min(processors)})
+    try:
+        with Bench("beam", levels, out=tmp_path / "out", processes=True, window_periods=periods) as bench:
+            result = bench.run()
+    finally:
+        os.sched_setaffinity(0, processors)
+    assert result.code == ResultCode.SUCCEEDED, result.message
+    assert [point.level_index for point in result.points] == list(range(count))
+    again = extract_bag(tmp_path / "out" / "bag").points
+    assert all(one.identical(other) for one, other in zip(result.points, again, strict=True))
 
 
 @pytest.mark.campaign

@@ -253,8 +253,8 @@ def test_an_emergency_stop_does_not_wait_for_a_longer_ramp() -> None:
     assert core.device.tripped == "slowly", "the first reason stays"
 
 
-def test_in_lockstep_a_run_waits_for_its_bag_and_the_ramp_to_zero_does_not() -> None:
-    core = PlantCore(LoopbackDevice(RATE, BLOCK), recorder_lead=300)
+def test_in_lockstep_a_run_waits_for_its_slowest_reader_and_the_ramp_to_zero_does_not() -> None:
+    core = PlantCore(LoopbackDevice(RATE, BLOCK), reader_lead=300)
     core.take_state(state(RunPhase.RUNNING, horizon=1000))
     made = 0
 
@@ -267,8 +267,10 @@ def test_in_lockstep_a_run_waits_for_its_bag_and_the_ramp_to_zero_does_not() -> 
         return made
 
     assert as_far_as_may_be() == 300
-    assert core.waits_for_bag
-    core.take_recorded(250)
+    core.take_progress("recorder", 300)
+    assert core.waits_for == "extract"
+    assert as_far_as_may_be() == 300
+    core.take_progress("extract", 250)
     assert as_far_as_may_be() == 600  # blocks are whole: the one that begins 50 samples short of the lead is made
     core.take_state(state(RunPhase.STOPPING, horizon=1000))
     assert as_far_as_may_be() == 1000
@@ -280,4 +282,4 @@ def test_without_a_lead_no_bag_is_waited_for() -> None:
         assert core.due
         produce(core)
         core.take_drive(sine(made - 1), LOOP)
-    assert not core.waits_for_bag
+    assert not core.waits_for

@@ -21,7 +21,7 @@ import shutil
 import tempfile
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
@@ -54,6 +54,7 @@ from nmt_core.errors import BenchError
 from nmt_core.link import Link, serve
 from nmt_core.liveness import HANG_LIMIT, Liveness
 from nmt_core.modal_point import ModalPoint
+from nmt_core.number_words import level_list
 from nmt_core.output_record import drive_sentence
 from nmt_core.run_announcement import BAG_TOPIC, BagState
 from nmt_core.shared_memory import remove_dead_segments
@@ -269,6 +270,12 @@ class Bench:
             points = tuple(MODAL_POINT.read(serialize_message(point)) for point in message.points)
             if lost:
                 code, text = ResultCode.NODE_LOST, obituary
+        missing: tuple[int, ...] = ()
+        if message is None or lost or message.missing_points:
+            points, missing = self._with_windows_of_bag(points, () if message is None else message.missing_points)
+        if missing:
+            found = {point.level_index for point in points}.intersection(missing)
+            text = f"{text} {_extracted_later(missing, found)}"
         lack = f"The bag lacks {lacks:.3f} s of bench time, at its end or in gaps; what is in it can be extracted."
         result = RunResult(
             code=code,
@@ -282,6 +289,7 @@ class Bench:
             interrupted=interrupted or deferred.came,
             remarks=(*([lack] if lacks > 0.0 else []), *self.client.remarks(self.test.pacing)),
             lacks_s=lacks,
+            missing=missing,
         )
         self._write_end(result)
         return result
@@ -293,6 +301,10 @@ class Bench:
             "message": result.message,
             "bench_time_s": result.bench_time,
             "bag": {"state": result.bag_state, "lacks_s": result.lacks_s},
+            "points": {
+                "count": len(result.points),
+                "not_live": [index + 1 for index in result.missing],
+            },
         }
         text = json.dumps({**self.plan.run, "result": end}, indent=2) + "\n"
         with contextlib.suppress(OSError):  # a full disk must not cost the result
@@ -474,6 +486,28 @@ class Bench:
             return tuple(Bag.open(self.out / "bag").records("modal_point", MODAL_POINT))
         return ()
 
+    def _with_windows_of_bag(
+        self, points: tuple[ModalPoint, ...], named: Sequence[int]
+    ) -> tuple[tuple[ModalPoint, ...], tuple[int, ...]]:
+        """Points with those that extraction did not send, extracted from the bag, and the levels that it did not send.
+
+        Args:
+            points: those that it sent.
+            named: levels of which it is known that it did not.
+        """
+        from nmt_extract.offline import extract_bag
+
+        if not self.test.excitation.test.gives_modal_points:
+            return points, ()
+        known = {point.level_index for point in points}
+        try:
+            found = extract_bag(self.out / "bag").points
+        except BenchError:  # there is no lock event in it, or no whole message
+            return points, tuple(sorted(named))
+        missing = [point for point in found if point.level_index not in known]
+        both = sorted([*points, *missing], key=lambda point: point.level_index)
+        return tuple(both), tuple(sorted({*named, *(point.level_index for point in missing)}))
+
     def _obituary(self, lost: str) -> str:
         said = self.client.plant_said
         drive = drive_sentence(said or None, alive=lost != "plant", lockstep=self.test.pacing == "lockstep")
@@ -527,6 +561,14 @@ class Bench:
     def _last_words(self, name: str) -> str:
         words = self.processes.last_words(name) if self.processes and name else ""
         return f" ({words})" if words else ""
+
+
+def _extracted_later(missing: Sequence[int], found: Collection[int]) -> str:
+    """What was done about points that did not come live, as a sentence."""
+    lacking = [index for index in missing if index not in found]
+    text = f"The points of {level_list(found)} were extracted from the bag." if found else ""
+    more = f"The bag gives none for {level_list(lacking)}." if lacking else ""
+    return " ".join(filter(None, (text, more)))
 
 
 class _RunClient(Node):  # type: ignore[misc]

@@ -29,6 +29,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+from std_msgs.msg import UInt64
 
 from nmt_core.command_judge import CommandSource
 from nmt_core.dds_profile import check_ports, seal_transport
@@ -38,6 +39,7 @@ from nmt_core.link import TAKEN_BY, Link, serve, serve_late
 from nmt_core.liveness import BUSY, HANG_LIMIT, HUNG, READY, Liveness
 from nmt_core.parameters import Parameter, ParameterValue, check_values, parameter_table
 from nmt_core.process_watch import ProcessWatch
+from nmt_core.run_announcement import TAKEN_TOPICS, TELL_EVERY
 from nmt_core.shared_memory import remove_dead_segments
 from nmt_core.wire import NodeStatus, read_diagnostics, write_diagnostics
 
@@ -430,7 +432,8 @@ class BenchNode(Node):  # type: ignore[misc]
 
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
         """Publish the counters under the node's name."""
-        status = NodeStatus(self.heartbeat_name, self.instance, level, message, dict(self.counters))
+        waiting = {} if self.link is None else self.link.counters
+        status = NodeStatus(self.heartbeat_name, self.instance, level, message, {**self.counters, **waiting})
         self._newest, self._worked = status, time.monotonic()
         self._publish_status(status)
         if self.link is not None and level == DiagnosticStatus.ERROR:
@@ -513,6 +516,27 @@ class BenchNode(Node):  # type: ignore[misc]
         if self.link is not None:
             self.link.close()
         super().destroy_node()
+
+
+class ReaderProgress:
+    """How far a node that takes all samples has come, for the plant that waits for it in lockstep.
+
+    Args:
+        node: the node.
+        reader: which of `nmt_core.run_announcement.TAKEN_TOPICS` it is.
+    """
+
+    def __init__(self, node: BenchNode, reader: str) -> None:
+        topic = TAKEN_TOPICS[reader]
+        self._publisher = node.create_publisher(UInt64, topic, STATE_QOS)
+        node.claim(topic)
+        self._told = 0
+
+    def tell(self, sample: int, rate: float) -> None:
+        """Tell the first sample that has not been taken, about once in a second of bench time (``rate`` in Hz)."""
+        if abs(sample - self._told) >= TELL_EVERY * rate:
+            self._told = sample
+            self._publisher.publish(UInt64(data=sample))
 
 
 def _full_name(namespace: str, name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _MOST_DECIMALS = 3
@@ -47,6 +48,26 @@ def value_text(value: float, std: float, unit: str = "") -> str:
     decimals = max(0, min(9, 1 - math.floor(math.log10(std / scale))))
     text = f"{plain(value / scale, decimals)} ± {plain(std / scale, decimals)}"
     return (f"({text})·{power_of_ten(exponent)}" if exponent else text) + tail
+
+
+def level_list(indices: Iterable[int]) -> str:
+    """``levels 1, 3 and 21 to 40`` for indices from 0 on; ``no level`` without any."""
+    numbers = sorted({index + 1 for index in indices})
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    texts = [
+        text
+        for first, last in runs
+        for text in ([f"{first} to {last}"] if last - first > 1 else map(str, range(first, last + 1)))
+    ]
+    if not texts:
+        return "no level"
+    head = ", ".join(texts[:-1])
+    return f"level{'s' if len(numbers) > 1 else ''} {f'{head} and ' if head else ''}{texts[-1]}"
 
 
 def percent(share: float, digits: int = 0) -> str:

@@ -13,8 +13,11 @@ from typing import Any
 
 ANNOUNCEMENT_TOPIC = "run_plan"
 BAG_TOPIC = "bag"
-RECORDED_TOPIC = "recorded"
-"""First sample that is not in the bag yet, latched; in lockstep the plant waits for it."""
+TAKEN_TOPICS = {"recorder": "recorded", "extract": "extracted"}
+"""By node the topic on which it tells, latched, the first sample that it has not taken yet; in lockstep the plant waits
+for it."""
+TELL_EVERY = 1.0
+"""Bench time between two such messages, s."""
 
 
 @dataclass(frozen=True)

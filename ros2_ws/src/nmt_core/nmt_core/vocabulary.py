@@ -343,3 +343,4 @@ class ResultCode(IntEnum):
     NODE_LOST = 6
     REFUSED = 7
     INTERNAL_ERROR = 8
+    POINTS_MISSING = 9

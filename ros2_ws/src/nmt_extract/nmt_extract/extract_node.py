@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
+from nmt_core.base_node import SAMPLES_QOS, BenchNode, ReaderProgress, spin_node
 from nmt_core.bundle import PLANT_BUNDLE, PLL_BUNDLE, read_bundle
 from nmt_core.wire import MODAL_POINT
 from nmt_extract.extraction_core import PARAMETERS, ExtractionCore
@@ -35,6 +35,7 @@ class ExtractNode(BenchNode):
         super().__init__("extract", PARAMETERS, values, **kwargs)
         self.core = ExtractionCore(self.values)
         self._publisher = self.bench_publisher(ModalPoint, "modal_point", SAMPLES_QOS)
+        self._progress = ReaderProgress(self, "extract")
         bundled: Any = self.values["bundled"]
         self._bundled = {topic: self.core.callback(topic) for topic in self.core.topics if topic in bundled}
         for bundle in (PLANT_BUNDLE, PLL_BUNDLE) if self._bundled else ():
@@ -49,6 +50,7 @@ class ExtractNode(BenchNode):
         def on_message(raw: bytes) -> None:
             callback(raw)
             self._publish_points()
+            self._progress.tell(*self.core.taken)
 
         return on_message
 
@@ -63,6 +65,7 @@ class ExtractNode(BenchNode):
             if take is not None:
                 take(message)
                 self._publish_points()
+        self._progress.tell(*self.core.taken)
 
     def _publish_points(self) -> None:
         for point in self.core.points():

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.modal_point import ModalPoint
 from nmt_core.parameters import parameter_table
+from nmt_core.wire import BlockReader
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
@@ -48,15 +52,31 @@ class ExtractionCore:
         self.topics: tuple[str, ...] = (*settings.topics, *STATE_TOPICS)
         self.extractor: Extractor | None = None
         self.feed: MessageFeed | None = None
+        self._passed: dict[str, tuple[int, float]] = dict.fromkeys(settings.topics, (0, math.nan))
         if text:
             self.extractor = Extractor(LinearDescription.from_json(text), settings)
             self.feed = MessageFeed(self.extractor)
 
     def callback(self, topic: str) -> Callable[[bytes], None]:
         """Function of one serialised message of a topic."""
-        if self.feed is None:
-            return lambda _: None
-        return self.feed.callbacks[topic]
+        if self.feed is not None:
+            return self.feed.callbacks[topic]
+        if topic in self._passed:
+            return partial(self._pass, topic, BlockReader().read)
+        return lambda _: None
+
+    def _pass(self, topic: str, read: Callable[[bytes], Any], raw: bytes) -> None:
+        """Note how far a topic has come of which nothing is extracted."""
+        with contextlib.suppress(ValueError):
+            block = read(raw)
+            self._passed[topic] = block.first_sample + block.data.shape[1], block.sample_rate
+
+    @property
+    def taken(self) -> tuple[int, float]:
+        """First sample that has not been taken yet, and the sample rate (Hz; NaN before the first)."""
+        if self.extractor is not None:
+            return self.extractor.reached
+        return min(self._passed.values(), default=(0, math.nan))
 
     def points(self) -> list[ModalPoint]:
         """Points that have become ready since the last call."""
@@ -67,9 +87,8 @@ class ExtractionCore:
     @property
     def counters(self) -> dict[str, int]:
         """Points by status, gaps and blocks by topic, and what could not be read."""
-        if self.extractor is None or self.feed is None:
-            return {}
-        return {**self.extractor.counters, "malformed": self.feed.malformed}
+        own = {} if self.extractor is None else self.extractor.counters
+        return {**own, "malformed": 0 if self.feed is None else self.feed.malformed, "taken": self.taken[0]}
 
 
 def _settings(values: Mapping[str, Any]) -> ExtractionSettings:

@@ -111,6 +111,11 @@ class Extractor:
         return self.take()
 
     @property
+    def reached(self) -> tuple[int, float]:
+        """Sample after the last one that all streams have brought, and the sample rate (Hz; NaN before the first)."""
+        return self._assembler.table.reached, self._assembler.sample_rate
+
+    @property
     def counters(self) -> dict[str, int]:
         """Points by status, gaps and blocks by topic."""
         counters = {

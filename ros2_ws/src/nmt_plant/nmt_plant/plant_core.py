@@ -8,6 +8,7 @@ from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import bench_time_ns
 from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge
 from nmt_core.records import DriveCommand, DriveStop, RunState, SignalLevels
+from nmt_core.run_announcement import TAKEN_TOPICS
 from nmt_core.vocabulary import OutputState, Quantity, RunPhase, StopCause
 from nmt_plant.device import Device, DeviceState, check_drive
 from nmt_plant.lockstep import LockstepGate
@@ -17,6 +18,8 @@ _ACTIVE = (RunPhase.RUNNING, RunPhase.PAUSED, RunPhase.STOPPING, RunPhase.DONE)
 _LONGEST_RAMP = 60.0  # s of bench time
 _LONGEST_END = 10.0  # s of bench time
 _LONGEST_STALL = 10.0  # s that the loop may miss in real time
+READERS = tuple(TAKEN_TOPICS)
+"""Nodes that are waited for in lockstep: what they have not taken waits in memory."""
 
 
 class PlantCore:
@@ -26,7 +29,8 @@ class PlantCore:
         device: the device; it is configured and started here.
         latency_blocks: blocks the plant may run ahead of its commands.
         lockstep: blocks wait for the commands computed from those before.
-        recorder_lead: samples by which the blocks of a run in lockstep may be ahead of its bag; 0 = any number.
+        reader_lead: samples by which the blocks of a run in lockstep may be ahead of what each of ``READERS`` has
+            taken; 0 = any number.
 
     Attributes:
         phase: phase of the run, as last heard of.
@@ -38,9 +42,9 @@ class PlantCore:
         BenchError: the device refuses its configuration.
     """
 
-    def __init__(self, device: Device, latency_blocks: int = 0, lockstep: bool = True, recorder_lead: int = 0) -> None:
+    def __init__(self, device: Device, latency_blocks: int = 0, lockstep: bool = True, reader_lead: int = 0) -> None:
         self.device = device
-        self._recorder_lead, self._recorded = recorder_lead, 0
+        self._reader_lead, self._taken = reader_lead, dict.fromkeys(READERS, 0)
         self.lockstep = lockstep
         self.phase = RunPhase.UNKNOWN
         self.running = False
@@ -78,9 +82,9 @@ class PlantCore:
         self.running = True
         return True
 
-    def take_recorded(self, sample: int) -> None:
-        """Take the first sample that is not in the bag yet."""
-        self._recorded = sample
+    def take_progress(self, reader: str, sample: int) -> None:
+        """Take the first sample that a reader has not taken yet."""
+        self._taken[reader] = sample
 
     def take_drive(self, command: DriveCommand, source: Hashable = "loop") -> str:
         """Hand a command to the device; the block that waits for it may then be due.
@@ -124,13 +128,16 @@ class PlantCore:
     def due(self) -> bool:
         """Whether the next block is due in lockstep: one for every answer, up to the horizon."""
         due = self.lockstep and self.running and self._gate.may_produce(self.device.next_sample)
-        return due and not self.waits_for_bag
+        return due and not self.waits_for
 
     @property
-    def waits_for_bag(self) -> bool:
-        """Whether the recorder holds the next block of a run back, since too much is not in the bag yet."""
-        ahead = self.device.next_sample - max(self._recorded, self._begun_at)
-        return self.lockstep and 0 < self._recorder_lead <= ahead and self.phase == RunPhase.RUNNING
+    def waits_for(self) -> str:
+        """The reader that holds the next block of a run back, since it is too far behind; empty if none does."""
+        if not self.lockstep or not self._reader_lead or self.phase != RunPhase.RUNNING:
+            return ""
+        reader, taken = min(self._taken.items(), key=lambda item: item[1])
+        ahead = self.device.next_sample - max(taken, self._begun_at)
+        return reader if ahead >= self._reader_lead else ""
 
     @property
     def starved(self) -> bool:

@@ -7,6 +7,7 @@ import json
 import os
 import time
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -22,7 +23,7 @@ from nmt_core.bundle import LOOP_INPUT, PLANT_BUNDLE, BundleWriter
 from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
 from nmt_core.parameters import parameter_table
-from nmt_core.run_announcement import RECORDED_TOPIC
+from nmt_core.run_announcement import TAKEN_TOPICS
 from nmt_core.vocabulary import OutputState, RunPhase, StopCause
 from nmt_core.wire import DRIVE_STOP, MONITOR, RUN_STATE, BlockWriter, read_drive
 from nmt_msgs.msg import Bundle, Drive, DriveStop, Monitor, RunState
@@ -51,8 +52,8 @@ bundle_blocks =0 (blocks) 0..100  Blocks whose samples are also published togeth
 loop_topics =[""]  Topics whose channel at the drive point is also published, together, on {LOOP_INPUT}; empty = none.
 drive_point =0 0..  Point of the exciter, for loop_topics.
 device_address =""  host:port of NI's gRPC device server; empty = as the rig file says.
-recorder_lead =0.0 (s) 0.0..  Bench time in lockstep by which the plant may be ahead of the bag, as told on
-    {RECORDED_TOPIC}; 0 = any.
+reader_lead =0.0 (s) 0.0..  Bench time in lockstep by which the plant may be ahead of recorder and extraction, as told
+    on {' and '.join(TAKEN_TOPICS.values())}; 0 = any.
 """)  # fmt: skip
 
 # Whoever publishes an emergency stop is heard, whatever quality of service was asked for; the first of these also hears
@@ -105,7 +106,7 @@ class PlantNode(BenchNode):
                 f"{type(device).__name__} an 'output' (guarded_device.owned_output)."
             )
         self.device: GuardedDevice = device
-        lead = round(float(str(self.values["recorder_lead"])) * device.sample_rate)
+        lead = round(float(str(self.values["reader_lead"])) * device.sample_rate)
         self.core = PlantCore(device, int(self.values["latency_blocks"]), self.in_lockstep, lead)
         self._lockstep = self.core.lockstep
         self._period = device.block_samples / device.sample_rate
@@ -140,7 +141,8 @@ class PlantNode(BenchNode):
         self.command_subscription(Drive, "drive", self._on_drive, SAMPLES_QOS)
         self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS, raw=True)
         if lead and self.in_lockstep:
-            self.create_subscription(UInt64, RECORDED_TOPIC, self._on_recorded, STATE_QOS)
+            for reader, topic in TAKEN_TOPICS.items():
+                self.create_subscription(UInt64, topic, partial(self._on_progress, reader), STATE_QOS)
         self._stops = self.bench_publisher(DriveStop, "drive_stop", STATE_QOS)
         # One of them fits whoever stops, so that the others do not is nothing to warn of.
         calm = SubscriptionEventCallbacks(use_default_callbacks=False)
@@ -204,8 +206,8 @@ class PlantNode(BenchNode):
             self.liveness.meet_again(time.monotonic())
         self._advance()
 
-    def _on_recorded(self, message: Any) -> None:
-        self.core.take_recorded(int(message.data))
+    def _on_progress(self, reader: str, message: Any) -> None:
+        self.core.take_progress(reader, int(message.data))
         self._advance()
 
     def _on_drive(self, raw: bytes, source: CommandSource) -> None:
@@ -428,7 +430,7 @@ class PlantNode(BenchNode):
             spread_samples=self.device.spread_samples,
             drive_at_zero=int(self.device.is_quiet),
             **self._output_counters(),
-            waits_for_bag=int(self.core.waits_for_bag),
+            waits_for=self.core.waits_for,
             real_time_factor=round(bench_time / elapsed, 2) if elapsed > 0 else 0.0,
         )
         if not self._lockstep and self._jitter:

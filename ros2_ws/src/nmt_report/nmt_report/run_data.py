@@ -167,6 +167,7 @@ class RunReportData:
         reference: computed backbone to compare with, if any.
         files: files of the results.
         loss: one sentence on what a damaged recording lost, else None.
+        not_live: locked levels whose point did not come while the test ran.
         end_sample: sample after the last recorded one.
         budgets: uncertainty budget of each point with values.
         budget_inputs: what it was made from; None = there is none.
@@ -188,6 +189,7 @@ class RunReportData:
     reference: ReferenceCurve | None = None
     files: Sequence[FileEntry] = ()
     loss: str | None = None
+    not_live: Sequence[int] = ()
     end_sample: int = 0
     budgets: Sequence[PointBudget] = ()
     budget_inputs: BudgetInputs | None = None

@@ -63,7 +63,7 @@ def report_data_from_bag(
     loop: list[tuple[int, float, float, int, float]] = []
     levels: list[LevelStart] = []
     locks: list[LockMark] = []
-    recorded: list[ModalPoint] = list(bag.records("modal_point", MODAL_POINT)) if points is None else []
+    recorded: list[ModalPoint] = list(bag.records("modal_point", MODAL_POINT)) if "modal_point" in bag.topics else []
     for topic, _, _, raw in bag.raw_messages(["frequency", "level", "lock"]):
         if topic == "frequency":
             loop.append(_status(bag, raw))
@@ -90,6 +90,7 @@ def report_data_from_bag(
         locks=locks,
         reference=reference,
         loss=bag.loss,
+        not_live=_not_live(points or recorded, recorded, locks) if "modal_point" in bag.topics else (),
         end_sample=end_sample,
         plant=_plant(bag),
     )
@@ -110,6 +111,14 @@ def _status(bag: Bag, raw: bytes) -> tuple[int, float, float, int, float]:
     else:
         status = bag.deserialise("frequency", raw)
     return status.last_sample, status.frequency_hz, status.phase_error, status.state, status.drive_amplitude
+
+
+def _not_live(
+    points: Sequence[ModalPoint], recorded: Sequence[ModalPoint], locks: Sequence[LockMark]
+) -> tuple[int, ...]:
+    """Locked levels that have a point now and had none in the recording."""
+    locked, live = {lock.level_index for lock in locks}, {point.level_index for point in recorded}
+    return tuple(sorted({point.level_index for point in points} & locked - live))
 
 
 def _plant(bag: Bag) -> dict[str, str]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from nmt_core.number_words import level_list
 from nmt_core.vocabulary import ControlKind
 from nmt_extract.modal_point import Status
 from nmt_extract.uncertainty_budget import UncertaintySource, channel_tolerances_used, left_out
@@ -109,6 +110,12 @@ def _faults(data: RunReportData) -> list[str]:
         for point in data.points
         if point.reason or point.status != Status.OK
     ]
+    if data.not_live:
+        faults.insert(
+            0,
+            f"Extraction sent no point of {level_list(data.not_live)} while the test ran ({len(data.not_live)} of "
+            f"{len(data.locks)} locked): they were extracted from the recording.",
+        )
     if data.loss:
         faults.insert(0, data.loss)
     state, reason = _end_of_run(data)

@@ -10,6 +10,7 @@ from nmt_core.cdr import bench_time_ns
 from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge, CommandSource
 from nmt_core.excitation import Excitation
 from nmt_core.modal_point import ModalPoint
+from nmt_core.number_words import level_list
 from nmt_core.parameters import parameter_table
 from nmt_core.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
 from nmt_core.run_announcement import RunAnnouncement
@@ -35,8 +36,8 @@ ready_timeout =30.0 (s) 0.1..  Time to wait for all watched nodes before a run; 
 stall_timeout =20.0 (s) 1.0..  Time in which no block of a run may be answered, in lockstep while its nodes could
     work; then the run is ended, except during a pause.
 recording =True  A run begins only when a recorder has opened a bag for it.
-points_timeout =30.0 (s) 0.0..  Time to wait for missing modal points after a run; in lockstep only while the nodes
-    could work.
+points_timeout =30.0 (s) 0.0..  Time without any progress of extraction after which missing modal points are no longer
+    waited for after a run.
 """), *LIMIT_PARAMETERS)  # fmt: skip
 
 # In real time a sequencer may join a loop that has run for long, and miss blocks that the loop could not answer.
@@ -220,6 +221,19 @@ class RunCore:
         if machine.plan is not None and not machine.plan.excitation.test.gives_modal_points:
             return set()
         return {record.index for record in machine.records if record.complete} - set(self.points)
+
+    def account(self) -> None:
+        """Close the account of a run that is over: a run is no success while locked levels lack their modal point."""
+        machine, missing = self.machine, sorted(self.missing_points)
+        if not missing:
+            return
+        if machine.code == ResultCode.SUCCEEDED:
+            machine.code = ResultCode.POINTS_MISSING
+        locked = sum(record.complete for record in machine.records)
+        machine.reason = (
+            f"{machine.reason} The modal points of {len(missing)} of {locked} locked levels did not come from "
+            f"extraction: {level_list(missing)}."
+        ).strip()
 
     def orders(self) -> list[LevelCommand]:
         """Levels to be published now, in order."""

@@ -62,6 +62,7 @@ class SequencerNode(BenchNode):
         self._guarded = time.monotonic()
         self._process = ProcessWatch(os.getpid()) if self.in_lockstep else None
         self._waited = 0.0  # s, for nodes to be ready or for modal points, in which all that live could have worked
+        self._extracted: tuple[str, int] = ("", 0)
         self._plant = ""
         self._plant_said: dict[str, str] | None = None
         self._plant_instance = self._joined = ""
@@ -160,6 +161,7 @@ class SequencerNode(BenchNode):
         result.levels_locked = sum(record.complete for record in machine.records)
         result.levels_not_locked = len(machine.records) - result.levels_locked
         points = [self.core.points[index] for index in sorted(self.core.points)]
+        result.missing_points = sorted(self.core.missing_points)
         result.points = [deserialize_message(MODAL_POINT.write(point), msg.ModalPoint) for point in points]
         if machine.code == ResultCode.SUCCEEDED:
             goal_handle.succeed()
@@ -421,10 +423,13 @@ class SequencerNode(BenchNode):
             machine.work()
             self._publish_all()
         elif self._goal is not None and self._pending is None and machine.phase == RunPhase.DONE:
-            self._waited += passed
-            overdue = self._waited > float(self.values["points_timeout"])
+            # The drive is at zero and the bag has the windows: extraction is waited for as long as it moves.
+            self._waited += min(now - self._guarded, 2.0 * _GUARD_PERIOD)
+            overdue = self._waited > float(self.values["points_timeout"]) or self._goal.is_cancel_requested
             gone = self.lost_node() or self.failed_node()[0]  # nobody is left to send them
             if overdue or gone or not self.core.missing_points:
+                self.core.account()
+                self._publish_state()
                 self._finish()
         self._guarded = now
 
@@ -470,6 +475,11 @@ class SequencerNode(BenchNode):
             return
         said = {key: str(value) for key, value in status.values.items()}
         self._timing[status.name] = {key: said[key] for key in _TIMING if key in said}
+        progress = said.get("taken", ""), len(self.core.points)
+        if "taken" in said and progress != self._extracted:
+            self._extracted = progress
+            if self.machine.phase == RunPhase.DONE and self._pending is None:
+                self._waited = 0.0
         if "drive_at_zero" in said:
             self._plant, self._plant_instance, self._plant_said = status.name, status.hardware_id, said
 

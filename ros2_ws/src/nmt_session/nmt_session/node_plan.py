@@ -42,7 +42,7 @@ LOOP_TOPICS = ("drive", "frequency")
 _MESSAGE_BYTES = 200  # of a block besides its samples
 MOST_WAITING = 64e6
 """Bytes of samples by which the plant may be ahead of the bag in lockstep."""
-RECORDER_LEADS = (2.0, 20.0)
+READER_LEADS = (2.0, 20.0)
 """Least and most bench time that it may be ahead, s; the recorder tells every second of it how far the bag is."""
 RAMP_WINDOW = 20
 """Whole periods of a window of the strategy ``ramp`` unless the test says otherwise."""
@@ -314,7 +314,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             "pacing": test.pacing,
             "latency_blocks": test.lead_blocks,
             "watched_nodes": ["pll", "sequencer"],
-            **({"recorder_lead": _recorder_lead(rig)} if test.pacing == "lockstep" else {}),
+            **({"reader_lead": _reader_lead(rig)} if test.pacing == "lockstep" else {}),
             **({"device": test.device, "device_address": test.device_address} if test.is_on_hardware else {}),
             **({"output_record": str(bag.absolute().parent / OUTPUT_RECORD)} if test.pacing == "realtime" else {}),
         },
@@ -436,10 +436,10 @@ def _bundle_blocks(test: TestPlan, topics: int) -> int:
     return blocks if test.pacing == "lockstep" and blocks > 1 else 0
 
 
-def _recorder_lead(rig: Rig) -> float:
-    """Bench time by which the plant may be ahead of the bag, s: what waits for the recorder is held in memory."""
+def _reader_lead(rig: Rig) -> float:
+    """Bench time by which the plant may be ahead of recorder and extraction, s: what waits for them is in memory."""
     bytes_a_second = 8.0 * rig.sample_rate_hz * len(rig.sensors)
-    return float(np.clip(MOST_WAITING / bytes_a_second, *RECORDER_LEADS))
+    return float(np.clip(MOST_WAITING / bytes_a_second, *READER_LEADS))
 
 
 def _joins_loop_input(test: TestPlan, response: str) -> bool:

@@ -34,6 +34,8 @@ class RunResult:
         bag: folder of the bag, None if nothing was recorded.
         bag_state: ``closed``, ``failed`` (the recorder could not write on), or ``open`` (it has died or hangs).
         lacks_s: bench time that the bag lacks, s.
+        missing: indices of levels whose point did not come while the bench ran; those of them that stand in ``points``
+            were extracted from the bag.
         wall_time: s from the start of the first level to the end of the run.
         bench_time: s of bench time.
         lost_node: name of the node that died, empty if none did.
@@ -52,6 +54,7 @@ class RunResult:
     interrupted: bool = False
     remarks: tuple[str, ...] = ()
     lacks_s: float = 0.0
+    missing: tuple[int, ...] = ()
 
     @property
     def complete(self) -> bool:

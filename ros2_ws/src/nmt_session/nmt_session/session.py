@@ -59,7 +59,7 @@ from nmt_session.run_result import Progress, RunResult
 
 _PROGRESS_PERIOD = 0.1  # s of wall time
 # Parameters that concern what a node does among others on the network.
-_NETWORK = frozenset(("expected_peers", "watched_nodes", "silence_timeout", "hang_timeout", "recorder_lead", "linked"))
+_NETWORK = frozenset(("expected_peers", "watched_nodes", "silence_timeout", "hang_timeout", "reader_lead", "linked"))
 
 _CODECS: dict[str, Any] = {
     "level": LEVEL,

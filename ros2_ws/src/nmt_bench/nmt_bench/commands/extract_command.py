@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value, read_text
+from nmt_core.number_words import level_list
 
 if TYPE_CHECKING:
     from nmt_extract.extraction_settings import ExtractionSettings
@@ -120,7 +121,11 @@ def _comparison(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) ->
     if different:
         levels = ", ".join(map(str, different))
         return f"Level {levels} differs from the live result: settings, blocks or version were others at the time."
-    return f"Equal to the live results bit for bit ({len(shared)} of {len(points)} levels compared)."
+    missing = [point.level_index for point in points if point.level_index not in by_level]
+    equal = f"qual to the live results bit for bit ({len(shared)} of {len(points)} levels compared)."
+    if missing:
+        return f"There are no live results of {level_list(missing)}; the others are e{equal}"
+    return f"E{equal}"
 
 
 def _settings(run: dict[str, object] | None, harmonics: int | None) -> ExtractionSettings | None:

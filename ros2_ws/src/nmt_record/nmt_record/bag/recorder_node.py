@@ -10,13 +10,18 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import String, UInt64
+from std_msgs.msg import String
 
-from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
+from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, ReaderProgress, spin_node
 from nmt_core.bundle import PLANT_BUNDLE, PLL_BUNDLE, read_bundle
 from nmt_core.errors import BenchError
 from nmt_core.liveness import HANG_LIMIT
-from nmt_core.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, RECORDED_TOPIC, BagState, RunAnnouncement
+from nmt_core.run_announcement import (
+    ANNOUNCEMENT_TOPIC,
+    BAG_TOPIC,
+    BagState,
+    RunAnnouncement,
+)
 from nmt_msgs.msg import Bundle
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import Service, parse_topic
@@ -33,7 +38,6 @@ _QOS = {
 _LONGEST_END = 3.0
 # After a run that ended early the plant takes the drive to zero by itself: its ramp belongs into the bag.
 _LONGEST_RAMP = 6.0  # s
-_TELL_EVERY = 1.0  # s of bench time between two notes on how far the bag is
 _RAMP_GRACE = 30.0  # s that a recorder in lockstep which was told to end waits for a plant that is there
 
 
@@ -144,7 +148,6 @@ class RecorderNode(BenchNode):
         self._last_time = self._last_own_time = time.monotonic()
         self._seen = 0.0  # time of the newest message when it was looked last
         self._is_drained = False
-        self._told_sample = 0  # sample told as recorded
         self._recorder_values = values
         self._announced = RunAnnouncement()
         self._goal = ""  # of the run that the newest bag is for
@@ -152,8 +155,7 @@ class RecorderNode(BenchNode):
         self.core = RunRecorder(values)
         self._state_publisher = self.create_publisher(String, BAG_TOPIC, STATE_QOS)
         self.claim(BAG_TOPIC)
-        self._recorded_publisher = self.create_publisher(UInt64, RECORDED_TOPIC, STATE_QOS)
-        self.claim(RECORDED_TOPIC)
+        self._progress = ReaderProgress(self, "recorder")
         self._bundled = {topic: self._recording(topic) for topic in values["bundled"] if topic}
         for topic in self.core.topics:
             if topic.name in self._bundled:
@@ -248,10 +250,7 @@ class RecorderNode(BenchNode):
         return next((state.sample_rate for state in self.core.gaps.topics.values()), 0.0)
 
     def _tell_recorded(self) -> None:
-        recorded = self.core.gaps.recorded
-        if abs(recorded - self._told_sample) >= _TELL_EVERY * self._rate:
-            self._told_sample = recorded
-            self._recorded_publisher.publish(UInt64(data=recorded))
+        self._progress.tell(self.core.gaps.recorded, self._rate)
 
     def _on_bundle(self, raw: bytes) -> None:
         try:

@@ -194,6 +194,12 @@ class SampleTable:
         elif not self._pending:
             blocks.forget(end - self._history)
 
+    @property
+    def reached(self) -> int:
+        """Sample after the last one that all topics, and the loop's states where they are needed, have brought."""
+        ends = [blocks.reached or 0 for blocks in self._blocks.values()]
+        return min([*ends, self._states.reached + 1] if self._require_loop_state else ends, default=0)
+
     def _see(self, payload: Any) -> None:
         """The first block of a topic."""
         if math.isnan(self.sample_rate):

@@ -68,7 +68,7 @@ def test_a_fit_from_afar_arrives_where_one_from_nearby_does() -> None:
 
 
 def test_the_chance_of_a_scale_is_that_of_fishers_distribution() -> None:
-    groups = Groups(np.array([0, 0, 1, 1]), ("one", "two"), np.array([6.0, 6.0]))
+    groups = Groups(np.array([0, 0, 1, 1]), ("one", "two"), np.array([6.0, 6.0]), np.zeros(2))
     counts = np.array([20.0, 20.0])
     assert groups.chance(np.array([20.0, 20.0]), counts) == pytest.approx(
         min(1.0, 2.0 * fisher.sf(1.0, 20, 6)), rel=1e-9

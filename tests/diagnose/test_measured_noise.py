@@ -52,7 +52,7 @@ def diagnosed(observations: Observations, **settings: object) -> Diagnosis:
 
 def test_marginal_scale_is_the_integral_over_all_scales() -> None:
     nu, rows = 6.0, 9
-    groups = Groups(np.zeros(rows, dtype=np.int64), ("all",), np.array([nu]))
+    groups = Groups(np.zeros(rows, dtype=np.int64), ("all",), np.array([nu]), np.zeros(1))
 
     def density(squares: float) -> float:
         # s² is inverse-gamma distributed with shape and scale ν/2.
@@ -67,7 +67,7 @@ def test_marginal_scale_is_the_integral_over_all_scales() -> None:
 
 
 def test_known_scales_stay_one() -> None:
-    groups = Groups(np.array([0, 0, 1]), ("learnt", "known"), np.array([6.0, np.inf]))
+    groups = Groups(np.array([0, 0, 1]), ("learnt", "known"), np.array([6.0, np.inf]), np.zeros(2))
     counts = groups.counts(np.ones(3, dtype=bool))
     weights = groups.weights(np.array([100.0, 100.0]), counts)
     assert weights[0] < 0.1
@@ -167,7 +167,7 @@ def test_delays_that_a_kind_of_sensors_shares_are_parameters_of_the_rig() -> Non
 
 def test_rows_of_one_kind_in_one_test_share_a_scale() -> None:
     observations = observed(MODEL)
-    groups = groups_of(observations)
+    groups = groups_of(observations, np.zeros(len(observations.rows)))
     for part in (Part.LOG_FREQUENCY, Part.PHASE_ERROR):
         assert np.unique(groups.of[observations.rows.part == part]).size == 1
     assert np.unique(groups.of).size == len(groups.names)

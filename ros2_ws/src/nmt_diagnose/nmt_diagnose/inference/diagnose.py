@@ -141,7 +141,8 @@ def observed(
     """Rows of the bags with the noise that they show; arguments as for :func:`diagnose_bags`."""
     settings = settings or DiagnosisSettings()
     reading = ObservationSettings(calibration=settings.calibration, lines=RANDOM_LINES)
-    return read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
+    found = read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
+    return replace(found, matters=dict(settings.matters))
 
 
 def find(
@@ -307,6 +308,7 @@ def diagnose_observations(
         BenchError: the model has no solution for most of the observations.
     """
     settings, tell = settings or DiagnosisSettings(), progress or (lambda _: None)
+    observations = replace(observations, matters=dict(settings.matters))
     held = splits(observations, settings.hold_out)
     findings = find(rig, observations, settings, tell)
     data, null, comparison = findings.data, findings.null, findings.comparison

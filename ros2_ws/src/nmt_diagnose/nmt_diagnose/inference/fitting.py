@@ -16,6 +16,7 @@ from nmt_core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.chain import linear_chain
+from nmt_diagnose.inference.misfit import Whitening, misfit_of
 from nmt_diagnose.inference.noise import Groups, groups_of, sigma_of
 from nmt_diagnose.inference.tuned import (
     APPROACH,
@@ -53,7 +54,8 @@ class Data:
     Attributes:
         observations: the real side.
         forward: predicts its rows.
-        sigma: standard deviation of each row before scales, (m,).
+        sigma: standard deviation of each row before scales, its noise and misfit, (m,).
+        share: variance of the misfit that neighbouring rows share over the whole, (m,).
         groups: rows that share a scale.
         chain: change of the model's values by a standard deviation of each error of the measuring chain, (m, r).
         added: what such errors add to what was measured, in proportion to that, (m, r).
@@ -65,6 +67,7 @@ class Data:
     observations: Observations
     forward: Forward
     sigma: FloatArray
+    share: FloatArray
     groups: Groups
     chain: FloatArray
     added: FloatArray
@@ -73,12 +76,16 @@ class Data:
     lines: IntArray
 
     def difference(self, values: FloatArray, errors: FloatArray | None = None) -> FloatArray:
-        """Measured minus predicted over σ, 0 where a row is not used, (m,).
+        """Measured minus predicted over σ, whitened, 0 where a row is not used, (m,).
 
         Args:
             values: of the model, (m,).
             errors: of the measuring chain, (r,); None = none.
         """
+        return self._whitened(self.residual(values, errors))
+
+    def residual(self, values: FloatArray, errors: FloatArray | None = None) -> FloatArray:
+        """Measured minus predicted over σ row by row, 0 where a row is not used, (m,); arguments as above."""
         moved = values if errors is None else values + self.chain @ errors
         result: FloatArray = self.observations.values - moved
         phases = self._phases
@@ -99,16 +106,16 @@ class Data:
         z = np.nan_to_num(self._over_measured(values))[:, None]
         turned = z * (result[self.lines[0]] + 1j * result[self.lines[1]])
         result[self.lines[0]], result[self.lines[1]] = turned.real, turned.imag
-        return self._scaled(result)
+        return self._whitened(self._scaled(result))
 
     def chain_slopes(self, values: FloatArray, errors: FloatArray) -> FloatArray:
         """Derivatives by the errors of the measuring chain of what is compared, over σ, (m, r)."""
-        result, added, turned = self._chain_over_sigma
-        result = result.copy()
+        plain, added, turned = self._chain_over_sigma
         z = np.nan_to_num(self._over_measured(values + self.chain @ errors))[:, None] * turned
+        result = plain.copy()
         for rows, change in zip(self.lines, (z.real, z.imag), strict=True):
             result[rows] = np.where(self.used[rows, None], change / self.sigma[rows, None], 0.0) + added[rows]
-        return result
+        return self._whitenings[1](result)
 
     @cached_property
     def _phases(self) -> BoolArray:
@@ -116,10 +123,25 @@ class Data:
 
     @cached_property
     def _chain_over_sigma(self) -> tuple[FloatArray, FloatArray, ComplexArray]:
-        """All columns over σ as far as they do not turn with lines; those added; those of lines before turning."""
+        """All columns over σ, whitened as far as they do not turn with lines; those added; those of lines."""
         added = self._scaled(self.added)
         plain = np.nan_to_num(self.chain, posinf=0.0, neginf=0.0)
-        return self._scaled(plain) + added, added, plain[self.lines[0]] + 1j * plain[self.lines[1]]
+        whole = self._whitenings[0](self._scaled(plain) + added)
+        return whole, added, plain[self.lines[0]] + 1j * plain[self.lines[1]]
+
+    @cached_property
+    def _whitenings(self) -> tuple[Whitening, Whitening]:
+        """Of rows that do not turn with lines, and of lines."""
+        turning = np.zeros(self.used.size, dtype=bool)
+        turning[self.lines.ravel()] = True
+        return (
+            Whitening(self.observations, self.share, self.used & ~turning),
+            Whitening(self.observations, self.share, self.used & turning),
+        )
+
+    def _whitened(self, columns: FloatArray) -> FloatArray:
+        plain, lines = self._whitenings
+        return lines(plain(columns))
 
     def _scaled(self, columns: FloatArray) -> FloatArray:
         return np.where(self.used[:, None], columns / self.sigma[:, None], 0.0)
@@ -165,8 +187,11 @@ def data_about(
     on_lines = np.zeros((len(observations.rows), 1), dtype=bool)
     on_lines[lines.ravel()] = True
     added = np.where(both & on_lines, chain.columns, 0.0)
+    misfit = misfit_of(observations)
+    sigma = np.sqrt(sigma_of(observations) ** 2 + misfit.common**2 + misfit.independent**2)
+    groups = groups_of(observations, (misfit.common**2 + misfit.independent**2) / sigma**2)
     return Data(
-        observations, Forward(observations.tests, observations.rows), sigma_of(observations), groups_of(observations),
+        observations, Forward(observations.tests, observations.rows), sigma, (misfit.common / sigma) ** 2, groups,
         chain.columns - added, added, chain.names, used, lines,
     )  # fmt: skip
 

@@ -6,7 +6,8 @@ group are Student-distributed,
 
     −2 ln p = (ν + n) ln(1 + χ² / ν),    χ² = Σ (e/σ)²,
 
-so a scale goes down as well as up, and the scales of the alternatives are part of their evidence.
+so a scale goes down as well as up, and the scales of the alternatives are part of their evidence. It goes down no
+further than the misfit of the model allows (misfit.py): from there on the cost is linear in χ².
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from scipy.stats import f as fisher
 
 from nmt_core.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.blocks import Quantity
+from nmt_diagnose.inference.misfit import least_scale
 from nmt_diagnose.inference.tuned import LOCK_STD, SCALE_DEGREES
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
@@ -34,11 +36,13 @@ class Groups:
         of: group of each row, shape (m,).
         names: of the groups, (K,).
         degrees: ν of the prior of each, (K,); infinite where the scale is known to be 1.
+        least: least s² of each, (K,).
     """
 
     of: IntArray
     names: tuple[str, ...]
     degrees: FloatArray
+    least: FloatArray
 
     def sums(self, squares: FloatArray) -> FloatArray:
         """Sum over each group, (K,), of values (m,)."""
@@ -51,7 +55,10 @@ class Groups:
     def cost(self, squares: FloatArray, counts: FloatArray) -> float:
         """−2 ln p of groups with sums of squares χ², (K,), up to a constant of the rows."""
         nu = np.where(np.isfinite(self.degrees), self.degrees, 1.0)
-        student = (nu + counts) * np.log1p(squares / nu)
+        total = nu + counts
+        bend = np.maximum(self.least * total - nu, 0.0)  # χ² below which the scale stays at its least
+        beyond = np.maximum(squares, bend)
+        student = total * np.log1p(beyond / nu) - total * (beyond - squares) / (nu + beyond)
         return float(np.sum(np.where(np.isfinite(self.degrees), student, squares)))
 
     def chance(self, squares: FloatArray, counts: FloatArray) -> float:
@@ -70,11 +77,17 @@ class Groups:
     def weights(self, squares: FloatArray, counts: FloatArray) -> FloatArray:
         """1/s² of each group, (K,): most probable given its squares."""
         nu = np.where(np.isfinite(self.degrees), self.degrees, 1.0)
-        return np.where(np.isfinite(self.degrees), (nu + counts) / (nu + squares), 1.0)
+        scales = np.maximum((nu + squares) / (nu + counts), self.least)
+        return np.where(np.isfinite(self.degrees), 1.0 / scales, 1.0)
 
 
-def groups_of(observations: Observations) -> Groups:
-    """Groups of rows by test and kind: frequency, damping, fundamental, harmonics, lines of a response."""
+def groups_of(observations: Observations, share: FloatArray) -> Groups:
+    """Groups of rows by test and kind: frequency, damping, fundamental, harmonics, lines of a response.
+
+    Args:
+        observations: the real side.
+        share: variance of the misfit of each row over the whole, (m,).
+    """
     rows = observations.rows
     names: dict[str, int] = {}
     of = np.zeros(len(rows), dtype=np.int64)
@@ -87,7 +100,7 @@ def groups_of(observations: Observations) -> Groups:
         of[index] = names.setdefault(name, len(names))
         known[int(of[index])] = part in _CONVERTER
     degrees = np.array([np.inf if known[k] else SCALE_DEGREES for k in range(len(names))])
-    return Groups(of, tuple(names), degrees)
+    return Groups(of, tuple(names), degrees, least_scale(of, len(names), share))
 
 
 def _kind(test: object, part: Part, harmonic: int, channel: int) -> str:

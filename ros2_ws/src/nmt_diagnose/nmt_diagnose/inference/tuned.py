@@ -98,3 +98,7 @@ MODE_SHARE, MODE_UNLIKE, MODE_ALIKE, MODE_APART, MODE_NEAR, MODE_SAME = 0.5, 0.3
 MODE_FREQUENCY_STD, MODE_DAMPING_STD = 1e-3, 0.1
 # Frequency over an end of the band up to which a pole that the model lacks may be noise: responses are small there.
 MODE_EDGE = 1.3
+# Misfit of a model that lacks nothing, over what matters: what neighbouring levels and lines share, and what each has
+# for itself; change of ln level and of ln frequency over which it stays the same.
+MISFIT_SHARE, MISFIT_INDEPENDENT = 0.2, 0.02
+LEVEL_LENGTH, LINE_LENGTH = 1.0, 0.3

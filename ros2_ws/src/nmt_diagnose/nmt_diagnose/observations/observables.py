@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -79,6 +79,8 @@ class Observations:
         inputs: bags with their SHA-256.
         chains: tolerances of the measuring chain of each test, None = it measures as the rig file says; may be empty.
         origins: what made each of ``inputs``; may be empty.
+        matters: smallest relative size of a difference that matters, by kind (frequency, damping, response,
+            harmonics); empty = a model may not be off at all.
     """
 
     tests: tuple[Test, ...]
@@ -90,6 +92,7 @@ class Observations:
     inputs: tuple[tuple[str, str], ...] = ()
     chains: tuple[MeasuringChain | None, ...] = ()
     origins: tuple[Origin, ...] = ()
+    matters: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def sigma(self) -> FloatArray:
@@ -100,7 +103,7 @@ class Observations:
         """Part of the observations; the tests stay as they are."""
         return Observations(
             self.tests, self.rows.take(which), self.values[which], self.std[which], self.floor[which], self.notes,
-            self.inputs, self.chains, self.origins,
+            self.inputs, self.chains, self.origins, self.matters,
         )  # fmt: skip
 
 

@@ -1,0 +1,150 @@
+"""The common misfit: how far a model that lacks nothing may be off, the same way in neighbouring levels and lines.
+
+A thousand rows of one recording are not a thousand independent witnesses of the model: mesh, laws of damping, mounting
+and calibration make it smoothly wrong everywhere. The rows of one kind, channel and order have the covariance
+
+    s² (D + M K M),    K_ij = exp(−(x_i − x_j)² / 2ℓ²),
+
+D the noise with a small independent part of the misfit, M the size of the misfit, x the logarithm of level or
+frequency (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001) 425). Its size is a share of what matters; s is the scale
+that each group of rows learns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.arrays import BoolArray, FloatArray, IntArray
+from nmt_diagnose.inference.tuned import (
+    LEVEL_LENGTH,
+    LINE_LENGTH,
+    MISFIT_INDEPENDENT,
+    MISFIT_SHARE,
+)
+from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, SteppedSineTest
+from nmt_diagnose.observations.observables import Observations, Part
+
+RESPONSE_PARTS = (Part.LOG_MAGNITUDE, Part.PHASE)
+_HARMONICS = (Part.REAL, Part.IMAG)
+_SMALLEST = 1e-6  # share of an eigenvalue's largest below which it is rounding
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Standard deviations of the misfit of each row before scales, (m,) each.
+
+    Attributes:
+        common: what neighbours share.
+        independent: what they do not.
+    """
+
+    common: FloatArray
+    independent: FloatArray
+
+
+def misfit_of(observations: Observations) -> Misfit:
+    """Misfit of each row; none where the bench's own simulator measured without tolerances."""
+    rows = observations.rows
+    size = np.zeros(len(rows))
+    for kind, own in observations.matters.items():
+        mine = rows_of_kind(observations, kind)
+        size[mine] = own * (np.abs(observations.values[mine]) if kind == "damping" else 1.0)
+    chains = (*observations.chains, *[None] * len(observations.tests))
+    exact = [
+        number
+        for number, test in enumerate(observations.tests)
+        if chains[number] is None and not isinstance(test, BackboneTable)
+    ]
+    size[np.isin(rows.test, exact)] = 0.0
+    size[rows.part == Part.SAMPLE] = 0.0
+    return Misfit(MISFIT_SHARE * size, MISFIT_INDEPENDENT * size)
+
+
+def rows_of_kind(observations: Observations, kind: str) -> BoolArray:
+    """Rows of a kind of what matters: frequency, damping, response or harmonics, (m,)."""
+    rows = observations.rows
+    harmonics = np.isin(rows.part, _HARMONICS)
+    if kind == "frequency":
+        return np.asarray(rows.part == Part.LOG_FREQUENCY)
+    if kind == "damping":
+        return np.asarray(rows.part == Part.DAMPING)
+    if kind == "harmonics":
+        return np.asarray(harmonics & (rows.harmonic != 1))
+    return np.asarray(np.isin(rows.part, (*RESPONSE_PARTS, Part.SAMPLE)) | (harmonics & (rows.harmonic == 1)))
+
+
+class Whitening:
+    """Takes residuals over their standard deviations to independent ones of standard deviation 1.
+
+    The symmetric root of the inverse correlation: a row stays as near to itself as can be.
+
+    Args:
+        observations: the real side.
+        share: variance that neighbours share over the whole of each row, (m,).
+        which: rows that take part, (m,).
+    """
+
+    def __init__(self, observations: Observations, share: FloatArray, which: BoolArray) -> None:
+        by_size: dict[int, list[IntArray]] = {}
+        for series in _series(observations, which & (share > 0.0)):
+            by_size.setdefault(series.size, []).append(series)
+        where = _where(observations)
+        self._blocks: list[tuple[IntArray, FloatArray]] = []
+        for size, members in by_size.items():
+            if size < 2:
+                continue
+            index = np.array(members)
+            x, root = where[index], np.sqrt(share[index])
+            apart = x[:, :, None] - x[:, None, :]
+            correlation = np.exp(-0.5 * apart**2) * root[:, :, None] * root[:, None, :]
+            diagonal = np.arange(size)
+            correlation[:, diagonal, diagonal] = 1.0
+            values, vectors = np.linalg.eigh(correlation)
+            values = np.maximum(values, _SMALLEST * values[:, -1:])
+            self._blocks.append((index, (vectors / np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2)))
+
+    def __call__(self, columns: FloatArray) -> FloatArray:
+        """Columns (m,) or (m, n) over standard deviations, whitened."""
+        result = columns.copy()
+        for index, root in self._blocks:
+            own = columns[index]
+            result[index] = np.einsum("sij,sj->si", root, own) if columns.ndim == 1 else np.matmul(root, own)
+        return result
+
+
+def _series(observations: Observations, which: BoolArray) -> list[IntArray]:
+    """Rows of one test, part, channel and order, for all of them."""
+    rows = observations.rows
+    mine = np.flatnonzero(which)
+    if not mine.size:
+        return []
+    keys = np.stack([rows.test[mine], rows.part[mine], rows.channel[mine], rows.harmonic[mine]])
+    _, group = np.unique(keys, axis=1, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    ends = np.flatnonzero(np.diff(group.ravel()[order])) + 1
+    return [mine[own] for own in np.split(order, ends)]
+
+
+def _where(observations: Observations) -> FloatArray:
+    """Logarithm of level or frequency over the length that a misfit keeps, (m,)."""
+    rows = observations.rows
+    lines = [n for n, test in enumerate(observations.tests) if isinstance(test, RandomTest | SteppedSineTest)]
+    by_line = np.isin(rows.test, lines)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        line = np.log(np.maximum(rows.frequency_hz, 1e-300)) / LINE_LENGTH
+        level = np.log(np.maximum(np.abs(rows.amplitude), 1e-300)) / LEVEL_LENGTH
+    return np.nan_to_num(np.where(by_line, line, level))
+
+
+def least_scale(groups: IntArray, count: int, share: FloatArray) -> FloatArray:
+    """Least squared scale of each group, (K,): rows are never surer than their misfit lets them be.
+
+    Args:
+        groups: group of each row, (m,).
+        count: groups K.
+        share: variance of the misfit over the whole of each row, (m,).
+    """
+    rows = np.maximum(np.bincount(groups, minlength=count), 1)
+    return np.asarray(np.bincount(groups, share, minlength=count) / rows)

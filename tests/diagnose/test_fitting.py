@@ -102,7 +102,9 @@ def test_late_channels_are_effects_that_begin_there_and_no_modes() -> None:
     for name, delay in found.items():
         expected = 4e-3 if name.startswith("a") else 0.0
         assert delay == pytest.approx(expected, abs=1.0 / (8.0 * highest))
-    assert not LowLevelModes(observations, MODEL).findings
+    modes = LowLevelModes(observations, MODEL)
+    assert not modes.disordered
+    assert not modes.sentences
     operating = operating_range(MODEL, observations.tests, observations=observations)
     skews = [own for own in candidates(MODEL, operating) if own.effect.name == "channel_skew"]
     begun = {

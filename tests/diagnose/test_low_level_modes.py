@@ -11,7 +11,7 @@ from nmt_bench.data_import import import_data
 from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.low_level_modes import Modes, inadequacies, measured_modes
+from nmt_diagnose.inference.low_level_modes import Modes, disorder, measured_modes, modes_that_lack
 
 LENGTH, WIDTH, HEIGHT, MODULUS, DENSITY = 0.7, 0.0053, 0.0116, 185e9, 7830.0
 MASS = DENSITY * WIDTH * HEIGHT * LENGTH
@@ -122,23 +122,23 @@ def modes_at(*frequencies_hz: float) -> Modes:
 
 
 def test_what_the_model_lacks_is_told_but_at_the_edges_of_the_band():
-    found, alike = modes_at(21.0, 50.0, 190.0), np.eye(3)
-    told = inadequacies("random", (20.0, 200.0), found, np.array([-1, -1, -1]), alike)
+    found = modes_at(21.0, 50.0, 190.0)
+    told = modes_that_lack("random", (20.0, 200.0), found, np.array([-1, -1, -1]))
     assert [frequency for frequency, _ in told] == pytest.approx([50.0], rel=1e-3)
-    assert inadequacies("random", (20.0, 200.0), found, np.array([0, 1, 2]), alike) == []
+    assert modes_that_lack("random", (20.0, 200.0), found, np.array([0, 1, 2])) == []
 
 
 def test_modes_in_another_order_are_told():
     found, alike = modes_at(50.0, 60.0), np.array([[0.0, 1.0], [1.0, 0.0]])
-    ((_, sentence),) = inadequacies("random", (20.0, 200.0), found, np.array([1, 0]), alike)
+    ((_, sentence),) = disorder("random", found, np.array([1, 0]), alike)
     assert "50 and 60 Hz in the other order" in sentence
-    assert inadequacies("random", (20.0, 200.0), found, np.array([1, 0]), np.ones((2, 2))) == []
+    assert disorder("random", found, np.array([1, 0]), np.ones((2, 2))) == []
 
 
-def test_a_mode_that_the_model_lacks_ends_the_diagnosis(tmp_path: Path):
+def test_a_mode_that_the_model_lacks_is_no_effect(tmp_path: Path):
     found = diagnosed(*recorded(tmp_path, by_modes((0, 2))))
     assert found.verdict is Verdict.UNKNOWN
-    assert not found.ranking
+    assert not found.adequate
     assert f"a mode at {frequency(1) / (2.0 * np.pi):.4g} Hz" in found.sentences[0]
 
 

@@ -292,7 +292,7 @@ def test_an_effect_that_is_not_there_lowers_the_evidence() -> None:
 
 def test_what_an_explanation_leaves_beyond_noise_is_something_unnamed() -> None:
     """Without any source at a place to say so; a good explanation keeps its probability."""
-    observations = observed(HARDENING)
+    observations = replace(observed(HARDENING), matters=dict(MATTERS))
     parameters = own_parameters(MODEL, observations)
     everything = np.ones(len(observations.rows), dtype=bool)
     null, data = model_alone(MODEL, observations, parameters, everything, LowLevelModes(observations, MODEL))[2:]
@@ -302,11 +302,15 @@ def test_what_an_explanation_leaves_beyond_noise_is_something_unnamed() -> None:
     best = search.singles(null, search.scores(null))[0]
     squares = best.fit.errors.squares.copy()
     squares[0] *= 1e4
-    worse = replace(best, fit=replace(best.fit, errors=replace(best.fit.errors, squares=squares)))
+    off = replace(best.fit.prediction, values=best.fit.prediction.values + 0.1 * (data.groups.of == 0))
+    worse = replace(best, fit=replace(best.fit, prediction=off, errors=replace(best.fit.errors, squares=squares)))
     good, left = (Hypotheses(data, null, [own], cubic, [], []).compared() for own in (best, worse))
     assert good.unknown < 0.05
+    assert good.classes[0].adequate
     assert left.unknown > 0.95
     assert left.classes[0].probability < 0.05
+    assert left.classes[0].given_library == pytest.approx(1.0)
+    assert [rest.group for rest in left.classes[0].left] == [data.groups.names[0]]
     assert left.places == good.places
     # A little that is left elsewhere makes it no less the place of the most.
     fall = null.fit.cost - best.fit.cost

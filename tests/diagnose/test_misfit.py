@@ -1,4 +1,4 @@
-"""The common misfit: whitening against the covariance itself, scales that go down no further, nothing where it is none."""
+"""The common misfit: whitening against the covariance, the least of a scale, and none where there is none."""
 
 from __future__ import annotations
 

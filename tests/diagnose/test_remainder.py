@@ -13,6 +13,7 @@ from diagnose.twin_observations import chain, observations_of_twin
 from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Remainder, Share, Value, Verdict
 from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.sentences import sentences
+from nmt_diagnose.inference.size import Left
 from nmt_diagnose.observations.observables import Observations, Part
 
 LEFT = replace(GAP, closed=0.94, low=0.9, high=0.97)
@@ -82,16 +83,18 @@ def test_the_answer_says_how_much_is_left_and_where(observations: Observations) 
     assert "left" not in said(None)
 
 
-def test_what_closes_most_is_no_cause_where_something_unnamed_is_certain() -> None:
+def test_what_leaves_more_than_noise_is_a_partial_explanation() -> None:
     share = Share(0.94, 0.9, 0.97)
-    told = {
-        p: sentences(
-            Verdict.EFFECT, (), (Ranked("air_drag", "structure", "2", p, (), {}, share, 9.0),), None, LEFT, (), ()
-        )[1]
-        for p in (0.95, 0.5, 0.0)
-    }
+    left = (Left("levels: frequency", "frequency", 0.004),)
+
+    def said(p: float, adequate: bool = True) -> str:
+        head = Ranked("air_drag", "structure", "2", p, (), {}, share, 9.0, adequate=adequate)
+        return sentences(Verdict.EFFECT, (), (head,), None, LEFT, (), (), None, () if adequate else left)[1]
+
+    told = {p: said(p) for p in (0.95, 0.5)}
     assert told[0.95].startswith("The cause is air drag")
     assert told[0.5].startswith("The most probable cause is air drag")
-    assert told[0.0] == (
-        "Most of it is what air drag would do; what that leaves is more than noise, so something unnamed acts too."
+    assert said(0.7, adequate=False) == (
+        "94.0 % of the gap acts like air drag, probability 70 % among the effects of the library; 0.4 % of the "
+        "frequency (levels: frequency) remain that it does not explain, so something unnamed acts too."
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -48,6 +49,8 @@ class Site:
             speed, m/s.
         starts: strengths beside zero from which a fit begins, by name, in their unit.
         limits: largest magnitude that physics allows a parameter, by name, in its unit; none for those left out.
+        own: what the model itself has of a strength at this place, by name, in its unit: so much of it may be taken
+            off, although what is added cannot be negative.
     """
 
     placement: Placement
@@ -59,6 +62,7 @@ class Site:
     reference: float = 0.0
     starts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     limits: Mapping[str, float] = field(default_factory=dict)
+    own: Mapping[str, float] = field(default_factory=dict)
 
 
 Reported = Mapping[str, tuple[float, str]]
@@ -135,3 +139,14 @@ class Candidate:
     def label(self) -> str:
         """For example ``cubic_stiffness@4``."""
         return self.cause.label
+
+    def signed(self, parameter: EffectParameter) -> bool:
+        """Whether a strength may be negative here."""
+        return parameter.signed or parameter.name in self.site.own
+
+    def lower(self, parameter: EffectParameter) -> float:
+        """Lower bound of a dimensionless parameter."""
+        if parameter.kind != "strength" or parameter.signed:
+            return -math.inf
+        own = self.site.own.get(parameter.name, 0.0)
+        return -own / self.site.scales[parameter.name] if own else 0.0

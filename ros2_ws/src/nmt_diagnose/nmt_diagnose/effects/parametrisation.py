@@ -84,10 +84,9 @@ class Parametrisation:
 
     @cached_property
     def lower(self) -> FloatArray:
-        """Lower bounds of θ, (n,): 0 for strengths that cannot be negative."""
+        """Lower bounds of θ, (n,): 0 for strengths that cannot be negative, or less what the model itself has there."""
         return np.array(
-            [-np.inf] * len(self.calibration)
-            + [0.0 if p.kind == "strength" and not p.signed else -np.inf for _, p in self._effect_parameters]
+            [-np.inf] * len(self.calibration) + [candidate.lower(p) for candidate, p in self._effect_parameters]
         )
 
     @property
@@ -108,7 +107,7 @@ class Parametrisation:
         """Parameters of a candidate, in their units."""
         own = self.candidates[candidate]
         return {
-            p.name: _value(p, own.site.scales[p.name], float(entry))
+            p.name: _value(p, own.site.scales[p.name], float(entry), own.lower(p))
             for p, entry in zip(own.effect.parameters, theta[self.index_of(candidate)], strict=True)
         }
 
@@ -155,9 +154,7 @@ def _unit_at(unit: str, site: Site, rig: Rig) -> str:
     return exact[0] if exact else found[0]
 
 
-def _value(parameter: EffectParameter, scale: float, theta: float) -> float:
+def _value(parameter: EffectParameter, scale: float, theta: float, lower: float) -> float:
     if parameter.kind == "shape":
         return scale * exp(min(max(theta, -LARGEST_LOG_SHAPE), LARGEST_LOG_SHAPE))
-    if not parameter.signed and theta <= 0.0:
-        return 0.0
-    return scale * theta
+    return scale * max(theta, lower)

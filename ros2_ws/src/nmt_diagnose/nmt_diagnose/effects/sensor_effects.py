@@ -76,15 +76,22 @@ def _mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     for index, sensor, _ in _sensors(rig, RESPONSES):
         point = rig.sensor_point(sensor)
         # Sensors at one point are one mass.
-        found.setdefault(point, _site(rig, index, {"m": operating.typical_mass(point)}))
+        own = {"m": sensor.mass_kg} if sensor.mass_kg > 0.0 else {}
+        found.setdefault(point, _site(rig, index, {"m": operating.typical_mass(point)}, own=own))
     return tuple(found.values())
 
 
 def _force_mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     size = operating.typical_mass(rig.drive_point)
     return tuple(
-        Site(Placement("force_sensor"), {"m": size}, rig.drive_point, index=index)
-        for index, _, _ in _sensors(rig, ("force",))
+        Site(
+            Placement("force_sensor"),
+            {"m": size},
+            rig.drive_point,
+            index=index,
+            own={"m": sensor.mass_kg} if sensor.mass_kg > 0.0 else {},
+        )
+        for index, sensor, _ in _sensors(rig, ("force",))
     )
 
 
@@ -203,7 +210,7 @@ def _gain(name: str, equation: str, place: PlaceKind, quantities: tuple[str, ...
 
 def _mass(name: str, equation: str, sites: Sites, **more: Any) -> Effect:
     return _effect(
-        name, equation, "sensors.mass_kg", EffectParameter("m", "kg", signed=True), sites=sites,
+        name, equation, "sensors.mass_kg", EffectParameter("m", "kg"), sites=sites,
         change=_set(mass_kg=lambda sensor, site, values: sensor.mass_kg + values["m"]), **more,
     )  # fmt: skip
 

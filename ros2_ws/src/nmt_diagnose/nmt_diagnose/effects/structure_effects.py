@@ -123,10 +123,18 @@ def _with_power_law(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
 
 def _mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(
-        Site(Placement.at("structure", point), {"m": operating.typical_mass(point)}, point)
+        Site(
+            Placement.at("structure", point), {"m": operating.typical_mass(point)}, point, own=_added_there(rig, point)
+        )
         for point in rig.structure.points
         if operating.displacement[point] > 1e-3 * max(operating.displacement.values())
     )
+
+
+def _added_there(rig: Rig, point: int) -> dict[str, float]:
+    """Masses that the model itself has added at a point, kg."""
+    mass = sum(item.mass_kg for item in rig.structure.added_masses if item.point == point)
+    return {"m": mass} if mass > 0.0 else {}
 
 
 def _with_mass(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
@@ -140,7 +148,7 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
     _spring("quadratic_stiffness", "k x²", QuadraticSpringSection, 2, "N/m²", 0.05, even=4.0),
     _local(
         "air_drag", "c₂ v |v|, |c₂| ≤ ½ ρ C_d A", QuadraticDragSection, {"c2": "drag_ns2_m2"},
-        (EffectParameter("c2", "N s²/m²", signed=True),), lambda a, k, w: {},
+        (EffectParameter("c2", "N s²/m²"),), lambda a, k, w: {},
         "Baker, Woolam and Young, Int. J. Mech. Sci. 9 (1967) 743; Keulegan and Carpenter, "
         "J. Res. Natl. Bur. Stand. 60 (1958) 423",
         sites=_drag_sites, force="dissipative",
@@ -169,12 +177,12 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
     ),
     _local(
         "viscous_damping", "c v", LinearDamperSection, {"c": "damping_ns_m"},
-        (EffectParameter("c", "N s/m", signed=True),), lambda a, k, w: {"c": 0.005 * k / w}, "linear damper",
+        (EffectParameter("c", "N s/m"),), lambda a, k, w: {"c": 0.005 * k / w}, "linear damper",
         equivalents={"structural_damping": "several modes in a random test"},
     ),
     Effect(
         name="added_mass", place="structure", equation="m a", reference="Ewins, Modal Testing (2000)",
-        keys="structure.added_masses", parameters=(EffectParameter("m", "kg", signed=True),),
+        keys="structure.added_masses", parameters=(EffectParameter("m", "kg"),),
         sites=_mass_sites, change=_with_mass,
         equivalents={"sensor_mass": "a test with the sensor taken off", "stinger_stiffness": "a second drive point"},
     ),

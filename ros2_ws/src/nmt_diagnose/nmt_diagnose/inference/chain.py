@@ -50,8 +50,8 @@ from nmt_rig.rig import Rig, SensorSection
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
 _COVERED = (PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest)
 _IMAGE = "image"
-# Powers of the frequency over the rate, and how much larger each may be than the one before.
-_IMAGE_POWERS, _IMAGE_GROWTH = 4, 6.0
+# Orders of images that are followed, the nearest first; those beyond them are one constant for each channel.
+_IMAGE_ORDERS = (-1, 1, -2, 2)
 _GAIN_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-5, 1e-6
 
 
@@ -346,15 +346,15 @@ class _Builder:
     def _images(self) -> dict[str, FloatArray]:
         """Images of a held drive in channels without filters.
 
-        The image of order m is sin(πx) e^{-iπx} A e^{-2πi m u}/(π (m + x)), x the frequency over the rate, u the moment
-        of sampling and A the response far above the modes, which hardly changes there: all of them together are a
-        complex polynomial of x for each channel. The channel's own delay turns them as it turns its response.
+        The image of order m is sin(πx) e^{-iπx} A(m + x) e^{-2πi m u}/(π (m + x)), x the frequency over the rate, u the
+        moment of sampling and A the model's response at that frequency, such as of a coil on its resonance; what the
+        filters of a channel leave of each is a complex constant. The channel's own delay turns them as its response.
         """
         found: dict[str, FloatArray] = {}
         self._image_size = np.zeros(len(self.rows))
         for name in self.tests.channels:
             own = self.tests.rows_of(name)
-            added = np.zeros((_IMAGE_POWERS, len(self.rows)), dtype=np.complex128)
+            added = np.zeros((len(_IMAGE_ORDERS) + 1, len(self.rows)), dtype=np.complex128)
             late = next((s.delay_s for s in self.rig.sensors if self.rig.sensor_channel(s) == name), 0.0)
             for number in self.tests.referred():
                 test, rate = self.tests.tests[number], self.tests.own[number].hold_hz
@@ -369,9 +369,13 @@ class _Builder:
                 share = frequency / rate
                 plain = self._measured(number, mine)
                 turned = np.exp(-1j * np.pi * (share + 2.0 * frequency * late))
-                image = np.where(frequency < 0.5 * rate, IMAGE_STD * size * np.sin(np.pi * share) * turned / plain, 0.0)
-                added[:, mine] = image * (_IMAGE_GROWTH * share) ** np.arange(_IMAGE_POWERS)[:, None]
-            self._image_size = np.maximum(self._image_size, np.abs(added[0]))
+                image = np.where(frequency < 0.5 * rate, np.sin(np.pi * share) * turned / plain, 0.0)
+                added[-1, mine] = IMAGE_STD * size * image
+                for k, order in enumerate(_IMAGE_ORDERS):
+                    there = view.responses([channel], np.abs(order + share) * rate)[0]
+                    there = np.where(order + share < 0.0, np.conj(there), there)
+                    added[k, mine] = math.sqrt(0.5) * image * np.nan_to_num(there) / (np.pi * (order + share))
+            self._image_size = np.maximum(self._image_size, np.sqrt(np.sum(np.abs(added) ** 2, axis=0)))
             for k, images in enumerate(added):
                 for part, turned in (("re", images), ("im", 1j * images)):
                     column = self.tests.parts(turned)

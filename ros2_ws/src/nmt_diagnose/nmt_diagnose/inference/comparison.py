@@ -14,6 +14,7 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.fitting import Data, Metric
 from nmt_diagnose.inference.search import Found
+from nmt_diagnose.inference.size import Left, change_size, left_over, matters
 from nmt_diagnose.inference.sources import SourcePlace, places
 from nmt_diagnose.inference.tuned import (
     EQUIVALENT,
@@ -33,7 +34,7 @@ class SourceEvidence:
 
     Attributes:
         placement: where.
-        gain: rise of ln evidence.
+        gain: rise of ln evidence; none from what is smaller than what matters.
         explained: fall of the cost.
     """
 
@@ -49,15 +50,24 @@ class Equivalents:
     Attributes:
         members: the most probable first, no two with the same effects.
         probability: of all of them together.
+        given_library: the same if one of the explanations had to be the whole of the gap.
+        left: what the most probable leaves that is more than noise and matters.
     """
 
     members: tuple[Found, ...]
     probability: float
+    given_library: float = math.nan
+    left: tuple[Left, ...] = ()
 
     @property
     def head(self) -> Found:
         """The most probable."""
         return self.members[0]
+
+    @property
+    def adequate(self) -> bool:
+        """Whether what the most probable leaves is noise, or smaller than what matters."""
+        return not self.left
 
 
 @dataclass(frozen=True)
@@ -109,23 +119,29 @@ def sources(data: Data, base: Found, found: Sequence[SourcePlace], open_from: in
     metric = Metric(columns, precision, own.errors.weights)
     result = []
     for place in found:
-        scored = [_source(data, base, metric, precision, block) for _, block in place.families]
-        gains = np.array([gain for gain, _ in scored])
-        mean = float(np.logaddexp.reduce(gains) - math.log(gains.size))
-        result.append(SourceEvidence(place.placement, mean, scored[int(np.argmax(gains))][1]))
+        gains, falls = [], []
+        for _, block in place.families:
+            gain, fall, change = _source(data, base, metric, precision, block)
+            small = not matters(change_size(data, data.in_units(change)), data.observations.matters)
+            gains.append(min(gain, 0.0) if small else gain)
+            falls.append(0.0 if small else fall)
+        mean = float(np.logaddexp.reduce(gains) - math.log(len(gains)))
+        result.append(SourceEvidence(place.placement, mean, falls[int(np.argmax(gains))]))
     return result
 
 
-def _source(data: Data, base: Found, metric: Metric, precision: FloatArray, block: FloatArray) -> tuple[float, float]:
-    """Rise of ln evidence by a Gaussian source whose size is one of several, and the fall of the cost."""
+def _source(
+    data: Data, base: Found, metric: Metric, precision: FloatArray, block: FloatArray
+) -> tuple[float, float, FloatArray]:
+    """A Gaussian source of one of several sizes: rise of ln evidence, fall of the cost, change of the rows, (m,)."""
     errors, groups, counts = base.fit.errors, data.groups, data.counts
     rest, taken = metric.rest(block)
     now = np.concatenate([base.fit.theta, errors.chain])
     pull, stiff = taken.T @ (precision * now), taken.T @ (precision[:, None] * taken)
     before = groups.cost(errors.squares, counts)
-    gains, explained = [], 0.0
+    gains, explained, change = [], 0.0, np.zeros(len(rest))
     for size in SOURCE_SIZES:
-        weights, gain, fall = errors.weights, -math.inf, 0.0
+        weights, gain, fall, moved = errors.weights, -math.inf, 0.0, change
         for _ in range(3):
             weighted = rest * weights[:, None]
             normal = rest.T @ weighted + stiff
@@ -137,11 +153,12 @@ def _source(data: Data, base: Found, metric: Metric, precision: FloatArray, bloc
             trial = 0.5 * fall - 0.5 * float(np.linalg.slogdet(normal * size**2)[1])
             if trial <= gain:
                 break
-            gain = trial
+            gain, moved = trial, rest @ coefficients
             weights = groups.weights(squares, counts)[groups.of]
         gains.append(gain)
-        explained = fall if gain == max(gains) else explained
-    return float(np.logaddexp.reduce(gains) - math.log(len(gains))), explained
+        if gain == max(gains):
+            explained, change = fall, moved
+    return float(np.logaddexp.reduce(gains) - math.log(len(gains))), explained, change
 
 
 def distance(left: Found, right: Found) -> float:
@@ -188,9 +205,14 @@ class Hypotheses:
         return each + math.log(PRIOR_EFFECT if len(found.candidates) == 1 else 2.0 * PRIOR_PAIR)
 
     def _left(self, found: Found) -> float:
-        """ln of the probability that what an explanation leaves is noise; 0 where nothing speaks against that."""
+        """ln of the probability that an explanation leaves noise; 0 where what it leaves is small or may well be."""
+        if not self._left_over(found):
+            return 0.0
         own = found.fit.errors
         return min(0.0, math.log(max(self.data.groups.chance(own.squares, self.data.counts), 1e-300) / ORDINARY))
+
+    def _left_over(self, found: Found) -> tuple[Left, ...]:
+        return left_over(self.data, found, self.data.observations.matters)
 
     @cached_property
     def best(self) -> Found | None:
@@ -215,8 +237,8 @@ class Hypotheses:
         p_named, p_unnamed = weights[1 : count + 1], weights[count + 1 :]
         by_place: dict[Placement, float] = {}
         for own, p in zip(self.named, p_named, strict=True):
-            for placement in own.explanation.placements:
-                by_place[placement] = by_place.get(placement, 0.0) + float(p) / len(own.candidates)
+            for placement, share in _shares(own):
+                by_place[placement] = by_place.get(placement, 0.0) + float(p) * share
         for source, p in zip(self.alone, p_unnamed, strict=False):
             by_place[source.placement] = by_place.get(source.placement, 0.0) + float(p)
         for source, p in zip(self.behind, p_unnamed[len(self.alone) :], strict=True):
@@ -225,12 +247,13 @@ class Hypotheses:
             explained = max(self.null.fit.cost - best.fit.cost, 0.0)
             beside = float(p) * source.explained / max(source.explained + explained, 1e-300)
             by_place[source.placement] = by_place.get(source.placement, 0.0) + beside
-            for placement in best.explanation.placements:
-                by_place[placement] = by_place.get(placement, 0.0) + (float(p) - beside) / len(best.candidates)
+            for placement, share in _shares(best):
+                by_place[placement] = by_place.get(placement, 0.0) + (float(p) - beside) * share
         total = sum(by_place.values())
         # What leaves more than noise has something unnamed beside it, as far as is known at the same place.
         noise = np.exp([self._left(own) for own in self.named])
         unknown = float(p_unnamed.sum() + p_named @ (1.0 - noise))
+        given_library = p_named / max(float(p_named.sum()), 1e-300)
         p_named = p_named * noise
         labels = {"none": float(weights[0]), "unknown": unknown}
         for own, p in zip(self.named, p_named, strict=True):
@@ -238,26 +261,40 @@ class Hypotheses:
         return Comparison(
             float(weights[0]),
             unknown,
-            _classes(self.named, p_named),
+            self._classes(p_named, given_library),
             {k: v / total for k, v in sorted(by_place.items(), key=lambda item: -item[1])} if total else {},
             float(np.logaddexp.reduce(logs[1:]) - none) if logs.size > 1 else -math.inf,
             labels,
         )
 
+    def _classes(self, weights: FloatArray, given_library: FloatArray) -> tuple[Equivalents, ...]:
+        """Explanations by their effects, those that the recordings do not distinguish together.
 
-def _classes(named: Sequence[Found], weights: FloatArray) -> tuple[Equivalents, ...]:
-    """Explanations by their effects, those that the recordings do not distinguish together."""
-    groups: dict[tuple[str, ...], list[tuple[float, Found]]] = {}
-    for own, weight in zip(named, weights, strict=True):
-        groups.setdefault(own.effects, []).append((float(weight), own))
-    heads = [(sum(w for w, _ in own), max(own, key=lambda item: item[0])[1]) for own in groups.values()]
-    heads.sort(key=lambda item: -item[0])
-    result = []
-    while heads:
-        first = heads[0]
-        mine = [item for item in heads if item is first or distance(first[1], item[1]) < EQUIVALENT]
-        heads = [item for item in heads if item not in mine]
-        # With one effect more than another member an explanation says nothing new.
-        members = [own for _, own in mine if not any(set(o.effects) < set(own.effects) for _, o in mine)]
-        result.append(Equivalents(tuple(members), sum(w for w, _ in mine)))
-    return tuple(sorted(result, key=lambda item: -item.probability))
+        Args:
+            weights: probability of each explanation.
+            given_library: the same if one of them had to be the whole of the gap.
+        """
+        groups: dict[tuple[str, ...], list[tuple[float, float, Found]]] = {}
+        for one, weight, given in zip(self.named, weights, given_library, strict=True):
+            groups.setdefault(one.effects, []).append((float(weight), float(given), one))
+        heads = [
+            (sum(w for w, _, _ in same), sum(g for _, g, _ in same), max(same, key=lambda item: item[:2])[2])
+            for same in groups.values()
+        ]
+        heads.sort(key=lambda item: (-item[0], -item[1]))
+        result = []
+        while heads:
+            first = heads[0]
+            mine = [item for item in heads if item is first or distance(first[2], item[2]) < EQUIVALENT]
+            heads = [item for item in heads if item not in mine]
+            # With one effect more than another member an explanation says nothing new.
+            members = [own for _, _, own in mine if not any(set(o.effects) < set(own.effects) for _, _, o in mine)]
+            weight, given = sum(w for w, _, _ in mine), sum(g for _, g, _ in mine)
+            result.append(Equivalents(tuple(members), weight, given, self._left_over(members[0])))
+        return tuple(sorted(result, key=lambda own: (-own.probability if own.adequate else 0.0, -own.given_library)))
+
+
+def _shares(found: Found) -> list[tuple[Placement, float]]:
+    """Places of an explanation with the share of each in it: the squares of the strengths in standard uncertainties."""
+    squares = np.array([max(found.strength(member), 1e-6) ** 2 for member in range(len(found.candidates))])
+    return list(zip(found.explanation.placements, (squares / squares.sum()).tolist(), strict=True))

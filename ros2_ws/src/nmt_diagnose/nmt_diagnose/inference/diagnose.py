@@ -31,7 +31,7 @@ from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.result_rows import calibration_rows, candidate_row, inputs, place_rows, ranked_rows
 from nmt_diagnose.inference.search import Found, Score, Search, best_of
 from nmt_diagnose.inference.sentences import likeness, sentences
-from nmt_diagnose.inference.size import Size, change_size, left_size, matters, measured_size, worth
+from nmt_diagnose.inference.size import Size, change_size, left_over, matters, measured_size, worth
 from nmt_diagnose.inference.tuned import (
     ALARM,
     CHAIN_ROUNDS,
@@ -39,6 +39,8 @@ from nmt_diagnose.inference.tuned import (
     FEWEST_LINES_LOST,
     FINE_HARMONICS,
     JUDGED,
+    MODE_CERTAIN,
+    MODE_EVERYWHERE,
     OPEN,
     RANDOM_LINES,
     RECALIBRATION,
@@ -93,6 +95,7 @@ class Findings:
         sources: what something unnamed at each place would explain beside the model alone.
         visible: the weakest that each effect could be and still be seen.
         inadequate: what the model has to be corrected for before effects can be told.
+        doubtful: modes that the model may lack, of which nothing is left that matters.
     """
 
     data: Data
@@ -104,6 +107,7 @@ class Findings:
     sources: dict[str, float]
     visible: tuple[Visible, ...]
     inadequate: tuple[str, ...] = ()
+    doubtful: tuple[str, ...] = ()
 
 
 def diagnose_bags(
@@ -159,7 +163,8 @@ def find(
     modes = LowLevelModes(observations, rig)
     observations, given, null, data = model_alone(rig, observations, parameters, ~unseen, modes)
     operating = operating_range(rig, observations.tests, observations=observations)
-    candidates = () if modes.findings else library_candidates(rig, operating, settings.withheld)
+    beyond_effects = modes.disordered or modes.lacking(data, null.fit, MODE_CERTAIN, MODE_EVERYWHERE)
+    candidates = () if beyond_effects else library_candidates(rig, operating, settings.withheld)
     search = Search(data, rig, parameters, candidates, tell)
     tell(f"scanning {len(candidates)} candidates")
     scores = search.scores(null)
@@ -189,18 +194,23 @@ def find(
         null, named = search.again(null), search.all_again(named)
     beside = sources(data, null, source_places(data, null), len(parameters))
     first = Hypotheses(data, null, named, candidates, beside, [])
-    rest = first.best is not None and matters(left_size(data, first.best), settings.matters)
     behind = []
-    if first.best is not None and rest:
+    if first.best is not None:
         behind = sources(data, first.best, source_places(data, first.best), len(parameters))
     comparison = Hypotheses(data, null, named, candidates, beside, behind).compared()
     explained: dict[str, float] = {}
     for source in beside:
         explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
     best = first.best if first.best is not None and comparison.log_odds > ALARM else null
+    for placement in best.explanation.placements:
+        explained[placement.kind] = max(explained.get(placement.kind, 0.0), null.fit.cost - best.fit.cost)
     unmoved = best is first_null  # since the scan
     visible = _visible(search, scores if unmoved else search.scores(best), rig) if settings.look_ahead else ()
-    return Findings(data, search, given, null, tuple(named), comparison, explained, visible, modes.findings)
+    lacking = modes.lacking(data, best.fit)
+    return Findings(
+        data, search, given, null, tuple(named), comparison, explained, visible, (*modes.disordered, *lacking),
+        tuple(sentence for sentence in modes.sentences if sentence not in lacking),
+    )  # fmt: skip
 
 
 def own_parameters(rig: Rig, observations: Observations) -> tuple[CalibrationParameter, ...]:
@@ -324,11 +334,12 @@ def diagnose_observations(
     }
     share = None if leader is None else shares[leader.head.explanation]
     size = None if leader is None else measured_size(data, leader.head)
-    small = not matters(left_size(data, null), settings.matters)
+    small = not left_over(data, null, settings.matters)
     verdict = Verdict.UNKNOWN
     if not findings.inadequate:
         verdict = _verdict(comparison, leader, share, size, small, settings, _moved(findings, given, settings))
     named = leader if verdict is Verdict.EFFECT else None
+    adequate = verdict is not Verdict.UNKNOWN and (named is None or named.adequate)
     # What nothing in the library explains is told with the part that it does explain.
     nearest = leader if verdict in (Verdict.EFFECT, Verdict.UNKNOWN) else None
     best = named.head if named is not None else null
@@ -356,17 +367,20 @@ def diagnose_observations(
     )
     rest = remainder(seen, gap, after, rows) if nearest is not None else None
     where = place_rows(comparison, findings.sources) if nearest is not None or verdict is Verdict.UNKNOWN else ()
-    ranking = ranked_rows(data, comparison, shares)
+    ranking = ranked_rows(data, comparison, shares, partial=verdict is Verdict.EFFECT and not adequate)
     calibration = calibration_rows(best)
     ahead = next_tests(rig, seen, null, comparison) if settings.look_ahead and nearest is not None else ()
     warnings = warned(verdict, best, calibration, gap, named.members if named is not None else ())
+    warnings += tuple(f"{sentence.rstrip('.')}; nothing of it is left that matters." for sentence in findings.doubtful)
     warnings += without_observables(observations)
     explanation = leader.head.explanation if leader is not None else None
-    said = sentences(verdict, where, ranking, explanation, gap, ahead, calibration, rest)
+    said = sentences(
+        verdict, where, ranking, explanation, gap, ahead, calibration, rest, leader.left if leader is not None else ()
+    )
     if size is not None and verdict in (Verdict.NONE, Verdict.CALIBRATION) and comparison.log_odds > ALARM:
         said = (*said, f"{size.sentence} {likeness(ranking[0], explanation)}")
     if findings.inadequate:
-        said = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.")
+        said = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *said[1:2])
     diagnosis = Diagnosis(
         verdict=verdict,
         sentences=(*said, *warnings),
@@ -391,6 +405,7 @@ def diagnose_observations(
         warnings=warnings,
         remainder=rest,
         visible=findings.visible,
+        adequate=adequate,
     )
     model = rig if verdict is Verdict.NONE else _rig_of(best, len(calibration))
     return DiagnosisOutcome(diagnosis, seen, rig, model, given.values, null.fit.errors.values, best.fit.errors.values)
@@ -447,14 +462,14 @@ def _verdict(
     quiet = Verdict.CALIBRATION if moved else Verdict.NONE
     if comparison.log_odds < ALARM:
         return quiet
-    named = leader is not None and leader.probability >= comparison.unknown
+    named = leader is not None and leader.adequate and leader.probability >= max(comparison.unknown, comparison.none)
     if small and not named:
-        return quiet  # what the model leaves, whatever it is, is smaller than what matters
+        return quiet  # what the model leaves is noise, or smaller than what matters
     if leader is None or (share is not None and share.value < 0.0 and share.gain < -WORSE):
         return Verdict.UNKNOWN
     if named:
         return quiet if size is not None and not matters(size, settings.matters) else Verdict.EFFECT
-    # Something unnamed may lie behind; what closes most of the gap all the same is what it is made of.
+    # Something unnamed lies behind; what closes most of the gap all the same is a partial explanation.
     most = share is not None and math.isfinite(share.value) and share.value >= EXPLAINED
     return Verdict.EFFECT if most else Verdict.UNKNOWN
 

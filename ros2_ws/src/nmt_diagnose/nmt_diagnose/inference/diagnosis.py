@@ -74,6 +74,9 @@ class Ranked:
         closed: share of the held-out gap it closes.
         sigmas: its strength over its standard uncertainty.
         converged: whether its fit reached the optimum.
+        adequate: whether what it leaves is noise, or smaller than what matters.
+        given_library: whether ``probability`` is among the explanations of the library alone, as that of a partial
+            explanation is.
     """
 
     effect: str
@@ -85,6 +88,8 @@ class Ranked:
     closed: Share
     sigmas: float
     converged: bool = True
+    adequate: bool = True
+    given_library: bool = False
 
 
 @dataclass(frozen=True)
@@ -212,7 +217,11 @@ class ResidualGroup:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All that a diagnosis says; the fields are those of ``diagnosis.json``."""
+    """All that a diagnosis says; the fields are those of ``diagnosis.json``.
+
+    ``adequate`` is false where more is left than noise that matters: with the verdict ``effect`` the explanation is a
+    partial one then.
+    """
 
     verdict: Verdict
     sentences: tuple[str, ...]
@@ -231,6 +240,7 @@ class Diagnosis:
     warnings: tuple[str, ...] = ()
     remainder: Remainder | None = None
     visible: tuple[Visible, ...] = ()
+    adequate: bool = True
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""

@@ -143,6 +143,11 @@ class Data:
         plain, lines = self._whitenings
         return lines(plain(columns))
 
+    def in_units(self, whitened: FloatArray) -> FloatArray:
+        """A whitened change or residual, (m,), in the units of the rows."""
+        plain, lines = self._whitenings
+        return plain.back(lines.back(whitened)) * self.sigma
+
     def _scaled(self, columns: FloatArray) -> FloatArray:
         return np.where(self.used[:, None], columns / self.sigma[:, None], 0.0)
 

@@ -2,7 +2,8 @@
 
 Lines on a narrow resonance say nothing about one that is several bandwidths away: between the two every step of a fit
 leads astray. Frequencies and dampings of the modes themselves are smooth in the parameters, so that fits that begin
-with them arrive. What has a mode that the model lacks, or has them in another order, is not to be explained by effects.
+with them arrive. What has them in another order is not to be explained by effects; neither is a mode that the model
+lacks and that no effect makes up for.
 """
 
 from __future__ import annotations
@@ -18,12 +19,15 @@ from scipy.optimize import least_squares, linear_sum_assignment
 from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.inference.fitting import Data, Fitted
 from nmt_diagnose.inference.tuned import (
     MODE_ALIKE,
     MODE_APART,
+    MODE_AROUND,
     MODE_DAMPING_STD,
     MODE_EDGE,
     MODE_FREQUENCY_STD,
+    MODE_MISSED,
     MODE_NEAR,
     MODE_SAME,
     MODE_SHARE,
@@ -158,21 +162,20 @@ def _real(values: ComplexArray) -> FloatArray:
     return np.concatenate([values.real, values.imag])
 
 
-def inadequacies(
-    name: str, band_hz: tuple[float, float], found: Modes, which: np.ndarray, likeness: FloatArray
+def modes_that_lack(
+    name: str, band_hz: tuple[float, float], found: Modes, which: np.ndarray
 ) -> list[tuple[float, str]]:
-    """What the model has to be corrected for before effects can be told: frequency in Hz and a sentence each.
+    """Modes that the model seems to lack: frequency in Hz and a sentence each.
 
     Args:
         name: of the test.
         band_hz: its first and last line; near them responses may be so small that noise passes for a mode.
         found: its modes, k of them.
         which: the model's mode of each, -1 where it has none, (k,).
-        likeness: modal assurance criterion of each with each of the model's, (k, modes).
     """
     low, high = MODE_EDGE * band_hz[0], band_hz[1] / MODE_EDGE
     own = found.frequencies_hz
-    result = [
+    return [
         (
             float(own[k]),
             f"{name} has a mode at {own[k]:.4g} Hz (damping {100 * found.dampings[k]:.2g} %) that the model lacks; add "
@@ -180,6 +183,18 @@ def inadequacies(
         )
         for k in np.flatnonzero((which < 0) & (own > low) & (own < high))
     ]
+
+
+def disorder(name: str, found: Modes, which: np.ndarray, likeness: FloatArray) -> list[tuple[float, str]]:
+    """Modes in another order than the model's, which no fit brings to each other: frequency in Hz and a sentence each.
+
+    Args:
+        name: of the test.
+        found: its modes, k of them.
+        which: the model's mode of each, -1 where it has none, (k,).
+        likeness: modal assurance criterion of each with each of the model's, (k, modes).
+    """
+    own, result = found.frequencies_hz, []
     for a, b in pairwise(np.flatnonzero(which >= 0)):
         if which[a] > which[b] and max(likeness[a, which[b]], likeness[b, which[a]]) < MODE_ALIKE:
             sentence = (
@@ -201,8 +216,8 @@ class LowLevelModes:
     def __init__(self, observations: Observations, rig: Rig) -> None:
         self.rig = rig
         self.tests: list[tuple[RandomTest, Modes, np.ndarray]] = []
-        self.findings: tuple[str, ...] = ()
-        self._told: list[float] = []
+        self.disordered: tuple[str, ...] = ()
+        self._lacking: list[tuple[float, str]] = []
         late = lateness(observations, rig)
         for number, test in enumerate(observations.tests):
             if isinstance(test, RandomTest) and not math.isfinite(test.drive_hold_hz):
@@ -238,17 +253,45 @@ class LowLevelModes:
         near = apart[own, theirs]
         sure = (near < MODE_NEAR) | ((likeness[own, theirs] > MODE_UNLIKE) & (near < MODE_APART))
         which[own[sure]] = theirs[sure]
-        self._tell(inadequacies(test.name, (lines[0], lines[-1]), found, which, likeness))
+        for frequency, sentence in modes_that_lack(test.name, (lines[0], lines[-1]), found, which):
+            if all(abs(math.log(frequency / told)) >= MODE_SAME for told, _ in self._lacking):
+                self._lacking.append((frequency, sentence))
+        self.disordered += tuple(sentence for _, sentence in disorder(test.name, found, which, likeness))[:1]
         used = which >= 0
         if used.any():
             self.tests.append((test, Modes(found.poles[used], found.shapes[used]), which[used]))
 
-    def _tell(self, found: list[tuple[float, str]]) -> None:
-        """Keep what is wrong, each frequency (Hz) once however many tests show it."""
-        for frequency, sentence in found:
-            if all(abs(math.log(frequency / told)) >= MODE_SAME for told in self._told):
-                self._told.append(frequency)
-                self.findings = (*self.findings, sentence)
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """On modes that the model seems to lack, each frequency once however many tests show it."""
+        return tuple(sentence for _, sentence in self._lacking)
+
+    def lacking(
+        self, data: Data, found: Fitted, missed_from: float = MODE_MISSED, share: float = MODE_SHARE
+    ) -> tuple[str, ...]:
+        """Sentences on modes that the model lacks: channels miss what is around them in the best fit.
+
+        Noise, filters and effects make poles, too; what an explanation leaves nothing of is no mode.
+
+        Args:
+            data: what was fitted.
+            found: the fit.
+            missed_from: misfit of the lines there, standard deviations.
+            share: of the channels.
+        """
+        rows, left = data.observations.rows, data.residual(found.prediction.values, found.errors.chain)
+        result = []
+        for frequency, sentence in self._lacking:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                near = np.abs(np.log(rows.frequency_hz / frequency)) < MODE_AROUND
+            near &= data.used & np.isin(rows.part, (Part.LOG_MAGNITUDE, Part.PHASE)) & (rows.harmonic < 0)
+            missed = []
+            for channel in np.unique(rows.channel[near]):
+                mine = near & (rows.channel == channel)
+                missed.append(math.sqrt(float(np.mean(left[mine] ** 2))) > missed_from)
+            if missed and np.mean(missed) >= share:
+                result.append(sentence)
+        return tuple(result)
 
     def modes(self, rig: Rig, test: RandomTest) -> Modes | None:
         """Modes of a rig as a test meets it, local forces at rest; None where it cannot be taken apart."""

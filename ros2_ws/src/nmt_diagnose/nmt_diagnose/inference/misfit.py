@@ -91,7 +91,7 @@ class Whitening:
         for series in _series(observations, which & (share > 0.0)):
             by_size.setdefault(series.size, []).append(series)
         where = _where(observations)
-        self._blocks: list[tuple[IntArray, FloatArray]] = []
+        self._blocks: list[tuple[IntArray, FloatArray, FloatArray]] = []
         for size, members in by_size.items():
             if size < 2:
                 continue
@@ -102,15 +102,23 @@ class Whitening:
             diagonal = np.arange(size)
             correlation[:, diagonal, diagonal] = 1.0
             values, vectors = np.linalg.eigh(correlation)
-            values = np.maximum(values, _SMALLEST * values[:, -1:])
-            self._blocks.append((index, (vectors / np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2)))
+            size_of = np.sqrt(np.maximum(values, _SMALLEST * values[:, -1:]))[:, None, :]
+            turned = np.swapaxes(vectors, 1, 2)
+            self._blocks.append((index, (vectors / size_of) @ turned, (vectors * size_of) @ turned))
 
     def __call__(self, columns: FloatArray) -> FloatArray:
         """Columns (m,) or (m, n) over standard deviations, whitened."""
         result = columns.copy()
-        for index, root in self._blocks:
+        for index, root, _ in self._blocks:
             own = columns[index]
             result[index] = np.einsum("sij,sj->si", root, own) if columns.ndim == 1 else np.matmul(root, own)
+        return result
+
+    def back(self, residual: FloatArray) -> FloatArray:
+        """A whitened residual (m,) row by row over standard deviations again."""
+        result = residual.copy()
+        for index, _, root in self._blocks:
+            result[index] = np.einsum("sij,sj->si", root, residual[index])
         return result
 
 

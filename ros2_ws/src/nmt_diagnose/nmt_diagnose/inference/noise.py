@@ -61,6 +61,13 @@ class Groups:
         student = total * np.log1p(beyond / nu) - total * (beyond - squares) / (nu + beyond)
         return float(np.sum(np.where(np.isfinite(self.degrees), student, squares)))
 
+    def tails(self, squares: FloatArray, counts: FloatArray) -> FloatArray:
+        """Probability by its prior that each learnt scale is as large (Fisher's F), (K,); NaN where none is learnt."""
+        learnt = np.isfinite(self.degrees) & (counts > 0.0)
+        result = np.full(self.degrees.size, np.nan)
+        result[learnt] = fisher.sf(squares[learnt] / counts[learnt], counts[learnt], self.degrees[learnt])
+        return result
+
     def chance(self, squares: FloatArray, counts: FloatArray) -> float:
         """Probability by their prior that some learnt scale is as large as the largest (Fisher's F, Holm's correction).
 
@@ -68,11 +75,9 @@ class Groups:
             squares: Σ (e/σ)² of each group, (K,).
             counts: rows of each, (K,).
         """
-        learnt = np.isfinite(self.degrees) & (counts > 0.0)
-        if not learnt.any():
-            return 1.0
-        tails = fisher.sf(squares[learnt] / counts[learnt], counts[learnt], self.degrees[learnt])
-        return float(min(1.0, tails.min() * tails.size))
+        tails = self.tails(squares, counts)
+        tails = tails[np.isfinite(tails)]
+        return float(min(1.0, tails.min() * tails.size)) if tails.size else 1.0
 
     def weights(self, squares: FloatArray, counts: FloatArray) -> FloatArray:
         """1/s² of each group, (K,): most probable given its squares."""

@@ -24,8 +24,17 @@ from nmt_diagnose.observations.observables import Observations
 from nmt_rig.rig import Rig
 
 
-def ranked_rows(data: Data, comparison: Comparison, shares: Mapping[Explanation, Closed]) -> tuple[Ranked, ...]:
-    """The leading explanations, the most probable first, with parameters and shares of the gap that they close."""
+def ranked_rows(
+    data: Data, comparison: Comparison, shares: Mapping[Explanation, Closed], partial: bool = False
+) -> tuple[Ranked, ...]:
+    """The leading explanations, the most probable first, with parameters and shares of the gap that they close.
+
+    Args:
+        data: what was fitted.
+        comparison: of the explanations.
+        shares: of the gap that some of them close.
+        partial: state probabilities among the explanations of the library alone.
+    """
     result = []
     for group in comparison.classes[:RANKED]:
         head = group.head
@@ -36,12 +45,14 @@ def ranked_rows(data: Data, comparison: Comparison, shares: Mapping[Explanation,
                 effect=joined(cause.effect for cause in head.explanation.causes),
                 place=head.explanation.kinds,
                 detail=joined(placement.detail for placement in placements if placement.detail),
-                probability=group.probability,
+                probability=group.given_library if partial else group.probability,
                 equivalents=tuple(joined(own.effects) for own in group.members[1:]),
                 parameters=parameters(data, head),
                 closed=Share(share.value, share.low, share.high) if share else Share(*[math.nan] * 3),
                 sigmas=head.sigmas,
                 converged=head.fit.converged,
+                adequate=group.adequate,
+                given_library=partial,
             )
         )
     return tuple(result)

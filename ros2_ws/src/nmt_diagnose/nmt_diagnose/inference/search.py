@@ -30,6 +30,7 @@ from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, appro
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.tuned import (
     ALIKE,
+    CLIMBED,
     FAR_BEHIND,
     FINALISTS,
     FIRST_EFFECTS,
@@ -39,6 +40,7 @@ from nmt_diagnose.inference.tuned import (
     LEAST_GAIN,
     LOST,
     OTHER_PLACES,
+    SAME_STRAIN,
     SECOND_EFFECTS,
     SECOND_GAIN,
     STRAINED,
@@ -196,7 +198,7 @@ class Search:
                 if parameter.even and not np.linalg.norm(column) > _SHOWN:
                     other.append((number, at_strength(candidate, start, parameter.even)))
                 elif np.any(column != 0.0):
-                    result.append((number, start, column, parameter.signed))
+                    result.append((number, start, column, candidate.signed(parameter)))
         for number, start in other:
             candidate = self.candidates[number]
             parametrisation = self.parametrisation((*base.candidates, candidate), own.parametrisation.spreads)
@@ -208,7 +210,7 @@ class Search:
             change = own.errors.left - data.difference(moved.values, errors)
             column = change / float(start[strength_position(candidate)])
             # What does not show to first order goes with the square: the same way for either sign.
-            result.append((number, start, column, parameter.signed and not parameter.even))
+            result.append((number, start, column, candidate.signed(parameter) and not parameter.even))
         return result
 
     def _slopes(self, base: Found, chosen: Sequence[tuple[int, FloatArray]]) -> list[FloatArray]:
@@ -279,7 +281,8 @@ class Search:
         """All explanations that are not far behind the best, fitted again, the best first."""
         most = max(own.fit.log_evidence for own in found)
         near = [own for own in found if own.fit.log_evidence > most - FAR_BEHIND][:FINALISTS]
-        return sorted((self.unbent(self.again(own)) for own in near), key=lambda own: -own.fit.log_evidence)
+        fitted = sorted((self.again(own) for own in near), key=lambda own: -own.fit.log_evidence)
+        return sorted([self.unbent(fitted[0]), *fitted[1:]], key=lambda own: -own.fit.log_evidence)
 
     def widened(self, found: Fitted) -> Fitted:
         """The fit with the part of its strengths' prior that makes it most probable."""
@@ -378,10 +381,24 @@ class Search:
         found = [self.added(base, score) for score in wanted]
         fits = [own for own in found if own is not None]
         best_yet = max(fits, key=lambda own: own.fit.log_evidence, default=base)
-        if not base.candidates and self._strained(best_yet):
-            for number in dict.fromkeys(score.candidate for score in wanted):
-                found += [self.climbed(number), self.from_given(number)]
+        if not base.candidates and self._strained(best_yet, base):
+            for number in self._worth_climbing(wanted, fits):
+                self.tell(f"fitting {self.candidates[number].label} from low levels")
+                more = [own for own in (self.climbed(number), self.from_given(number)) if own is not None]
+                found += more
+                if any(not self._strained(own, base) for own in more):
+                    break
         return best_of([own for own in found if own is not None])
+
+    def _worth_climbing(self, wanted: Sequence[Score], fits: Sequence[Found]) -> list[int]:
+        """Candidates to climb with: the effects that the score test and the fits put first, each at its best place."""
+        by_fit = sorted(fits, key=lambda own: -own.fit.log_evidence)
+        order = [self.candidates.index(own.candidates[0]) for own in by_fit[:CLIMBED]]
+        order += [score.candidate for score in wanted]
+        result: dict[str, int] = {}
+        for number in order:
+            result.setdefault(self.candidates[number].effect.name, number)
+        return list(result.values())[:CLIMBED]
 
     def from_modes(self, null: Found, modes: LowLevelModes) -> list[Found]:
         """Explanations by one effect, fitted from where the model's modes are the measured ones; the best first."""
@@ -403,11 +420,20 @@ class Search:
                 continue
         return best_of(found)
 
-    def _strained(self, base: Found) -> bool:
-        """Whether a fit leaves so much in any group of rows that its parameters are bent by what is missing."""
-        counts = self.data.counts
-        scales = np.sqrt(base.fit.errors.squares / np.maximum(counts, 1.0))
-        return bool(np.any(scales[np.isfinite(self.data.groups.degrees)] > STRAINED))
+    def _strained(self, found: Found, null: Found | None = None) -> bool:
+        """Whether a fit leaves so much in any group of rows that its parameters are bent by what is missing.
+
+        Args:
+            found: the fit.
+            null: the model alone; groups that the explanation leaves as that does have other reasons.
+        """
+        counts, learnt = self.data.counts, np.isfinite(self.data.groups.degrees)
+        scales = np.sqrt(found.fit.errors.squares / np.maximum(counts, 1.0))
+        strained = learnt & (scales > STRAINED)
+        if null is not None and found is not null:
+            before = np.sqrt(null.fit.errors.squares / np.maximum(counts, 1.0))
+            strained &= np.abs(np.log(np.maximum(scales, 1e-300) / np.maximum(before, 1e-300))) > SAME_STRAIN
+        return bool(strained.any())
 
     def climbed(self, number: int) -> Found | None:
         """A candidate fitted to the lowest levels from the model as given, then to more of them, then to all.

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from nmt_core.number_words import share_with_interval, significant, value_text
+from nmt_core.number_words import percent, share_with_interval, significant, value_text
 from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.inference.diagnosis import NULL, Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
 from nmt_diagnose.inference.gap import NOISE
+from nmt_diagnose.inference.size import SIZE_NAMES, Left
 
 PLACES = {
     "structure": "the structure",
@@ -20,7 +21,7 @@ PLACES = {
     "controller": "the controller",
     "time": "a change over time",
 }
-_LIKELY, _UNLIKELY = 0.9, 0.1
+_LIKELY = 0.9
 
 
 def sentences(
@@ -32,10 +33,11 @@ def sentences(
     ahead: Sequence[NextTest],
     calibration: Sequence[Recalibrated],
     remainder: Remainder | None = None,
+    left: Sequence[Left] = (),
 ) -> tuple[str, ...]:
     """Where, which, how far; and what would settle the rest if something is left open.
 
-    ``named`` is the explanation that ``ranking`` begins with.
+    ``named`` is the explanation that ``ranking`` begins with, ``left`` what it leaves that matters.
     """
     if verdict is Verdict.NONE:
         return (
@@ -60,9 +62,10 @@ def sentences(
     head = ranking[0]
     values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
     what = f"{_title(head.effect)}{_at(named)}" + (f" ({values})" if values else "")
-    if head.probability < _UNLIKELY:
+    if not head.adequate:
         which = (
-            f"Most of it is what {what} would do; what that leaves is more than noise, so something unnamed acts too"
+            f"{_share_of(gap)} of the gap acts like {what}, probability {_sure(head.probability)} among the effects of "
+            f"the library; {_more(left)} that it does not explain, so something unnamed acts too"
         )
     else:
         sure = "The cause is" if head.probability >= _LIKELY else "The most probable cause is"
@@ -70,6 +73,18 @@ def sentences(
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
     return (place, which + ".", _how_far(gap, "Adding it") + _left(remainder), *_ahead(ahead))
+
+
+def _share_of(gap: Gap) -> str:
+    return percent(gap.closed, 1) if math.isfinite(gap.closed) else "Most"
+
+
+def _more(left: Sequence[Left]) -> str:
+    """What is left, in its own size."""
+    if not left:
+        return "more than noise remains"
+    first = left[0]
+    return f"{significant(100.0 * first.size, 2)} % of {SIZE_NAMES[first.kind]} ({first.group}) remain"
 
 
 def likeness(head: Ranked, named: Explanation | None) -> str:

@@ -11,7 +11,7 @@ from nmt_core.arrays import FloatArray
 from nmt_diagnose.inference.candidate_starts import at_zero
 from nmt_diagnose.inference.fitting import Data, predicted
 from nmt_diagnose.inference.search import Found
-from nmt_diagnose.inference.tuned import SEEN, STRAIN
+from nmt_diagnose.inference.tuned import ORDINARY, SEEN, STRAIN, SURE_EXCESS
 from nmt_diagnose.observations.observables import Part
 
 _KINDS: dict[str, tuple[Part, ...]] = {
@@ -38,11 +38,11 @@ class Size:
     @property
     def sentence(self) -> str:
         """The size in words."""
-        parts = ", ".join(f"{_PERCENT * value:.2g} % of {_NAMES[kind]}" for kind, value in self.values.items())
+        parts = ", ".join(f"{_PERCENT * value:.2g} % of {SIZE_NAMES[kind]}" for kind, value in self.values.items())
         return f"The recordings show a difference beyond their noise that is smaller than what matters: {parts}."
 
 
-_NAMES = {
+SIZE_NAMES = {
     "frequency": "the frequency",
     "damping": "the damping",
     "response": "a response",
@@ -59,16 +59,63 @@ def measured_size(data: Data, found: Found) -> Size:
     return change_size(data, data.forward.difference(own.prediction.values, without.values))
 
 
-def left_size(data: Data, found: Found) -> Size:
-    """How large what an explanation leaves is, its noise included."""
-    return change_size(data, found.fit.errors.left * data.sigma)
+@dataclass(frozen=True)
+class Left:
+    """More than noise in a group of rows.
+
+    Attributes:
+        group: test and kind of row.
+        kind: kind of what matters.
+        size: relative, what noise makes taken off.
+    """
+
+    group: str
+    kind: str
+    size: float
+
+
+def left_over(data: Data, found: Found, wanted: Mapping[str, float]) -> tuple[Left, ...]:
+    """What an explanation leaves that is more than noise and matters, the largest beside what matters first.
+
+    A group counts where its scale is larger than its prior allows (Fisher's F, Bonferroni) and where what is left
+    beyond the noise of its rows, at some level or tenth of the lines, is as large as what matters.
+
+    Args:
+        data: what was fitted.
+        found: the explanation.
+        wanted: what matters, by kind.
+    """
+    own, groups, rows = found.fit.errors, data.groups, data.observations.rows
+    tails = groups.tails(own.squares, data.counts)
+    learnt = max(1, int(np.sum(np.isfinite(tails))))
+    result = []
+    raw = data.residual(found.fit.prediction.values, own.chain)
+    for number in np.flatnonzero(np.nan_to_num(tails, nan=1.0) * learnt < ORDINARY):
+        mine = data.used & (groups.of == number)
+        kind = next((k for k, parts in _KINDS.items() if np.isin(rows.part[mine], parts).any()), "")
+        if not kind:
+            continue
+        keys = np.stack([rows.channel[mine], _band(rows.level[mine], rows.test[mine])])
+        _, block = np.unique(keys, axis=1, return_inverse=True)
+        block, residual = block.ravel(), raw[mine]
+        count = np.bincount(block).astype(np.float64)
+        beyond = np.bincount(block, residual**2 - 1.0)
+        beyond = np.where(beyond > SURE_EXCESS * np.sqrt(2.0 * count), beyond, 0.0)
+        unit = np.abs(data.observations.values[mine]) if kind == "damping" else np.ones(residual.size)
+        sizes = np.sqrt(beyond / np.maximum(np.bincount(block, (unit / data.sigma[mine]) ** 2), 1e-300))
+        if np.any(rows.part[mine] == Part.SAMPLE):
+            sizes = sizes / max(float(np.sqrt(np.mean(data.observations.values[mine] ** 2))), 1e-300)
+        size = float(sizes.max())
+        if size > 0.0 and size >= wanted.get(kind, 0.0):
+            result.append(Left(groups.names[number], kind, size))
+    return tuple(sorted(result, key=lambda left: -left.size / max(wanted.get(left.kind, 0.0), 1e-300)))
 
 
 def worth(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> bool:
-    """Whether an explanation with more effects than another differs from it by what matters.
+    """Whether an explanation with more effects than another is needed beside it.
 
-    It does where its predictions differ so much, or where the other is that near only by parameters and a measuring
-    chain that are hard to believe.
+    It is where the other leaves more than noise that matters and its predictions differ by what matters, or where the
+    other is that near only by parameters and a measuring chain that are hard to believe.
     """
     change = data.forward.difference(more.fit.errors.values, less.fit.errors.values)
     pulls = [
@@ -78,14 +125,16 @@ def worth(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> 
         )
         for own in (less, more)
     ]
-    return matters(change_size(data, change), wanted) or pulls[0] - pulls[1] > STRAIN
+    if pulls[0] - pulls[1] > STRAIN:
+        return True
+    return bool(left_over(data, less, wanted)) and matters(change_size(data, change), wanted)
 
 
 def change_size(data: Data, change: FloatArray) -> Size:
     """Size of a change of the rows, (m,), in their own units.
 
-    A line where hardly anything is left of a response counts by the response beside it: rms over each level or tenth
-    of the lines. Samples of a record count by the rms of all of them.
+    Rows of a level or tenth of the lines count together, each as surely as it is known: a line where hardly anything is
+    left of a response tells little. Samples of a record count by the rms of all of them.
     """
     rows, measured = data.observations.rows, data.observations.values
     change = np.nan_to_num(change)
@@ -102,7 +151,8 @@ def change_size(data: Data, change: FloatArray) -> Size:
             own = own / np.maximum(np.abs(measured[mine]), 1e-12)
         _, group = np.unique(keys, axis=1, return_inverse=True)
         group = group.ravel()
-        squares = np.bincount(group, own**2) / np.bincount(group)
+        weight = data.sigma[mine] ** -2.0
+        squares = np.bincount(group, weight * own**2) / np.bincount(group, weight)
         records = rows.part[mine] == Part.SAMPLE
         if records.any():
             whole = np.bincount(group, np.where(records, measured[mine] ** 2, 0.0)) / np.bincount(group)

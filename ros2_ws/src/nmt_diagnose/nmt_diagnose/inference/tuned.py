@@ -46,8 +46,8 @@ ORDINARY = 0.05
 EQUIVALENT = 3.0
 # Sizes that an unnamed source may have, in units of 1 % of force or response.
 SOURCE_SIZES = (0.003, 0.03, 0.3, 3.0)
-# ln of the odds against no gap from which a gap is claimed: one healthy recording in a hundred reaches it.
-ALARM = 3.0
+# ln of the odds against no gap from which a gap is claimed: seven to one.
+ALARM = 2.0
 # Fall of the cost by re-fitting the model's own parameters from which that is called a calibration.
 RECALIBRATION = 25.0
 # Share of the gap that a named effect has to close for what is left to be a remainder and not something unknown.
@@ -102,3 +102,14 @@ MODE_EDGE = 1.3
 # for itself; change of ln level and of ln frequency over which it stays the same.
 MISFIT_SHARE, MISFIT_INDEPENDENT = 0.2, 0.02
 LEVEL_LENGTH, LINE_LENGTH = 1.0, 0.3
+# Standard deviations by which the squares of a level's or a band's rows must exceed what noise makes of them for a
+# size of what is left to be told.
+SURE_EXCESS = 3.0
+# Modes that the model seems to lack: ln of frequencies around one in which it has to show, and the misfit of the lines
+# there from which a channel says that it is one, standard deviations.
+MODE_AROUND, MODE_MISSED = 0.1, 3.0
+# The same, and the share of the channels, from which no effect is tried in its place.
+MODE_CERTAIN, MODE_EVERYWHERE = 10.0, 0.8
+# Effects that are climbed from low levels, and ln of a group's scale over that of the model alone below which the group
+# is as it was.
+CLIMBED, SAME_STRAIN = 3, 0.1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,8 @@ from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
+HELD_ROUNDS = 2
+"""Solutions after the first one, each at the phase that clipped channels of the one before had."""
 VELOCITY_POWER = {Quantity.DISPLACEMENT: 1, Quantity.VELOCITY: 0, Quantity.ACCELERATION: -1}
 # Part of the measured frequency within which the model's resonance is looked for.
 SEARCH = 0.25
@@ -172,9 +174,25 @@ class PeriodicLevels:
         for position in order:
             level = self.levels[position]
             parts = self.parts(rig, cache, level)
-            states[position] = self._level(parts, level, None if start is None else start[position], last)
+            state = self._level(parts, level, None if start is None else start[position], last)
+            for _ in range(HELD_ROUNDS):
+                held = level if state is None else self._held(parts, level, state)
+                if state is None or held is level:
+                    break
+                state = self._newton(parts, held, level.amplitude, state.z) or state
+            states[position] = state
             last = states[position] if states[position] is not None else last
         return states
+
+    def _held(self, parts: RigParts, level: LevelProblem, state: PeriodicState) -> LevelProblem:
+        """A level with the phase that force and response truly had: converters that clip turn what was measured."""
+        pair = [self._force, self._response]
+        if self.ideal_force or not np.any(np.isfinite(parts.limits[pair, 0])):
+            return level
+        recorded = recorded_harmonics(state.channels[pair], parts.limits[pair], self.basis)
+        first = self.basis.fundamental
+        turned = np.angle(recorded[:, first] * np.conj(state.channels[pair, first]))
+        return replace(level, phase=level.phase - float(turned[0] - turned[1]))
 
     def parts(self, rig: Rig, cache: PartsCache, level: LevelProblem) -> RigParts:
         """The rig at the time of a level."""
@@ -446,7 +464,11 @@ class PeriodicLevels:
             groups.setdefault(id(parts), (parts, []))[1].append(number)
         for parts, numbers in groups.values():
             states = [tangent.states[tangent.solved[number]] for number in numbers]
-            levels = [self.levels[tangent.solved[number]] for number in numbers]
+            levels = [
+                self._held(parts, self.levels[tangent.solved[number]], state)
+                for number, state in zip(numbers, states, strict=True)
+                if state is not None
+            ]
             z, own, kept = self._transferred(parts, levels, [state for state in states if state is not None])
             if kept is None:
                 return None

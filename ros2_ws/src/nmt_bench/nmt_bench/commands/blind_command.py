@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import sys
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,8 @@ TOLERANCES = ("laboratory", "none")
 
 USAGE = """\
 Checks the diagnosis on simulated tests whose truth it cannot know. 'make' seals the truth and writes bags, 'run'
-diagnoses them, 'score' opens the seal and compares. All parts go on where they stopped.
+diagnoses them, 'score' opens the seal and compares; 'laboratory' does all of it with cases that others have made. All
+parts go on where they stopped.
 """
 
 _RIG = f"--rig {'|'.join(RIGS)} =beam"
@@ -86,6 +88,18 @@ table of strengths of all effects of a rig, in standard deviations
 @jobs
 @task-page
 """,
+    "laboratory": """\
+import and diagnose the cases that another laboratory has made, and class the answers
+
+DIR >folder  a folder for each case: model.yaml, sidecar.yaml (or several) with its data, truth.yaml
+--out DIR required  folder for the results (laboratory.csv, laboratory.json, a folder for each case)
+--only NAME,… =""  only these cases (default: all)
+--force  diagnose cases that have a result of the same program and files, too
+--limit S =1800  processor time of an import or a diagnosis, s; beyond it the case is refused (default: 1800)
+--keep-bags  keep what was imported
+@jobs
+@task-page
+""",
 }
 """Line of help, then arguments and options of each part; see `nmt_bench.commands.bench_options.add_options`."""
 
@@ -105,6 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
         "score": _score,
         "explain": _explain,
         "strengths": _strengths,
+        "laboratory": _laboratory,
     }
     status = parts[arguments.part](arguments)
     return status
@@ -226,6 +241,36 @@ def _strengths(arguments: argparse.Namespace) -> int:
     file = arguments.table or table_file(rig, arguments.tolerances)
     bar.say(f"{len(table.curves)} curves in {file}; {weaker} end below 4,096 standard deviations")
     return EXIT_DONE
+
+
+def _laboratory(arguments: argparse.Namespace) -> int:
+    from nmt_blind.campaign.foreign_run import print_lines, run_laboratory, write_tables
+
+    only = tuple(word.strip() for word in arguments.only.split(",") if word.strip())
+    with _bar(arguments, "diagnosing") as bar:
+
+        def progress(done: int, total: int, newest: str) -> None:
+            if newest:
+                bar.say(newest)
+            bar.update(done, total)
+
+        lines = run_laboratory(
+            arguments.folder,
+            arguments.out,
+            (sys.executable, "-m", "nmt_bench"),
+            worker_count(arguments),
+            only,
+            arguments.force,
+            arguments.limit,
+            arguments.keep_bags,
+            progress,
+        )
+        files = write_tables(lines, arguments.out)
+    console = _console()
+    for line in print_lines(lines):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
+    console.print(f"written: {', '.join(str(file) for file in files)}", soft_wrap=True)
+    return EXIT_FAILED if any(line.answer.outcome == "refused" for line in lines) else EXIT_DONE
 
 
 def _console() -> Any:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from independent import laboratory_one
+from independent import laboratory_one, laboratory_two
 
 from nmt_bench.cli import main
 from nmt_blind.campaign.foreign_case import ForeignTruth, judge, read_cases, read_truth
@@ -28,6 +28,7 @@ PAIR = ForeignTruth(
     ("7",),
     {"cubic_stiffness.k": 1e6, "force_gain.g": 0.04},
 )
+KINDRED = ForeignTruth("effect", ("effect",), CUBIC.effects, (frozenset({"quintic_stiffness"}),), ("7",))
 FINE = ForeignTruth("healthy", ("none", "calibration"))
 SHIFTED = ForeignTruth("healthy", ("calibration",), parameters={"joint.slip_force_n": 1.25})
 STRIBECK = ForeignTruth("unknown", ("unknown",), (), (frozenset({"power_law_damping"}),), ("6",))
@@ -98,6 +99,9 @@ def said(verdict: str, *ranking: dict[str, Any], p: float = 0.0, where: str = ""
         (PAIR, said("effect", explained("force_gain + cubic_stiffness", "structure 7", 0.9)), "right"),
         (PAIR, said("effect", explained("cubic_stiffness", "structure 7", 0.99)), "hedged right"),
         (PAIR, said("effect", explained("force_gain", "force_sensor f2", 0.99)), "confidently wrong"),
+        (KINDRED, said("effect", explained("quintic_stiffness", "structure 7", 0.95)), "confidently wrong"),
+        (KINDRED, said("effect", explained("quintic_stiffness", "structure 7", 0.5)), "hedged wrong"),
+        (KINDRED, said("effect", explained("quintic_stiffness", "structure 7", 0.95, adequate=False)), "hedged right"),
         (STRIBECK, said("unknown", p=0.9, where="structure 6"), "right"),
         (STRIBECK, said("unknown", p=0.9, where="structure 5"), "hedged right"),
         (STRIBECK, said("effect", explained("power_law_damping", "structure 6", 0.9)), "confidently wrong"),
@@ -124,6 +128,11 @@ def test_a_parameter_is_compared_in_stated_standard_deviations() -> None:
     # A number of another effect is no estimate of this one's.
     other = said("effect", explained("added_mass", "structure 7", 0.9, parameters={"k": wrong}))
     assert judge(CUBIC, other).parameter == ""
+    # Nor one at another point, where another value does the same.
+    tied = ForeignTruth("effect", ("effect",), CUBIC.effects, parameters={"cubic_stiffness@7.k": 1e6})
+    assert round(judge(tied, alone).deviation, 6) == 2.0
+    moved = said("effect", explained("cubic_stiffness", "structure 6", 0.9, parameters={"k": k}))
+    assert judge(tied, moved).parameter == ""
     refitted = said("calibration", p=0.9, calibration=[{"name": "joint.slip_force_n", "to": 1.2, "std": 0.1}])
     found = judge(SHIFTED, refitted)
     assert (found.parameter, round(found.deviation, 6)) == ("joint.slip_force_n", -0.5)
@@ -295,5 +304,14 @@ def test_laboratory_one(tmp_path: Path, name: str) -> None:
     if not LABORATORY_ONE.is_dir():
         pytest.skip("The laboratory that others wrote is not at hand beside this repository.")
     laboratory_one.make_case(LABORATORY_ONE, tmp_path / "cases", name)
+    (line,) = run_laboratory(tmp_path / "cases", tmp_path / "out", (sys.executable, "-m", "nmt_bench"))
+    assert line.answer.outcome == "right", print_lines([line])
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", [0, 3, 4, 12])
+def test_laboratory_two(tmp_path: Path, seed: int) -> None:
+    """A plate and a beam as their models say, a mast on a table whose stiffness is off, a strip that hardens."""
+    laboratory_two.make_case(tmp_path / "cases", seed)
     (line,) = run_laboratory(tmp_path / "cases", tmp_path / "out", (sys.executable, "-m", "nmt_bench"))
     assert line.answer.outcome == "right", print_lines([line])

@@ -37,10 +37,11 @@ class ForeignTruth:
         kind: healthy, effect (the library has it) or unknown (it has not).
         verdicts: those that are right.
         effects: sets of effects of which the first explanation has to be one.
-        partly: sets that tell a part of the truth, or what comes nearest to it in the library.
+        partly: sets that are a part of the truth, or what in the library resembles it.
         place: words (point, channel, name) of which the stated place has to hold one; empty = any place.
-        parameters: true values; of an effect by the name that a diagnosis gives them (``k``, or
-            ``cubic_stiffness.k`` of two effects), of the model by key (``local_elements.joint.slip_force_n``).
+        parameters: true values; of one effect by the name that a diagnosis gives them (``k``), of two as
+            ``cubic_stiffness.k``, at one point only as ``cubic_stiffness@4.k`` (elsewhere another value does the
+            same), of the model by key (``local_elements.joint.slip_force_n``).
         remark: for people.
     """
 
@@ -161,8 +162,9 @@ def judge(truth: ForeignTruth, diagnosis: Mapping[str, Any] | None) -> ForeignAn
       one is hedged right.
     * ``effect`` with one of the true sets (or an equivalent of the first explanation), at the true place: right where
       the explanation is adequate and has a probability of at least ``NAMED``, else hedged right.
-    * ``effect`` with a true set and more, or with a part of the truth (``partly``), at the true place: hedged right;
-      of something that the library has not (kind unknown) only where it is not adequate.
+    * ``effect`` with a true set and more, or with one of ``partly`` that belongs to a true set (the main one of two),
+      at the true place: hedged right; with another one of ``partly``, which only resembles the truth, hedged right
+      where it is not adequate.
     * ``unknown``, or ``effect`` whose first explanation is not adequate, of an effect of the library: hedged right
       where one of the first three explanations is the truth at its place.
     * ``unknown`` of an effect of the library: honest unknown.
@@ -182,7 +184,7 @@ def judge(truth: ForeignTruth, diagnosis: Mapping[str, Any] | None) -> ForeignAn
     stated = _stated_place(diagnosis, head)
     probability = _probability(diagnosis, verdict, head)
     adequate = bool(diagnosis.get("adequate", True)) and (verdict != "effect" or bool(head.get("adequate", True)))
-    parameter, deviation = _furthest(truth, diagnosis, head)
+    parameter, deviation = _furthest(truth, diagnosis, head, _holds(stated, truth.place))
     return ForeignAnswer(
         outcome=_outcome(truth, verdict, ranking, stated, probability, adequate),
         verdict=verdict,
@@ -212,8 +214,10 @@ def _outcome(
         if "effect" in truth.verdicts and any(effects in named for effects in truth.effects):
             return "right" if adequate and probability >= NAMED else "hedged right"
         more = any(effects < found for effects in truth.effects for found in named)
-        part = any(effects in named for effects in truth.partly)
-        if (more or part) and truth.kind != "healthy" and (truth.kind == "effect" or not adequate):
+        # A part of a pair is true whatever it leaves; what only resembles the truth must not claim to leave nothing.
+        part = any(effects in named and any(effects < whole for whole in truth.effects) for effects in truth.partly)
+        near = any(effects in named for effects in truth.partly) and not adequate
+        if truth.kind != "healthy" and (more or part or near):
             return "hedged right"
     if truth.kind == "effect" and (verdict == "unknown" or (verdict == "effect" and not adequate)):
         if any(_tells(truth, entry) for entry in ranking[:_FIRST]):
@@ -255,18 +259,23 @@ def _probability(diagnosis: Mapping[str, Any], verdict: str, head: Mapping[str, 
     return math.fsum(_number(given.get(name), 0.0) for name in names)
 
 
-def _furthest(truth: ForeignTruth, diagnosis: Mapping[str, Any], head: Mapping[str, Any]) -> tuple[str, float]:
+def _furthest(
+    truth: ForeignTruth, diagnosis: Mapping[str, Any], head: Mapping[str, Any], placed: bool
+) -> tuple[str, float]:
     """Name of the known parameter that was stated furthest from its true value, and its deviation."""
     stated = {str(entry.get("name")): (entry.get("to"), entry.get("std")) for entry in diagnosis.get("calibration", ())}
-    if any(effects <= found for effects in truth.effects for found in _alternatives(head)):
+    if placed and any(effects <= found for effects in truth.effects for found in _alternatives(head)):
+        alone = f"{head.get('effect', '')}@{str(head.get('detail', '')).split(' at ')[0]}"
         for label, entry in (head.get("parameters") or {}).items():
             # Of two effects, parameters are named effect@detail.parameter.
             cause, _, name = str(label).rpartition(".")
             value = entry.get("value"), entry.get("std")
-            stated[name if not cause else f"{cause.partition('@')[0]}.{name}"] = value
+            names = (f"{cause}.{name}",) if cause else (f"{alone}.{name}", name)
+            for known in (*names, f"{(cause or alone).partition('@')[0]}.{name}"):
+                stated[known] = value
     found: list[tuple[str, float]] = []
     for key, true in truth.parameters.items():
-        value, std = stated.get(key) or stated.get(key.rpartition(".")[2], (None, None))
+        value, std = stated.get(key, (None, None))
         off = _number(value) - true
         if not math.isnan(off):
             spread = _number(std, 0.0)

@@ -137,6 +137,28 @@ def test_absolute_accelerations_contain_the_table():
     np.testing.assert_allclose(found[1], found[0] + 1.0, rtol=1e-9)
 
 
+def test_absolute_displacements_contain_the_tables_position():
+    """Over the equivalent force −m a the table itself moves by 1/(m ω²)."""
+    sensors = [{"quantity": "force", "point": "drive"}, {"quantity": "displacement", "point": 2}]
+    found = []
+    for responses in ("relative", "absolute"):
+        table = {"kind": "shaking_table", "point": 1, "effective_mass_kg": 0.7, "responses": responses}
+        rig = modal(
+            exciter=table | {"suspension_hz": 3.0, "bandwidth_hz": 300.0},
+            sensors=[*sensors, {"quantity": "voltage"}],
+            extraction={"quantity": "displacement", "linear_modes": 1},
+            local_elements=[],
+        )
+        noise, rows = noise_test(rig, 10.0, 40.0, 5, reference="force")
+        values = Forward([noise], rows_of(rows), TwinSettings()).predict(rig).values
+        names = [channel.name for channel in noise.channels]
+        own = values.reshape(-1, 2 * len(names))[:, 2 * names.index("x2") : 2 * names.index("x2") + 2]
+        found.append(np.exp(own[:, 0] + 1j * own[:, 1]))
+    omega = 2.0 * np.pi * noise.lines_hz
+    # The estimator's window mixes neighbouring lines.
+    np.testing.assert_allclose(found[1], found[0] + 1.0 / (0.7 * omega**2), rtol=0.02)
+
+
 def test_every_parameter_of_these_structures_may_be_refitted():
     names = {parameter.name: parameter for parameter in calibration_parameters(modal())}
     own = [name for name in names if name.startswith("structure")]

@@ -18,6 +18,7 @@ import numpy as np
 
 from nmt_core.arrays import BoolArray, ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
+from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.placement import PlaceKind
 from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, PHASE_STEP, ChainTests, edited, later
@@ -45,13 +46,15 @@ from nmt_diagnose.observations.model_view import ORDER, ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.stepped_sine_twin import gain_error
-from nmt_rig.rig import Rig, SensorSection
+from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_rig.rig import BeamSection, Rig, SensorSection
 
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
 _COVERED = (PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest)
 _IMAGE = "image"
 # Orders of images that are followed, the nearest first; those beyond them are one constant for each channel.
 _IMAGE_ORDERS = (-1, 1, -2, 2)
+_FAR = 0.2  # largest change of a row by the mesh
 _GAIN_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-5, 1e-6
 
 
@@ -233,7 +236,7 @@ class _Builder:
     def found(self) -> dict[str, FloatArray]:
         """All columns by name, of all rows."""
         found = self._channels() | self._clock() | self._voltage() | self._hold() | self._images()
-        found |= self._aims() | self._harmonics() | self._sweeps()
+        found |= self._aims() | self._harmonics() | self._sweeps() | self._mesh()
         for module in (ModesLeftOut(self.tests), ShapeErrors(self.tests)):
             name = type(module).__name__
             found |= {f"{name} {k}": column for k, column in enumerate(module.columns(self.base))}
@@ -405,6 +408,19 @@ class _Builder:
                 angle = float(images[mine & (self.rows.level == level)][0].imag)
                 result[(self.rows.test == number) & (self.rows.level == level)] = sign * angle
         return result
+
+    def _mesh(self) -> dict[str, FloatArray]:
+        """What a beam's mesh of half the element length changes: so much its own may be off by."""
+        if not isinstance(self.rig.structure, BeamSection):
+            return {}
+        tests = self.tests
+        finer = TwinSettings(mesh_refinement=2 * self.rig.structure.mesh_refinement)
+        try:
+            moved = Forward(tests.tests, tests.rows, finer).predict(self.rig).values
+        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+            return {}
+        # Near a sharp resonance or zero the change is no longer in proportion to the error.
+        return {"mesh": np.clip(np.nan_to_num(tests.forward.difference(moved, self.base.values)), -_FAR, _FAR)}
 
     def _aims(self) -> dict[str, FloatArray]:
         """What the loop of each test held, all levels alike: it measured with a chain of its own.

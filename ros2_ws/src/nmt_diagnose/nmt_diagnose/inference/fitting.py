@@ -312,7 +312,7 @@ class Metric:
         self._weighted = columns * weights[:, None]
         self._weights = weights
         self.normal = columns.T @ self._weighted + np.diag(precision)
-        self._factor = np.linalg.cholesky(self.normal + 1e-13 * np.diag(np.diag(self.normal)))
+        self._factor = _factor(self.normal)
         self._columns = columns
 
     def rest(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -325,6 +325,17 @@ class Metric:
     def log_determinant(self) -> float:
         """ln det of the normal matrix."""
         return 2.0 * float(np.sum(np.log(np.diag(self._factor))))
+
+
+def _factor(normal: FloatArray) -> FloatArray:
+    """Cholesky factor of a normal matrix; where rounding leaves it none, of one with a little more on its diagonal."""
+    diagonal = np.diag(np.maximum(np.diag(normal), 1e-300))
+    for share in (1e-13, 1e-10):
+        try:
+            return np.asarray(np.linalg.cholesky(normal + share * diagonal))
+        except np.linalg.LinAlgError:
+            continue
+    return np.asarray(np.linalg.cholesky(normal + 1e-7 * diagonal))
 
 
 def predicted(

@@ -116,7 +116,7 @@ def _separation(proposal: Proposal, competing: Sequence[Found]) -> float:
             predictions.append(prediction.values)
             slopes = forward.jacobian(own.parametrisation, own.theta, prediction)
             jacobians.append(slopes / observations.sigma[:, None])
-    except BenchError:
+    except (BenchError, ArithmeticError, np.linalg.LinAlgError):
         return 0.0
     worst = math.inf
     for i, j in itertools.permutations(range(len(competing)), 2):
@@ -124,12 +124,17 @@ def _separation(proposal: Proposal, competing: Sequence[Found]) -> float:
         good = np.isfinite(difference) & np.all(np.isfinite(jacobians[j]), axis=1)
         if not good.any():
             return 0.0
-        covariance = competing[j].fit.covariance
-        root = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
-        metric = Metric(jacobians[j][good] @ root, np.ones(len(covariance)), np.ones(int(good.sum())))
+        root = _root(competing[j].fit.covariance)
+        metric = Metric(jacobians[j][good] @ root, np.ones(root.shape[1]), np.ones(int(good.sum())))
         rest, _ = metric.rest(difference[good][:, None])
         worst = min(worst, math.sqrt(max(0.0, float(difference[good] @ rest[:, 0]))))
     return worst
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """A root R of a covariance, R Rᵀ = C, also of one that rounding has left without an inverse."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def proposals(rig: Rig, observations: Observations) -> list[Proposal]:

@@ -57,6 +57,8 @@ _OUTPUTS = {
     Quantity.VELOCITY: velocity_output,
     Quantity.ACCELERATION: acceleration_output,
 }
+_INTEGRATED = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
+_SOFT_HZ = 0.01  # far below every test
 IDLE = "idle"  # key of the coordinate of a rig without local forces
 # Channel table, one row per channel: see ``channel_table``.
 GAIN, DELAY, LOW_PASS, HIGH_PASS = range(4)
@@ -389,7 +391,10 @@ def _prepared(
                 "the model, or the voltage out of the recording."
             )
         # The effective mass is that of the whole rig: the joints are taken out of it later.
-        ideal = {"bandwidth_hz": None, "suspension_hz": None, "effective_mass_kg": table.effective_mass}
+        absolute = rig.exciter.responses == "absolute" and any(c.quantity in _INTEGRATED for c in channels)
+        # Where an absolute displacement is measured the table has a position: that of one on a very soft suspension.
+        suspension = _SOFT_HZ if absolute else None
+        ideal = {"bandwidth_hz": None, "suspension_hz": suspension, "effective_mass_kg": table.effective_mass}
         update["exciter"] = rig.exciter.model_copy(update=ideal)
     return rig.model_copy(update=update) if update else rig
 

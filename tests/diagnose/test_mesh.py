@@ -1,0 +1,49 @@
+"""A coarse mesh of a beam is an error of the model that its own refinement shows; it is no effect and no verdict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnose.twin_observations import observations_of_twin
+
+from nmt_diagnose.inference.chain import linear_chain
+from nmt_diagnose.inference.diagnose import diagnose_observations
+from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
+from nmt_diagnose.inference.fitting import Metric
+from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.twin.forward import Forward
+from nmt_rig.rig import Rig, load_rig
+
+COARSE = load_rig("beam", ["local_elements=[]", "structure.elements=7"])
+
+
+def fine(rig: Rig) -> Rig:
+    return rig.model_copy(update={"structure": rig.structure.model_copy(update={"mesh_refinement": 6})})
+
+
+def test_a_recording_of_a_finer_mesh_is_healthy() -> None:
+    observations = observations_of_twin(fine(COARSE), seed=4, drives=(0.05, 0.1, 0.2, 0.4))
+    chains = tuple(MeasuringChain() for _ in observations.tests)
+    observations = replace(observations, chains=chains, matters=dict(MATTERS))
+    near = Forward(observations.tests, observations.rows).predict(COARSE)
+    chain = linear_chain(observations, COARSE, near)
+    column = chain.columns[:, chain.names.index("mesh")]
+    moved = Forward(observations.tests, observations.rows).difference(
+        Forward(observations.tests, observations.rows).predict(fine(COARSE)).values, near.values
+    )
+    small = (np.abs(moved) < 0.02) & (np.abs(moved) > 1e-5)
+    assert small.sum() > 20
+    # Half the element length takes away fifteen sixteenths of an error of fourth order.
+    assert np.median(column[small] / moved[small]) == pytest.approx(15.0 / 16.0, abs=0.03)
+    found = diagnose_observations(COARSE, observations, DiagnosisSettings(look_ahead=False)).diagnosis
+    assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+
+
+def test_a_normal_matrix_without_an_inverse_is_one_of_rounding() -> None:
+    column = np.array([[1.0, 1.0], [1.0, 1.0]]) * 1e9
+    metric = Metric(column, np.array([0.0, 0.0]), np.ones(2))
+    rest, _ = metric.rest(np.array([[1.0], [1.0]]))
+    assert np.all(np.abs(rest) < 1e-2)

@@ -138,7 +138,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "which that force does the table's power on the target mode, φᵀMr / φ(point)",
         "bandwidth_hz": "corner of the low-pass between command and acceleration; left out = none",
         "suspension_hz": "natural frequency of the table on its suspension, below which it does not follow; left out = "
-        "none, and the table's position is not modelled",
+        "none, and the table's position is not modelled; 0.5 Hz where absolute displacements are measured",
         "suspension_damping_ratio": "ζ of the suspension",
         "responses": "motion that the sensors see: relative to the table, or absolute",
     },

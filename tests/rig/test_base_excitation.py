@@ -21,6 +21,7 @@ from nmt_rig.model.shaking_table import ShakingTable, effective_mass
 from nmt_rig.model.time_integration import TimeIntegrator
 from nmt_rig.reference import compute_reference, single_point_reference
 from nmt_rig.rig import load_rig
+from nmt_rig.rig_model import build_system
 
 MASS, SPRING, DAMPER = 0.5, 2000.0, 1.5
 OSCILLATOR = lumped_chain([MASS], [], None, [SPRING], [DAMPER])
@@ -229,7 +230,6 @@ def test_added_masses_are_moved_by_the_base(tmp_path):
         (["structure.modes.0.participation=0.0"], "no effective mass on mode 1: a motion of the base does not excite"),
         (["exciter.effective_mass_kg=0.0"], "effective_mass_kg must not be zero"),
         (["exciter.bandwidth_hz=-5"], "bandwidth_hz must be positive"),
-        (["exciter.responses=absolute"], "sensors.1 measures an absolute displacement"),
         (["local_elements.0.side=exciter"], "does not go with a shaking_table"),
         (
             ["local_elements=[{kind: rattling_mass, point: 1, mass_kg: 1, gap_m: 1, contact_stiffness_n_m: 1}]"],
@@ -240,3 +240,13 @@ def test_added_masses_are_moved_by_the_base(tmp_path):
 def test_tables_that_do_not_fit_are_refused(tmp_path, overrides, says):
     with pytest.raises(BenchError, match=says.replace(".", r"\.")):
         linear_description(load(tmp_path, ON_TABLE, overrides))
+
+
+def test_absolute_displacements_need_no_stated_suspension(tmp_path):
+    """They are the accelerations over s², on a suspension far below the test."""
+    rig = load(tmp_path, ON_TABLE, ["exciter.responses=absolute"])
+    system = build_system(rig)
+    frequency = np.array([20.0, 40.0])
+    s = 2j * np.pi * frequency
+    found = output(displacement_output(system, 1), system, frequency)
+    assert found == pytest.approx(output(acceleration_output(system, 1), system, frequency) / s**2, rel=1e-12)

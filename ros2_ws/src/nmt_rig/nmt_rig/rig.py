@@ -432,13 +432,6 @@ def _check_table(rig: Rig, table: ShakingTableSection, document: RigDocument) ->
                 f"{document.place(('local_elements', index))}: local_elements.{index} ({element.kind}) does not go "
                 "with a shaking_table: no element on the side of the exciter, and none with a mass of its own."
             )
-    if table.responses == "absolute" and table.suspension_hz is None:
-        for index, sensor in enumerate(rig.sensors):
-            if sensor.quantity in ("displacement", "velocity"):
-                raise BenchError(
-                    f"{document.place(('sensors', index))}: sensors.{index} measures an absolute {sensor.quantity}, "
-                    "which needs the table's position: give exciter.suspension_hz, or write responses: relative."
-                )
 
 
 def _check_device(rig: Rig, document: RigDocument, channels: dict[str, int]) -> None:

@@ -235,6 +235,11 @@ def build_shaker(rig: Rig) -> ElectrodynamicShaker | None:
     )
 
 
+SOFT_SUSPENSION_HZ = 0.5
+"""Suspension, below every test, of a table whose rig file gives none although absolute displacements are measured."""
+_INTEGRATED = ("displacement", "velocity")
+
+
 def build_table(rig: Rig, structure: Structure) -> ShakingTable | None:
     """Shaking table under a rig; None where something else drives it.
 
@@ -254,10 +259,13 @@ def build_table(rig: Rig, structure: Structure) -> ShakingTable | None:
                 f"the shaking_table of rig {rig.name} has no effective mass on mode {rig.test.mode}: {error}; choose "
                 "another exciter.point or test.mode."
             ) from error
+    suspension = e.suspension_hz
+    if suspension is None and e.responses == "absolute" and any(s.quantity in _INTEGRATED for s in rig.sensors):
+        suspension = SOFT_SUSPENSION_HZ
     return ShakingTable(
         mass,
         None if e.bandwidth_hz is None else 2.0 * np.pi * e.bandwidth_hz,
-        None if e.suspension_hz is None else 2.0 * np.pi * e.suspension_hz,
+        None if suspension is None else 2.0 * np.pi * suspension,
         e.suspension_damping_ratio,
         e.responses == "absolute",
     )

@@ -148,7 +148,7 @@ def account(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
     count, periods = OPTIONS.levels, OPTIONS.periods
     command = start(out, mark, f"0.05:1.5:{count}", periods, OPTIONS.processors, OPTIONS.queue)
     ended = threading.Event()
-    helper = threading.Thread(target=hurt, args=(OPTIONS.hurt, mark, ended, rng), daemon=True)
+    helper = threading.Thread(target=hurt, args=(OPTIONS.hurt, out, mark, ended, rng), daemon=True)
     helper.start()
     said, _ = command.communicate(timeout=_LONGEST)
     ended.set()
@@ -162,13 +162,14 @@ def account(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
     return faults + ([] if same else ["the digits differ from those of the bag"]) + faults_of_bag(out, whole=True)
 
 
-def hurt(what: str, mark: str, ended: threading.Event, rng: np.random.Generator) -> None:
+def hurt(what: str, out: Path, mark: str, ended: threading.Event, rng: np.random.Generator) -> None:
     """Stop a node for 5 s, or let it work a tenth of the time only: ``extract:stop``, ``recorder:slow``."""
     if not what:
         return
     node, _, how = what.partition(":")
-    wait_for(lambda: ended.is_set() or node in marked(mark).values())
-    ended.wait(float(rng.uniform(1.0, 2.5)))
+    log = out / "log" / "sequencer.log"
+    wait_for(lambda: ended.is_set() or (log.exists() and "Level 1 locked" in log.read_text()))
+    ended.wait(float(rng.uniform(0.0, 0.5)))
     for process in [process for process, name in marked(mark).items() if name == node]:
         with contextlib.suppress(ProcessLookupError):
             while not ended.is_set():
@@ -224,7 +225,8 @@ def main() -> int:
     options = parser.parse_args(namespace=OPTIONS)
     loops = options.loops if options.loops is not None else 6 * (options.trial == "busy")
     rng, faulty = np.random.default_rng(options.seed), 0
-    done = len(options.log.read_text().splitlines()) if options.log and options.log.exists() else 0
+    before = options.log.read_text().splitlines() if options.log and options.log.exists() else []
+    done, faulty = len(before), sum("as it should" not in line for line in before)
     with busy_loops(loops):
         for number in range(done, options.count):
             mark = f"lockstep-{os.getpid()}-{number}"

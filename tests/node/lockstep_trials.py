@@ -7,8 +7,10 @@
 ./nmt shell <<< "python tests/node/lockstep_trials.py account --levels 40 --periods 200 --processors 1 --loops 3"
                                                # every level has its point; --hurt extract:stop, extract:slow, … as well
 
-``account`` resumes with --log FILE where it stopped. --queue 512 needs root: it sets the length of the kernel's queues
-in a network of its own.
+./nmt shell <<< "python tests/node/lockstep_trials.py lost --hurt kill"       # or raise, stop: extraction at level 20
+
+``account`` and ``lost`` resume with --log FILE where they stopped. --queue 512 needs root: it sets the length of the
+kernel's queues in a network of its own.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import argparse
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -148,7 +151,7 @@ def account(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
     count, periods = OPTIONS.levels, OPTIONS.periods
     command = start(out, mark, f"0.05:1.5:{count}", periods, OPTIONS.processors, OPTIONS.queue)
     ended = threading.Event()
-    helper = threading.Thread(target=hurt, args=(OPTIONS.hurt, mark, ended, rng), daemon=True)
+    helper = threading.Thread(target=hurt, args=(OPTIONS.hurt, out, mark, ended, rng), daemon=True)
     helper.start()
     said, _ = command.communicate(timeout=_LONGEST)
     ended.set()
@@ -162,13 +165,14 @@ def account(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
     return faults + ([] if same else ["the digits differ from those of the bag"]) + faults_of_bag(out, whole=True)
 
 
-def hurt(what: str, mark: str, ended: threading.Event, rng: np.random.Generator) -> None:
+def hurt(what: str, out: Path, mark: str, ended: threading.Event, rng: np.random.Generator) -> None:
     """Stop a node for 5 s, or let it work a tenth of the time only: ``extract:stop``, ``recorder:slow``."""
     if not what:
         return
     node, _, how = what.partition(":")
-    wait_for(lambda: ended.is_set() or node in marked(mark).values())
-    ended.wait(float(rng.uniform(1.0, 2.5)))
+    log = out / "log" / "sequencer.log"
+    wait_for(lambda: ended.is_set() or (log.exists() and "Level 1 locked" in log.read_text()))
+    ended.wait(float(rng.uniform(0.0, 0.5)))
     for process in [process for process, name in marked(mark).items() if name == node]:
         with contextlib.suppress(ProcessLookupError):
             while not ended.is_set():
@@ -178,6 +182,62 @@ def hurt(what: str, mark: str, ended: threading.Event, rng: np.random.Generator)
                 if how == "stop":
                     return
                 ended.wait(0.01)
+
+
+RAISING = """
+import nmt_extract.extractor as extractor
+known = extractor.modal_point
+def raising(window, *rest):
+    if window.lock.level_index == 19:
+        raise RuntimeError("made to fail at level 20")
+    return known(window, *rest)
+extractor.modal_point = raising
+"""
+
+
+def lost(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
+    """Extraction is killed, stopped for good or made to raise at level 20: named, exit 1, all that is in the bag."""
+    how = OPTIONS.hurt or "kill"
+    with tempfile.TemporaryDirectory(prefix="nmt-raising-") as folder, contextlib.ExitStack() as stack:
+        if how == "raise":
+            (Path(folder) / "sitecustomize.py").write_text(RAISING, encoding="utf-8")
+            before = os.environ.get("PYTHONPATH", "")
+            stack.callback(os.environ.__setitem__, "PYTHONPATH", before)
+            os.environ["PYTHONPATH"] = f"{folder}{os.pathsep}{before}"
+        command = start(out, mark, f"0.05:1.5:{OPTIONS.levels}", OPTIONS.periods, OPTIONS.processors, OPTIONS.queue)
+        log = out / "log" / "sequencer.log"
+        if how != "raise":
+            wait_for(lambda: log.exists() and "Level 20 locked" in log.read_text())
+            (process,) = (process for process, name in marked(mark).items() if name == "extract")
+            os.kill(process, signal.SIGKILL if how == "kill" else signal.SIGSTOP)
+        said = ""
+        if how == "stop":  # the run waits and says for whom, until somebody ends it
+            assert command.stdout is not None
+            while "The run waits for node extract, which is stopped" not in said and (
+                line := command.stdout.readline()
+            ):
+                said += line
+            domain = re.findall(r"in ROS domain (\d+)", said)  # others on this host have benches of their own
+            if len(domain) != 1:
+                command.kill()
+                return [f"no domain is named: {said[-400:]}"]
+            words = [sys.executable, "-m", "nmt_bench", "stop", "--domain", domain[0]]
+            ending = subprocess.run(words, capture_output=True, text=True, check=False, timeout=_LEFT)
+            said += ending.stdout + ending.stderr
+        rest, _ = command.communicate(timeout=_LONGEST)
+        said += rest
+    print(said.strip()[-600:], flush=True)
+    faults = [] if command.returncode == 1 else [f"exit code {command.returncode}: {said.strip()[-400:]}"]
+    faults += [] if "node extract" in said.lower() else ["extraction is not named"]
+    result = json.loads((out / "run.json").read_text())["result"]
+    again = extract_bag(out / "bag").points
+    rows = len((out / "modal.csv").read_text().splitlines()) - 1
+    live = len(list(Bag.open(out / "bag").records("modal_point", MODAL_POINT)))
+    not_live = result["points"]["not_live"]
+    print(f"     {live} live, {rows} rows, {len(again)} in the bag; not live: {not_live}; {result['code']}", flush=True)
+    faults += [] if rows == len(again) >= 19 else [f"{rows} rows, {len(again)} windows in the bag"]
+    faults += [] if not_live else ["no level is named"]
+    return faults + faults_of_bag(out, whole=False)
 
 
 def start_of_a_node(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
@@ -204,7 +264,14 @@ def wait_for(condition: object) -> None:
         time.sleep(0.02)
 
 
-TRIALS = {"account": account, "busy": busy, "launcher": launcher, "recorder": recorder, "start": start_of_a_node}
+TRIALS = {
+    "account": account,
+    "busy": busy,
+    "launcher": launcher,
+    "lost": lost,
+    "recorder": recorder,
+    "start": start_of_a_node,
+}
 OPTIONS = argparse.Namespace()
 
 
@@ -219,12 +286,13 @@ def main() -> int:
     parser.add_argument("--periods", type=int, default=200, help="account: whole periods a window")
     parser.add_argument("--processors", type=int, default=0, help="account: processors to use (default: all)")
     parser.add_argument("--queue", type=int, default=0, help="account: datagrams of a queue (default: the kernel's)")
-    parser.add_argument("--hurt", default="", help="account: NODE:stop for 5 s or NODE:slow to a tenth")
+    parser.add_argument("--hurt", default="", help="account: NODE:stop, NODE:slow; lost: kill, stop, raise")
     parser.add_argument("--log", type=Path, help="account: file of the trials that are done, to go on from")
     options = parser.parse_args(namespace=OPTIONS)
     loops = options.loops if options.loops is not None else 6 * (options.trial == "busy")
     rng, faulty = np.random.default_rng(options.seed), 0
-    done = len(options.log.read_text().splitlines()) if options.log and options.log.exists() else 0
+    before = options.log.read_text().splitlines() if options.log and options.log.exists() else []
+    done, faulty = len(before), sum("as it should" not in line for line in before)
     with busy_loops(loops):
         for number in range(done, options.count):
             mark = f"lockstep-{os.getpid()}-{number}"

@@ -7,12 +7,14 @@ import hashlib
 import json
 import os
 import signal
+import subprocess
 import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from node import lockstep_trials
 
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.errors import BenchError
@@ -345,6 +347,35 @@ def test_on_one_processor_every_level_gives_its_point(count: int, periods: int, 
     assert [point.level_index for point in result.points] == list(range(count))
     again = extract_bag(tmp_path / "out" / "bag").points
     assert all(one.identical(other) for one, other in zip(result.points, again, strict=True))
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("queue", [10, 512])
+@pytest.mark.parametrize("hurt", ["recorder:stop", "recorder:slow", "extract:stop", "extract:slow"])
+def test_a_reader_stopped_for_seconds_or_slowed_to_a_tenth_takes_all(
+    hurt: str, queue: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On one processor, with queues of the kernel of two lengths, by the command."""
+    if subprocess.run(["unshare", "-n", "true"], capture_output=True, check=False).returncode:
+        pytest.skip("a queue of another length needs a network of its own, and that needs root")
+    chosen = {"levels": 40, "periods": 40, "processors": 1, "queue": queue, "hurt": hurt}
+    for name, value in chosen.items():
+        monkeypatch.setattr(lockstep_trials.OPTIONS, name, value, raising=False)
+    mark = f"slow-reader-{os.getpid()}-{hurt}-{queue}"
+    assert lockstep_trials.account(tmp_path / "out", mark, np.random.default_rng(1)) == []
+    assert lockstep_trials.leftovers(mark) == []
+
+
+def test_a_point_that_never_comes_in_real_time_is_not_waited_for_without_end() -> None:
+    """The source goes on after the run, and so does what extraction takes of it."""
+    values = {"sequencer": {"points_timeout": 1.0}}
+    options = {"pacing": "realtime", "window_periods": 5, "node_values": values}
+    with Bench("beam", [0.7], **options) as bench:  # type: ignore[arg-type]
+        bench.nodes["extract"]._publisher.publish = lambda raw: None
+        result = bench.run()
+    assert result.code == ResultCode.POINTS_MISSING
+    assert result.missing == (0,)
+    assert [point.status for point in result.points] == [Status.OK]
 
 
 @pytest.mark.campaign

@@ -246,7 +246,6 @@ def test_absolute_displacements_need_no_stated_suspension(tmp_path):
     """They are the accelerations over s², on a suspension far below the test."""
     rig = load(tmp_path, ON_TABLE, ["exciter.responses=absolute"])
     system = build_system(rig)
-    frequency = np.array([20.0, 40.0])
-    s = 2j * np.pi * frequency
-    found = output(displacement_output(system, 1), system, frequency)
-    assert found == pytest.approx(output(acceleration_output(system, 1), system, frequency) / s**2, rel=1e-12)
+    for omega in (100.0, 300.0):
+        found = output(displacement_output(system, 1), system, omega)
+        assert found == pytest.approx(-output(acceleration_output(system, 1), system, omega) / omega**2, rel=1e-9)

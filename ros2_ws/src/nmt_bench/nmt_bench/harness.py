@@ -466,8 +466,12 @@ class Bench:
         """Say which node the run waits for, if it does for long; when that was said last."""
         if now - max(noted, self.client.last_progress or now) < _NOTE_AFTER:
             return noted
-        for name, why in self.client.liveness.waited_for(now).items():
+        held_up = self.client.liveness.waited_for(now)
+        for name, why in held_up.items():
             self._tell(f"The run waits for node {name}, which {why}; Ctrl-C ends it.")
+        if self.client.run_is_over and not held_up:
+            taken = self.client.taken / self.rig.sample_rate_hz
+            self._tell(f"Extraction works on: {taken:.1f} of {self._bench_time:.1f} s are extracted.")
         return now
 
     def _late_death(self) -> str:
@@ -659,6 +663,11 @@ class _RunClient(Node):  # type: ignore[misc]
         """Messages and bench time (s) in the bag, as the recorder says."""
         said = self._counters.get("recorder", {})
         return said.get("messages", ""), said.get("recorded_s", "0")
+
+    @property
+    def taken(self) -> int:
+        """Samples that extraction has taken, as it says."""
+        return int(self._counters.get("extract", {}).get("taken", "0"))
 
     @property
     def plant_said(self) -> dict[str, str]:

@@ -535,6 +535,11 @@ class ReaderProgress:
     def tell(self, sample: int, rate: float) -> None:
         """Tell the first sample that has not been taken, about once in a second of bench time (``rate`` in Hz)."""
         if abs(sample - self._told) >= TELL_EVERY * rate:
+            self.rest(sample)
+
+    def rest(self, sample: int) -> None:
+        """Tell it, if it is news, since nothing more is there to be taken: the plant may wait for this very sample."""
+        if sample != self._told:
             self._told = sample
             self._publisher.publish(UInt64(data=sample))
 

@@ -11,6 +11,7 @@ from nmt_core.wire import MODAL_POINT
 from nmt_extract.extraction_core import PARAMETERS, ExtractionCore
 from nmt_msgs.msg import Bundle, Frequency, Level, LockEvent, ModalPoint, SampleBlock
 
+_REST = 0.1  # s between two looks whether something has been taken and not told
 _STATE_TYPES = {"frequency": Frequency, "lock": LockEvent, "level": Level}
 
 
@@ -45,6 +46,9 @@ class ExtractNode(BenchNode):
                 continue
             kind = _STATE_TYPES.get(topic, SampleBlock)
             self.bench_subscription(kind, topic, self._publishing(self.core.callback(topic)), SAMPLES_QOS, raw=True)
+
+        if self.in_lockstep:
+            self.steady_timer(_REST, lambda: self._progress.rest(self.core.taken[0]))
 
     def _publishing(self, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
         def on_message(raw: bytes) -> None:

@@ -62,7 +62,7 @@ class SequencerNode(BenchNode):
         self._guarded = time.monotonic()
         self._process = ProcessWatch(os.getpid()) if self.in_lockstep else None
         self._waited = 0.0  # s, for nodes to be ready or for modal points, in which all that live could have worked
-        self._extracted: tuple[str, int] = ("", 0)
+        self._extracted = (0, 0)  # samples that extraction has taken, as it says, and points that have come
         self._plant = ""
         self._plant_said: dict[str, str] | None = None
         self._plant_instance = self._joined = ""
@@ -423,15 +423,22 @@ class SequencerNode(BenchNode):
             machine.work()
             self._publish_all()
         elif self._goal is not None and self._pending is None and machine.phase == RunPhase.DONE:
-            # The drive is at zero and the bag has the windows: extraction is waited for as long as it moves.
-            self._waited += min(now - self._guarded, 2.0 * _GUARD_PERIOD)
-            overdue = self._waited > float(self.values["points_timeout"]) or self._goal.is_cancel_requested
+            # Extraction is waited for as long as it moves, or could not.
+            self._waited += passed
+            overdue = self._waited > float(self.values["points_timeout"])
             gone = self.lost_node() or self.failed_node()[0]  # nobody is left to send them
-            if overdue or gone or not self.core.missing_points:
+            given_up = self._end_is_asked_for and self._is_held_up(now)
+            if overdue or gone or given_up or not self.core.missing_points:
                 self.core.account()
                 self._publish_state()
                 self._finish()
         self._guarded = now
+
+    @property
+    def _end_is_asked_for(self) -> bool:
+        """Whether somebody has asked for the end of the run, who waits for no node that is stopped."""
+        asked = self.machine.code in (ResultCode.CANCELED, ResultCode.STOPPED)
+        return asked or bool(self._goal is not None and self._goal.is_cancel_requested)
 
     def _is_held_up(self, now: float) -> bool:
         """Whether a node that the run waits for is stopped or busy."""
@@ -475,11 +482,12 @@ class SequencerNode(BenchNode):
             return
         said = {key: str(value) for key, value in status.values.items()}
         self._timing[status.name] = {key: said[key] for key in _TIMING if key in said}
-        progress = said.get("taken", ""), len(self.core.points)
-        if "taken" in said and progress != self._extracted:
-            self._extracted = progress
-            if self.machine.phase == RunPhase.DONE and self._pending is None:
+        if "taken" in said:
+            # A source in real time goes on after the run, and extraction with it.
+            progress = min(int(said["taken"]), self.machine.end_sample), len(self.core.points)
+            if progress != self._extracted and self.machine.phase == RunPhase.DONE and self._pending is None:
                 self._waited = 0.0
+            self._extracted = progress
         if "drive_at_zero" in said:
             self._plant, self._plant_instance, self._plant_said = status.name, status.hardware_id, said
 

@@ -118,14 +118,18 @@ def _comparison(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) ->
     by_level = {point.level_index: point for point in recorded}
     shared = [point for point in points if point.level_index in by_level]
     different = [point.level_index + 1 for point in shared if not point.identical(by_level[point.level_index])]
+    missing = [point.level_index for point in points if point.level_index not in by_level]
+    lacking = f"There are no live results of {level_list(missing)} ({len(missing)} of {len(points)} levels). "
+    said = lacking if missing else ""
     if different:
         levels = ", ".join(map(str, different))
-        return f"Level {levels} differs from the live result: settings, blocks or version were others at the time."
-    missing = [point.level_index for point in points if point.level_index not in by_level]
-    equal = f"qual to the live results bit for bit ({len(shared)} of {len(points)} levels compared)."
+        return (
+            f"{said}Level {levels} differs from the live result: settings, blocks or version were others at the time."
+        )
+    others = f"The other {len(shared)} are equal to them bit for bit." if shared else ""
     if missing:
-        return f"There are no live results of {level_list(missing)}; the others are e{equal}"
-    return f"E{equal}"
+        return f"{said}{others}".strip()
+    return f"Equal to the live results bit for bit ({len(shared)} of {len(points)} levels compared)."
 
 
 def _settings(run: dict[str, object] | None, harmonics: int | None) -> ExtractionSettings | None:

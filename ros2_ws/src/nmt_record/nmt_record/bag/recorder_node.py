@@ -268,6 +268,8 @@ class RecorderNode(BenchNode):
     def _watch(self) -> None:
         """Flush what has waited long enough, close the bag when the run is over, and open the next one."""
         self._is_drained, self._seen = self._last_time == self._seen, self._last_time
+        if self.in_lockstep and self._is_drained:
+            self._progress.rest(self.core.gaps.recorded)
         self._close_when_over()
         self._open_for_announced()
 

@@ -151,7 +151,7 @@ def _advance(
 ):  # fmt: skip  # pragma: no cover - compiled
     """Integrate; every so many steps a row of q, q̇, q̈, s and of gₑ as they are at the step's beginning."""
     n, size_y, elements = omega2.size, y.size, kinds.size
-    k, x, forces = np.empty((6, size_y)), np.empty(size_y), np.empty(max(elements, 1))
+    k, x, forces = np.zeros((6, size_y)), np.empty(size_y), np.empty(max(elements, 1))
     for i in range(steps):
         t = i * h
         for stage in range(6):

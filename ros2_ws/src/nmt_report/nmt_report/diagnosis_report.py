@@ -22,6 +22,7 @@ from nmt_report.diagnosis_words import (
     closed_text,
     effect_text,
     equation_text,
+    is_partial,
     key_text,
     parameters_text,
     place_text,
@@ -167,6 +168,7 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
         head = d.ranking[0]
         note = f"of {len(head.equivalents) + 1} that these tests cannot distinguish, together"
         note = note if head.equivalents else "of this explanation"
+        note += " among the effects of the library" if is_partial(d) else ""
         cards.append(("Probability", probability_text(head.probability), note))
         cards.append(
             ("Strength of the effect", f"{plain(head.sigmas, 1)} × its uncertainty", parameters_text(head.parameters))
@@ -213,7 +215,7 @@ def _ranking(d: Diagnosis) -> Table:
             remark = "one class: these tests cannot distinguish them"
             remark += "; the test that would is below" if d.next_test and number == 0 else ""
         text = part("explanation", class_text(item), remark, effect_text(item.effect), equation_text(item.effect))
-        accepted = "on" if d.verdict is Verdict.EFFECT and number == 0 else ""
+        accepted = "on" if d.verdict is Verdict.EFFECT and d.adequate and number == 0 else ""
         closed = item.closed
         value, limits = share_with_interval(closed.value, closed.low, closed.high)
         cells = (
@@ -226,6 +228,7 @@ def _ranking(d: Diagnosis) -> Table:
         )
         rows.append((item.probability, Row(cells)))
     rest, p_rest = rest_text(d)
+    partial = is_partial(d)
     unnamed = "a source at one of the places that follows no named law"
     for label, title, p, what in (
         (NULL, effect_text(NULL), d.probabilities.get(NULL, 0.0), "the model as it is, its own parameters re-fitted"),
@@ -233,10 +236,13 @@ def _ranking(d: Diagnosis) -> Table:
     ):
         accepted = "on" if (d.verdict, label) in _WINNERS else ""
         text = part("explanation", title, what, "", "")
-        rows.append((p, Row((_probability_cell(p, accepted), text, "", "", "", ""))))
+        if not partial:
+            rows.append((p, Row((_probability_cell(p, accepted), text, "", "", "", ""))))
+        elif label == UNKNOWN:
+            rows.append((-1.0, Row(("beside it", text, "", "", "", ""))))
     rows.sort(key=lambda item: -item[0])
     head = (
-        Column("Probability", kind="text"),
+        Column("Probability", "among the library" if partial else "", "text"),
         Column("Explanation", kind="text wrap"),
         Column("Place", kind="text wrap"),
         Column("Parameters", "± standard uncertainty", "text wrap"),

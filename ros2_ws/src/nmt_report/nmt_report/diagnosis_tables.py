@@ -9,10 +9,11 @@ from rich.table import Table
 from rich.text import Text
 
 from nmt_core.number_words import percent, value_text
-from nmt_diagnose.inference.diagnosis import NULL, Diagnosis, Verdict
+from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Verdict
 from nmt_report.diagnosis_words import (
     class_text,
     effect_text,
+    is_partial,
     parameters_text,
     place_text,
     probability_text,
@@ -37,7 +38,8 @@ def bar(share: float, width: int = _BAR) -> str:
 def ranking_table(diagnosis: Diagnosis) -> Table | None:
     """Explanations with their probability, most probable first."""
     table = _new("Explanations")
-    table.add_column("probability", no_wrap=True, min_width=_BAR)
+    partial = is_partial(diagnosis)
+    table.add_column("among the library" if partial else "probability", no_wrap=True, min_width=_BAR)
     table.add_column("", justify="right", no_wrap=True)
     table.add_column("explanation", overflow="fold")
     table.add_column("place", overflow="fold")
@@ -49,9 +51,10 @@ def ranking_table(diagnosis: Diagnosis) -> Table | None:
         place, parameters = place_text(item.place, item.detail), parameters_text(item.parameters)
         cells = (name, place, parameters, percent(item.closed.value))
         rows.append((item.probability, cells))
-    rows.append((diagnosis.probabilities.get(NULL, 0.0), (effect_text(NULL), "", "", "")))
-    text, p = rest_text(diagnosis)
-    rows.append((p, (text, "", "", "")))
+    if not partial:
+        rows.append((diagnosis.probabilities.get(NULL, 0.0), (effect_text(NULL), "", "", "")))
+        text, p = rest_text(diagnosis)
+        rows.append((p, (text, "", "", "")))
     rows.sort(key=lambda row: -row[0])
     shown = [row for number, row in enumerate(rows) if number < 2 or row[0] >= _LEAST]
     shown = shown[:_RANKED]
@@ -60,6 +63,8 @@ def ranking_table(diagnosis: Diagnosis) -> Table | None:
         shown.append((left, ("all other explanations", "", "", "")))
     for p, cells in shown:
         table.add_row(Text(bar(p), style="blue"), probability_text(p), *map(Text, cells))
+    if partial:
+        table.add_row("", "", Text(f"{effect_text(UNKNOWN)} acts beside it"), "", "", "")
     return table
 
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 
 from nmt_core.errors import BenchError
-from nmt_core.number_words import plain, share_with_interval, value_text
+from nmt_core.number_words import percent, plain, share_with_interval, value_text
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Ranked, Value, Verdict
 from nmt_diagnose.inference.sentences import PLACES
@@ -31,6 +31,11 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
     text, kind = VERDICTS[diagnosis.verdict]
     if diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
         head = diagnosis.ranking[0]
+        if is_partial(diagnosis):
+            closed = diagnosis.gap.closed
+            part = percent(closed, 1) if math.isfinite(closed) else "most"
+            named = f"{class_text(head)} ({place_text(head.place, head.detail)})"
+            return f"a partial explanation: {part} of the gap acts like {named}, the rest is not explained", "partly"
         text = f"the model lacks {class_text(head)} ({place_text(head.place, head.detail)})"
         if diagnosis.remainder is not None:
             share = 100.0 * diagnosis.remainder.share
@@ -39,6 +44,11 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
         count = len(diagnosis.warnings)
         return f"{text}; mind the {'warning' if count == 1 else f'{count} warnings'}", "partly"
     return text, kind
+
+
+def is_partial(diagnosis: Diagnosis) -> bool:
+    """Whether what is named leaves more than noise that matters; its probability is one among the library alone."""
+    return diagnosis.verdict is Verdict.EFFECT and not diagnosis.adequate
 
 
 def effect_text(name: str) -> str:

@@ -302,6 +302,27 @@ def test_a_level_at_which_extraction_fails_is_named_and_the_table_comes_from_the
     assert not list(Bag.open(tmp_path / "out" / "bag").blocks("voltage"))[-1].data.any()
 
 
+def test_what_ends_extraction_from_the_bag_as_well_costs_no_point_that_came(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(path: Path) -> None:
+        raise RuntimeError("made to fail")
+
+    monkeypatch.setattr("nmt_extract.offline.extract_bag", failing)
+    values = {"sequencer": {"points_timeout": 1.0}}
+    with Bench("beam", [0.2, 0.3], out=tmp_path / "out", window_periods=10, node_values=values) as bench:
+        publisher = bench.nodes["extract"]._publisher
+        publish = publisher.publish
+        publisher.publish = lambda raw: publish(raw) if MODAL_POINT.read(raw).level_index == 0 else None
+        result = bench.run()
+    assert result.code == ResultCode.POINTS_MISSING
+    assert [point.level_index for point in result.points] == [0]
+    assert result.missing == (1,)
+    assert "Extraction of level 2 from the bag failed, too (RuntimeError: made to fail)" in result.message
+    run = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert run["result"]["points"] == {"count": 1, "not_live": [2]}
+
+
 def test_points_that_do_not_come_are_missed_by_name(tmp_path: Path) -> None:
     """Extraction lives on and says nothing of two levels: no success, and the table is whole all the same."""
     values = {"sequencer": {"points_timeout": 1.0}}

@@ -272,6 +272,15 @@ def test_in_lockstep_a_stopped_reader_is_waited_for(reader: str, tmp_path: Path)
     assert run["result"]["points"] == {"count": 1, "not_live": []}
 
 
+def test_a_lead_shorter_than_a_bundle_and_than_what_readers_tell_stands_nowhere(finished: RunResult) -> None:
+    """The plant sends what it has joined when it waits, and readers tell what they have when they rest."""
+    values = {"plant": {"reader_lead": 0.3, "bundle_blocks": 50}}
+    with Bench("beam", [0.2, 0.7], window_periods=20, node_values=values) as bench:
+        result = bench.run()
+    assert result.code == ResultCode.SUCCEEDED, result.message
+    assert all(one.identical(other) for one, other in zip(result.points, finished.points, strict=True))
+
+
 RAISING = """
 import nmt_extract.extractor as extractor
 known = extractor.modal_point
@@ -387,10 +396,11 @@ def test_a_reader_stopped_for_seconds_or_slowed_to_a_tenth_takes_all(
     assert lockstep_trials.leftovers(mark) == []
 
 
+@pytest.mark.campaign
 def test_a_point_that_never_comes_in_real_time_is_not_waited_for_without_end() -> None:
     """The source goes on after the run, and so does what extraction takes of it."""
     values = {"sequencer": {"points_timeout": 1.0}}
-    options = {"pacing": "realtime", "window_periods": 5, "node_values": values}
+    options = {"pacing": "realtime", "latency_blocks": 25, "window_periods": 5, "node_values": values}
     with Bench("beam", [0.7], **options) as bench:  # type: ignore[arg-type]
         bench.nodes["extract"]._publisher.publish = lambda raw: None
         result = bench.run()

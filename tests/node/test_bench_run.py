@@ -272,6 +272,15 @@ def test_in_lockstep_a_stopped_reader_is_waited_for(reader: str, tmp_path: Path)
     assert run["result"]["points"] == {"count": 1, "not_live": []}
 
 
+def test_a_lead_shorter_than_a_bundle_and_than_what_readers_tell_stands_nowhere(finished: RunResult) -> None:
+    """The plant sends what it has joined when it waits, and readers tell what they have when they rest."""
+    values = {"plant": {"reader_lead": 0.3, "bundle_blocks": 50}}
+    with Bench("beam", [0.2, 0.7], window_periods=20, node_values=values) as bench:
+        result = bench.run()
+    assert result.code == ResultCode.SUCCEEDED, result.message
+    assert all(one.identical(other) for one, other in zip(result.points, finished.points, strict=True))
+
+
 RAISING = """
 import nmt_extract.extractor as extractor
 known = extractor.modal_point
@@ -300,6 +309,27 @@ def test_a_level_at_which_extraction_fails_is_named_and_the_table_comes_from_the
     again = extract_bag(tmp_path / "out" / "bag").points
     assert all(one.identical(other) for one, other in zip(result.points, again, strict=True))
     assert not list(Bag.open(tmp_path / "out" / "bag").blocks("voltage"))[-1].data.any()
+
+
+def test_what_ends_extraction_from_the_bag_as_well_costs_no_point_that_came(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(path: Path) -> None:
+        raise RuntimeError("made to fail")
+
+    monkeypatch.setattr("nmt_extract.offline.extract_bag", failing)
+    values = {"sequencer": {"points_timeout": 1.0}}
+    with Bench("beam", [0.2, 0.3], out=tmp_path / "out", window_periods=10, node_values=values) as bench:
+        publisher = bench.nodes["extract"]._publisher
+        publish = publisher.publish
+        publisher.publish = lambda raw: publish(raw) if MODAL_POINT.read(raw).level_index == 0 else None
+        result = bench.run()
+    assert result.code == ResultCode.POINTS_MISSING
+    assert [point.level_index for point in result.points] == [0]
+    assert result.missing == (1,)
+    assert "Extraction of level 2 from the bag failed, too (RuntimeError: made to fail)" in result.message
+    run = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert run["result"]["points"] == {"count": 1, "not_live": [2]}
 
 
 def test_points_that_do_not_come_are_missed_by_name(tmp_path: Path) -> None:
@@ -366,10 +396,11 @@ def test_a_reader_stopped_for_seconds_or_slowed_to_a_tenth_takes_all(
     assert lockstep_trials.leftovers(mark) == []
 
 
+@pytest.mark.campaign
 def test_a_point_that_never_comes_in_real_time_is_not_waited_for_without_end() -> None:
     """The source goes on after the run, and so does what extraction takes of it."""
     values = {"sequencer": {"points_timeout": 1.0}}
-    options = {"pacing": "realtime", "window_periods": 5, "node_values": values}
+    options = {"pacing": "realtime", "latency_blocks": 25, "window_periods": 5, "node_values": values}
     with Bench("beam", [0.7], **options) as bench:  # type: ignore[arg-type]
         bench.nodes["extract"]._publisher.publish = lambda raw: None
         result = bench.run()

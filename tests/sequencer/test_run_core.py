@@ -175,3 +175,38 @@ def test_a_stop_for_a_node_does_not_outlive_its_release_or_its_run(again: bool) 
         core.take_status(fixed((number + 1) * BLOCK - 1, 10)._replace(flags=int(BlockFlag.WATCHDOG)), LOOP)
     assert (core.machine.code, core.machine.phase) == (ResultCode.LIMIT, RunPhase.DONE)
     assert "the drive watchdog has tripped" in core.machine.reason
+
+
+def over() -> RunCore:
+    """A run that ended after the window of its only level."""
+    core = running()
+    core.machine.records[0].complete = True
+    core.machine.phase, core.machine.code, core.machine.end_sample = RunPhase.DONE, ResultCode.SUCCEEDED, 5000
+    core.machine.reason = "1 of 1 levels locked."
+    return core
+
+
+def test_after_a_run_extraction_moves_up_to_its_end_and_no_further() -> None:
+    core = over()
+    assert core.moves(3000)
+    assert not core.moves(3000)
+    assert core.moves(6000)
+    assert not core.moves(7000), "what a source gives after the run brings no point of it"
+
+
+def test_a_run_whose_point_does_not_come_is_no_success() -> None:
+    core = over()
+    core.account()
+    assert core.machine.code == ResultCode.POINTS_MISSING
+    assert "1 of 1 locked levels did not come from extraction: level 1." in core.machine.reason
+    state = core.state()
+    assert state is not None
+    assert state.result_code == ResultCode.POINTS_MISSING
+
+
+def test_a_run_that_was_ended_keeps_its_reason_and_names_what_is_missing() -> None:
+    core = over()
+    core.machine.code, core.machine.reason = ResultCode.STOPPED, "Stopped by a test."
+    core.account()
+    assert core.machine.code == ResultCode.STOPPED
+    assert core.machine.reason.startswith("Stopped by a test. The modal points of 1 of 1")

@@ -271,11 +271,13 @@ class Bench:
             if lost:
                 code, text = ResultCode.NODE_LOST, obituary
         missing: tuple[int, ...] = ()
+        trouble = ""
         if message is None or lost or message.missing_points:
-            points, missing = self._with_windows_of_bag(points, () if message is None else message.missing_points)
-        if missing:
+            named = () if message is None else message.missing_points
+            points, missing, trouble = self._with_windows_of_bag(points, named)
+        if missing or trouble:
             found = {point.level_index for point in points}.intersection(missing)
-            text = f"{text} {_extracted_later(missing, found)}"
+            text = f"{text} {_extracted_later(missing, found, trouble)}".strip()
         lack = f"The bag lacks {lacks:.3f} s of bench time, at its end or in gaps; what is in it can be extracted."
         result = RunResult(
             code=code,
@@ -492,8 +494,11 @@ class Bench:
 
     def _with_windows_of_bag(
         self, points: tuple[ModalPoint, ...], named: Sequence[int]
-    ) -> tuple[tuple[ModalPoint, ...], tuple[int, ...]]:
-        """Points with those that extraction did not send, extracted from the bag, and the levels that it did not send.
+    ) -> tuple[tuple[ModalPoint, ...], tuple[int, ...], str]:
+        """Points with those that extraction did not send, extracted from the bag.
+
+        Returns:
+            The points; the levels that extraction did not send; what failed with the bag, as a clause.
 
         Args:
             points: those that it sent.
@@ -502,15 +507,17 @@ class Bench:
         from nmt_extract.offline import extract_bag
 
         if not self.test.excitation.test.gives_modal_points:
-            return points, ()
+            return points, (), ""
         known = {point.level_index for point in points}
         try:
             found = extract_bag(self.out / "bag").points
         except BenchError:  # there is no lock event in it, or no whole message
-            return points, tuple(sorted(named))
+            return points, tuple(sorted(named)), ""
+        except Exception as error:  # what ended the node may end this as well; the points that came are not lost for it
+            return points, tuple(sorted(named)), f"{type(error).__name__}: {str(error).rstrip('.')}"
         missing = [point for point in found if point.level_index not in known]
         both = sorted([*points, *missing], key=lambda point: point.level_index)
-        return tuple(both), tuple(sorted({*named, *(point.level_index for point in missing)}))
+        return tuple(both), tuple(sorted({*named, *(point.level_index for point in missing)})), ""
 
     def _obituary(self, lost: str) -> str:
         said = self.client.plant_said
@@ -567,8 +574,11 @@ class Bench:
         return f" ({words})" if words else ""
 
 
-def _extracted_later(missing: Sequence[int], found: Collection[int]) -> str:
-    """What was done about points that did not come live, as a sentence."""
+def _extracted_later(missing: Sequence[int], found: Collection[int], trouble: str) -> str:
+    """What was done about points that did not come live, as sentences; ``trouble``: why the bag could not be read."""
+    if trouble:
+        whose = f"{level_list(missing)} " if missing else ""
+        return f"Extraction of {whose}from the bag failed, too ({trouble}); what was measured is in the bag."
     lacking = [index for index in missing if index not in found]
     text = f"The points of {level_list(found)} were extracted from the bag." if found else ""
     more = f"The bag gives none for {level_list(lacking)}." if lacking else ""

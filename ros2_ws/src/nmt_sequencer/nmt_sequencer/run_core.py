@@ -83,6 +83,7 @@ class RunCore:
         )
         self.points: dict[int, ModalPoint] = {}
         self._published: tuple[Any, ...] = ()
+        self._extracted = (0, 0)  # samples that extraction has taken and points that have come, as last looked at
         rate, block = float(values["sample_rate"]), int(values["block_samples"])
         lockstep = self.machine.pacing.lockstep
         self.judge = CommandJudge(
@@ -221,6 +222,17 @@ class RunCore:
         if machine.plan is not None and not machine.plan.excitation.test.gives_modal_points:
             return set()
         return {record.index for record in machine.records if record.complete} - set(self.points)
+
+    def moves(self, taken: int) -> bool:
+        """Whether extraction has moved on in a run that is over, since the last call.
+
+        Args:
+            taken: samples that it has taken; those after the run, which a source in real time goes on to give, bring no
+                point of it.
+        """
+        before = self._extracted
+        self._extracted = min(taken, self.machine.end_sample), len(self.points)
+        return self._extracted != before and self.machine.phase == RunPhase.DONE
 
     def account(self) -> None:
         """Close the account of a run that is over: a run is no success while locked levels lack their modal point."""

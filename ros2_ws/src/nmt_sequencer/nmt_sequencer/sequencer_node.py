@@ -62,7 +62,6 @@ class SequencerNode(BenchNode):
         self._guarded = time.monotonic()
         self._process = ProcessWatch(os.getpid()) if self.in_lockstep else None
         self._waited = 0.0  # s, for nodes to be ready or for modal points, in which all that live could have worked
-        self._extracted = (0, 0)  # samples that extraction has taken, as it says, and points that have come
         self._plant = ""
         self._plant_said: dict[str, str] | None = None
         self._plant_instance = self._joined = ""
@@ -482,12 +481,8 @@ class SequencerNode(BenchNode):
             return
         said = {key: str(value) for key, value in status.values.items()}
         self._timing[status.name] = {key: said[key] for key in _TIMING if key in said}
-        if "taken" in said:
-            # A source in real time goes on after the run, and extraction with it.
-            progress = min(int(said["taken"]), self.machine.end_sample), len(self.core.points)
-            if progress != self._extracted and self.machine.phase == RunPhase.DONE and self._pending is None:
-                self._waited = 0.0
-            self._extracted = progress
+        if "taken" in said and self.core.moves(int(said["taken"])) and self._pending is None:
+            self._waited = 0.0
         if "drive_at_zero" in said:
             self._plant, self._plant_instance, self._plant_said = status.name, status.hardware_id, said
 

@@ -157,8 +157,11 @@ def account(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
     ended.set()
     helper.join()
     faults = [] if command.returncode == 0 else [f"exit code {command.returncode}: {said.strip()[-400:]}"]
-    live = {point.level_index: point for point in Bag.open(out / "bag").records("modal_point", MODAL_POINT)}
-    again = extract_bag(out / "bag").points
+    try:
+        live = {point.level_index: point for point in Bag.open(out / "bag").records("modal_point", MODAL_POINT)}
+        again = extract_bag(out / "bag").points
+    except BenchError as error:
+        return [*(faults or [said.strip()[-400:]]), str(error)]
     rows = len((out / "modal.csv").read_text().splitlines()) - 1
     faults += [] if rows == len(live) == len(again) == count else [f"{rows} rows, {len(live)} live, {len(again)} again"]
     same = all(point.level_index in live and point.identical(live[point.level_index]) for point in again)

@@ -272,13 +272,13 @@ def test_in_lockstep_a_stopped_reader_is_waited_for(reader: str, tmp_path: Path)
     assert run["result"]["points"] == {"count": 1, "not_live": []}
 
 
-def test_a_lead_shorter_than_a_bundle_and_than_what_readers_tell_stands_nowhere(finished: RunResult) -> None:
-    """The plant sends what it has joined when it waits, and readers tell what they have when they rest."""
-    values = {"plant": {"reader_lead": 0.3, "bundle_blocks": 50}}
-    with Bench("beam", [0.2, 0.7], window_periods=20, node_values=values) as bench:
+def test_a_lead_shorter_than_a_bundle_and_than_what_readers_tell_stands_nowhere() -> None:
+    """The plant keeps nothing joined for long, and readers tell what they have when they rest."""
+    values = {"plant": {"reader_lead": 0.05, "bundle_blocks": 50}, "sequencer": {"stall_timeout": 5.0}}
+    with Bench("beam", [0.7], window_periods=5, node_values=values) as bench:
         result = bench.run()
     assert result.code == ResultCode.SUCCEEDED, result.message
-    assert all(one.identical(other) for one, other in zip(result.points, finished.points, strict=True))
+    assert [point.status for point in result.points] == [Status.OK]
 
 
 RAISING = """

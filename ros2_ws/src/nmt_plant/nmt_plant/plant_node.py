@@ -238,8 +238,6 @@ class PlantNode(BenchNode):
         """Produce the blocks that are due in lockstep: one for every answer."""
         while not self._failed and self.core.due:
             self._produce()
-        if self._bundle is not None and self.core.waits_for:
-            self._bundle.flush()  # a reader cannot take what waits in it
 
     def _produce(self) -> None:
         began = time.perf_counter()

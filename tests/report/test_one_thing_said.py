@@ -26,6 +26,7 @@ from nmt_diagnose.inference.diagnosis import (
 )
 from nmt_diagnose.inference.sentences import sentences
 from nmt_diagnose.inference.size import Left
+from nmt_report.diagnosis_report import probability_shares
 from nmt_report.diagnosis_tables import ranking_table
 from nmt_report.diagnosis_words import verdict_text
 
@@ -85,6 +86,7 @@ def test_nothing_contradicts(verdict: Verdict, adequate: bool, effect: str, p: f
     unnamed = plain["probabilities"][UNKNOWN]
 
     assert plain["verdict"] == verdict.value
+    assert sum(share for _, _, share, _ in probability_shares(found)) == pytest.approx(1.0, abs=0.01)
     assert plain["adequate"] == (verdict is not Verdict.UNKNOWN and adequate)
     assert ("the model lacks" in headline) == (verdict is Verdict.EFFECT and adequate)
     assert ("The cause is" in text or "The most probable cause is" in text) == ("the model lacks" in headline)

@@ -129,10 +129,13 @@ _SHARE_COLOURS = (BLUE, ORANGE, GREEN, "#7a5195")
 
 
 def probability_shares(d: Diagnosis) -> list[tuple[str, str, float, str]]:
-    """Explanations whose probabilities add to 1: label, probability in words, share, colour; the last is the rest."""
+    """Explanations whose probabilities add to 1: label, probability in words, share, colour; the last is the rest.
+
+    Those of a partial explanation are probabilities among the library alone.
+    """
     named = [(class_text(item), item.probability) for item in d.ranking]
-    rest, p_rest = rest_text(d)
-    named += [(effect_text(NULL), d.probabilities.get(NULL, 0.0)), (rest, p_rest)]
+    if not is_partial(d):
+        named += [(effect_text(NULL), d.probabilities.get(NULL, 0.0)), rest_text(d)]
     largest = sorted(((text, p) for text, p in named if p > 0.0), key=lambda item: -item[1])[:_LARGEST_SHARES]
     shares = [
         (text, probability_text(p), p, colour) for (text, p), colour in zip(largest, _SHARE_COLOURS, strict=False)

@@ -46,12 +46,12 @@ ORDINARY = 0.05
 EQUIVALENT = 3.0
 # Sizes that an unnamed source may have, in units of 1 % of force or response.
 SOURCE_SIZES = (0.003, 0.03, 0.3, 3.0)
-# ln of the odds against no gap from which a gap is claimed: seven to one.
-ALARM = 2.0
+# ln of the odds against no gap from which a gap is claimed: four and a half to one.
+ALARM = 1.5
 # Fall of the cost by re-fitting the model's own parameters from which that is called a calibration.
 RECALIBRATION = 25.0
-# Share of the gap that a named effect has to close for what is left to be a remainder and not something unknown.
-EXPLAINED = 0.85
+# Share of the gap that an explanation which leaves more than noise has to close to be told as a partial one.
+EXPLAINED = 0.95
 # Standard deviations by which held-out rows must be predicted worse for an explanation to be refused.
 WORSE = 1.0
 # Fall of what priors of parameters and chain cost from which a further effect is worth telling, however small it is.

@@ -26,7 +26,7 @@ from nmt_diagnose.inference.tuned import (
 from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part
 
-RESPONSE_PARTS = (Part.LOG_MAGNITUDE, Part.PHASE)
+_RESPONSE = (Part.LOG_MAGNITUDE, Part.PHASE, Part.SAMPLE)
 _HARMONICS = (Part.REAL, Part.IMAG)
 _SMALLEST = 1e-6  # share of an eigenvalue's largest below which it is rounding
 
@@ -72,7 +72,7 @@ def rows_of_kind(observations: Observations, kind: str) -> BoolArray:
         return np.asarray(rows.part == Part.DAMPING)
     if kind == "harmonics":
         return np.asarray(harmonics & (rows.harmonic != 1))
-    return np.asarray(np.isin(rows.part, (*RESPONSE_PARTS, Part.SAMPLE)) | (harmonics & (rows.harmonic == 1)))
+    return np.asarray(np.isin(rows.part, _RESPONSE) | (harmonics & (rows.harmonic == 1)))
 
 
 class Whitening:

@@ -30,35 +30,39 @@ def recorded_harmonics(amplitudes: ComplexArray, limits: FloatArray, basis: Four
     clips = sizes.sum(axis=-1) + NOISE_REACH * noise > level
     coarse = (step > 0.0) & (sizes.max(axis=-1) < COARSE * step) & (noise < 0.7 * step)
     result = amplitudes.copy()
-    for index in map(tuple, np.argwhere(clips | coarse)):
-        own = limits[index[-1]]
-        values = basis.sampled(SAMPLES) @ basis.to_real(amplitudes[index])
-        if clips[index]:
-            values = expected_clipped(values, own[0], own[2])
-        if coarse[index]:
-            values = expected_quantised(values, own[1], own[2])
-        projection = 2.0 / SAMPLES * (basis.sampled(SAMPLES).T @ values)
-        projection[0] *= 0.5
-        result[index] = basis.to_complex(projection)
+    changed = clips | coarse
+    if not changed.any():
+        return result
+    level, step, noise = (np.broadcast_to(own, sizes.shape[:-1])[changed][:, None] for own in (level, step, noise))
+    clips, coarse = clips[changed], coarse[changed]
+    waves = basis.sampled(SAMPLES)
+    values = basis.to_real(amplitudes[changed]) @ waves.T
+    values[clips] = expected_clipped(values[clips], level[clips], noise[clips])
+    values[coarse] = expected_quantised(values[coarse], step[coarse], noise[coarse])
+    projection = 2.0 / SAMPLES * (values @ waves)
+    projection[:, 0] *= 0.5
+    result[changed] = basis.to_complex(projection)
     return result
 
 
-def expected_clipped(values: FloatArray, level: float, noise: float) -> FloatArray:
+def expected_clipped(values: FloatArray, level: FloatArray | float, noise: FloatArray | float) -> FloatArray:
     """Mean of clip(value + noise, ±level) over Gaussian noise of the given deviation."""
-    if not noise > 0.0:
-        return np.asarray(np.clip(values, -level, level))
-    above, below = (level - values) / noise, (-level - values) / noise
+    clipped = np.clip(values, -level, level)
+    noisy = np.broadcast_to(np.asarray(noise) > 0.0, values.shape)
+    if not noisy.any():
+        return np.asarray(clipped)
+    spread = np.where(np.asarray(noise) > 0.0, noise, 1.0)
+    above, below = (level - values) / spread, (-level - values) / spread
     inside = ndtr(above) - ndtr(below)
     density = (np.exp(-0.5 * below**2) - np.exp(-0.5 * above**2)) / np.sqrt(2.0 * np.pi)
-    return np.asarray(level * (ndtr(-above) - ndtr(below)) + values * inside + noise * density)
+    mean = level * (ndtr(-above) - ndtr(below)) + values * inside + spread * density
+    return np.where(noisy, mean, clipped)
 
 
-def expected_quantised(values: FloatArray, step: float, noise: float) -> FloatArray:
+def expected_quantised(values: FloatArray, step: FloatArray | float, noise: FloatArray | float) -> FloatArray:
     """Mean of step · round((value + noise) / step) over Gaussian noise of the given deviation (Widrow's series)."""
-    if noise < 0.1 * step:
-        return np.asarray(step * np.round(values / step))
-    result = values.copy()
+    smoothed = values.copy()
     for k in range(1, 8):
         damped = np.exp(-2.0 * (np.pi * k * noise / step) ** 2)
-        result += (-1.0) ** k * step / (np.pi * k) * damped * np.sin(2.0 * np.pi * k * values / step)
-    return result
+        smoothed += (-1.0) ** k * step / (np.pi * k) * damped * np.sin(2.0 * np.pi * k * values / step)
+    return np.where(np.asarray(noise) < 0.1 * np.asarray(step), step * np.round(values / step), smoothed)

@@ -176,7 +176,7 @@ class PeriodicLevels:
             parts = self.parts(rig, cache, level)
             state = self._level(parts, level, None if start is None else start[position], last)
             for _ in range(HELD_ROUNDS):
-                held = level if state is None else self._held(parts, level, state)
+                held = level if state is None else self._held(parts, [level], [state])[0]
                 if state is None or held is level:
                     break
                 state = self._newton(parts, held, level.amplitude, state.z) or state
@@ -184,15 +184,21 @@ class PeriodicLevels:
             last = states[position] if states[position] is not None else last
         return states
 
-    def _held(self, parts: RigParts, level: LevelProblem, state: PeriodicState) -> LevelProblem:
-        """A level with the phase that force and response truly had: converters that clip turn what was measured."""
+    def _held(
+        self, parts: RigParts, levels: list[LevelProblem], states: Sequence[PeriodicState]
+    ) -> list[LevelProblem]:
+        """Levels with the phase that force and response truly had: converters that clip turn what was measured."""
         pair = [self._force, self._response]
         if self.ideal_force or not np.any(np.isfinite(parts.limits[pair, 0])):
-            return level
-        recorded = recorded_harmonics(state.channels[pair], parts.limits[pair], self.basis)
+            return levels
         first = self.basis.fundamental
-        turned = np.angle(recorded[:, first] * np.conj(state.channels[pair, first]))
-        return replace(level, phase=level.phase - float(turned[0] - turned[1]))
+        channels = np.array([state.channels[pair] for state in states])
+        recorded = recorded_harmonics(channels, parts.limits[pair], self.basis)
+        turned = np.angle(recorded[..., first] * np.conj(channels[..., first]))
+        return [
+            replace(level, phase=level.phase - float(force - response))
+            for level, (force, response) in zip(levels, turned, strict=True)
+        ]
 
     def parts(self, rig: Rig, cache: PartsCache, level: LevelProblem) -> RigParts:
         """The rig at the time of a level."""
@@ -463,13 +469,10 @@ class PeriodicLevels:
             parts = self.parts(rig, cache, self.levels[position])
             groups.setdefault(id(parts), (parts, []))[1].append(number)
         for parts, numbers in groups.values():
-            states = [tangent.states[tangent.solved[number]] for number in numbers]
-            levels = [
-                self._held(parts, self.levels[tangent.solved[number]], state)
-                for number, state in zip(numbers, states, strict=True)
-                if state is not None
-            ]
-            z, own, kept = self._transferred(parts, levels, [state for state in states if state is not None])
+            solved = [tangent.solved[number] for number in numbers]
+            states = [state for state in (tangent.states[position] for position in solved) if state is not None]
+            levels = self._held(parts, [self.levels[position] for position in solved], states)
+            z, own, kept = self._transferred(parts, levels, states)
             if kept is None:
                 return None
             residual, measured = self._residuals(parts, levels, z)
@@ -478,10 +481,8 @@ class PeriodicLevels:
             steps = -np.einsum("lab,lb->la", tangent.inverse[numbers], known)
             channels = measured + np.einsum("lcnb,lb->lcn", tangent.slopes[numbers], steps)
             z[:, own] += steps[:, kept]
-            for k, number in enumerate(numbers):
-                state = states[k]
-                assert state is not None
-                result[tangent.solved[number]] = PeriodicState(z[k], parts.keys, state.drive, channels[k])
+            for k, (position, state) in enumerate(zip(solved, states, strict=True)):
+                result[position] = PeriodicState(z[k], parts.keys, state.drive, channels[k])
         return result
 
     def _transferred(

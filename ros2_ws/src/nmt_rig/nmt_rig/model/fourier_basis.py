@@ -83,8 +83,17 @@ class FourierBasis:
         return coefficients
 
     def sampled(self, samples: int) -> FloatArray:
-        """Basis functions at θ_j = 2π j / samples: (samples, size)."""
-        return self.at(2.0 * np.pi * np.arange(samples) / samples)
+        """Basis functions at θ_j = 2π j / samples: (samples, size), read-only."""
+        found = self._sampled.get(samples)
+        if found is None:
+            found = self._sampled[samples] = self.at(2.0 * np.pi * np.arange(samples) / samples)
+            found.setflags(write=False)
+        return found
+
+    @cached_property
+    def _sampled(self) -> dict[int, FloatArray]:
+        """What has been sampled so far, by the number of samples."""
+        return {}
 
     def at(self, angles: FloatArray) -> FloatArray:
         """Basis functions at the angles θ (rad): (n_angles, size)."""

@@ -14,6 +14,7 @@ import yaml
 from independent import laboratory_one, laboratory_two
 
 from nmt_bench.cli import main
+from nmt_blind.campaign.explain import explain_foreign
 from nmt_blind.campaign.foreign_case import ForeignTruth, judge, read_cases, read_truth
 from nmt_blind.campaign.foreign_run import ForeignLine, print_lines, run_laboratory, summary, write_tables
 from nmt_core.errors import BenchError
@@ -272,16 +273,16 @@ def test_a_folder_without_cases_and_a_case_without_a_model_are_refused(tmp_path:
         read_cases(tmp_path)
 
 
-def test_the_command_diagnoses_a_backbone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A printed table of a mode that is as its model says, by the program itself."""
-    own = tmp_path / "laboratory" / "table"
+def backbone_case(own: Path, hardening: float, truth: str) -> None:
+    """A printed table of one mode; ``hardening``: relative rise of its frequency at 1 mm."""
     own.mkdir(parents=True)
     (own / "model.yaml").write_text(
         "{name: one_mode, structure: {kind: modal, modes: [{frequency_hz: 50.0, damping_ratio: 0.01}]}}"
     )
     draw = np.random.default_rng(1)
     rows = [
-        f"{50.0 * (1 + 2e-5 * draw.standard_normal()):.4f},{q:.3g},{1 + 0.01 * draw.standard_normal():.3f},0.001,0.01"
+        f"{50.0 * (1 + hardening * q**2 + 2e-5 * draw.standard_normal()):.4f},{q:.3g},"
+        f"{1 + 0.01 * draw.standard_normal():.3f},0.001,0.01"
         for q in np.geomspace(0.01, 1.0, 9)
     ]
     (own / "table.csv").write_text("\n".join(["frequency_hz,amplitude,zeta,f_std,zeta_std", *rows]) + "\n")
@@ -291,11 +292,32 @@ def test_the_command_diagnoses_a_backbone(tmp_path: Path, capsys: pytest.Capture
         " damping_ratio: zeta, frequency_hz_std: f_std, damping_ratio_std: zeta_std},"
         " units: {damping_ratio: '%', damping_ratio_std: '%'}}\n"
     )
-    (own / "truth.yaml").write_text("{kind: healthy, verdicts: [none, calibration]}")
+    (own / "truth.yaml").write_text(truth)
+
+
+def test_the_command_diagnoses_a_backbone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A printed table of a mode that is as its model says, by the program itself."""
+    backbone_case(tmp_path / "laboratory" / "table", 0.0, "{kind: healthy, verdicts: [none, calibration]}")
     words = ["blind", "laboratory", str(tmp_path / "laboratory"), "--out", str(tmp_path / "out"), "--jobs", "1"]
     assert main(words) == 0
     assert "alarms in 0 of 1 healthy" in capsys.readouterr().out
     assert (tmp_path / "out" / "table" / "diagnosis" / "report.html").is_file()
+
+
+def test_an_answer_is_accounted_for_beside_the_fitted_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A cubic spring of known stiffness: ω² = ω₀² + ¾ k q² of a unit mass."""
+    hardening = 0.004
+    k = hardening * 8.0 / 3.0 * (2.0 * np.pi * 50.0) ** 2 / 1e-3**2
+    truth = f"{{kind: effect, verdicts: [effect], effects: [cubic_stiffness], place: ['1'], parameters: {{k: {k}}}}}"
+    backbone_case(tmp_path / "hard", hardening, truth)
+    account = explain_foreign(tmp_path, "hard", (sys.executable, "-m", "nmt_bench"))
+    assert (account.follows, account.truth, account.winner) == ("found", "cubic_stiffness@1", "cubic_stiffness@1")
+    assert account.costs[2] == pytest.approx(account.costs[1], abs=0.5)
+    assert account.sigma > 5.0
+    assert main(["blind", "explain", "hard", "--laboratory", str(tmp_path)]) == 0
+    assert "what follows: found" in capsys.readouterr().out
+    with pytest.raises(BenchError, match="There is no case soft in"):
+        explain_foreign(tmp_path, "soft", ())
 
 
 @pytest.mark.campaign

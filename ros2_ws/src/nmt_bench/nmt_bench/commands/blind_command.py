@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import sys
 import time
 from typing import TYPE_CHECKING, Any
@@ -72,11 +73,12 @@ open the seal and compare the results with the truth
 @task-page
 --docs FILE  write the score sheet as a page of the documentation, too
 """,
-    "explain": f"""\
+    "explain": """\
 of an opened case: cost of model, winner and truth under the same noise, and what follows
 
-CASE  number of the case, as in its folder
-{_OUT}
+CASE  number of the case, as in its folder; of a laboratory its name
+| --out DIR  folder of the campaign
+| --laboratory DIR  folder of the cases of a laboratory that shares no code
 """,
     "strengths": f"""\
 table of strengths of all effects of a rig, in standard deviations
@@ -201,13 +203,17 @@ def _score(arguments: argparse.Namespace) -> int:
 
 
 def _explain(arguments: argparse.Namespace) -> int:
-    from nmt_blind.campaign.explain import explain_case
+    from nmt_blind.campaign.explain import explain_case, explain_foreign
 
-    found = explain_case(arguments.out, arguments.case)
+    if arguments.laboratory:
+        found = explain_foreign(arguments.laboratory, arguments.case, (sys.executable, "-m", "nmt_bench"))
+    else:
+        found = explain_case(arguments.out, arguments.case)
     null, winner, truth = found.costs
     console = _console()
     lines = [
-        f"case {found.case}: truth {found.truth or 'none'}, drawn at {found.drawn:g} standard deviations",
+        f"case {found.case}: truth {found.truth or 'none'}"
+        + (f", drawn at {found.drawn:g} standard deviations" if math.isfinite(found.drawn) else ""),
         f"cost of the model alone {null:.1f}",
         f"cost of the winner, {found.winner}: {winner:.1f} ({winner - null:+.1f}), "
         f"ln evidence {found.evidence[0]:+.1f}",

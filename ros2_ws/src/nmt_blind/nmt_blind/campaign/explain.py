@@ -7,8 +7,10 @@ the learnt scales tell whether the search, the priors, the physics, the noise or
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +19,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
+from nmt_blind.campaign.foreign_case import read_cases
+from nmt_blind.campaign.foreign_run import child
 from nmt_blind.campaign.frozen import diagnosis_digest
 from nmt_blind.campaign.run import read_public
 from nmt_blind.campaign.score import opened_truth
@@ -42,6 +46,7 @@ _MEASURED_FILE = "measured.json"
 _SAME = 2.0  # difference of costs that is none
 _SEEN = 5.0  # standard deviations from which recordings show an effect
 _HALF = 0.5  # share of the drawn strength below which noise hides it
+_MOST_PLACES = 16  # combinations of places at which a truth is fitted
 _OFF = 1.5  # learnt scale from which a group of rows is predicted wrongly
 
 
@@ -52,7 +57,7 @@ class Account:
     Attributes:
         case: its number.
         truth: labels of the true effects; empty for a healthy case.
-        drawn: strength that the generator states, standard deviations; 0 for a healthy case.
+        drawn: strength that the generator states, standard deviations; 0 for a healthy case, NaN where it states none.
         winner: label of the most probable explanation; ``none`` for the model alone.
         costs: of null, winner and truth; NaN where the truth has no fit.
         evidence: ln evidence of winner and truth over null.
@@ -90,6 +95,57 @@ def explain_case(folder: Path, case: str) -> Account:
     settings = DiagnosisSettings(withheld=withheld, look_ahead=False, matters={})
     rig, observations = _recorded(folder, case, settings)
     return account(rig, observations, settings, truth[case])
+
+
+def explain_foreign(folder: Path, case: str, command: Sequence[str]) -> Account:
+    """Account of a case of a laboratory that shares no code, see :mod:`nmt_blind.campaign.foreign_case`.
+
+    The truth is the first of its true sets of effects. What its parameters do not say starts as the library does, and a
+    place that may be one of several is the one where the truth fits best.
+
+    Args:
+        folder: of the laboratory.
+        case: name of the case.
+        command: words that start the program, to which ``import`` and its options are added.
+
+    Raises:
+        BenchError: there is no such case, or it cannot be imported or compared.
+    """
+    known = {own.name: own for own in read_cases(folder)}
+    if case not in known:
+        raise BenchError(f"There is no case {case} in {folder}; it has {', '.join(known)}.")
+    own, settings = known[case], DiagnosisSettings(look_ahead=False)
+    rig = load_rig(str(own.model))
+    with tempfile.TemporaryDirectory() as work:
+        bags = []
+        for sidecar in own.sidecars:
+            bags.append(Path(work) / sidecar.stem)
+            _, trouble = child([*command, "import", str(sidecar.absolute()), "--out", str(bags[-1])], math.inf)
+            if trouble:
+                raise BenchError(f"Case {case} cannot be imported: {trouble}")
+        observations = observed(rig, bags, (), settings)
+    effects = own.truth.effects[0] if own.truth.kind == "effect" and own.truth.effects else ()
+    truth = {
+        "case": case,
+        "effects": [
+            {"name": name, "detail": list(own.truth.place), "figures": _figures(name, own.truth.parameters)}
+            for name in sorted(effects)
+        ],
+        "edits": [],
+    }
+    if own.truth.kind == "unknown":
+        truth["effects"] = [{"name": own.truth.remark or "not in the library", "detail": "", "figures": {}}]
+    return account(rig, observations, settings, truth)
+
+
+def _figures(effect: str, parameters: Mapping[str, float]) -> dict[str, float]:
+    """True parameters of one effect: ``k``, ``cubic_stiffness.k`` or ``cubic_stiffness@4.k``."""
+    result = {}
+    for key, value in parameters.items():
+        owner, _, name = key.rpartition(".")
+        if not owner or owner.partition("@")[0] == effect:
+            result[name] = value
+    return result
 
 
 def _recorded(folder: Path, case: str, settings: DiagnosisSettings) -> tuple[Rig, Observations]:
@@ -219,13 +275,15 @@ def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, t
         if findings.data.counts[k]
     }
     sigma = math.sqrt(max(0.0, costs[0] - costs[2])) if true is not None else math.nan
-    drawn = min((float(effect["sigma"]) for effect in truth["effects"]), default=0.0)
+    drawn = min((float(effect.get("sigma", math.nan)) for effect in truth["effects"]), default=0.0)
     named = frozenset(str(effect["name"]) for effect in truth["effects"])
     members = leading.members if leading is not None and raised else (null,)
     found = any(frozenset(member.effects) == named for member in members)
     return Account(
         str(truth["case"]),
-        " + ".join(f"{effect['name']}@{effect['detail']}" for effect in truth["effects"]),
+        true.explanation.label
+        if true is not None and true.candidates
+        else " + ".join(f"{effect['name']}@{effect['detail']}" for effect in truth["effects"]),
         drawn,
         winner.explanation.label,
         costs,
@@ -260,7 +318,7 @@ def follows(
         return "found" if has_effect else "healthy"
     if math.isnan(sigma):
         return "physics"  # the library has no fit of the truth
-    if costs[2] < costs[1] - _SAME:
+    if costs[2] < costs[1] - _SAME and sigma >= _SEEN:
         return "search" if evidence[1] > evidence[0] else "priors"
     if max(scales, default=1.0) > _OFF:
         return "physics"
@@ -270,33 +328,57 @@ def follows(
 
 
 def _fitted(search: Search, null: Found, rig: Rig, truth: Mapping[str, Any]) -> Found | None:
-    """The truth fitted from its true parameters; None where the library lacks it or the model has no solution."""
-    chosen: list[tuple[Candidate, FloatArray]] = []
-    for effect in truth["effects"]:
-        candidate = _candidate(search.candidates, str(effect["name"]), str(effect["detail"]))
-        if candidate is None:
-            return None
-        chosen.append((candidate, parameters_of(candidate, rig, effect.get("figures", {}))))
+    """The truth fitted from its true parameters; None where the library lacks it or the model has no solution.
+
+    Where the truth may be at one of several places, the one where it fits best.
+    """
+    chosen = [_candidates(search.candidates, str(own["name"]), own["detail"]) for own in truth["effects"]]
+    fits = [
+        _fitted_at(search, null, rig, truth, places)
+        for places in itertools.islice(itertools.product(*chosen), _MOST_PLACES)
+    ]
+    found = [own for own in fits if own is not None]
+    return min(found, key=lambda own: own.fit.cost, default=None)
+
+
+def _fitted_at(
+    search: Search, null: Found, rig: Rig, truth: Mapping[str, Any], chosen: Sequence[Candidate]
+) -> Found | None:
+    """The truth at its places, fitted from its true parameters and those of the model alone or as it was given."""
+    starts = [
+        parameters_of(candidate, rig, effect.get("figures", {}))
+        for candidate, effect in zip(chosen, truth["effects"], strict=True)
+    ]
     edits = {tuple(edit["path"]): edit["value"] for edit in truth["edits"] if edit["kind"] == "set"}
-    start = null.fit.theta.copy()
-    for k, parameter in enumerate(search.parameters):
-        if parameter.path in edits:
-            value = float(edits[parameter.path])
-            start[k] = math.log((value + parameter.offset) / (parameter.value + parameter.offset)) / parameter.std
-    own = search.parametrisation([candidate for candidate, _ in chosen])
-    theta = np.concatenate([start, *[values for _, values in chosen]])
-    try:
-        return Found(tuple(c for c, _ in chosen), search.widened(fit(search.data, own, theta, None)))
-    except FitError:
-        return None
+    own = search.parametrisation(chosen)
+    found = []
+    for base in (null.fit.theta, np.zeros_like(null.fit.theta)):
+        start = base.copy()
+        for k, parameter in enumerate(search.parameters):
+            if parameter.path in edits:
+                value = float(edits[parameter.path])
+                start[k] = math.log((value + parameter.offset) / (parameter.value + parameter.offset)) / parameter.std
+        try:
+            fitted = fit(search.data, own, np.concatenate([start, *starts]), None)
+            found.append(Found(tuple(chosen), search.widened(fitted)))
+        except FitError:
+            continue
+    return min(found, key=lambda fitted: fitted.fit.cost, default=None)
 
 
-def _candidate(candidates: Sequence[Candidate], name: str, detail: str) -> Candidate | None:
-    """The library's candidate of a true effect at its place."""
-    spot = detail.split(" at ")[0].split(" with ")[0]
+def _candidates(candidates: Sequence[Candidate], name: str, detail: str | Sequence[str]) -> list[Candidate]:
+    """The library's candidates of a true effect: at its place, or at the places that may be true."""
     mine = [candidate for candidate in candidates if candidate.effect.name == name]
-    here = [candidate for candidate in mine if candidate.site.placement.detail == spot]
-    return next(iter(here or mine), None)
+    if isinstance(detail, str):
+        spot = detail.split(" at ")[0].split(" with ")[0]
+        return [candidate for candidate in mine if candidate.site.placement.detail == spot][:1] or mine[:1]
+    here = [
+        candidate
+        for candidate in mine
+        for place in (candidate.site.placement,)
+        if {place.kind, place.detail, place.channel, *map(str, place.points)} & set(detail)
+    ]
+    return here or mine
 
 
 def parameters_of(candidate: Candidate, rig: Rig, figures: Mapping[str, float]) -> FloatArray:

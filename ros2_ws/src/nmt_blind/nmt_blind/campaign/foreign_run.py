@@ -138,14 +138,14 @@ def diagnose_foreign(
     for sidecar in sidecars:
         bags.append(own / f"imported-{sidecar.stem}")
         words = ["import", str(sidecar.absolute()), "--out", str(bags[-1]), "--force"]
-        seconds, trouble = _child([*command, *words], limit)
+        seconds, trouble = child([*command, *words], limit)
         result["import_seconds"] += seconds
         if trouble:
             break
     else:
         words = ["diagnose", "--model", str(model), "--out", str(own / _DIAGNOSIS), "--quiet", "--force", "--jobs", "1"]
         real = [word for bag in bags for word in ("--real", str(bag))]
-        result["seconds"], trouble = _child([*command, *words, *real], limit)
+        result["seconds"], trouble = child([*command, *words, *real], limit)
     if not keep_bags:
         for bag in bags:
             shutil.rmtree(bag, ignore_errors=True)
@@ -229,12 +229,18 @@ def write_tables(lines: Sequence[ForeignLine], out: Path) -> tuple[Path, Path]:
     return files
 
 
-def _child(words: Sequence[str], limit: float) -> tuple[float, str]:
-    """Run a command; its processor time in s, and in a sentence why it failed, empty where it did not."""
-    ceiling = max(1, math.ceil(limit))
+def child(words: Sequence[str], limit: float) -> tuple[float, str]:
+    """Run a command; its processor time in s, and in a sentence why it failed, empty where it did not.
+
+    Args:
+        words: of the command.
+        limit: of its processor time, s; infinite = none.
+    """
+    ceiling = max(1, math.ceil(limit)) if math.isfinite(limit) else 0
 
     def bounded() -> None:
-        resource.setrlimit(resource.RLIMIT_CPU, (ceiling, ceiling + 30))
+        if ceiling:
+            resource.setrlimit(resource.RLIMIT_CPU, (ceiling, ceiling + 30))
 
     with tempfile.TemporaryFile() as said:
         process = subprocess.Popen(
@@ -256,7 +262,7 @@ def _child(words: Sequence[str], limit: float) -> tuple[float, str]:
         seconds = usage.ru_utime + usage.ru_stime
         if code == 0:
             return seconds, ""
-        if code in (-signal.SIGXCPU, -signal.SIGKILL) and seconds > ceiling - 1:
+        if ceiling and code in (-signal.SIGXCPU, -signal.SIGKILL) and seconds > ceiling - 1:
             return seconds, f"ended after {ceiling} s of processor time, the limit"
         said.seek(0)
         lines = said.read().decode(errors="replace").strip().splitlines()

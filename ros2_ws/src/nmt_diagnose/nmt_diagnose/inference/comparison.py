@@ -214,16 +214,21 @@ class Hypotheses:
     def _left_over(self, found: Found) -> tuple[Left, ...]:
         return left_over(self.data, found, self.data.observations.matters)
 
+    @staticmethod
+    def _evidence(found: Found) -> float:
+        """ln evidence; what the fit did not reach counts as if it had."""
+        return found.fit.log_evidence + 0.5 * found.fit.promised
+
     @cached_property
     def best(self) -> Found | None:
         """The most probable explanation."""
-        return max(self.named, key=lambda own: own.fit.log_evidence + self._prior(own), default=None)
+        return max(self.named, key=lambda own: self._evidence(own) + self._prior(own), default=None)
 
     def compared(self) -> Comparison:
         """Probabilities of everything."""
-        zero = self.null.fit.log_evidence
+        zero = self._evidence(self.null)
         none = math.log(PRIOR_NONE)
-        named = [own.fit.log_evidence - zero + self._prior(own) for own in self.named]
+        named = [self._evidence(own) - zero + self._prior(own) for own in self.named]
         alone = [math.log(PRIOR_UNNAMED / max(1, len(self.alone))) + source.gain for source in self.alone]
         best, count = self.best, len(named)
         behind = (

@@ -176,9 +176,10 @@ def find(
     pairs = search.pairs(singles)
     reached = search.pruned(pairs)
     if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
+        first = singles
         singles = [*reached, *(own for own in singles if own.explanation not in {it.explanation for it in reached})]
         known = {own.explanation for own in pairs}
-        pairs += [own for own in search.pairs(reached) if own.explanation not in known]
+        pairs += [own for own in search.pairs(reached, first) if own.explanation not in known]
     alone = {own.candidates[0].cause: own for own in singles}
     pairs = [
         pair
@@ -193,15 +194,15 @@ def find(
         search = Search(data, rig, parameters, candidates, tell)
         null, named = search.again(null), search.all_again(named)
     beside = sources(data, null, source_places(data, null), len(parameters))
-    first = Hypotheses(data, null, named, candidates, beside, [])
+    best_named = Hypotheses(data, null, named, candidates, beside, []).best
     behind = []
-    if first.best is not None:
-        behind = sources(data, first.best, source_places(data, first.best), len(parameters))
+    if best_named is not None:
+        behind = sources(data, best_named, source_places(data, best_named), len(parameters))
     comparison = Hypotheses(data, null, named, candidates, beside, behind).compared()
     explained: dict[str, float] = {}
     for source in beside:
         explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
-    best = first.best if first.best is not None and comparison.log_odds > ALARM else null
+    best = best_named if best_named is not None and comparison.log_odds > ALARM else null
     for placement in best.explanation.placements:
         explained[placement.kind] = max(explained.get(placement.kind, 0.0), null.fit.cost - best.fit.cost)
     unmoved = best is first_null  # since the scan

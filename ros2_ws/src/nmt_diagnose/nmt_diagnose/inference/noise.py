@@ -20,7 +20,7 @@ from scipy.stats import f as fisher
 from nmt_core.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.blocks import Quantity
 from nmt_diagnose.inference.misfit import least_scale
-from nmt_diagnose.inference.tuned import LOCK_STD, SCALE_DEGREES
+from nmt_diagnose.inference.tuned import LOCK_STD, ORDINARY, SCALE_DEGREES
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
 
@@ -67,6 +67,11 @@ class Groups:
         result = np.full(self.degrees.size, np.nan)
         result[learnt] = fisher.sf(squares[learnt] / counts[learnt], counts[learnt], self.degrees[learnt])
         return result
+
+    def excess(self, squares: FloatArray, counts: FloatArray) -> BoolArray:
+        """Which learnt scales are larger than their prior allows (Fisher's F, Bonferroni), (K,)."""
+        tails = self.tails(squares, counts)
+        return np.asarray(np.nan_to_num(tails, nan=1.0) * max(1, int(np.sum(np.isfinite(tails)))) < ORDINARY)
 
     def chance(self, squares: FloatArray, counts: FloatArray) -> float:
         """Probability by their prior that some learnt scale is as large as the largest (Fisher's F, Holm's correction).

@@ -7,7 +7,7 @@ effects at their best places are then fitted from there.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -29,8 +29,11 @@ from nmt_diagnose.inference.candidate_starts import (
 from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, approach, fit, predicted, without_rows
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.tuned import (
+    ALARM,
     ALIKE,
     CLIMBED,
+    CONTINUED,
+    CREDIBLE,
     FAR_BEHIND,
     FINALISTS,
     FIRST_EFFECTS,
@@ -40,6 +43,9 @@ from nmt_diagnose.inference.tuned import (
     LEAST_GAIN,
     LOST,
     OTHER_PLACES,
+    PRIOR_EFFECT,
+    PRIOR_NONE,
+    SAME_OPTIMUM,
     SAME_STRAIN,
     SECOND_EFFECTS,
     SECOND_GAIN,
@@ -241,7 +247,7 @@ class Search:
             start[position] = share * score.start[position]
             theta = np.concatenate([base.fit.theta, start])
             try:
-                jacobian = self._joined(base, own, theta)
+                jacobian = self._joined(base.fit, base.fit.jacobian, own, theta)
                 best = self.widened(
                     fit(self.data, own, theta, base.fit.prediction, jacobian, exact=False, refreshes=FIRST_REFRESHES)
                 )
@@ -253,29 +259,33 @@ class Search:
             return None
         return Found((*base.candidates, candidate), best)
 
-    def _joined(self, base: Found, own: Parametrisation, theta: FloatArray) -> FloatArray:
-        """Sensitivities of a fit with those of what is added to it, over σ.
+    def _joined(self, near: Fitted, known: FloatArray, own: Parametrisation, theta: FloatArray) -> FloatArray:
+        """Sensitivities of a fit, the first of them known, (m, k), from a fit nearby; over σ.
 
         Raises:
             FitError: the model has no solution there.
         """
-        near = predicted(self.data, own, theta, base.fit.prediction)
-        if near is None:
+        there = predicted(self.data, own, theta, near.prediction)
+        if there is None:
             raise FitError("the model has no solution with it")
-        which = range(base.fit.theta.size, theta.size)
         try:
-            columns = self.data.forward.jacobian(own, theta, near, which)
+            columns = self.data.forward.jacobian(own, theta, there, range(known.shape[1], theta.size))
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
             raise FitError(f"the model has no sensitivities there ({error})") from error
-        return np.column_stack([base.fit.jacobian, self.data.slopes(columns, base.fit.errors.values)])
+        return np.column_stack([known, self.data.slopes(columns, near.errors.values)])
 
     def again(self, found: Found) -> Found:
         """The same explanation fitted to this search's data from where it stands; itself where that fails."""
         own = found.fit
         try:
-            return Found(found.candidates, fit(self.data, own.parametrisation, own.theta, own.prediction))
+            own = fit(self.data, own.parametrisation, own.theta, own.prediction)
+            for _ in range(CONTINUED):
+                if own.converged:
+                    break
+                own = fit(self.data, own.parametrisation, own.theta, own.prediction)
         except FitError:
             return found
+        return Found(found.candidates, own)
 
     def all_again(self, found: Sequence[Found]) -> list[Found]:
         """All explanations that are not far behind the best, fitted again, the best first."""
@@ -328,29 +338,55 @@ class Search:
     def singles(self, null: Found, scores: Sequence[Score]) -> list[Found]:
         """Explanations by one effect, the best first."""
         wanted = self.chosen(null, scores, FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN)
+        if at_rest(self.data, null) and not any(self._claims(score) for score in wanted):
+            return []
         self.tell(f"fitting {len(wanted)} explanations")
         found = self._all(null, wanted)
-        if not found:
-            return []
-        best = found[0]
-        tried = {own.explanation for own in found}
-        others = [
-            score
-            for score in self.chosen(null, scores, len(self.candidates), len(self.candidates), -math.inf)
-            if self.candidates[score.candidate].effect.name in best.effects
-            and score.gain > OTHER_PLACES * scores[0].gain
-            and Explanation((self.candidates[score.candidate].cause,)) not in tried
-        ]
-        return sorted([*found, *self._all(null, others)], key=lambda own: -own.fit.log_evidence)
+        # To first order on the model alone many places do the same to the rows; fitted they differ.
+        likely = {score.candidate: score for score in reversed(scores) if score.gain > OTHER_PLACES * scores[0].gain}
+        known = {own.explanation for own in found}
+        for best in best_by_effect(found)[:HEADS]:
+            for number in likely:
+                other = self.candidates[number]
+                if other.effect.name in best.effects and Explanation((other.cause,)) not in known:
+                    moved = self._exchanged(best, other, likely)
+                    found += [] if moved is None else [moved]
+        return best_of(found)
 
-    def pairs(self, singles: Sequence[Found]) -> list[Found]:
-        """Second effects on top of the best explanations, the best first."""
+    def _claims(self, score: Score) -> bool:
+        """Whether what a candidate promises on top of the model alone could make a claim at all."""
+        effects = len({candidate.effect.name for candidate in self.candidates})
+        return 0.5 * score.gain > ALARM + math.log(PRIOR_NONE * effects / PRIOR_EFFECT)
+
+    def _exchanged(self, found: Found, other: Candidate, likely: Mapping[int, Score]) -> Found | None:
+        """An explanation by one effect with the effect at another place, from where it stands.
+
+        Its strength is to the one here as both promise on top of the model alone.
+        """
+        here, there = (likely.get(self.candidates.index(c)) for c in (found.candidates[0], other))
+        theta, position = found.fit.theta.copy(), len(self.parameters) + strength_position(other)
+        if here is not None and there is not None:
+            theta[position] *= there.start[strength_position(other)] / here.start[strength_position(other)]
+        own = self.parametrisation((other,), (_spread_of(float(theta[position])),))
+        try:
+            jacobian = self._joined(found.fit, found.fit.jacobian[:, : len(self.parameters)], own, theta)
+            fitted = fit(self.data, own, theta, found.fit.prediction, jacobian, exact=False, refreshes=FIRST_REFRESHES)
+            return Found((other,), self.widened(fitted))
+        except FitError:
+            return None
+
+    def pairs(self, singles: Sequence[Found], known: Sequence[Found] = ()) -> list[Found]:
+        """Second effects on top of the best explanations that leave something, the best first.
+
+        Args:
+            singles: explanations by one effect, the best first.
+            known: those among which heads have been chosen before.
+        """
         found: list[Found] = []
-        heads: set[tuple[str, ...]] = set()
-        for single in singles:
-            if single.effects in heads or len(heads) == HEADS:
+        before = {own.explanation for own in best_by_effect(known)[:HEADS]}
+        for single in best_by_effect(singles)[:HEADS]:
+            if single.explanation in before or at_rest(self.data, single):
                 continue
-            heads.add(single.effects)
             wanted = self.chosen(single, self.scores(single), SECOND_EFFECTS, 1, SECOND_GAIN)
             found += self._all(single, wanted)
         return best_of(found)
@@ -384,7 +420,13 @@ class Search:
         if not base.candidates and self._strained(best_yet, base):
             for number in self._worth_climbing(wanted, fits):
                 self.tell(f"fitting {self.candidates[number].label} from low levels")
-                more = [own for own in (self.climbed(number), self.from_given(number)) if own is not None]
+                known = [own.fit.cost for own in fits if own.candidates == (self.candidates[number],)]
+                climbed = self.climbed(number)
+                more = [] if climbed is None else [climbed]
+                # Where climbing ends in the optimum that was found before, there is no other to be looked for.
+                if climbed is None or not known or abs(climbed.fit.cost - min(known)) > SAME_OPTIMUM:
+                    given = self.from_given(number)
+                    more += [] if given is None else [given]
                 found += more
                 if any(not self._strained(own, base) for own in more):
                     break
@@ -522,6 +564,21 @@ def best_of(found: Sequence[Found]) -> list[Found]:
         if known is None or own.fit.log_evidence > known.fit.log_evidence:
             best[own.explanation] = own
     return sorted(best.values(), key=lambda own: -own.fit.log_evidence)
+
+
+def best_by_effect(found: Sequence[Found]) -> list[Found]:
+    """The first of each set of effects."""
+    heads: dict[tuple[str, ...], Found] = {}
+    for own in found:
+        heads.setdefault(own.effects, own)
+    return list(heads.values())
+
+
+def at_rest(data: Data, found: Found) -> bool:
+    """Whether a fit leaves noise only and bends neither parameters nor measuring chain: nothing asks for more."""
+    own = found.fit
+    pulls = np.concatenate([own.theta[: len(own.parametrisation.calibration)], own.errors.chain])
+    return not data.groups.excess(own.errors.squares, data.counts).any() and bool(np.all(np.abs(pulls) < CREDIBLE))
 
 
 def _spread_of(strength: float) -> float:

@@ -11,7 +11,7 @@ from nmt_core.arrays import FloatArray
 from nmt_diagnose.inference.candidate_starts import at_zero
 from nmt_diagnose.inference.fitting import Data, predicted
 from nmt_diagnose.inference.search import Found
-from nmt_diagnose.inference.tuned import ORDINARY, SEEN, STRAIN, SURE_EXCESS
+from nmt_diagnose.inference.tuned import SEEN, STRAIN, SURE_EXCESS
 from nmt_diagnose.observations.observables import Part
 
 _KINDS: dict[str, tuple[Part, ...]] = {
@@ -86,11 +86,9 @@ def left_over(data: Data, found: Found, wanted: Mapping[str, float]) -> tuple[Le
         wanted: what matters, by kind.
     """
     own, groups, rows = found.fit.errors, data.groups, data.observations.rows
-    tails = groups.tails(own.squares, data.counts)
-    learnt = max(1, int(np.sum(np.isfinite(tails))))
     result = []
     raw = data.residual(found.fit.prediction.values, own.chain)
-    for number in np.flatnonzero(np.nan_to_num(tails, nan=1.0) * learnt < ORDINARY):
+    for number in np.flatnonzero(groups.excess(own.squares, data.counts)):
         mine = data.used & (groups.of == number)
         kind = next((k for k, parts in _KINDS.items() if np.isin(rows.part[mine], parts).any()), "")
         if not kind:

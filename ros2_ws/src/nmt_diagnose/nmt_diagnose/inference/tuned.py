@@ -26,6 +26,8 @@ BROYDEN_TRUST = 0.75
 POOR_GAIN = 0.25
 # Most reweightings of chain and scales for one prediction: near the optimum three suffice.
 REWEIGHTINGS = 20
+# Times that a fit which has not converged is continued.
+CONTINUED = 3
 # Search: effects that are fitted, places of each, fall of the cost below which nothing is tried.
 FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN = 5, 2, 6.0
 # Cosine between changes of the rows from which two effects count as one of those that are fitted.
@@ -110,6 +112,8 @@ SURE_EXCESS = 3.0
 MODE_AROUND, MODE_MISSED = 0.1, 3.0
 # The same, and the share of the channels, from which no effect is tried in its place.
 MODE_CERTAIN, MODE_EVERYWHERE = 10.0, 0.8
+# Difference of costs below which two fits of one explanation ended in the same optimum.
+SAME_OPTIMUM = 1.0
 # Effects that are climbed from low levels, and ln of a group's scale over that of the model alone below which the group
 # is as it was.
 CLIMBED, SAME_STRAIN = 3, 0.1

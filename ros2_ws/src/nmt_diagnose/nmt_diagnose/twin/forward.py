@@ -191,7 +191,7 @@ class Forward:
         theta: FloatArray,
         prediction: Prediction,
         which: Sequence[int] | None = None,
-        step: float = 3e-5,
+        step: float = 1e-6,
     ) -> FloatArray:
         """∂(observables)/∂θ, (m, n), or of the columns ``which``.
 

@@ -131,7 +131,9 @@ def flat_top(values: FloatArray, samples_per_period: float) -> float | None:
         edge = np.count_nonzero(depth <= _EDGE * half) / values.size - share
         cut = math.cos(math.pi * min(share, 0.5))
         steep = math.acos(cut * (1.0 - _EDGE) / (1.0 - _FLAT)) / math.pi - min(share, 0.5)
-        if edge <= 1.5 * steep + 0.5 / samples_per_period:
+        # Where the samples of all periods fall on the same places, both edges may hold one of each period.
+        repeats = abs(samples_per_period - round(samples_per_period)) < 1e-4 * samples_per_period
+        if edge <= 1.5 * steep + (2.0 if repeats else 0.5) / samples_per_period:
             return extreme
     return None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,16 +12,17 @@ from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
-from nmt_extract import channel_judge
+from nmt_extract import channel_judge, window_judge
 from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.harmonics import Moments, resolvable_harmonics, segment_moments, solve_moments, whole_period_bounds
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
 from nmt_extract.modal_point import EVALUATED, ModalPoint, Status, bench_time_ns, rejected_point
 from nmt_extract.power_balance import BalancedMode, balance, part_count
-from nmt_extract.sine_fit import fit_frequency
+from nmt_extract.sine_fit import fit_frequency, strongest_line
 from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
 from nmt_extract.window import Window
+from nmt_extract.window_judge import Remark
 
 _RESPONSES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 _INTEGRATIONS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
@@ -147,6 +148,10 @@ def modal_point(
     how much the result differs with the linear modes in its place, is part of each uncertainty. Without such a level,
     without a force or without a response at the drive point the window is rejected.
 
+    The window as a whole is judged, see :mod:`nmt_extract.window_judge`: phase, sign of the power, harmonics, drift (a
+    slow polynomial is taken out), steadiness, clocks that run apart, drop-outs. No standard uncertainty is below what
+    the resolution of the channels allows.
+
     Args:
         window: from :class:`nmt_extract.window.WindowAssembler`.
         linear: linear modes Φ at the response points.
@@ -155,7 +160,7 @@ def modal_point(
 
     Returns:
         The point; with status ``REJECTED`` and the reason if the window cannot be evaluated. A point with values names
-        the channels that were left out as its reason.
+        the channels that were left out, and what was found of the window, as its reason.
     """
     settings = settings or ExtractionSettings()
     try:
@@ -176,9 +181,12 @@ class _WindowEvaluation:
         self.history = history
         self.faults: dict[int, str] = {}  # by row of the window
         self.other_shapes: list[ComplexArray] = []  # with what else could be in the place of what is left out
+        self.other_amplitudes: ComplexArray | None = None  # with another polynomial in the place of the drift
+        self.drifted: tuple[int, ...] = ()
         self._find_rows()
         self._find_phase()
         self._find_harmonics()
+        self._take_out_drift()
         self._judge_channels()
 
     def _find_rows(self) -> None:
@@ -236,7 +244,12 @@ class _WindowEvaluation:
         window = self.window
         self.fitted = window.cycles is None
         if window.cycles is None:
-            frequency = fit_frequency(window.data[self.force_row], window.sample_rate, window.lock.frequency_hz)
+            force = window.data[self.force_row]
+            try:
+                frequency = fit_frequency(force, window.sample_rate, window.lock.frequency_hz)
+            except BenchError:
+                self._refuse_silence(window.sample_rate / strongest_line(force, window.sample_rate))
+                raise
             samples: FloatArray = np.arange(window.samples, dtype=np.float64)
             self.cycles: FloatArray = samples * (frequency / window.sample_rate)
             end = window.samples * (frequency / window.sample_rate)
@@ -249,6 +262,48 @@ class _WindowEvaluation:
             raise BenchError(
                 f"The window holds {self.periods} whole periods; at least {self.settings.minimum_periods} are needed."
             )
+        self._refuse_silence(window.samples / self.advance)
+
+    def _refuse_silence(self, samples_per_period: float) -> None:
+        window = self.window
+        assert self.force_row is not None
+        for row in dict.fromkeys((self.force_row, self.drive_row)):
+            off = window_judge.silent_stretch(window.data[row], samples_per_period)
+            if off is not None:
+                what = "force" if row == self.force_row else "response at the drive point"
+                raise BenchError(
+                    f"The {what} ({window.channels[row].name}) was off from {self._second(off[0]):.6g} to "
+                    f"{self._second(off[1]):.6g} s, within the window; choose a window beside it, or look at the cable."
+                )
+
+    def _second(self, sample: int) -> float:
+        """Time of a sample of the window on the clock of the recording, s."""
+        return (self.window.lock.window_first_sample + sample) / self.window.sample_rate
+
+    def _take_out_drift(self) -> None:
+        """Take slow polynomials out of channels whose mean changes over the window."""
+        window, parts = self.window, self.part_amplitudes
+        if not self.parts or self.settings.power_balance:
+            return
+        assert self.force_row is not None
+        rows = sorted({self.force_row, self.drive_row, self.gamma_row, *self.shape_rows})
+        noise = channel_judge.noise_rms(window.data, self.part_moments, parts)
+        found = window_judge.drifting(
+            parts[:, rows, 0].real, np.abs(self.amplitudes[0, rows, 1]), noise[rows], window.samples, self.periods
+        )
+        if not found:
+            return
+        self.drifted = tuple(rows[k] for k in found)
+        chosen = list(self.drifted)
+        for order in window_judge.drift_orders(self.periods)[::-1]:  # the one that stays last
+            data = window.data.copy()
+            data[chosen] = window_judge.without_drift(self.cycles, window.data[chosen], self.harmonics, order)
+            self.window = replace(window, data=data)
+            if self.fitted and self.force_row in chosen:
+                self._find_phase()
+            self._find_harmonics()
+            if self.other_amplitudes is None:
+                self.other_amplitudes = self.amplitudes
 
     def _find_harmonics(self) -> None:
         window = self.window
@@ -442,6 +497,13 @@ class _WindowEvaluation:
             2.0 * math.pi * self.frequency_std,
             fields["damping_ratio"] * omega[0] * math.hypot(fields["phase_error"], fields["phase_error_std"]),
         )
+        remarks = self._remarks(omega, fields)
+        refusals = [remark.sentence for remark in remarks if remark.rejects]
+        if refusals:
+            raise BenchError(" ".join(refusals))
+        self._widen(fields, remarks, omega)
+        told = window_judge.words_of([remark for remark in remarks if remark.sentence], fields)
+        left_out = f"Left out: {self.fault_words}" if self.faults else ""
         if self.settings.power_balance:
             fields.update(vars(self._balance()))
         # Harmonic n turns by n times the angle that makes the target mode's participation real.
@@ -452,7 +514,7 @@ class _WindowEvaluation:
         return ModalPoint(
             level_index=lock.level_index,
             status=Status.OK,
-            reason=f"Left out: {self.fault_words}" if self.faults else "",
+            reason=" ".join(filter(None, (left_out, told))),
             level=lock.level,
             level_unit=lock.level_unit,
             time_ns=bench_time_ns(lock.window_end - 1, window.sample_rate),
@@ -467,6 +529,98 @@ class _WindowEvaluation:
             participation=values.participation[0] * turn,
             **fields,
         )
+
+    def _remarks(self, omega: FloatArray, fields: dict[str, float]) -> list[Remark]:
+        """What is found of the window as a whole, with what it adds to the uncertainties."""
+        window, rate = self.window, self.window.sample_rate
+        assert self.force_row is not None
+        drive = self._integrated(self.amplitudes[:, self.drive_row], self.drive_quantity, omega, 0)
+        velocity = 1j * omega[0] * np.arange(drive.shape[1]) * drive[0]
+        force = self.amplitudes[0, self.force_row]
+        remarks = window_judge.judge_phase(fields)
+        remarks += window_judge.judge_harmonics(fields, force, velocity, self.amplitudes[0, self.drive_row])
+        remarks += self._drift_remarks(omega, fields)
+        if self.parts:
+            parts = self.part_amplitudes[:, [self.force_row, self.drive_row], 1]
+            middle: FloatArray = np.asarray(
+                0.5 * (self.part_bounds[1:] + self.part_bounds[:-1]) / rate, dtype=np.float64
+            )
+            turned = parts[:, 1] * (1j * omega[0]) ** (1 - _INTEGRATIONS[self.drive_quantity])
+            if not self.settings.power_balance:
+                seconds = window.samples / rate
+                remarks += window_judge.judge_steadiness(middle, parts[:, 0], turned, fields, seconds)
+            remarks += self._burst_remarks(omega, fields)
+        return remarks
+
+    def _drift_remarks(self, omega: FloatArray, fields: dict[str, float]) -> list[Remark]:
+        if self.other_amplitudes is None:
+            return []
+        own = self.amplitudes
+        self.amplitudes = self.other_amplitudes
+        shape = self._integrated(self.amplitudes[:, self.shape_rows], self.shape_quantity, omega, 0)
+        other = self._values(omega, shape[:, :, 1])
+        self.amplitudes = own
+        names = ", ".join(self.window.channels[row].name for row in self.drifted)
+        order = window_judge.drift_orders(self.periods)[0]
+        return [
+            Remark(
+                f"{names} drifts over the window; a polynomial of order {order} was taken out. Let the sensor warm up, "
+                "or couple it over a high-pass that all channels share.",
+                {name: abs(float(getattr(other, name)[0]) - fields[name]) for name in EVALUATED},
+            )
+        ]
+
+    def _burst_remarks(self, omega: FloatArray, fields: dict[str, float]) -> list[Remark]:
+        """Parts of the window in which a channel departs from its harmonics."""
+        assert self.force_row is not None
+        window, bounds = self.window, self.part_bounds
+        residuals = window_judge.part_residuals(
+            window.data, self.part_moments.projections, self.part_amplitudes, bounds
+        )
+        remarks = []
+        for row in sorted({self.force_row, self.drive_row, *self.shape_rows} - set(self.faults)):
+            part = window_judge.burst_part(residuals[:, row], float(window.data[row].std()))
+            if part is None:
+                continue
+            first, end = int(bounds[part]), int(bounds[part + 1])
+            orders = np.arange(self.harmonics + 1)
+            others = np.delete(self.part_amplitudes[:, row], part, axis=0).mean(axis=0)
+            model = (others @ np.exp(2j * np.pi * np.outer(orders, self.cycles[first:end]))).real
+            begin, stop = window_judge.burst_span(window.data[row, first:end] - model)
+            shape = self._integrated(self.amplitudes[:, self.shape_rows], self.shape_quantity, omega, 0)
+            without = self._values(omega, shape[:, :, 1])
+            remarks.append(
+                Remark(
+                    f"{window.channels[row].name} departs from its periodic course between "
+                    f"{self._second(first + begin):.6g} and {self._second(first + stop):.6g} s (drop-out, hit or "
+                    "step); choose a window beside it.",
+                    {name: abs(float(getattr(without, name)[1 + part]) - fields[name]) for name in EVALUATED},
+                )
+            )
+        return remarks
+
+    def _widen(self, fields: dict[str, float], remarks: list[Remark], omega: FloatArray) -> None:
+        """Put the parts of the remarks into the standard uncertainties, and none below the resolution."""
+        for remark in remarks:
+            for name, part in remark.parts.items():
+                if part > 0.0 and math.isfinite(part):
+                    own = fields[f"{name}_std"]
+                    fields[f"{name}_std"] = math.hypot(own, part) if math.isfinite(own) else part
+        assert self.force_row is not None
+        places = window_judge.places_of_period(self.cycles)
+        noise = channel_judge.noise_rms(self.window.data, self.part_moments, self.part_amplitudes)
+        sound = [row for row in self.shape_rows if row not in self.faults]
+        least = {
+            row: window_judge.resolution_floor(self.window.data[row], places, float(noise[row]))
+            for row in {self.force_row, self.drive_row, *sound}
+        }
+        size = np.abs(self.amplitudes[0, :, 1])
+        shape = math.hypot(*(least[row] for row in sound)) / math.hypot(*size[sound])
+        force, drive = (least[row] / float(size[row]) for row in (self.force_row, self.drive_row))
+        bounds = window_judge.floors(force, drive, shape, fields, self.periods, self.fitted)
+        for name, floor in bounds.items():
+            if fields[f"{name}_std"] < floor:
+                fields[f"{name}_std"] = floor
 
     def _balance(self) -> BalancedMode:
         """Balance of power over parts of the window."""

@@ -44,7 +44,7 @@ def fit_frequency(signal: FloatArray, sample_rate: float, guess_hz: float, harmo
     """
     if not np.ptp(signal) > 0.0:
         raise BenchError("The force is constant, so the excitation frequency cannot be found; check the force sensor.")
-    frequency = guess_hz if math.isfinite(guess_hz) and guess_hz > 0.0 else _strongest_line(signal, sample_rate)
+    frequency = guess_hz if math.isfinite(guess_hz) and guess_hz > 0.0 else strongest_line(signal, sample_rate)
     harmonics = max(1, resolvable_harmonics(harmonics, sample_rate / frequency))
     periods = _FIRST_PERIODS
     while True:
@@ -89,7 +89,13 @@ def _gauss_newton(signal: FloatArray, sample_rate: float, frequency: float, harm
     )
 
 
-def _strongest_line(signal: FloatArray, sample_rate: float) -> float:
+def strongest_line(signal: FloatArray, sample_rate: float) -> float:
+    """Frequency of the strongest line of the spectrum, between the lines by a parabola, Hz.
+
+    Args:
+        signal: shape ``(samples,)``.
+        sample_rate: Hz.
+    """
     spectrum = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(signal.shape[0])))
     peak = int(np.argmax(spectrum[1:])) + 1
     if 0 < peak < spectrum.shape[0] - 1:

@@ -26,6 +26,7 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.whole_file import csv_text, write_result
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.student import two_sided_quantile
+from nmt_extract.window_judge import phase_part
 from nmt_record.exchange.channel_tolerances import Tolerances
 
 FORMAT = "nmt uncertainty budget 1"
@@ -188,6 +189,13 @@ def _point_budgets(point: ModalPoint, inputs: BudgetInputs, repeats: Mapping[str
     for name in UNITS:
         own = 2.0 * math.pi * point.frequency_hz_std if name == "omega_rad_s" else getattr(point, f"{name}_std")
         parts[name][UncertaintySource.NOISE] = own
+    wrong = phase_part(point.phase_error) * point.damping_ratio
+    own = parts["damping_ratio"][UncertaintySource.NOISE]
+    if 0.0 < wrong < own:
+        parts["damping_ratio"] = {
+            UncertaintySource.NOISE: math.sqrt(own**2 - wrong**2),
+            UncertaintySource.PHASE: wrong,
+        }
     turn = point.damping_ratio * point.omega_rad_s
     parts["omega_rad_s"][UncertaintySource.PHASE] = turn * math.hypot(point.phase_error, point.phase_error_std)
     for source, changes in _changes(point, inputs):

@@ -1,0 +1,404 @@
+"""A locked window judged as a whole: is it at phase resonance, steady, free of drift and drop-outs, on one clock?
+
+Each finding is one sentence with what it adds to the standard uncertainties. A finding far beyond what a result can
+bear rejects the window.
+
+**Phase.** Damping follows from the active power, which goes with the cosine of the phase between force and velocity.
+Where a phase of φ is not that of the structure but a delay or a filter of one channel, δ̃ comes out too low by
+1 − cos φ. At ``PHASE_LIMIT`` of 5° this is 0.4 %, which ordinary tolerances of the channels (1 % of gain) still cover;
+beyond it, it is the largest part. A phase that is true moves the frequency instead: ω̃ is off by δ̃ tan φ. Beyond
+``PHASE_REJECTED`` of 45° more power goes to and fro than into the structure: a degree then changes δ̃ by 1.7 % or more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nmt_core.arrays import ComplexArray, FloatArray, IntArray
+from nmt_core.modal_point import EVALUATED
+from nmt_extract.harmonics import segment_moments, solve_moments, synthesise
+from nmt_extract.uncertainty import slope_uncertainty
+
+PHASE_LIMIT = math.radians(5.0)
+"""Phase between force and velocity at the drive point beyond which a point is flagged, rad."""
+
+PHASE_REJECTED = math.radians(45.0)
+"""Phase beyond which it is rejected, rad."""
+
+LEAST_PBMIF = 0.5
+CONVERTER_BITS = 24
+"""No converter resolves more: a stated uncertainty is never below what this resolution of the range allows."""
+
+_PHASE_NOTED = 5e-4  # relative error of damping by the phase, from which on it is part of the uncertainty
+_LEAK = 1e-5  # of the fundamental: what a drift may add to it unseen
+_SURE = 6.0  # standard deviations
+_UNSTEADY = 0.01  # of the damping ratio: error by a level that still changes
+_RUNNING = math.radians(3.0)  # phase over the window: half of it to each side makes 0.03 % of damping
+_SILENT = 0.05  # rms over a period, of the median one
+_BURST, _BURST_SHARE = 10.0, 0.01  # residual of a part over that of the others; of the rms of the channel
+_FINEST = 1e-3  # of a step: by how much values on a grid may be off it
+
+
+@dataclass(frozen=True)
+class Remark:
+    """One finding.
+
+    Attributes:
+        sentence: what was found, what may be the cause, what to do.
+        parts: what it adds to standard uncertainties: by quantity of a point, in its unit.
+        rejects: nothing of the window can be used.
+    """
+
+    sentence: str
+    parts: Mapping[str, float] = field(default_factory=dict)
+    rejects: bool = False
+
+
+def words_of(remarks: Sequence[Remark], values: Mapping[str, float]) -> str:
+    """All sentences, each with its part in the uncertainty of damping, frequency and amplitude."""
+    sentences = []
+    for remark in remarks:
+        told = [
+            f"{100.0 * remark.parts[name] / abs(values[name]):.2g} % of the {word}"
+            for name, word in (
+                ("damping_ratio", "damping"),
+                ("omega_rad_s", "frequency"),
+                ("modal_amplitude", "amplitude"),
+            )
+            if remark.parts.get(name, 0.0) > 1e-7 * abs(values[name])
+        ]
+        sentences.append(remark.sentence + (f" It adds to the uncertainty: {', '.join(told)}." if told else ""))
+    return " ".join(sentences)
+
+
+# --- phase, power, harmonics -----------------------------------------------------------------------------------------
+
+
+def phase_part(phase: float) -> float:
+    """Relative standard uncertainty of damping by a phase (rad) that may be a channel's; 0 where it hardly matters."""
+    low = 1.0 / math.cos(min(abs(phase), math.radians(80.0))) - 1.0 if math.isfinite(phase) else 0.0
+    return low if low > _PHASE_NOTED else 0.0
+
+
+def judge_phase(values: Mapping[str, float]) -> list[Remark]:
+    """Remarks on phase, sign of the power and PBMIF.
+
+    Args:
+        values: of the point, by name: frequency_hz, omega_rad_s, damping_ratio, pbmif, phase_error, phase_error_std.
+    """
+    phase, std = values["phase_error"], values["phase_error_std"]
+    sure = 2.0 * std if math.isfinite(std) else 0.0
+    damping, omega = values["damping_ratio"], values["omega_rad_s"]
+    told = f"Force and velocity at the drive point are {math.degrees(phase):.1f}° apart, at phase resonance they are 0°"
+    if not damping > 0.0 or abs(phase) - sure > PHASE_REJECTED:
+        what = f"beyond {math.degrees(PHASE_REJECTED):.0f}° damping cannot be told (PBMIF {values['pbmif']:.2f})"
+        if abs(phase) > 0.5 * math.pi:
+            what = "the structure would feed the exciter, with a negative damping ratio"
+        return [Remark(f"{told}: {what}; {_likely(phase, values['frequency_hz'])}.", rejects=True)]
+    low = phase_part(phase)
+    parts = {"damping_ratio": low * damping, "self_excitation": low * values["self_excitation"]}
+    if abs(phase) > max(PHASE_LIMIT, sure):
+        parts["omega_rad_s"] = damping * math.tan(min(abs(phase), math.radians(80.0))) * omega
+        remarks = [
+            Remark(f"{told} (limit {math.degrees(PHASE_LIMIT):.0f}°): {_likely(phase, values['frequency_hz'])}.", parts)
+        ]
+    else:
+        remarks = [Remark("", parts)] if low > 0.0 else []
+    if values["pbmif"] < LEAST_PBMIF and not any(remark.sentence for remark in remarks):
+        remarks.append(
+            Remark(
+                f"PBMIF is {values['pbmif']:.2f}: of force and velocity less than half is power at the excitation "
+                "frequency; look at harmonics of the force and at noise, and drive more gently or closer to the "
+                "structure."
+            )
+        )
+    return remarks
+
+
+def _likely(phase: float, frequency_hz: float) -> str:
+    """Likely causes of a phase, and what to do."""
+    size = abs(math.degrees(phase))
+    delay = 1e3 * abs(phase) / (2.0 * math.pi * frequency_hz)
+    late = "response" if phase > 0.0 else "force"
+    if size > 135.0:
+        return (
+            "likely the sign of a sensor, force and response exchanged, or an acceleration called a displacement; give "
+            "one channel 'scale: -1' or correct its 'quantity'"
+        )
+    causes = (
+        f"the {late} is late by {delay:.3g} ms (filter, or channels sampled one after another), or the loop was not at "
+        "resonance"
+    )
+    if size < 60.0:
+        return f"likely {causes}; measure both on one clock with equal filters, or lock again"
+    return (
+        f"likely a quantity is not what is stated (a velocity called a displacement or the like: 90°), {causes}; "
+        "correct 'quantity' and 'unit' of the channel, or measure both on one clock with equal filters"
+    )
+
+
+def judge_harmonics(
+    values: Mapping[str, float], force: ComplexArray, velocity: ComplexArray, response: ComplexArray
+) -> list[Remark]:
+    """Remarks on harmonics that exceed the fundamental.
+
+    Args:
+        values: of the point: damping_ratio, active_power.
+        force: F_0..F_H, N.
+        velocity: at the drive point, m/s, same shape.
+        response: the channel at the drive point as it was measured, in its unit, same shape.
+    """
+    names = [
+        word
+        for harmonics, word in ((force, "force"), (response, "response at the drive point"))
+        if np.linalg.norm(harmonics[2:]) > abs(harmonics[1])
+    ]
+    if not names:
+        return []
+    beyond = float((velocity[2:] * force[2:].conj()).real.sum()) * 0.5
+    share = abs(beyond / values["active_power"])
+    return [
+        Remark(
+            f"The harmonics of the {' and of the '.join(names)} exceed the fundamental, so one sine hardly describes "
+            "the vibration; drive more gently, choose another place, or hold the harmonics of the force.",
+            {"damping_ratio": share * values["damping_ratio"]},
+        )
+    ]
+
+
+# --- drift -----------------------------------------------------------------------------------------------------------
+
+
+def drifting(means: FloatArray, fundamental: FloatArray, noise: FloatArray, samples: int, periods: int) -> list[int]:
+    """Channels whose mean changes over the window by so much that it leaks into the fundamental.
+
+    A ramp of height D over N periods adds D/(π N) to the amplitude of the fundamental.
+
+    Args:
+        means: of each part of the window, shape ``(parts, channels)``.
+        fundamental: amplitude of each channel, shape ``(channels,)``.
+        noise: rms of each channel that no harmonic explains, same shape.
+        samples: in the window.
+        periods: in the window.
+    """
+    height = np.ptp(means, axis=0)
+    scatter = noise / math.sqrt(samples / means.shape[0])
+    leaks = height / (math.pi * periods) > _LEAK * fundamental
+    return [int(row) for row in np.flatnonzero(leaks & (height > _SURE * scatter) & (fundamental > 0.0))]
+
+
+def drift_orders(periods: int) -> tuple[int, int]:
+    """Order of the polynomial that is taken out, and of the one that it is compared with."""
+    order = min(3, max(1, periods // 4))
+    return order, order + 2
+
+
+def without_drift(cycles: FloatArray, data: FloatArray, harmonics: int, order: int) -> FloatArray:
+    """Channels without the polynomial of time that least squares finds together with their harmonics.
+
+    Args:
+        cycles: excitation phase at each sample, shape ``(samples,)``.
+        data: shape ``(channels, samples)``.
+        harmonics: H.
+        order: of the polynomial; its mean stays.
+    """
+    place = np.linspace(-1.0, 1.0, data.shape[1])
+    columns = np.stack([np.polynomial.legendre.Legendre.basis(power)(place) for power in range(1, order + 1)])
+    bounds = np.array([0, data.shape[1]], dtype=np.int64)
+    explained = solve_moments(segment_moments(cycles, columns, harmonics, bounds))[0]
+    free = columns - np.stack([synthesise(cycles, amplitudes) for amplitudes in explained])
+    weights = np.linalg.solve(np.einsum("is,js->ij", free, free), np.einsum("is,cs->ic", free, data))
+    return np.asarray(data - np.einsum("ic,is->cs", weights, columns), dtype=np.float64)
+
+
+# --- steadiness and clocks -------------------------------------------------------------------------------------------
+
+
+def judge_steadiness(
+    time: FloatArray, force: ComplexArray, velocity: ComplexArray, values: Mapping[str, float], seconds: float
+) -> list[Remark]:
+    """Remarks on a level and on a phase that change over the window.
+
+    A structure that still gains or loses energy takes more or less power than it dissipates: δ̃ is off by q̇/(ω̃ q).
+
+    Args:
+        time: middle of each part, s, shape ``(parts,)``.
+        force, velocity: fundamental in each part, same shape.
+        values: of the point: damping_ratio, omega_rad_s, modal_amplitude, frequency_hz.
+        seconds: length of the window.
+    """
+    if time.size < 3:
+        return []
+    remarks = []
+    growth, std = _slope(time, np.log(np.abs(velocity)))
+    error = abs(growth) / values["omega_rad_s"]
+    if error > _UNSTEADY * values["damping_ratio"] and abs(growth) > _SURE * std:
+        change = 100.0 * math.expm1(growth * seconds)
+        remarks.append(
+            Remark(
+                f"The level was not steady: the response at the drive point changes by {change:.2g} % over the window; "
+                "wait longer before the window, or extract with 'power_balance: true'.",
+                {"damping_ratio": error, "self_excitation": 2.0 * values["omega_rad_s"] * error},
+            )
+        )
+    angles = force * velocity.conj()
+    angles = np.angle(angles * np.conj(angles.sum()))
+    slope, std = _slope(time, angles)
+    run = abs(slope) * seconds
+    if run > _RUNNING and abs(slope) > _SURE * std:
+        rate = slope / (2.0 * math.pi * values["frequency_hz"])
+        low = 1.0 / math.cos(min(0.5 * run, math.radians(80.0))) - 1.0
+        remarks.append(
+            Remark(
+                f"The phase between force and response runs by {math.degrees(run):.2g}° over the window, as on two "
+                f"clocks that are {1e6 * abs(rate):.3g} ppm apart, or at a frequency that has not settled; record both "
+                "on one clock, or use a shorter window.",
+                {
+                    "damping_ratio": low * values["damping_ratio"],
+                    "omega_rad_s": abs(rate) * values["omega_rad_s"],
+                    "modal_amplitude": run**2 / 24.0 * values["modal_amplitude"],
+                },
+            )
+        )
+    return remarks
+
+
+def _slope(time: FloatArray, values: FloatArray) -> tuple[float, float]:
+    """Slope of a straight line, and its standard uncertainty."""
+    centred = time - time.mean()
+    slope = float((centred * values).sum() / (centred * centred).sum())
+    return slope, slope_uncertainty(time, values)
+
+
+# --- drop-outs -------------------------------------------------------------------------------------------------------
+
+
+def silent_stretch(signal: FloatArray, samples_per_period: float) -> tuple[int, int] | None:
+    """Longest stretch in which a signal of steady vibration is off, at least about a period long.
+
+    Args:
+        signal: shape ``(samples,)``.
+        samples_per_period: of the fundamental.
+
+    Returns:
+        First sample and sample after the last one; None if it is never off.
+    """
+    length = max(4, round(samples_per_period))
+    if signal.size < 4 * length:
+        return None
+    centred = signal - np.median(signal)
+    sums = np.concatenate(([0.0], np.cumsum(centred * centred)))
+    power = np.maximum(sums[length:] - sums[:-length], 0.0)
+    off = power < _SILENT**2 * np.median(power)
+    if not off.any():
+        return None
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], off.astype(np.int8), [0]))))
+    starts, ends = edges[0::2], edges[1::2]
+    longest = int(np.argmax(ends - starts))
+    return int(starts[longest]), int(ends[longest]) - 1 + length
+
+
+def burst_part(residuals: FloatArray, rms: float) -> int | None:
+    """The part of a window in which a channel departs from its harmonics far more than in the others.
+
+    Args:
+        residuals: rms of what no harmonic explains in each part, shape ``(parts,)``.
+        rms: of the channel.
+    """
+    worst = int(np.argmax(residuals))
+    others = float(np.median(np.delete(residuals, worst)))
+    return worst if residuals[worst] > max(_BURST * others, _BURST_SHARE * rms) else None
+
+
+def burst_span(residual: FloatArray) -> tuple[int, int]:
+    """Where in a part the residual stands out: first sample and sample after the last one."""
+    out = np.flatnonzero(np.abs(residual) > 0.3 * np.abs(residual).max())
+    return int(out[0]), int(out[-1]) + 1
+
+
+def part_residuals(data: FloatArray, moments_projections: ComplexArray, amplitudes: ComplexArray,
+                   bounds: IntArray) -> FloatArray:  # fmt: skip
+    """rms of what the harmonics of each part do not explain, shape ``(parts, channels)``."""
+    squares = np.stack([np.einsum("cs,cs->c", *(data[:, first:end],) * 2) for first, end in _pairs(bounds)])
+    explained = (amplitudes * moments_projections).real.sum(axis=2)
+    return np.asarray(np.sqrt(np.maximum(squares - explained, 0.0) / np.diff(bounds)[:, np.newaxis]))
+
+
+def _pairs(bounds: IntArray) -> list[tuple[int, int]]:
+    return list(zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True))
+
+
+# --- resolution ------------------------------------------------------------------------------------------------------
+
+
+def resolution(values: FloatArray) -> float:
+    """Step of the grid on which the values of a channel lie, of its file or converter, in its unit; 0 = none seen."""
+    finest = float(np.ptp(values)) / 2**CONVERTER_BITS
+    steps = np.diff(np.unique(values[:4000]))
+    steps = steps[steps > finest]
+    if steps.size < 3:
+        return 0.0
+    step = float(steps.min())
+    ratio = steps / step
+    on_grid = np.abs(ratio - np.round(ratio)) < np.maximum(_FINEST * ratio, 1e-6)
+    return step if bool(on_grid.all()) and float(np.median(ratio)) < 1.0 / _FINEST else 0.0
+
+
+def places_of_period(cycles: FloatArray) -> int:
+    """At how many different places of the period the samples lie: few where a period is a round number of samples."""
+    return int(np.unique(np.round(np.mod(cycles, 1.0), 5) % 1.0).size)
+
+
+def resolution_floor(values: FloatArray, places: int, noise: float) -> float:
+    """Least standard uncertainty of the amplitude of a fundamental, in the unit of the channel.
+
+    Rounding to steps of d has the standard deviation d/√12. Where the samples of all periods fall on the same places
+    of the sine it repeats, so only those of one period average. Under noise of more than half a step it does not, and
+    the scatter of the parts of the window shows it. Of values on no grid that can be seen, d is the step of a
+    converter of ``CONVERTER_BITS`` over their range.
+
+    Args:
+        values: of the channel.
+        places: of the period at which samples lie.
+        noise: rms of what no harmonic explains.
+    """
+    step = resolution(values)
+    if noise > 0.5 * step > 0.0:
+        return 0.0
+    step = step or float(np.ptp(values)) / 2**CONVERTER_BITS
+    return step / math.sqrt(12.0) * math.sqrt(2.0 / max(places, 2))
+
+
+def floors(
+    force: float, drive: float, shape: float, values: Mapping[str, float], periods: int, indicators: bool
+) -> dict[str, float]:
+    """Least standard uncertainties of a point, by quantity.
+
+    Args:
+        force, drive, shape: least relative uncertainties of the fundamentals.
+        values: of the point, by name.
+        periods: in the window.
+        indicators: mode indicators too. Resolution moves them in second order only; of samples that come from elsewhere
+            nobody knows more than their resolution.
+    """
+    power = math.hypot(force, drive)
+    relative = {
+        "force_n": force,
+        "modal_amplitude": shape,
+        "active_power": power,
+        "apparent_power": power,
+        "self_excitation": math.hypot(force, drive, 2.0 * shape),
+        "damping_ratio": math.hypot(force, drive, 2.0 * shape),
+        "frequency_hz": force / (2.0 * math.pi * periods),
+        "omega_rad_s": force / (2.0 * math.pi * periods),
+    }
+    if indicators:
+        relative |= {"pbmif": power, "gamma_force": force, "gamma_acceleration": drive, "mac": shape}
+    least = {name: share * abs(values[name]) for name, share in relative.items()}
+    least["phase_error"] = power
+    assert set(least) <= {*EVALUATED, "frequency_hz", "omega_rad_s"}
+    return least

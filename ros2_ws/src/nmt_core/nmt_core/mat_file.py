@@ -45,7 +45,7 @@ def is_hdf5(head: bytes) -> bool:
 
 
 def read_mat(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> dict[str, Array]:
-    """Numeric arrays of a MATLAB or HDF5 file by the path of their name.
+    """Numeric arrays of a MATLAB or HDF5 file by the path of their name; of HDF5 also single numbers in attributes.
 
     Texts and objects are left out, elements of cells and of arrays of structs are numbered.
 
@@ -223,7 +223,15 @@ def _read_hdf5(path: Path, what: str, largest: int) -> dict[str, Array]:
     budget = _Budget(path, what, largest)
     found: dict[str, Array] = {}
 
+    def attributes(entry: Any, prefix: str) -> None:
+        for name, value in entry.attrs.items():
+            budget.enter(0)
+            number = np.asarray(value)
+            if number.size == 1 and number.dtype.kind in "iuf" and not name.startswith(("_", "MATLAB", "H5PATH")):
+                found.setdefault(f"{prefix}{name}", number.reshape(1, 1))
+
     def visit(group: Any, prefix: str, depth: int) -> None:
+        attributes(group, prefix)
         for name in group:
             budget.enter(depth)
             # What lies elsewhere is not this file's.
@@ -247,6 +255,7 @@ def _read_hdf5(path: Path, what: str, largest: int) -> dict[str, Array]:
                 values = array(entry)
                 if values is not None:
                     found[prefix + name] = values
+                    attributes(entry, f"{prefix}{name}.")
 
     def array(entry: Any) -> Array | None:
         kind, names = entry.dtype.kind, entry.dtype.names

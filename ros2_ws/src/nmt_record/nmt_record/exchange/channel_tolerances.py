@@ -103,10 +103,17 @@ def tolerances(
     for channel in sheet.channels if sheet is not None else ():
         place = Quantity[channel.quantity.upper()], -1 if channel.point is None else channel.point
         found[place] = _changed(found.get(place, default), channel.model_dump(), channel.source)
-    clock = 0.0 if simulated else CLOCK_STD
+    clock = 0.0 if simulated else math.hypot(CLOCK_STD, _clock_of_import(run))
     if sheet is not None and sheet.clock_std is not None:
         clock = sheet.clock_std
     return Tolerances(found, default, clock, sheet is None or sheet.shapes_with_same_sensors)
+
+
+def _clock_of_import(run: Mapping[str, Any]) -> float:
+    """What the digits of an imported file leave open of its sampling rate, relative."""
+    imported = run.get("imported")
+    std = imported.get("clock_std") if isinstance(imported, dict) else None
+    return float(std) if isinstance(std, (int, float)) and 0.0 <= std < 1.0 else 0.0
 
 
 def is_simulated(run: Mapping[str, Any]) -> bool:

@@ -1,9 +1,16 @@
-"""The clock of imported data: from a time column or a stated rate to samples at equal steps, or a refusal."""
+"""The clock of imported data: what the file and its sidecar say of it, judged against each other.
+
+A file may tell its clock in several ways: a step or a rate in its header, a column of times or of stamps, and the
+sidecar may give a rate. Each is known to its digits. Those that agree within them are one clock, of which the finest is
+used; those that contradict each other are named, and the sidecar says which it is (``clock``).
+"""
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field
+from decimal import Decimal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +22,24 @@ from nmt_record.exchange.import_sidecar import Sidecar
 from nmt_record.exchange.import_table import SourceTable, split_name
 from nmt_record.exchange.unit_table import other_factor, plain_unit, quantity_of_unit
 
-_TIME_NAME = re.compile(r"(time|t|zeit|timestamp|seconds)(\.?\d+)?([_ ].*)?$", re.I)
+_TIME_NAME = re.compile(
+    r"(time|t|zeit|timestamp|seconds|date[ /_-]?time|elapsed([ _]time)?|zeitstempel|stamp|x_value)(\.?\d+)?([_ ].*)?$",
+    re.I,
+)
+_UNIT_OF_NAME = re.compile(r"(?:^|[_ ])(s|sec|ms|msec|us|usec|µs|ns|nsec|min)$", re.I)
+_TIME_WORDS = {
+    "sec": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms", "milliseconds": "ms", "usec": "us",
+    "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "minutes": "min",
+}  # fmt: skip
 # Steps may scatter by this share (rounded or jittering time stamps); above it they are another clock's.
 _STEP_TOLERANCE = 0.3
 _LARGEST_LOSS = 0.05
 _SAME_RATE = 1e-3
 _NOTED_DIFFERENCE = 2e-5
+_COARSE = 0.2  # of a step: stamps rounded more coarsely do not say which sample they belong to
+_RISING = 0.8  # share of rising steps of a column that is a clock, faulty or not
+_SLOW = 20.0  # Hz: below it a time without a unit may be one in ms, or a number of samples
+_EPOCH = (1e9, 5e9)  # s since 1970: 2001 to 2128
 
 
 @dataclass
@@ -33,6 +52,7 @@ class Clock:
         samples: length of the grid.
         rows: index on the grid of each row; None = row k is sample k.
         notes: sentences on what was found.
+        std: relative standard uncertainty of the rate by the digits of the file; 0 = as given.
     """
 
     sample_rate: float
@@ -40,6 +60,7 @@ class Clock:
     samples: int
     rows: np.ndarray | None = None
     notes: list[str] = field(default_factory=list)
+    std: float = 0.0
 
     def spread(self, column: FloatArray) -> FloatArray:
         """A column on the grid, NaN where samples are missing."""
@@ -54,33 +75,185 @@ class Clock:
         return round((time - self.start) * self.sample_rate)
 
 
+class ClockQuestionError(BenchError):
+    """What the sidecar must say of the clock.
+
+    Attributes:
+        key: of the sidecar.
+    """
+
+    def __init__(self, sentence: str, key: str) -> None:
+        super().__init__(sentence)
+        self.key = key
+
+
+@dataclass(frozen=True)
+class _Claim:
+    """A rate that something says, and by how much it may be off by its digits.
+
+    Attributes:
+        key: what the sidecar's ``clock`` calls it: sample_rate, header or column.
+        words: who says it.
+        rate: Hz.
+        spread: largest relative error by the digits.
+    """
+
+    key: str
+    words: str
+    rate: float
+    spread: float
+
+    def agrees(self, other: _Claim) -> bool:
+        return abs(math.log(self.rate / other.rate)) <= self.spread + other.spread + _NOTED_DIFFERENCE
+
+
 def find_clock(table: SourceTable, sidecar: Sidecar, place: str) -> Clock:
     """Sampling rate and grid of a table.
 
     Args:
         table: the data.
-        sidecar: names the rate, a time column or both; they must agree.
+        sidecar: may name the rate, a time column or both, and which to believe where the file contradicts itself.
         place: of the sidecar, for messages.
 
     Raises:
-        BenchError: no clock, two clocks, a time column that jumps back or is uneven, or one that contradicts the rate.
+        BenchError: no clock, two clocks, a time column that jumps back or is uneven, or clocks that contradict each
+            other.
     """
-    stated = sidecar.sample_rate
-    if table.sample_rate is not None:
-        if stated is not None and abs(table.sample_rate / stated - 1.0) > 1e-9:
-            raise BenchError(
-                f"{place}: sample_rate is {stated:g} Hz, but {table.file} itself says {table.sample_rate:g} Hz; which?"
-            )
-        stated = stated or table.sample_rate
-    time, name = _time_axis(table, sidecar, place)
-    clock = _stated_clock(table, stated, sidecar, place) if time is None else _measured_clock(table, time, name, stated)
+    header = _header_claim(table, place)
+    given = None
+    if sidecar.sample_rate is not None:
+        given = _Claim("sample_rate", "sample_rate of the sidecar", sidecar.sample_rate, _digits(sidecar.sample_rate))
+    axis = _time_axis(table, sidecar, place)
+    notes: list[str] = []
+    column = None if axis is None else _column_claim(table, axis)
+    given, header, column = _settled(given, header, column, table, sidecar, place, notes)
+    if column is None:
+        axis = None
+    if axis is None:
+        clock = _stated_clock(table, given, header, place)
+    else:
+        fine = header if header is not None and column is not None and header.spread <= column.spread else None
+        stated = given or fine
+        _refuse_unknown_unit(axis, column, stated, table, place)
+        clock = _measured_clock(table, axis, None if stated is None else stated.rate)
+    clock.notes = [*notes, *clock.notes]
     if "first_sample" in sidecar.model_fields_set:
         # Six digits of a time axis do not name a late sample.
         start = sidecar.first_sample / clock.sample_rate
-        if time is not None or table.start is not None:
+        if axis is not None or table.start is not None:
             _check_first_sample(clock, start, sidecar, place)
         clock.start = start
     return clock
+
+
+def _header_claim(table: SourceTable, place: str) -> _Claim | None:
+    step = rate = None
+    if table.step is not None:
+        step = _Claim("header", f"the step {table.step:.9g} s of {table.file}", 1.0 / table.step, _digits(table.step))
+    if table.sample_rate is not None:
+        own = table.sample_rate
+        rate = _Claim("header", f"the rate {own:.9g} Hz of {table.file}", own, min(_digits(own), 1e-6))
+    if step is not None and rate is not None and not step.agrees(rate):
+        raise BenchError(
+            f"{table.file} has two clocks that contradict each other: {_told(step)}, but {_told(rate)}; correct one of "
+            f"them in the file, or leave both out and give sample_rate in {place}."
+        )
+    return rate or step
+
+
+def _digits(value: float) -> float:
+    """Largest relative error of a number as it is written; one that is a whole number of Hz, or of them a second, is
+    taken as it is."""
+    if abs(value - round(value)) < 1e-9 * value or abs(1.0 / value - round(1.0 / value)) < 1e-9 / value:
+        return 1e-9
+    exponent = Decimal(repr(value)).as_tuple().exponent
+    return min(max(0.5 * 10.0 ** int(exponent) / value, 1e-9), 6e-3)
+
+
+def _column_claim(table: SourceTable, axis: _Axis) -> _Claim:
+    """What the time column says of the rate; of one that must be refused anyway, nothing."""
+    time, words = axis.time, f"{axis.name} of {table.file}"
+    if time.shape[0] < 3 or not np.isfinite(time).all() or not time[-1] > time[0]:
+        return _Claim("column", words, 1.0, math.inf)
+    steps = np.diff(time)
+    count, span = steps.size, float(time[-1] - time[0])
+    coarse = axis.quantum > _COARSE * float(np.median(steps)) and _shows_rounding(axis, steps)
+    if coarse or not (steps > 0.0).all():
+        return _Claim("column", words, count / span, min((1.0 + axis.quantum * count / span) / count + 0.05, 0.3))
+    typical = float(np.median(steps))
+    rounding = axis.quantum / typical if _shows_rounding(axis, steps) else 0.0
+    return _Claim("column", words, 1.0 / typical, max(_SAME_RATE, rounding))
+
+
+def _shows_rounding(axis: _Axis, steps: FloatArray) -> bool:
+    """Whether steps differ by the rounding of their stamps; equal ones are a multiple of it."""
+    return float(np.ptp(steps)) > 0.5 * axis.quantum
+
+
+def _settled(
+    given: _Claim | None,
+    header: _Claim | None,
+    column: _Claim | None,
+    table: SourceTable,
+    sidecar: Sidecar,
+    place: str,
+    notes: list[str],
+) -> tuple[_Claim | None, _Claim | None, _Claim | None]:
+    """The claims that count, by what the sidecar says or by what agrees.
+
+    Raises:
+        BenchError: the file contradicts itself or the sidecar.
+    """
+    claims = {claim.key: claim for claim in (given, header, column) if claim is not None}
+    if sidecar.clock is not None:
+        if sidecar.clock not in claims:
+            there = ", ".join(claims) or "none"
+            raise BenchError(
+                f"{place}: clock is {sidecar.clock}, but there is no such clock of {table.file}; it has: {there}."
+            )
+        kept = claims[sidecar.clock]
+        others = [claim for key, claim in claims.items() if key != kept.key and not claim.agrees(kept)]
+        for claim in others:
+            notes.append(f"{_told(claim)} contradicts the sidecar's clock ({_told(kept)}); the first is not used.")
+        claims = {kept.key: kept}
+    elif header is not None and given is not None and not header.agrees(given):
+        if column is not None and column.agrees(given):
+            notes.append(f"{_told(header)} contradicts sample_rate and {column.words}, and is not used.")
+            claims.pop("header")
+        else:
+            itself = " itself" if table.step is None else ""
+            raise BenchError(
+                f"{place}: sample_rate is {given.rate:g} Hz, but {table.file}{itself} says {header.rate:.6g} Hz; which "
+                "of the two is it? Correct sample_rate, or say 'clock: sample_rate'."
+            )
+    elif header is not None and column is not None and not header.agrees(column):
+        if given is None:
+            raise ClockQuestionError(
+                f"{table.file} has two clocks that contradict each other: {_told(header)}, but {_told(column)}. Which "
+                f"is it? Say 'clock: header' or 'clock: column' in {place}, or give sample_rate.",
+                "clock",
+            )
+        notes.append(f"{_told(column)} contradicts sample_rate and {header.words}, and is not used.")
+        claims.pop("column")
+    return claims.get("sample_rate"), claims.get("header"), claims.get("column")
+
+
+def _told(claim: _Claim) -> str:
+    return f"{claim.words} says {claim.rate:.6g} Hz"
+
+
+def _refuse_unknown_unit(
+    axis: _Axis, column: _Claim | None, stated: _Claim | None, table: SourceTable, place: str
+) -> None:
+    """A slow clock without a unit may be in ms or count samples."""
+    if axis.sure or stated is not None or column is None or math.isinf(column.spread) or column.rate >= _SLOW:
+        return
+    raise ClockQuestionError(
+        f"{axis.name} of {table.file} goes in steps of {1.0 / column.rate:.6g} and says no unit: seconds, ms or "
+        f"numbers of samples? Give 'time_unit: s' (or ms, us, ns, min), or sample_rate and 'clock: sample_rate', in "
+        f"{place}.",
+        "time_unit",
+    )
 
 
 def _check_first_sample(clock: Clock, start: float, sidecar: Sidecar, place: str) -> None:
@@ -91,30 +264,50 @@ def _check_first_sample(clock: Clock, start: float, sidecar: Sidecar, place: str
         )
 
 
-def _stated_clock(table: SourceTable, stated: float | None, sidecar: Sidecar, place: str) -> Clock:
-    if table.step is not None:
-        own = 1.0 / table.step
-        if stated is not None and abs(stated / own - 1.0) > _NOTED_DIFFERENCE:
-            raise BenchError(
-                f"{place}: sample_rate is {stated:g} Hz, but {table.file} says {own:.6g} Hz; which of the two is it?"
+def _stated_clock(table: SourceTable, given: _Claim | None, header: _Claim | None, place: str) -> Clock:
+    if header is not None and table.step is not None and table.sample_rate is None:
+        if given is not None:
+            return Clock(given.rate, table.start or 0.0, table.rows)
+        clock = Clock(_shortest(header.rate, 1e-5), table.start or 0.0, table.rows)
+        if header.spread > _NOTED_DIFFERENCE:
+            clock.std = header.spread / math.sqrt(3.0)
+            clock.notes.append(
+                f"{header.words[:1].upper()}{header.words[1:]} has few digits: the sampling rate is known to "
+                f"{100.0 * header.spread:.2g} % only, and so are frequencies; give sample_rate if it is known better."
             )
-        rate = stated or _shortest(own, 1e-5)
-        return Clock(rate, table.start or 0.0, table.rows)
+        return clock
+    stated = given or header
     if stated is None:
-        raise BenchError(
-            f"{place}: give sample_rate: … in Hz or time: … with the name of the time column of {table.file}."
+        raise ClockQuestionError(
+            f"{place}: give sample_rate: … in Hz or time: … with the name of the time column of {table.file}.",
+            "sample_rate",
         )
     if table.breaks:
         raise BenchError(
             f"The header of {table.file} is repeated before {table.place(table.breaks[0])} and there is no time column "
             "to tell whether samples are missing there; split the file or add the time column."
         )
-    return Clock(stated, 0.0, table.rows)
+    return Clock(stated.rate, table.start or 0.0, table.rows)
 
 
-def _time_axis(table: SourceTable, sidecar: Sidecar, place: str) -> tuple[FloatArray | None, str]:
-    if table.abscissa is not None:
-        return table.abscissa, "the time axis"
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """A column of times.
+
+    Attributes:
+        time: s.
+        name: for messages.
+        quantum: to which its values are rounded, s.
+        sure: its unit is known.
+    """
+
+    time: FloatArray
+    name: str
+    quantum: float
+    sure: bool
+
+
+def _time_axis(table: SourceTable, sidecar: Sidecar, place: str) -> _Axis | None:
     used = {table.index(channel.column, place) for channel in sidecar.channels}
     candidates = [
         index for index, name in enumerate(table.names) if index not in used and name and is_clock(table, index)
@@ -123,17 +316,38 @@ def _time_axis(table: SourceTable, sidecar: Sidecar, place: str) -> tuple[FloatA
         chosen = table.index(sidecar.time, f"{place}: time")
         if chosen in used:
             raise BenchError(f"{place}: column {sidecar.time} is named as time and as a channel; it can only be one.")
-    elif len(candidates) == 1 or (candidates and _equal_columns(table, candidates)):
+    elif table.abscissa is not None:
+        return _Axis(table.abscissa, "the time axis", quantum_of(table.abscissa), True)
+    elif len(candidates) == 1 or (candidates and _equal_columns(table, candidates, sidecar, place)):
         chosen = candidates[0]
     elif candidates:
         raise BenchError(_two_clocks(table, candidates))
     else:
-        return None, ""
+        return None
     others = [index for index in candidates if index != chosen]
-    if others and not _equal_columns(table, [chosen, *others]):
+    if others and not _equal_columns(table, [chosen, *others], sidecar, place):
         raise BenchError(_two_clocks(table, [chosen, *others]))
     factor = other_factor("time", _time_unit(table, chosen, sidecar, place), f"{place}: time")
-    return table.columns[chosen] * factor, f"column {table.names[chosen] or chosen + 1}"
+    column = table.columns[chosen]
+    sure = bool(time_unit_of(table, chosen)) or "time_unit" in sidecar.model_fields_set
+    name = f"column {table.names[chosen] or chosen + 1}"
+    return _Axis(column * factor, name, quantum_of(column) * factor, sure)
+
+
+def quantum_of(values: FloatArray) -> float:
+    """Power of ten to which all values are rounded; that of their floating point where none is seen."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0
+    largest = float(np.abs(finite).max())
+    for digits in range(10):
+        scaled = finite * 10.0**digits
+        noise = 4.0 * np.finfo(np.float64).eps * largest * 10.0**digits
+        if noise > 0.1:
+            return 10.0**-digits
+        if np.abs(scaled - np.round(scaled)).max() <= max(1e-6, noise):
+            return float(10.0**-digits)
+    return 0.0
 
 
 def bare_name(table: SourceTable, index: int) -> str:
@@ -144,7 +358,9 @@ def bare_name(table: SourceTable, index: int) -> str:
 
 
 def is_clock(table: SourceTable, index: int) -> bool:
-    """Whether a column is a clock by its name, and not by its unit something else ("Time Signal" in m/s)."""
+    """Whether a column is a clock by its name or its stamps, and not by its unit or its course something else."""
+    if index in table.stamps:
+        return True
     other = quantity_of_unit(table.units[index]) is not Quantity.UNKNOWN
     return not other and _names_time(bare_name(table, index), table.columns[index])
 
@@ -154,11 +370,33 @@ def _names_time(name: str, column: FloatArray) -> bool:
     found = _TIME_NAME.match(name)
     if not found:
         return False
-    return not (found[1].lower() == "t" and found[2]) or bool((np.diff(column) > 0.0).all())
+    steps = np.diff(column)
+    known = steps[np.isfinite(steps)]
+    if known.size and float((known >= 0.0).mean()) < _RISING:
+        return False  # time_data may be data over time
+    return not (found[1].lower() == "t" and found[3]) or bool((steps > 0.0).all())
+
+
+def time_unit_of(table: SourceTable, index: int) -> str:
+    """Unit of a time column by its brackets, its name or, since 1970, its size; empty if nothing tells it."""
+    if index in table.stamps:
+        return "s"
+    if table.units[index]:
+        plain = plain_unit(table.units[index])
+        return _TIME_WORDS.get(plain.lower(), plain)
+    found = _UNIT_OF_NAME.search(bare_name(table, index).strip())
+    if found and bare_name(table, index).strip().lower() not in ("s", "min"):
+        plain = plain_unit(found[1].lower())
+        return _TIME_WORDS.get(plain, plain)
+    first = table.columns[index][0] if table.rows else math.nan
+    for unit, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        if _EPOCH[0] <= first / factor < _EPOCH[1]:
+            return unit
+    return ""
 
 
 def _time_unit(table: SourceTable, chosen: int, sidecar: Sidecar, place: str) -> str:
-    own = plain_unit(table.units[chosen]) if table.units[chosen] else ""
+    own = time_unit_of(table, chosen)
     if "time_unit" not in sidecar.model_fields_set:
         return own or "s"
     if own and own != sidecar.time_unit:
@@ -168,8 +406,23 @@ def _time_unit(table: SourceTable, chosen: int, sidecar: Sidecar, place: str) ->
     return sidecar.time_unit
 
 
-def _equal_columns(table: SourceTable, columns: list[int]) -> bool:
-    return all(np.array_equal(table.columns[columns[0]], table.columns[other], equal_nan=True) for other in columns[1:])
+def _equal_columns(table: SourceTable, columns: list[int], sidecar: Sidecar, place: str) -> bool:
+    """Whether columns of times are one clock within their digits."""
+    first = columns[0]
+
+    def seconds(index: int) -> tuple[FloatArray, float]:
+        unit = time_unit_of(table, index) or _time_unit(table, first, sidecar, place)
+        factor = other_factor("time", unit, f"{place}: time")
+        return table.columns[index] * factor, quantum_of(table.columns[index]) * factor
+
+    head, quantum = seconds(first)
+    for other in columns[1:]:
+        time, own = seconds(other)
+        apart = np.abs((time - time[0]) - (head - head[0]))
+        same = np.isfinite(time) == np.isfinite(head)
+        if not same.all() or not (apart[np.isfinite(apart)] <= 1.01 * max(quantum, own) + 1e-12).all():
+            return False
+    return True
 
 
 def _two_clocks(table: SourceTable, columns: list[int]) -> str:
@@ -179,15 +432,20 @@ def _two_clocks(table: SourceTable, columns: list[int]) -> str:
     )
 
 
-def _measured_clock(table: SourceTable, time: FloatArray, name: str, stated: float | None) -> Clock:
+def _measured_clock(table: SourceTable, axis: _Axis, stated: float | None) -> Clock:
+    time, name = axis.time, axis.name
     if time.shape[0] < 3:
         raise BenchError(f"{table.file} has {time.shape[0]} rows; a recording needs at least three.")
     if not np.isfinite(time).all():
         row = int(np.argmin(np.isfinite(time)))
         raise BenchError(
-            f"The time is missing at {table.place(row)}; every row needs one, or give sample_rate and leave time out."
+            f"The time is missing at {table.place(row)}; every row needs one, or give sample_rate and "
+            "'clock: sample_rate'."
         )
     steps = np.diff(time)
+    even = _rounded_stamps(table, axis, steps, stated)
+    if even is not None:
+        return even
     if not (steps > 0.0).all():
         raise BenchError(_not_ascending(table, time, steps, name))
     step = 1.0 / stated if stated is not None else float(np.median(steps))
@@ -195,7 +453,8 @@ def _measured_clock(table: SourceTable, time: FloatArray, name: str, stated: flo
     if stated is not None and abs(typical * stated - 1.0) > _STEP_TOLERANCE:
         raise BenchError(
             f"sample_rate is {stated:g} Hz, but {name} of {table.file} goes in steps of {typical:.6g} s "
-            f"({1.0 / typical:.6g} Hz); correct one of them (unit of the time?)."
+            f"({1.0 / typical:.6g} Hz); correct one of them (unit of the time?), or say "
+            "'clock: sample_rate'."
         )
     whole = np.round(steps / step)
     missing = int(np.maximum(whole - 1.0, 0.0).sum())
@@ -213,6 +472,36 @@ def _measured_clock(table: SourceTable, time: FloatArray, name: str, stated: flo
             "even clock (two clocks in one table, or a gap that is no whole number of samples); split the file there."
         )
     return _grid(table, time, index, fitted, stated, missing, name)
+
+
+def _rounded_stamps(table: SourceTable, axis: _Axis, steps: FloatArray, stated: float | None) -> Clock | None:
+    """The clock of stamps that are rounded so coarsely that steps say nothing; None where they are finer, or no such.
+
+    They are checked against the rate: none is further from an even clock than its rounding.
+    """
+    time, count = axis.time, axis.time.shape[0] - 1
+    span = float(time[-1] - time[0])
+    if not span > 0.0 or (steps < 0.0).any() or not axis.quantum > _COARSE * span / count:
+        return None
+    if not _shows_rounding(axis, steps):
+        return None
+    if stated is None and not (steps > 0.0).all():
+        return None
+    rate = stated if stated is not None else count / span
+    away = time - time[0] - np.arange(count + 1) / rate
+    # The first stamp is rounded, too.
+    if float(np.ptp(away)) > 2.01 * axis.quantum:
+        return None
+    uncertainty = axis.quantum / span
+    told = f"{axis.name[:1].upper()}{axis.name[1:]} of {table.file} is rounded to {axis.quantum:.3g} s"
+    if stated is not None:
+        note = f"{told}, too coarse for {rate:.6g} Hz; it agrees with that rate and was used for nothing else."
+        return Clock(rate, float(time[0]), table.rows, None, [note])
+    rate = _shortest(rate, uncertainty)
+    note = (
+        f"{told}: the sampling rate is {rate:.6g} Hz to {100.0 * uncertainty:.2g} %; give sample_rate if it is known."
+    )
+    return Clock(rate, float(time[0]), table.rows, None, [note], uncertainty / math.sqrt(3.0))
 
 
 def _grid(
@@ -244,8 +533,10 @@ def _grid(
             f"{missing} samples are missing at {len(places)} places (first after {table.place(int(places[0]))}); "
             "they are marked as missing and windows over them will be rejected."
         )
-        return Clock(rate, float(time[0]), int(index[-1]) + 1, index, notes)
-    return Clock(rate, float(time[0]), table.rows, None, notes)
+    std = 0.0 if stated is not None or uncertainty < _NOTED_DIFFERENCE else uncertainty / math.sqrt(3.0)
+    if missing:
+        return Clock(rate, float(time[0]), int(index[-1]) + 1, index, notes, std)
+    return Clock(rate, float(time[0]), table.rows, None, notes, std)
 
 
 def _not_ascending(table: SourceTable, time: FloatArray, steps: FloatArray, name: str) -> str:
@@ -257,8 +548,8 @@ def _not_ascending(table: SourceTable, time: FloatArray, steps: FloatArray, name
             "or two clocks in one table; split the file there."
         )
     return (
-        f"{name} of {table.file} stands still at {where} ({time[row]:.9g} twice); write it with more digits, or leave "
-        "it out and give sample_rate."
+        f"{name} of {table.file} stands still at {where} ({time[row]:.9g} twice); write it with more digits, or give "
+        "sample_rate: the column is then only checked."
     )
 
 

@@ -191,6 +191,8 @@ class Sidecar(_Section):
         sample_rate: Hz; left out if there is a time column.
         time: the time column, if there is one that is not called time or t.
         time_unit: its unit.
+        clock: what to believe where the file contradicts itself or this sidecar: sample_rate, header (step or rate in
+            the file) or column.
         channels: the columns to import.
         segments: what was done when, and tables of others.
         linear: linear.json with the linear modes.
@@ -208,6 +210,7 @@ class Sidecar(_Section):
     sample_rate: Positive | None = None
     time: str | int | None = None
     time_unit: Literal["s", "ms", "us", "ns", "min"] = "s"
+    clock: Literal["sample_rate", "header", "column"] | None = None
     channels: list[ChannelSection] = []
     segments: list[SignalSection | TableSection] = []
     linear: str | None = None
@@ -246,6 +249,15 @@ def read_sidecar(path: Path) -> tuple[Sidecar, YamlDocument]:
         BenchError: not there, not YAML, or the first thing that is wrong in it, with its line.
     """
     document = read_document(path, "sidecar", "file and channels")
+    return sidecar_of(document), document
+
+
+def sidecar_of(document: YamlDocument) -> Sidecar:
+    """The sidecar that a document is.
+
+    Raises:
+        BenchError: the first thing that is wrong in it, with its line.
+    """
     values = _normalised(document.values)
     try:
         sidecar = Sidecar.model_validate(values)
@@ -255,7 +267,7 @@ def read_sidecar(path: Path) -> tuple[Sidecar, YamlDocument]:
         remedies = {"unit": "for example unit: N; without it the numbers mean nothing"}
         sentence = validation_sentence(errors, document, Sidecar, "the sidecar", values=values, remedies=remedies)
         raise BenchError(sentence) from failure
-    return sidecar, document
+    return sidecar
 
 
 def _normalised(values: dict[str, Any]) -> dict[str, Any]:

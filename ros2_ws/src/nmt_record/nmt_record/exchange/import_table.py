@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import datetime
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -47,6 +49,21 @@ _FORMS: tuple[tuple[str | None, str], ...] = (
     (";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (None, "."), (None, ","),
 )  # fmt: skip
 _STAMP = re.compile(r"\d[-./:]\d")  # a date or a time of day is no unit
+_TIME_OF_DAY = re.compile(
+    r"(?:(?P<date>\d{1,4}[-./]\d{1,2}[-./]\d{1,4})[T_ ]\s*)?(?P<hour>\d{1,2}):(?P<minute>\d{2}):(?P<second>\d{2})"
+    r"(?:[.,](?P<part>\d+))?\s*(?P<zone>Z|UTC|[-+]\d{2}:?\d{2})?$"
+)
+_DATE_AND_TIME = re.compile(r"(\d{4}-\d{2}-\d{2}|\d{2}\.\d{2}\.\d{4}) +(?=\d{1,2}:\d{2}:\d{2})")
+_HEAD_RATE = re.compile(
+    r"(?:sampl\w*[ _-]*(?:rate|freq\w*)|abtastrate|\bfs\b)"
+    r"[^\d+-]{0,20}(\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)\s*[;,]?\s*([kM]?Hz)?",
+    re.I,
+)  # fmt: skip
+_HEAD_STEP = re.compile(
+    r"(?:sampl\w*[ _-]*(?:interval|period|time)|time[ _-]*(?:step|increment)|delta[ _-]?[tx]|\bdt\b)"
+    r"[^\d+-]{0,20}(\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)\s*[;,]?\s*(ms|us|µs|ns|s)?\b",
+    re.I,
+)
 _UNIT_IN_NAME = re.compile(r"^(.*?)\s*[\[({]\s*([^\[\](){}]*)\s*[\])}]\s*$")
 
 
@@ -67,6 +84,7 @@ class SourceTable:
         sample_rate: what the file itself says (NPZ), Hz.
         lines: line of each row in the file; None = not a text file.
         breaks: rows before which the header was repeated.
+        stamps: columns that were written as dates or times of day; they hold seconds.
         constants: single numbers beside the columns (MATLAB).
     """
 
@@ -82,6 +100,7 @@ class SourceTable:
     sample_rate: float | None = None
     lines: Callable[[int], int] | None = None
     breaks: tuple[int, ...] = ()
+    stamps: tuple[int, ...] = ()
     constants: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -204,10 +223,14 @@ class _Form:
     def is_number(self, cell: str) -> bool:
         return bool(_NUMBER[self.decimal].match(cell))
 
+    def is_value(self, cell: str) -> bool:
+        """Whether a cell is a number or a stamp."""
+        return self.is_number(cell) or _TIME_OF_DAY.match(cell) is not None
+
     def numeric(self, line: str) -> bool:
         cells = self.cells(line)
         numbers = [cell for cell in cells if cell.lower() not in _MISSING and not _INFINITE.match(cell)]
-        return bool(numbers) and all(map(self.is_number, numbers))
+        return bool(numbers) and all(map(self.is_value, numbers)) and any(map(self.is_number, numbers))
 
 
 def _decoded(data: bytes, name: str, notes: list[str]) -> str:
@@ -234,6 +257,8 @@ def _read_csv(path: Path) -> SourceTable:
     notes: list[str] = []
     with open_regular(path, "table", LARGEST_TABLE // 2) as file:
         text = _decoded(file.read(LARGEST_TABLE), name, notes)
+    if _TIME_OF_DAY.search(text[:4096].replace("\n", " ")) or ":" in text[:65536]:
+        text = _DATE_AND_TIME.sub(r"\1T", text)
     everything = re.split(r"\r\n|\n|\r", text)
     numbers = [
         i for i, line in enumerate(everything) if line.strip() and not line.lstrip().startswith(("#", "%", "//"))
@@ -256,6 +281,11 @@ def _read_csv(path: Path) -> SourceTable:
     names, units = _heading(heads, width, form, name, notes)
     _refuse_split_decimals(heads, lines, width, form, name)
     start = first
+    stamps = tuple(i for i, cell in enumerate(form.cells(lines[0])[:width]) if _TIME_OF_DAY.match(cell))
+    if stamps:
+        lines = _without_stamps(lines, stamps, form, lambda row: numbers[start + row] + 1, name)
+        told = ", ".join(names[i] or str(i + 1) for i in stamps)
+        notes.append(f"Column {told} of {name} holds dates or times of day; they were read as seconds after the first.")
     table, kept, breaks = _values(lines, width, form, names, header, lambda row: numbers[start + row] + 1, name)
     place = [numbers[start + row] + 1 for row in kept] if kept is not None else None
     for row in breaks:
@@ -266,7 +296,82 @@ def _read_csv(path: Path) -> SourceTable:
         return place[row] if place is not None else numbers[start + row] + 1
 
     columns = tuple(np.ascontiguousarray(column) for column in table.T)
-    return SourceTable(name, names, columns, units, notes=notes, lines=line_of, breaks=breaks)
+    for i in stamps:
+        columns[i].flat[:] = columns[i] - (columns[i][0] if np.isfinite(columns[i][0]) else 0.0)
+    rate = _rate_of_heading([line for i, line in enumerate(everything[: numbers[first]]) if line.strip()])
+    return SourceTable(
+        name, names, columns, units, notes=notes, lines=line_of, breaks=breaks, stamps=stamps, sample_rate=rate
+    )
+
+
+def _rate_of_heading(lines: Sequence[str]) -> float | None:
+    """Sampling rate that the lines above the numbers state, Hz; None if none does, or several contradict each other."""
+    rates = []
+    for line in lines:
+        found = _HEAD_RATE.search(line)
+        if found:
+            factor = {"khz": 1e3, "mhz": 1e6}.get((found[2] or "").lower(), 1.0)
+            rates.append(float(found[1].replace(",", ".")) * factor)
+            continue
+        found = _HEAD_STEP.search(line)
+        if found and float(found[1].replace(",", ".")) > 0.0:
+            factor = {"ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9}.get((found[2] or "").lower(), 1.0)
+            rates.append(factor / float(found[1].replace(",", ".")))
+    rates = [rate for rate in rates if rate > 0.0]
+    return rates[0] if rates and max(rates) < 1.001 * min(rates) else None
+
+
+def _without_stamps(
+    lines: list[str], stamps: Sequence[int], form: _Form, line_of: Callable[[int], int], name: str
+) -> list[str]:
+    """Lines with seconds in the place of stamps.
+
+    Raises:
+        BenchError: a stamp cannot be read, or its zone differs from the first one's.
+    """
+    result = []
+    zone: str | None = None
+    days: dict[str, int] = {}
+    for row, line in enumerate(lines):
+        cells = form.cells(line)
+        for index in stamps:
+            found = _TIME_OF_DAY.match(cells[index]) if index < len(cells) else None
+            if found is None:
+                if index < len(cells) and cells[index].lower() in _MISSING:
+                    cells[index] = "nan"
+                continue  # refused below with its line
+            zone = found["zone"] or "" if zone is None else zone
+            if (found["zone"] or "") != zone:
+                raise BenchError(
+                    f"{name} line {line_of(row)}: the time zone changes from '{zone or 'none'}' to "
+                    f"'{found['zone'] or 'none'}'; write all stamps in one zone."
+                )
+            day = _day(found["date"] or "", days)
+            seconds = int(found["hour"]) * 3600 + int(found["minute"]) * 60 + int(found["second"])
+            cells[index] = f"{day * 86400 + seconds}.{found['part'] or '0'}"
+            if form.decimal == ",":
+                cells[index] = cells[index].replace(".", ",")
+        result.append((form.delimiter or " ").join(cell if cell else "nan" for cell in cells))
+    return result
+
+
+def _day(date: str, days: dict[str, int]) -> int:
+    """Number of a date, from the first of the file on; one that is not year-month-day or day.month.year counts as the
+    next one where it changes."""
+    if date not in days:
+        plain = re.fullmatch(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})", date)
+        turned = re.fullmatch(r"(\d{1,2})\.(\d{1,2})\.(\d{4})", date)
+        parts = plain.groups() if plain else turned.groups()[::-1] if turned else None
+        try:
+            number = datetime.date(*map(int, parts)).toordinal() if parts else None
+        except ValueError:
+            number = None
+        if number is None:
+            days[date] = max(days.values(), default=-1) + 1
+        else:
+            days.setdefault("first", number)
+            days[date] = number - days["first"]
+    return days[date]
 
 
 def _form_of(lines: Sequence[str], name: str) -> _Form:
@@ -403,11 +508,9 @@ def _cell(cell: str, form: _Form, where: str, column: str) -> float:
 def _read_npz(path: Path) -> SourceTable:
     name = path.name
     arrays = dict(read_arrays(path, "data file"))
-    rate = None
-    for key in ("sample_rate", "fs", "Fs"):
-        if key in arrays and arrays[key].size == 1 and np.issubdtype(arrays[key].dtype, np.number):
-            rate = float(np.real(arrays.pop(key).reshape(-1)[0]))
-            break
+    rate, step, clock_keys = _clock_keys(arrays)
+    for key in clock_keys:
+        del arrays[key]
     columns: dict[str, FloatArray] = {}
     for key, array in arrays.items():
         if array.ndim == 0:
@@ -430,11 +533,11 @@ def _read_npz(path: Path) -> SourceTable:
                 f"Array {key} of {name} is infinite at sample {int(np.argmax(np.isinf(column)))}; use NaN where "
                 f"values are missing."
             )
-    return SourceTable(name, tuple(columns), tuple(columns.values()), sample_rate=rate)
+    return SourceTable(name, tuple(columns), tuple(columns.values()), sample_rate=rate, step=step)
 
 
 def _read_lvm(path: Path) -> SourceTable:
-    """Texts of LabVIEW, by lvm-read; one section with an even clock.
+    """Texts of LabVIEW, by lvm-read; one section with one clock. Its time columns stand behind the channels.
 
     Raises:
         BenchError: the file cannot be read as such, or has sections or steps of several kinds.
@@ -450,31 +553,42 @@ def _read_lvm(path: Path) -> SourceTable:
         section = max(sections, key=lambda item: item["data"].size)
         data = np.asarray(section["data"], dtype=np.float64)
         count = int(section["Channels"])
-        heads = [str(head) for head in section["Channel names"]]
-        with_time = content.get("X_Columns", "One") != "No"
-        first = 1 if with_time else 0
-        names = [head.strip() or str(number + 1) for number, head in enumerate(heads[first : first + count])]
-        steps, starts = ([float(value) for value in section.get(key, [])][:count] for key in ("Delta_X", "X0"))
-        units = [str(unit).strip() for unit in section.get("Y_Unit_Label", [])][:count]
+        heads = [str(head).strip() for head in section["Channel names"]]
+        kind = content.get("X_Columns", "One")
+        # Behind the header a row has one time before all channels, one before each, or none.
+        places = {
+            "No": range(count), "Multi": range(1, 2 * count, 2)
+        }.get(kind, range(1, count + 1))  # fmt: skip
+        clocks = {"No": range(0), "Multi": range(0, 2 * count, 2)}.get(kind, range(1))
+        names = [heads[place] if place < len(heads) and heads[place] else str(n + 1) for n, place in enumerate(places)]
+        steps, starts = (
+            [float(value) for value in section.get(key, []) if math.isfinite(float(value))] for key in ("Delta_X", "X0")
+        )
+        units = [str(unit).strip() for unit in section.get("Y_Unit_Label", []) if kind != "Multi" or str(unit).strip()]
     except (KeyError, ValueError, IndexError, TypeError, SyntaxError, AttributeError) as error:
         raise BenchError(f"{name} cannot be read as a LabVIEW measurement ({error}); export it again.") from error
     if len(sections) > 1:
         notes.append(f"{name} has {len(sections)} sections; the largest was read.")
-    if content.get("X_Columns") == "Multi" or len(set(steps)) > 1 or not steps or not steps[0] > 0.0:
+    if len(set(steps[:count])) > 1 or len(set(starts[:count])) > 1:
         raise BenchError(f"The channels of {name} have clocks of their own; export those of one clock.")
-    if data.ndim != 2 or not data.size or data.shape[1] < first + count or count < 1:
+    if not steps or not steps[0] > 0.0:
+        raise BenchError(f"The header of {name} has no time step (Delta_X); export it again.")
+    if data.ndim != 2 or not data.size or count < 1 or data.shape[1] <= places[-1]:
         raise BenchError(f"{name} has no rows of {count} channels; export it again.")
-    columns = tuple(np.ascontiguousarray(data[:, first + number]) for number in range(count))
+    columns = [np.ascontiguousarray(data[:, place]) for place in places]
     if any(column.size == 0 or not np.isfinite(column).any() for column in columns):
         raise BenchError(f"{name} has a channel without numbers; export it again.")
-    start = starts[0] if starts else 0.0
+    every = [np.ascontiguousarray(data[:, place]) for place in clocks]
+    times = [time for time in every if np.isfinite(time).all()]  # empty cells are no clock
+    units = [*(units[:count] if len(units) >= count else [""] * count), *["s"] * len(times)]
+    labels = ["X_Value" if len(times) < 2 else f"X_Value.{number + 1}" for number in range(len(times))]
     return SourceTable(
         name,
-        tuple(names),
-        columns,
-        tuple(units) if len(units) == count else (),
+        (*names, *labels),
+        (*columns, *times),
+        tuple(units),
         notes=notes,
-        start=start,
+        start=starts[0] if starts else 0.0,
         step=steps[0],
     )
 
@@ -510,14 +624,30 @@ def _read_tdms(path: Path) -> SourceTable:
     )  # fmt: skip
 
 
-_RATES = ("sample_rate", "fs", "Fs", "sampling_rate", "SampleRate")
+_RATES = frozenset(("samplerate", "fs", "samplingrate", "samplingfrequency", "samplefrequency"))
+_STEPS = frozenset(("dt", "deltat", "sampleinterval", "samplinginterval", "timestep", "wfincrement"))
+
+
+def _plain_key(key: str) -> str:
+    """Last part of a name, in small letters, without what joins words."""
+    return re.sub(r"[_ -]", "", key.rpartition(".")[2]).lower()
+
+
+def _clock_keys(values: Mapping[str, NDArray[Any]]) -> tuple[float | None, float | None, list[str]]:
+    """Sampling rate (Hz) and step (s) among single numbers, and their keys; None where there is none, or several."""
+    single = {key: float(np.real(array.reshape(-1)[0])) for key, array in values.items()
+              if array.size == 1 and array.dtype.kind in "iufc"}  # fmt: skip
+    rates = {key: value for key, value in single.items() if _plain_key(key) in _RATES and value > 0.0}
+    steps = {key: value for key, value in single.items() if _plain_key(key) in _STEPS and value > 0.0}
+    rate = next(iter(rates.values())) if len(set(rates.values())) == 1 else None
+    step = next(iter(steps.values())) if len(set(steps.values())) == 1 else None
+    return rate, step, [*rates, *steps]
 
 
 def _read_mat(path: Path, wanted: Sequence[str | int]) -> SourceTable:
     name = path.name
     arrays = read_mat(path, "data file")
-    rates = [key for key, array in arrays.items() if key.rpartition(".")[2] in _RATES and array.size == 1]
-    rate = float(np.real(arrays[rates[0]].reshape(-1)[0])) if len(rates) == 1 else None
+    rate, step, _ = _clock_keys(arrays)
     columns: dict[str, FloatArray] = {}
     for key, array in arrays.items():
         if array.size > 1:
@@ -543,7 +673,9 @@ def _read_mat(path: Path, wanted: Sequence[str | int]) -> SourceTable:
     others = len(columns) - len(kept)
     notes = [f"{others} arrays of {name} have other lengths than {length} and are left out."] if others else []
     single = {key: float(np.real(array.reshape(-1)[0])) for key, array in arrays.items() if array.size == 1}
-    return SourceTable(name, tuple(kept), tuple(kept.values()), notes=notes, sample_rate=rate, constants=single)
+    return SourceTable(
+        name, tuple(kept), tuple(kept.values()), notes=notes, sample_rate=rate, step=step, constants=single
+    )
 
 
 def _columns_of(key: str, array: NDArray[Any]) -> dict[str, FloatArray]:

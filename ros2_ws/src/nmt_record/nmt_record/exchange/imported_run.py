@@ -19,7 +19,7 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
 from nmt_core.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
-from nmt_core.yaml_document import YamlDocument
+from nmt_core.yaml_document import YamlDocument, parse_document
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import BENCH_TOPICS
 from nmt_record.bag.message_definitions import local_definitions
@@ -34,6 +34,7 @@ from nmt_record.exchange.import_sidecar import (
     TableSection,
     check_sidecar,
     read_sidecar,
+    sidecar_of,
 )
 from nmt_record.exchange.import_table import SourceTable, read_table
 from nmt_record.exchange.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
@@ -77,6 +78,7 @@ class ImportedRun:
         path: of the sidecar.
         sidecar: what it says.
         sample_rate: Hz; NaN if there is no time data.
+        clock_std: relative standard uncertainty of it by the digits of the file; 0 = as good as a clock.
         first_sample: index of the first sample.
         channels: in SI units on one grid.
         segments: in the order of time.
@@ -92,6 +94,7 @@ class ImportedRun:
     path: Path
     sidecar: Sidecar
     sample_rate: float = math.nan
+    clock_std: float = 0.0
     first_sample: int = 0
     channels: list[ImportedChannel] = field(default_factory=list)
     segments: list[ImportedSegment] = field(default_factory=list)
@@ -137,6 +140,33 @@ def read_import(
         BenchError: the first thing that is wrong, where, and how to fix it.
     """
     sidecar, document = read_sidecar(path)
+    return _read(path, sidecar, document, describe, shape_sign)
+
+
+def check_proposal(text: str, path: Path) -> None:
+    """Check a sidecar that is not written yet as :func:`read_import` would.
+
+    Args:
+        text: the sidecar.
+        path: where it would be, beside its data.
+
+    Raises:
+        BenchError: the import would refuse it.
+    """
+    document = parse_document(text, path.name, "sidecar", "file and channels")
+    _read(
+        path, sidecar_of(document), document, lambda sidecar: None, lambda point, drive_point, frequency_hz: 0.0, False
+    )
+
+
+def _read(
+    path: Path,
+    sidecar: Sidecar,
+    document: YamlDocument,
+    describe: Callable[[Sidecar], LinearDescription | None],
+    shape_sign: ShapeSign,
+    digests: bool = True,
+) -> ImportedRun:
     check_sidecar(sidecar, document)
     run = ImportedRun(path, sidecar, sources={path.name: path})
     if sidecar.linear is None:
@@ -154,7 +184,7 @@ def read_import(
                 check_responses(section, table, place, shape_sign)
             run.tables += tables
             run.notes += [note for table in tables for note in table.notes]
-    run.files = [_digest(source) for source in run.sources.values()]
+    run.files = [_digest(source) for source in run.sources.values() if digests]
     return run
 
 
@@ -210,6 +240,7 @@ def _description(run: ImportedRun, rig: str, versions: dict[str, str]) -> dict[s
             "sidecar": run.sidecar.model_dump(mode="json", exclude_unset=True),
             "files": run.files,
             "notes": run.notes,
+            **({"clock_std": run.clock_std} if run.clock_std > 0.0 else {}),
         },
     }
 
@@ -237,7 +268,7 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
         scaled = values if channel.scale * factor == 1.0 else values * (channel.scale * factor)
         source = table.names[index] or str(index + 1)
         run.channels.append(ImportedChannel(channel, channel.channel, source, clock.spread(scaled)))
-    run.sample_rate = clock.sample_rate
+    run.sample_rate, run.clock_std = clock.sample_rate, clock.std
     run.first_sample = sidecar.first_sample
     run.notes += [*table.notes, *clock.notes]
     run.segments = _segments(run, clock, document)

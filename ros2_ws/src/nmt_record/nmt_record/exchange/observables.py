@@ -226,6 +226,8 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
     if "force_n" in units:
         units["force_n"] = "N"
     _plausible(columns, table, place)
+    if section.kind == "frf":
+        columns = _without_still_line(columns, table.file, notes)
     return [
         _table(
             section, columns, units, quantity, path.name, tuple(notes), level=level, level_unit=level_unit,
@@ -393,6 +395,15 @@ def _complex(
     return result
 
 
+def _without_still_line(columns: dict[str, FloatArray], file: str, notes: list[str]) -> dict[str, FloatArray]:
+    """Columns without lines at 0 Hz, which hold offsets of sensors and no vibration."""
+    moving = columns["frequency_hz"] > 0.0
+    if moving.all():
+        return columns
+    notes.append(f"The line at 0 Hz of {file} is no vibration (offsets of sensors); it was left out.")
+    return {name: np.ascontiguousarray(values[moving]) for name, values in columns.items()}
+
+
 def _plausible(columns: dict[str, FloatArray], table: SourceTable, place: str) -> None:
     if not columns["frequency_hz"].size:
         raise BenchError(f"{place}: {table.file} has no rows.")
@@ -436,10 +447,13 @@ def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableT
         if not np.isfinite(values).all() or not np.isfinite(function.x).all():
             raise BenchError(f"{where} holds values that are not finite; export it again.")
         columns = {"frequency_hz": function.x, "real": values.real, "imag": values.imag}
+        notes: list[str] = []
+        if (function.x > 0.0).any():
+            columns = _without_still_line(columns, path.name, notes)
         unit = f"{quantity.unit}/N"
         units = {"frequency_hz": "Hz", "real": unit, "imag": unit}
         table = _table(
-            section, columns, units, quantity, path.name, point=function.response_node,
+            section, columns, units, quantity, path.name, tuple(notes), point=function.response_node,
             drive_point=function.reference_node, name=function.name or section.name, level=level, level_unit=level_unit,
         )  # fmt: skip
         tables.append(table)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +16,17 @@ from nmt_core.errors import BenchError
 from nmt_core.vocabulary import MOTIONS, QUANTITIES
 from nmt_record.exchange import uff
 from nmt_record.exchange.import_checks import hinted_quantity, looks_like_counts
-from nmt_record.exchange.import_clock import bare_name, is_clock
+from nmt_record.exchange.import_clock import (
+    Clock,
+    ClockQuestionError,
+    bare_name,
+    find_clock,
+    is_clock,
+    time_unit_of,
+)
+from nmt_record.exchange.import_sidecar import Sidecar
 from nmt_record.exchange.import_table import SourceTable, kind_of, read_table
+from nmt_record.exchange.imported_run import check_proposal
 from nmt_record.exchange.unit_table import coordinate_of_unit, measured_quantity, plain_unit, quantity_of_unit
 
 _FREQUENCY = re.compile(r"(f|fr?eq(uency)?)(_?hz)?|hz|hertz", re.I)
@@ -52,6 +62,14 @@ def sidecar_templates(path: Path) -> tuple[str, ...]:
         lines = ["segments:", f"  - {{kind: frf, unit: {_ASK}}}   # unit of the responses, such as m/s^2/N or g/N"]
         return ("\n".join([*head, *lines]) + "\n",)
     table = read_table(path)
+    texts = _texts(table, head)
+    for text in texts:
+        if _ASK not in text:
+            check_proposal(text, path.with_suffix(".yaml"))
+    return texts
+
+
+def _texts(table: SourceTable, head: list[str]) -> tuple[str, ...]:
     head += [f"# {note}" for note in table.notes]
     every = range(len(table.names))
     time = [i for i in every if is_clock(table, i)]
@@ -67,7 +85,7 @@ def sidecar_templates(path: Path) -> tuple[str, ...]:
     if len(groups) > 1 and not table.lines and None not in clocks.values() and min(map(len, groups.values())) > 1:
         recordings = [(own, [clocks[name]]) for name, own in groups.items()]
     else:
-        unnamed = [i for i in every if not time and not table.lines and _even(table, i)][:1]
+        unnamed = [i for i in every if not time and (not table.lines or not any(table.names)) and _even(table, i)][:1]
         recordings = [(list(every), list(time or unnamed))]
     return tuple(
         "\n".join([*head, *_signal_lines(table, [i for i in clock if i is not None], own)]) + "\n"
@@ -78,7 +96,7 @@ def sidecar_templates(path: Path) -> tuple[str, ...]:
 def _even(table: SourceTable, index: int) -> bool:
     """Whether a column without a name rises by equal steps, as a clock does."""
     steps = np.diff(table.columns[index])
-    nameless = bare_name(table, index).rpartition(".")[2].isdigit()
+    nameless = not table.names[index] or bare_name(table, index).rpartition(".")[2].isdigit()
     return nameless and steps.size > 2 and bool(steps.min() > 0.0 and np.ptp(steps) < 1e-3 * steps.mean())
 
 
@@ -215,21 +233,9 @@ def _table_lines(table: SourceTable, frequency: int) -> list[str]:
 
 def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]) -> list[str]:
     """Channels over time."""
-    lines, rate, start = [], table.sample_rate, table.start or 0.0
-    clock = table.abscissa if table.abscissa is not None else (table.columns[time[0]] if time else None)
-    if time:
-        lines.append(f"time: {_column(table, time[0])}")
-    if clock is not None and clock.size > 1:
-        span = float(clock[-1] - clock[0])
-        rate, start = ((clock.size - 1) / span if span > 0.0 else None), float(clock[0])
-        lines.append(f"# sample_rate: {rate:.6g}     # Hz, by the time column" if rate else "# time stands still?")
-    elif table.step:
-        rate = 1.0 / table.step
-        lines.append(f"# sample_rate: {rate:.6g}     # Hz, by the file")
-    elif rate:
-        lines.append(f"# sample_rate: {rate:.6g}     # Hz, by the file")
-    else:
-        lines.append(f"sample_rate: {_ASK}          # Hz")
+    lines, clock = _clock_lines(table, time, columns)
+    rate = None if clock is None else clock.sample_rate
+    start = 0.0 if clock is None else clock.start
     channels = [i for i in columns if i not in time][:_MOST_CHANNELS]
     guesses = {index: _guess(table, index) for index in channels}
     # Volts are the drive's or a sensor's; which, a name may say.
@@ -255,21 +261,60 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
         why = "" if index in kept else "; volts of what? as a channel it needs quantity, unit and scale"
         why = why or ("; the model's coordinate is then in rad or a strain" if coordinate_of_unit(guess.unit) else "")
         lines.append(f"{mark}{{{', '.join(words)}}}   # from {np.nanmin(values):.4g} to {np.nanmax(values):.4g}{why}")
-    stop = start + table.rows / rate if rate else 0.0
+    stop = start + (table.rows if clock is None else clock.samples) / rate if rate else 0.0
     kind = _kind([(guesses[index].quantity, table.columns[index]) for index in kept])
     hit = _end_of_hit([(guesses[index].quantity, table.columns[index]) for index in kept]) if rate else 0
     if rate and hit:
         kind, start = "ring_down", start + hit / rate
     elif rate and kind == "ring_down":
         stop = min(stop, start + max(_moving(table.columns[index]) for index in kept) / rate)
-    until = f"{np.nextafter(stop, -np.inf):.12g}" if rate else _ASK
+    begin, until = (_time_text(value, rate) if rate else _ASK for value in (start, stop))
     lines += [
         "segments:",
-        f"  - {{kind: {kind}, start: {start:.12g}, stop: {until}}}   # guessed"
+        f"  - {{kind: {kind}, start: {begin if rate else 0}, stop: {until}}}   # guessed"
         + ("; what follows the hit. With the hit it is a record of force and response" if hit else ""),
         "    # kinds: phase_resonance, stepped_sine (with window: [begin, end]), random, ring_down, record",
     ]
     return lines
+
+
+def _clock_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]) -> tuple[list[str], Clock | None]:
+    """Lines on the clock, and the clock as the import will find it; None where the sidecar must be completed."""
+    others = [index for index in columns if index not in time]
+    if not others:
+        raise BenchError(f"{table.file} has a clock and no channels; name the file with the data.")
+    values: dict[str, Any] = {
+        "file": table.file,
+        "channels": [{"column": index + 1, "quantity": "force", "unit": "N", "point": index} for index in others],
+    }
+    lines = []
+    own_header = table.step is not None and bool(time) and table.names[time[0]].startswith("X_Value")
+    if time and not own_header:
+        values["time"] = time[0] + 1
+        lines.append(f"time: {_column(table, time[0])}")
+        unit = time_unit_of(table, time[0])
+        if unit not in ("", "s"):
+            values["time_unit"] = unit
+            lines.append(f"time_unit: {unit}")
+    try:
+        clock = find_clock(table, Sidecar.model_validate(values), "this sidecar")
+    except ClockQuestionError as question:
+        if question.key != "sample_rate":
+            lines.append(f"# {question}")
+        comment = {"sample_rate": "Hz", "clock": "header or column", "time_unit": "s, ms, us, ns or min"}
+        return [*lines, f"{question.key}: {_ASK}          # {comment[question.key]}"], None
+    by = "the time column" if time and not own_header else "the file"
+    lines.append(f"# sample_rate: {clock.sample_rate:.10g}     # Hz, by {by}")
+    return lines, clock
+
+
+def _time_text(value: float, rate: float) -> str:
+    """A time with the fewest digits that name the sample."""
+    for digits in range(3, 18):
+        text = f"{value:.{digits}g}"
+        if abs(float(text) - value) < 0.05 / rate:
+            return text
+    return repr(value)
 
 
 def _end_of_hit(channels: Sequence[tuple[str, FloatArray]]) -> int:
@@ -304,12 +349,22 @@ class _Guess:
     scale: float = 1.0
 
 
+_UNITS_OF_NAMES = {
+    "ms2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "g": "g", "mg": "mg", "n": "N", "kn": "kN", "mm": "mm",
+    "um": "um", "mms": "mm/s", "mm_s": "mm/s", "m_s": "m/s", "mps": "m/s", "v": "V", "mv": "mV", "deg": "deg",
+    "rad": "rad",
+}  # fmt: skip
+_UNIT_OF_NAME = re.compile(rf"[_ ]({'|'.join(_UNITS_OF_NAMES)})$", re.I)
+
 _SENSITIVITY = re.compile(r"([\d.]+)\s*(m?V)\s*/\s*\(?([a-zA-Zµ²/^0-9]+)")
 
 
 def _guess(table: SourceTable, index: int) -> _Guess:
     """Quantity, unit and point of a column; empty and 0 where nothing tells them."""
     name, unit, quantity = bare_name(table, index), table.units[index], table.quantities[index]
+    called = _UNIT_OF_NAME.search(name)
+    if called and not unit and quantity is Quantity.UNKNOWN:
+        name, unit = name[: called.start()], _UNITS_OF_NAMES[called[1].lower()]
     letter = _LETTER.fullmatch(name)
     digits = re.search(r"(\d+)$", name)
     point = int(digits.group(1)) if digits and 0 < len(digits.group(1)) < 4 and name != digits.group(1) else 1

@@ -447,7 +447,10 @@ def _measured_clock(table: SourceTable, axis: _Axis, stated: float | None) -> Cl
     if even is not None:
         return even
     if not (steps > 0.0).all():
-        raise BenchError(_not_ascending(table, time, steps, name))
+        sentence = _not_ascending(table, time, steps, name)
+        if stated is None and not (steps < 0.0).any():
+            raise ClockQuestionError(sentence, "sample_rate")
+        raise BenchError(sentence)
     step = 1.0 / stated if stated is not None else float(np.median(steps))
     typical = float(np.median(steps))
     if stated is not None and abs(typical * stated - 1.0) > _STEP_TOLERANCE:

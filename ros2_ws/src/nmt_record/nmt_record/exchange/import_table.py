@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -267,12 +268,15 @@ def _read_csv(path: Path) -> SourceTable:
     if not lines:
         raise BenchError(f"{name} has no lines with values; name the file with the data.")
     form = _form_of(lines, name)
+    if form.delimiter is None:
+        numbers, lines = _with_empty_rows(everything, numbers, form, name, notes)
     first = next(row for row, line in enumerate(lines) if form.numeric(line))
     if form.decimal == ",":
         notes.append(f"{name} writes decimals with a comma; they were read as points.")
     header, lines = lines[:first], lines[first:]
     width = len(form.cells(lines[0]))
-    heads = [form.cells(line) for line in header]
+    one = width == 1 and form.delimiter is None  # the name of a single column may have spaces
+    heads = [[line.strip().strip('"').strip()] if one else form.cells(line) for line in header]
     if width > 1 and not form.cells(lines[0])[-1] and (not heads or len(heads[-1]) < width or not heads[-1][-1]):
         # A delimiter at the end of every line.
         width -= 1
@@ -298,15 +302,34 @@ def _read_csv(path: Path) -> SourceTable:
     columns = tuple(np.ascontiguousarray(column) for column in table.T)
     for i in stamps:
         columns[i].flat[:] = columns[i] - (columns[i][0] if np.isfinite(columns[i][0]) else 0.0)
-    rate = _rate_of_heading([line for i, line in enumerate(everything[: numbers[first]]) if line.strip()])
+    rate, step = _clock_of_heading([line for line in everything[: numbers[first]] if line.strip()])
     return SourceTable(
-        name, names, columns, units, notes=notes, lines=line_of, breaks=breaks, stamps=stamps, sample_rate=rate
-    )
+        name, names, columns, units, notes=notes, lines=line_of, breaks=breaks, stamps=stamps, sample_rate=rate,
+        step=step,
+    )  # fmt: skip
 
 
-def _rate_of_heading(lines: Sequence[str]) -> float | None:
-    """Sampling rate that the lines above the numbers state, Hz; None if none does, or several contradict each other."""
-    rates = []
+def _with_empty_rows(
+    everything: Sequence[str], numbers: list[int], form: _Form, name: str, notes: list[str]
+) -> tuple[list[int], list[str]]:
+    """Lines of a file, and their numbers, where an empty line among those of a single column is a missing value."""
+    lines = [everything[i] for i in numbers]
+    begin = next(row for row, line in enumerate(lines) if form.numeric(line))
+    if len(form.cells(lines[begin])) > 1:
+        return numbers, lines
+    span = range(numbers[begin], numbers[-1] + 1)
+    empty = [i for i in span if not everything[i].strip()]
+    if not empty or len(empty) > 0.2 * len(span):
+        return numbers, lines  # none, or a file with an empty line behind every one
+    notes.append(f"{name} has {len(empty)} empty lines among its values; they were read as missing values.")
+    numbers = sorted({*numbers, *empty})
+    return numbers, [everything[i] if everything[i].strip() else "nan" for i in numbers]
+
+
+def _clock_of_heading(lines: Sequence[str]) -> tuple[float | None, float | None]:
+    """Sampling rate (Hz) and step (s) that the lines above the numbers state; None if none does, or several."""
+    rates: list[float] = []
+    steps: list[float] = []
     for line in lines:
         found = _HEAD_RATE.search(line)
         if found:
@@ -315,10 +338,11 @@ def _rate_of_heading(lines: Sequence[str]) -> float | None:
             continue
         found = _HEAD_STEP.search(line)
         if found and float(found[1].replace(",", ".")) > 0.0:
-            factor = {"ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9}.get((found[2] or "").lower(), 1.0)
-            rates.append(factor / float(found[1].replace(",", ".")))
-    rates = [rate for rate in rates if rate > 0.0]
-    return rates[0] if rates and max(rates) < 1.001 * min(rates) else None
+            power = {"ms": 3, "us": 6, "µs": 6, "ns": 9}.get((found[2] or "").lower(), 0)
+            # By the decimal power, so that its digits stay those of the file.
+            steps.append(float(Decimal(found[1].replace(",", ".")).scaleb(-power)))
+    rate, step = (own[0] if len(set(own)) == 1 and own[0] > 0.0 else None for own in (rates, steps))
+    return rate, step
 
 
 def _without_stamps(
@@ -383,12 +407,41 @@ def _form_of(lines: Sequence[str], name: str) -> _Form:
         rows = [line for line in sample if form.numeric(line) and (delimiter is None or delimiter in line)]
         if len(rows) > score * 1.5:
             best, score = form, len(rows)
+    if best is not None and best.delimiter == "," and _one_column_of_decimal_commas(sample, name):
+        best = _Form(None, ",")
     if best is None:
         raise BenchError(
             f"{name} has no line of numbers; a CSV needs columns of numbers separated by ; or tab or comma, decimals "
             f"with a point."
         )
     return best
+
+
+def _one_column_of_decimal_commas(lines: Sequence[str], name: str) -> bool:
+    """Whether lines that look like two columns of whole numbers are one of numbers with a decimal comma.
+
+    A heading then has one name, and the digits behind the comma are as many in every line.
+
+    Raises:
+        BenchError: nothing tells.
+    """
+    numbers = [line.strip() for line in lines if re.fullmatch(r"\s*[-+]?\d+,\d+\s*", line)]
+    rest = [line for line in lines if line.strip() and line.strip() not in numbers]
+    heads = [line for line in rest if not re.match(r"\s*[-+]?\d", line) and line.strip().lower() not in _MISSING]
+    empty = len(rest) - len(heads)
+    if len(numbers) < 3 or empty > 0.2 * len(lines):
+        return False
+    behind = [line.partition(",")[2] for line in numbers]
+    if len({len(digits) for digits in behind}) > 1:
+        return False
+    if heads:
+        return "," not in heads[-1]
+    if any(re.match(r"0\d", digits) for digits in behind):
+        return True
+    raise BenchError(
+        f"{name} has no heading, and lines such as '{numbers[0]}' may be two columns or one with decimal commas; write "
+        "decimals with a point, or give the columns names."
+    )
 
 
 def _heading(

@@ -22,6 +22,7 @@ from nmt_record.exchange.import_clock import (
     bare_name,
     find_clock,
     is_clock,
+    quantum_of,
     time_unit_of,
 )
 from nmt_record.exchange.import_sidecar import Sidecar
@@ -44,6 +45,7 @@ _LETTER = re.compile(r"([faxvui])_?(\d*)", re.I)
 _DECAYED = 0.8  # rms of the last fifth over that of the first
 _ASK = "'?'"
 _MOST_CHANNELS = 64
+_DOUBTFUL = 200.0  # Hz: a time without a unit that gives less may be one in ms of a faster recording
 
 
 def sidecar_templates(path: Path) -> tuple[str, ...]:
@@ -95,9 +97,18 @@ def _texts(table: SourceTable, head: list[str]) -> tuple[str, ...]:
 
 def _even(table: SourceTable, index: int) -> bool:
     """Whether a column without a name rises by equal steps, as a clock does."""
-    steps = np.diff(table.columns[index])
+    values = table.columns[index]
+    steps = np.diff(values)
     nameless = not table.names[index] or bare_name(table, index).rpartition(".")[2].isdigit()
-    return nameless and steps.size > 2 and bool(steps.min() > 0.0 and np.ptp(steps) < 1e-3 * steps.mean())
+    if (
+        not nameless
+        or steps.size < 3
+        or not np.isfinite(steps).all()
+        or not (steps.min() >= 0.0 and values[-1] > values[0])
+    ):
+        return False
+    line = np.linspace(values[0], values[-1], values.size)
+    return bool(np.abs(values - line).max() <= max(1.01 * quantum_of(values), 1e-3 * steps.mean()))
 
 
 def _held_lines(table: SourceTable, frequencies: Sequence[int]) -> list[str]:
@@ -281,6 +292,7 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
 def _clock_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]) -> tuple[list[str], Clock | None]:
     """Lines on the clock, and the clock as the import will find it; None where the sidecar must be completed."""
     others = [index for index in columns if index not in time]
+    named = not time or bool(table.names[time[0]])
     if not others:
         raise BenchError(f"{table.file} has a clock and no channels; name the file with the data.")
     values: dict[str, Any] = {
@@ -303,6 +315,10 @@ def _clock_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]
             lines.append(f"# {question}")
         comment = {"sample_rate": "Hz", "clock": "header or column", "time_unit": "s, ms, us, ns or min"}
         return [*lines, f"{question.key}: {_ASK}          # {comment[question.key]}"], None
+    unsure = bool(time) and not own_header and not time_unit_of(table, time[0]) and table.abscissa is None
+    if unsure and (not named or clock.sample_rate < _DOUBTFUL):
+        told = f"# seconds would be {clock.sample_rate:.6g} Hz; s, ms, us, ns or min"
+        return [*lines, f"time_unit: {_ASK}        {told}"], None
     by = "the time column" if time and not own_header else "the file"
     lines.append(f"# sample_rate: {clock.sample_rate:.10g}     # Hz, by {by}")
     return lines, clock

@@ -6,8 +6,11 @@ A chunk that cannot be read is left out and named; the file is read on behind it
 from __future__ import annotations
 
 import copy
+import itertools
+import math
 import struct
 import zlib
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -78,6 +81,7 @@ class Stretch:
         channels: ids of the channels with messages in it.
         packing: compression, size packed and size unpacked as the index has them; None = the chunk says so itself.
         fault: why it cannot be read, as far as that was found out when the file was opened; empty if it can.
+        first_time: earliest log time in it, ns.
     """
 
     offset: int
@@ -86,6 +90,7 @@ class Stretch:
     channels: frozenset[int]
     packing: tuple[str, int, int] | None = None
     fault: str = ""
+    first_time: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +154,10 @@ class McapFile:
         return bag
 
     def raw_messages(self, wanted: set[int] | None = None) -> Iterator[tuple[int, int, int, bytes]]:
-        """Messages in the order of the file; those in stretches that cannot be read are left out.
+        """Messages in the order of their log time, equal ones in that of the file; those in stretches that cannot be
+        read are left out.
+
+        A file that was merged or converted may hold them in another order; what overlaps is kept until it is complete.
 
         Args:
             wanted: ids of channels; None = all.
@@ -160,9 +168,19 @@ class McapFile:
         Raises:
             BenchError: the file cannot be read.
         """
-        for part in self.parts(wanted):
-            if not isinstance(part, LostStretch):
-                yield from part
+        wanted = set(self.channels) if wanted is None else wanted & set(self.channels)
+        held = [item for item in self.stretches if item.fault or not wanted.isdisjoint(item.channels)]
+        waiting: list[tuple[int, int, int, bytes]] = []
+        # Before the earliest time of what is still to be read, nothing more can come.
+        firsts = [math.inf if item.fault else item.first_time for item in held]
+        bounds = [*itertools.accumulate(firsts[::-1], min)][::-1][1:]
+        for part, bound in zip(self._read(held, wanted), [*bounds, math.inf], strict=True):
+            waiting = _in_order(waiting, [] if isinstance(part, LostStretch) else part)
+            count = (
+                len(waiting) if not waiting or waiting[-1][1] <= bound else bisect_right(waiting, bound, key=_log_time)
+            )
+            yield from waiting[:count]
+            waiting = waiting[count:]
 
     def parts(self, wanted: set[int] | None = None) -> Iterator[list[tuple[int, int, int, bytes]] | LostStretch]:
         """Stretch by stretch, the messages as :meth:`raw_messages` gives them, or what was lost.
@@ -278,7 +296,14 @@ class McapFile:
             seen = frozenset(index.message_index_offsets) or frozenset(self.channels)
             packing = (index.compression, index.compressed_size, index.uncompressed_size)
             self.stretches.append(
-                Stretch(index.chunk_start_offset + _RECORD.size, index.chunk_length - _RECORD.size, True, seen, packing)
+                Stretch(
+                    index.chunk_start_offset + _RECORD.size,
+                    index.chunk_length - _RECORD.size,
+                    True,
+                    seen,
+                    packing,
+                    first_time=index.message_start_time,
+                )
             )
         self.counts = {cid: int(statistics.channel_message_counts.get(cid, 0)) for cid in self.channels}
         return True
@@ -300,12 +325,13 @@ class McapFile:
                     raise ValueError("the last record is incomplete")
                 if opcode == _OP_CHUNK:
                     data = _unpack_chunk(_read_exact(file, start, length))
-                    self._add(Stretch(start, length, True, frozenset(self._take(data, schemas))))
+                    seen, first = self._take(data, schemas)
+                    self._add(Stretch(start, length, True, frozenset(seen), first_time=first))
                 elif opcode in (_OP_SCHEMA, _OP_CHANNEL, _OP_MESSAGE):
                     data = _read_exact(file, position, _RECORD.size + length)
-                    seen = frozenset(self._take(data, schemas))
+                    seen, first = self._take(data, schemas)
                     if seen:
-                        self._add(Stretch(position, len(data), False, seen))
+                        self._add(Stretch(position, len(data), False, frozenset(seen), first_time=first))
             except _DAMAGE as error:
                 end = self._next_chunk(file, position + 1, size)
                 if end is None:
@@ -345,7 +371,11 @@ class McapFile:
         loose = before is not None and not before.chunk and not before.fault and not stretch.chunk
         if before and loose and before.offset + before.length == stretch.offset and before.length < _SEARCH_STEP:
             self.stretches[-1] = Stretch(
-                before.offset, before.length + stretch.length, False, before.channels | stretch.channels
+                before.offset,
+                before.length + stretch.length,
+                False,
+                before.channels | stretch.channels,
+                first_time=min(before.first_time, stretch.first_time),
             )
         else:
             self.stretches.append(stretch)
@@ -365,13 +395,15 @@ class McapFile:
         except _DAMAGE:
             return False
 
-    def _take(self, data: bytes | memoryview, schemas: dict[int, tuple[str, str, str]]) -> set[int]:
-        """Note schemas, channels and counts of some records, all or nothing; returns the channels seen."""
+    def _take(self, data: bytes | memoryview, schemas: dict[int, tuple[str, str, str]]) -> tuple[set[int], int]:
+        """Note schemas, channels and counts of some records, all or nothing; the channels seen and first log time."""
         new_channels: dict[int, McapChannel] = {}
         counts: dict[int, int] = {}
+        times: list[int] = []
         for opcode, start, end in _records(data):
             if opcode == _OP_MESSAGE:
-                (channel_id,) = _UINT16.unpack_from(data, start)
+                channel_id, _, log_time, _ = _MESSAGE.unpack_from(data, start)
+                times.append(log_time)
                 if channel_id not in self.channels and channel_id not in new_channels:
                     continue  # its channel was described in a chunk that is lost
                 counts[channel_id] = counts.get(channel_id, 0) + 1
@@ -396,7 +428,21 @@ class McapFile:
         self.channels.update(new_channels)
         for channel_id, count in counts.items():
             self.counts[channel_id] = self.counts.get(channel_id, 0) + count
-        return set(counts)
+        return set(counts), min(times, default=0)
+
+
+def _log_time(message: tuple[int, int, int, bytes]) -> int:
+    return message[1]
+
+
+def _in_order(
+    waiting: list[tuple[int, int, int, bytes]], part: list[tuple[int, int, int, bytes]]
+) -> list[tuple[int, int, int, bytes]]:
+    """Messages of a part behind those that wait, by log time."""
+    joined = waiting + part if waiting else part
+    if all(one[1] <= other[1] for one, other in itertools.pairwise(joined)):
+        return joined
+    return sorted(joined, key=_log_time)  # stable
 
 
 def check_magic(path: Path, head: bytes) -> None:

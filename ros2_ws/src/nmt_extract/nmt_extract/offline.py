@@ -77,6 +77,7 @@ def extract_opened_bag(
     settings: ExtractionSettings | None = None,
 ) -> ExtractionResult:
     """As :func:`extract_bag`, for an opened bag."""
+    _refuse_foreign(bag)
     run: dict[str, Any] = bag.run_start or {}
     _require_phase_resonance(run, bag)
     if linear is None:
@@ -97,6 +98,17 @@ def extract_opened_bag(
         _refuse_if_damaged(bag)
     counters = {**extractor.counters, "malformed": feed.malformed}
     return ExtractionResult(points, run, bag.loss, counters, linear, settings)
+
+
+def _refuse_foreign(bag: Any) -> None:
+    from nmt_record.exchange.ros_bag_table import is_foreign
+
+    if is_foreign(bag) and bag.topics and not bag.loss:
+        there = ", ".join(f"/{topic} ({kind})" for topic, (kind, _) in sorted(bag.topics.items())[:8])
+        raise BenchError(
+            f"The bag {bag.path} is not of the bench: it has {there}. './nmt import --init {bag.path}' lists its "
+            "numbers and writes a sidecar to start from."
+        )
 
 
 def _require_phase_resonance(run: dict[str, Any], bag: Any) -> None:

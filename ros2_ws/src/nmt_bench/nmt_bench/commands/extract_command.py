@@ -13,6 +13,8 @@ from nmt_core.hardened import json_value, read_text
 from nmt_core.number_words import level_list
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from nmt_extract.extraction_settings import ExtractionSettings
     from nmt_extract.modal_point import ModalPoint
     from nmt_extract.uncertainty_budget import MethodError
@@ -25,7 +27,7 @@ Extracts modal frequency, damping, amplitude and shape from every locked window 
 the live node: the results are the same, bit for bit. Opens bags of killed recorders too and says what they lost.
 
 BAG  rosbag2 folder (MCAP or SQLite), .mcap or .db3 file, or the results folder of a run
-@output modal.csv, modal.json, uncertainty.csv, uncertainty.json, report.html
+@output modal.csv, modal.json, uncertainty.csv, uncertainty.json, report.html; of free decays alone decay.csv
 --linear FILE  linear.json to use in place of the linear modes named in the bag
 --harmonics H  highest harmonic to extract, 1 to 200 (default: as recorded in the bag)
 --reference FILE  reference.csv of './nmt reference' to compare with in table and report
@@ -61,6 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
     bag = Bag.open(arguments.bag)
     settings = _settings(bag.run_start, arguments.harmonics)
     console = make_console()
+    if linear is None and _holds_decays_only(bag):
+        return _decays(bag, arguments, console)
     with WorkDisplay(console, ("extracting",)):
         result = extract_opened_bag(bag, linear, settings)
     if not result.points:
@@ -91,6 +95,49 @@ def run(arguments: argparse.Namespace) -> int:
     written = ("modal.csv", "modal.json", "uncertainty.csv", "uncertainty.json", "hysteresis.csv", "report.html")
     names = ", ".join(name for name in written if (arguments.out / name).exists())
     console.print(f"Results in {arguments.out}: {names}")
+    return 0
+
+
+def _holds_decays_only(bag: Bag) -> bool:
+    from nmt_extract.free_decay import holds_decays_only
+
+    return holds_decays_only(bag)
+
+
+def _decays(bag: Bag, arguments: argparse.Namespace, console: Console) -> int:
+    """Free decays of a recording without linear modes."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from nmt_bench.commands.work_display import WorkDisplay
+    from nmt_extract.free_decay import free_decays, write_decays
+    from nmt_report.quantity_format import uncertain
+
+    with WorkDisplay(console, ("extracting",)):
+        decays = free_decays(bag)
+    with OutputFolder(arguments.out, arguments.force) as folder:
+        write_decays(decays, folder / "decay.csv")
+    table = Table(
+        title="Free decays, of structure and all that hangs on it: mean ± standard uncertainty",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+    )
+    for head in ("segment", "channel", "amplitude", "frequency Hz", "damping %"):
+        table.add_column(head, justify="left" if head == "channel" else "right")
+    for decay in decays:
+        if decay.reason:
+            table.add_row(str(decay.segment), decay.channel, "", "", "")
+            continue
+        amplitude = f"{decay.amplitude.max():.3g} to {decay.amplitude.min():.3g} {decay.unit}"
+        damping = [100.0 * value for value in decay.mean("damping_ratio")]
+        frequency = uncertain(*decay.mean("frequency_hz"), 4)
+        table.add_row(str(decay.segment), decay.channel, amplitude, frequency, uncertain(damping[0], damping[1], 4))
+    console.print(table)
+    for decay in decays:
+        if decay.reason:
+            console.print(f"Segment {decay.segment}, {decay.channel}: {decay.reason}", style="yellow")
+
+    console.print(f"Results in {arguments.out}: decay.csv")
     return 0
 
 

@@ -16,16 +16,17 @@ if TYPE_CHECKING:
     from nmt_record.exchange.imported_run import ImportedRun
 
 _DATA = (".csv", ".txt", ".tsv", ".dat", ".asc", ".npz", ".mat", ".h5", ".hdf5", ".uff", ".unv", ".58", ".lvm",
-         ".tdms")  # fmt: skip
+         ".tdms", ".mcap", ".db3", ".nc", ".nc4")  # fmt: skip
 
 
 USAGE = """\
-Reads time data, frequency responses and backbones measured elsewhere as a sidecar describes them, checks them, and
-writes a bag that './nmt extract' and './nmt diagnose' take. What cannot be right is refused with one sentence; what
-was fixed is said and kept in the bag.
+Reads time data, frequency responses and backbones measured elsewhere, and any ROS 2 bag, as a sidecar describes them,
+checks them, and writes a bag that './nmt extract' and './nmt diagnose' take. What cannot be right is refused with one
+sentence; what was fixed is said and kept in the bag.
 
 | SIDECAR?  YAML file that says what the columns of the data are
-| --init FILE  look into a file of data and write a sidecar beside it, with the ending .yaml; one for each recording
+| --init FILE  look into a file of data or a ROS 2 bag and write a sidecar beside it, with the ending .yaml; one for
+    each recording or topic
 @output bag/
 """
 
@@ -41,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_output(arguments.out, arguments.force)
     from nmt_record.exchange.sidecar_template import no_sidecar
 
-    if not arguments.sidecar.exists() or arguments.sidecar.suffix.lower() in _DATA:
+    if not arguments.sidecar.is_file() or arguments.sidecar.suffix.lower() in _DATA:
         raise no_sidecar(arguments.sidecar)
 
     from nmt_bench.commands.console import make_console
@@ -61,7 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
     for note in imported.notes:
         console.print(note, style="yellow", soft_wrap=True)
     if imported.channels and imported.linear is None:
-        console.print("No linear modes: './nmt extract' will need --linear FILE.")
+        decays = imported.segments and all(segment.section.kind == "ring_down" for segment in imported.segments)
+        without = "gives frequency and damping of each channel" if decays else "will need --linear FILE"
+        console.print(f"No linear modes: './nmt extract' {without}.")
     console.print(f"Results in {arguments.out}: bag")
     if rig.text:
         model = arguments.sidecar.parent / str(imported.sidecar.rig)

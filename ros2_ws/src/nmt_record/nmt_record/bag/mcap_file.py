@@ -173,8 +173,8 @@ class McapFile:
         waiting: list[tuple[int, int, int, bytes]] = []
         # Before the earliest time of what is still to be read, nothing more can come.
         firsts = [math.inf if item.fault else item.first_time for item in held]
-        bounds = [*itertools.accumulate(firsts[::-1], min)][::-1][1:]
-        for part, bound in zip(self._read(held, wanted), [*bounds, math.inf], strict=True):
+        bounds = [*itertools.accumulate([math.inf, *firsts[:0:-1]], min)][::-1] if held else []
+        for part, bound in zip(self._read(held, wanted), bounds, strict=True):
             waiting = _in_order(waiting, [] if isinstance(part, LostStretch) else part)
             count = (
                 len(waiting) if not waiting or waiting[-1][1] <= bound else bisect_right(waiting, bound, key=_log_time)

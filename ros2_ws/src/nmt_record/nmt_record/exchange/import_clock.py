@@ -268,8 +268,10 @@ def _stated_clock(table: SourceTable, given: _Claim | None, header: _Claim | Non
     if header is not None and table.step is not None and table.sample_rate is None:
         if given is not None:
             return Clock(given.rate, table.start or 0.0, table.rows)
-        clock = Clock(_shortest(header.rate, 1e-5), table.start or 0.0, table.rows)
-        if header.spread > _NOTED_DIFFERENCE:
+        clock = Clock(_shortest(header.rate, max(1e-5, table.step_std)), table.start or 0.0, table.rows)
+        if table.step_std > 0.0:
+            clock.std = table.step_std
+        elif header.spread > _NOTED_DIFFERENCE:
             clock.std = header.spread / math.sqrt(3.0)
             clock.notes.append(
                 f"{header.words[:1].upper()}{header.words[1:]} has few digits: the sampling rate is known to "

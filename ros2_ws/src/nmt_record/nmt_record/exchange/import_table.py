@@ -37,7 +37,6 @@ _FOREIGN = (
     (b"\xd0\xcf\x11\xe0", "an old spreadsheet", "save the table as CSV"),
     (b"\x93NUMPY", "a single NumPy array", "save the columns with numpy.savez"),
     (b"\x1f\x8b", "a gzip archive", "unpack it"),
-    (b"\x89MCAP0", "a bag", "it needs no import, give it to './nmt extract'"),
     (b"%PDF", "a PDF", "save the table as CSV"),
 )
 _MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none"})
@@ -81,6 +80,7 @@ class SourceTable:
         notes: sentences on what was fixed.
         start: abscissa of the first row, if the file states an even one.
         step: its increment.
+        step_std: relative standard uncertainty of it, where its digits do not tell.
         abscissa: the file's uneven abscissa (UFF).
         sample_rate: what the file itself says (NPZ), Hz.
         lines: line of each row in the file; None = not a text file.
@@ -97,6 +97,7 @@ class SourceTable:
     notes: list[str] = field(default_factory=list)
     start: float | None = None
     step: float | None = None
+    step_std: float = 0.0
     abscissa: FloatArray | None = None
     sample_rate: float | None = None
     lines: Callable[[int], int] | None = None
@@ -156,6 +157,10 @@ def read_table(path: Path, wanted: Sequence[str | int] = ()) -> SourceTable:
     Raises:
         BenchError: not there, of another kind, or malformed.
     """
+    from nmt_record.exchange.ros_bag_table import is_bag, read_bag  # a bag reader, where the file is one
+
+    if is_bag(path):
+        return read_bag(path, wanted)
     kind = kind_of(path)
     if kind == "mat":
         return _read_mat(path, wanted)
@@ -793,7 +798,7 @@ def _read_uff(path: Path) -> SourceTable:
         tuple(unit if quantity_of_unit(unit) is not Quantity.UNKNOWN else "" for unit in units),
         tuple(uff.QUANTITIES.get(f.ordinate_axis.data_type, Quantity.UNKNOWN) for f in times),
         notes,
-        None if head.abscissa is not None else head.abscissa_minimum,
-        None if head.abscissa is not None else head.abscissa_increment,
-        head.abscissa,
+        start=None if head.abscissa is not None else head.abscissa_minimum,
+        step=None if head.abscissa is not None else head.abscissa_increment,
+        abscissa=head.abscissa,
     )

@@ -38,6 +38,7 @@ from nmt_record.exchange.import_sidecar import (
 )
 from nmt_record.exchange.import_table import SourceTable, read_table
 from nmt_record.exchange.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
+from nmt_record.exchange.ros_bag_table import is_bag
 from nmt_record.exchange.side_tables import BlockRow, read_block_table, read_loop_table
 from nmt_record.exchange.unit_table import channel_factor
 
@@ -118,7 +119,7 @@ class ImportedRun:
             BenchError: it is not there.
         """
         path = self.path.parent / name
-        if not path.is_file():
+        if not path.is_file() and not is_bag(path):
             raise BenchError(f"{place}: there is no file {path}; names are relative to the sidecar.")
         self.sources[path.name] = path
         return path
@@ -398,10 +399,12 @@ def _read_linear(path: Path) -> LinearDescription:
 
 def _digest(path: Path) -> dict[str, str]:
     digest = hashlib.sha256()
+    parts = sorted(part for part in path.iterdir() if part.is_file()) if path.is_dir() else [path]
     try:
-        with open_regular(path, "file", 2**62) as file:
-            while piece := file.read(2**20):
-                digest.update(piece)
+        for part in parts:
+            with open_regular(part, "file", 2**62) as file:
+                while piece := file.read(2**20):
+                    digest.update(piece)
     except OSError as error:
         raise BenchError(f"{path} cannot be read: {error.strerror or error}.") from error
     return {"name": path.name, "sha256": digest.hexdigest()}

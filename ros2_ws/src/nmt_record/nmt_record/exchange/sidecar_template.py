@@ -28,6 +28,7 @@ from nmt_record.exchange.import_clock import (
 from nmt_record.exchange.import_sidecar import Sidecar
 from nmt_record.exchange.import_table import SourceTable, kind_of, read_table
 from nmt_record.exchange.imported_run import check_proposal
+from nmt_record.exchange.ros_bag_table import bag_tables, is_bag
 from nmt_record.exchange.unit_table import coordinate_of_unit, measured_quantity, plain_unit, quantity_of_unit
 
 _FREQUENCY = re.compile(r"(f|fr?eq(uency)?)(_?hz)?|hz|hertz", re.I)
@@ -60,15 +61,25 @@ def sidecar_templates(path: Path) -> tuple[str, ...]:
     """
     head = [f"# A sidecar for {path.name}; check every line, above all what was guessed.", f"file: {path.name}"]
     head.append("# rig: my_rig.yaml        # the rig file that it is a test of, beside this file")
+    if is_bag(path):
+        return tuple(_checked(text, path) for table in bag_tables(path) for text in _texts(table, list(head)))
     if kind_of(path) == "uff" and all(f.function_type == uff.FREQUENCY_RESPONSE for f in uff.read_uff(path)):
         lines = ["segments:", f"  - {{kind: frf, unit: {_ASK}}}   # unit of the responses, such as m/s^2/N or g/N"]
         return ("\n".join([*head, *lines]) + "\n",)
     table = read_table(path)
     texts = _texts(table, head)
-    for text in texts:
-        if _ASK not in text:
-            check_proposal(text, path.with_suffix(".yaml"))
-    return texts
+    return tuple(_checked(text, path) for text in texts)
+
+
+def _checked(text: str, path: Path) -> str:
+    """A proposal that the import takes, or that asks.
+
+    Raises:
+        BenchError: the import would refuse it, as it says.
+    """
+    if _ASK not in text:
+        check_proposal(text, path.with_suffix(".yaml"))
+    return text
 
 
 def _texts(table: SourceTable, head: list[str]) -> tuple[str, ...]:
@@ -251,6 +262,8 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
     guesses = {index: _guess(table, index) for index in channels}
     # Volts are the drive's or a sensor's; which, a name may say.
     kept = [i for i in channels if guesses[i].quantity != "voltage" or _is_drive(bare_name(table, i))] or channels
+    if table.names[channels[0]].startswith("/"):  # messages have many fields that nobody fills
+        kept = [i for i in kept if np.nanmax(table.columns[i]) > np.nanmin(table.columns[i])] or kept
     lines.append("channels:")
     taken: set[tuple[Quantity | str, int]] = set()
     for index in channels:
@@ -269,7 +282,9 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
             *([f"scale: {guess.scale:.9g}"] if guess.scale != 1.0 else []),
             *([f"point: {point}"] if point else []),
         ]
-        why = "" if index in kept else "; volts of what? as a channel it needs quantity, unit and scale"
+        still = not np.nanmax(values) > np.nanmin(values)
+        left_out = "; it does not move" if still else "; volts of what? as a channel it needs quantity, unit and scale"
+        why = "" if index in kept else left_out
         why = why or ("; the model's coordinate is then in rad or a strain" if coordinate_of_unit(guess.unit) else "")
         lines.append(f"{mark}{{{', '.join(words)}}}   # from {np.nanmin(values):.4g} to {np.nanmax(values):.4g}{why}")
     stop = start + (table.rows if clock is None else clock.samples) / rate if rate else 0.0
@@ -396,7 +411,7 @@ def _guess(table: SourceTable, index: int) -> _Guess:
         quantity = quantity_of_unit(unit) if unit else Quantity.UNKNOWN
     if quantity is Quantity.UNKNOWN:
         quantity = hinted_quantity(name, point)
-    if quantity is Quantity.UNKNOWN and letter:
+    if quantity is Quantity.UNKNOWN and letter and not table.names[index].startswith("/"):
         quantity = QUANTITIES[letter.group(1).lower()]
     placed = quantity not in (Quantity.UNKNOWN, Quantity.VOLTAGE, Quantity.CURRENT)
     known = "" if quantity is Quantity.UNKNOWN else quantity.name.lower()
@@ -414,7 +429,7 @@ def _kind(channels: Sequence[tuple[str, FloatArray]]) -> str:
 
 def no_sidecar(path: Path) -> BenchError:
     """What to say where data are given in place of a sidecar, or a sidecar is not there."""
-    if path.is_file():
+    if path.is_file() or is_bag(path):
         what = f"{path} is a file of data; an import needs a sidecar that says what its columns are"
         return BenchError(f"{what}: './nmt import --init {path}' writes one to start from.")
     return BenchError(

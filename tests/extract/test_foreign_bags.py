@@ -1,0 +1,230 @@
+"""Bags of nodes that are none of the bench's: from a proposal to frequency and damping of a decay."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from nmt_core.errors import BenchError
+from nmt_extract.free_decay import free_decays
+from nmt_extract.offline import extract_bag
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.exchange.imported_run import read_import, write_import
+from nmt_record.exchange.ros_bag_table import bag_tables, even_grid, interpolated
+from nmt_record.exchange.sidecar_template import sidecar_templates
+
+RATE, FREQUENCY, DAMPING = 500.0, 20.0, 0.004
+BEGIN = 1_764_064_800_000_000_000  # ns
+OMEGA = 2.0 * math.pi * FREQUENCY
+
+
+def decay(time: np.ndarray) -> np.ndarray:
+    return np.exp(-DAMPING * OMEGA * time) * np.cos(OMEGA * math.sqrt(1.0 - DAMPING**2) * time)
+
+
+def store_with(text: str = "", name: str = "") -> Any:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    if text:
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def header(store: Any, stamp: int) -> Any:
+    time = store.types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return store.types["std_msgs/msg/Header"](stamp=time, frame_id="imu")
+
+
+def imu(store: Any, stamp: int, value: float) -> Any:
+    types = store.types
+    vector, turn = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+    none = np.zeros(9)
+    return types["sensor_msgs/msg/Imu"](
+        header(store, stamp), turn(0.0, 0.0, 0.0, 1.0), none, vector(0.0, 0.0, 0.0), none,
+        vector(0.0, 0.0, 9.81 + value), none,
+    )  # fmt: skip
+
+
+def wrench(store: Any, stamp: int, value: float) -> Any:
+    vector = store.types["geometry_msgs/msg/Vector3"]
+    force, torque = vector(0.0, value, 0.0), vector(0.0, 0.0, 0.1 * value)
+    return store.types["geometry_msgs/msg/WrenchStamped"](
+        header(store, stamp), store.types["geometry_msgs/msg/Wrench"](force, torque)
+    )
+
+
+GAUGE = "std_msgs/Header header\nfloat32 deflection\nint32 counter\nstring state\nfloat64[3] others\n"
+
+
+def gauge(store: Any, stamp: int, value: float) -> Any:
+    return store.types["lab_msgs/msg/Gauge"](header(store, stamp), value * 1e-3, 7, "ok", np.array([value, 0.0, 1.0]))
+
+
+def multi(store: Any, stamp: int, value: float) -> Any:
+    layout = store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    return store.types["std_msgs/msg/Float64MultiArray"](layout, np.array([value, -0.5 * value]))
+
+
+def write(
+    folder: Path,
+    message: Any,
+    kind: str,
+    *,
+    store: Any = None,
+    plugin: StoragePlugin = StoragePlugin.MCAP,
+    compression: CompressionMode | None = None,
+    seconds: float = 6.0,
+    scatter: float = 0.0,
+    late: float = 0.0,
+    lost: tuple[int, ...] = (),
+    shuffled: bool = False,
+    more: Any = None,
+) -> Path:
+    """A bag of one topic: stamps that scatter because sampling does, log times that are late."""
+    store = store or store_with()
+    random = np.random.default_rng(4)
+    count = round(seconds * RATE)
+    true = np.arange(count) / RATE + scatter / RATE * random.uniform(-0.5, 0.5, count)
+    values = decay(true)
+    rows = [k for k in range(count) if k not in lost]
+    if shuffled:
+        rows = [k for first in range(0, len(rows), 40) for k in random.permutation(rows[first : first + 40])]
+    writer = Writer(folder, version=9, storage_plugin=plugin)
+    if compression is not None:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/sensor", kind, typestore=store)
+        for k in rows:
+            stamp = BEGIN + round(1e9 * float(true[k]))
+            logged = stamp + round(1e9 * late / RATE * float(random.uniform(0, 1)))
+            writer.write(connection, logged, store.serialize_cdr(message(store, stamp, float(values[k])), kind))
+    return folder
+
+
+def answered(text: str, column: str, **answers: str) -> dict[str, Any]:
+    """The proposal for one column; what nobody but the owner knows is answered."""
+    values = yaml.safe_load(text)
+    (channel,) = [own for own in values["channels"] if own["column"] == column]
+    for key, answer in answers.items():
+        assert channel[key] == "?"
+        channel[key] = answer
+    assert "?" not in channel.values()
+    values["channels"] = [{**channel, "point": 1}]
+    values["segments"] = [{"kind": "ring_down", "start": 0.0, "stop": 5.9}]
+    return values
+
+
+def found(bag: Path, column: str, **answers: str) -> Any:
+    text = sidecar_templates(bag)[0]
+    path = bag.with_name("sidecar.yaml")
+    path.write_text(yaml.safe_dump(answered(text, column, **answers)))
+    run = read_import(path)
+    write_import(run, bag.with_name("imported"), "", "", {})
+    (own,) = free_decays(Bag.open(bag.with_name("imported")))
+    assert own.reason == ""
+    return run, own
+
+
+def check(own: Any) -> None:
+    frequency, _ = own.mean("frequency_hz")
+    damping, _ = own.mean("damping_ratio")
+    assert frequency == pytest.approx(FREQUENCY, rel=1e-3)
+    assert damping == pytest.approx(DAMPING, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("scatter", "late", "shuffled", "word"),
+    [
+        (0.0, 0.0, False, ""),
+        (0.0, 3.0, True, ""),
+        (0.25, 0.0, False, "interpolated at even times"),
+    ],
+)
+def test_an_imu_in_mcap(tmp_path: Path, scatter: float, late: float, shuffled: bool, word: str) -> None:
+    bag = write(tmp_path / "imu", imu, "sensor_msgs/msg/Imu", scatter=scatter, late=late, shuffled=shuffled)
+    run, own = found(bag, "/sensor.linear_acceleration.z")
+    check(own)
+    assert run.sample_rate == pytest.approx(RATE, rel=1e-4)
+    assert word in " ".join(run.notes)
+    assert ("scatter by" in " ".join(run.notes)) == (scatter > 0.0)
+
+
+def test_a_wrench_in_a_compressed_database(tmp_path: Path) -> None:
+    bag = write(
+        tmp_path / "wrench", wrench, "geometry_msgs/msg/WrenchStamped", plugin=StoragePlugin.SQLITE3,
+        compression=CompressionMode.FILE,
+    )  # fmt: skip
+    (table,) = bag_tables(bag)
+    assert dict(zip(table.names, table.units, strict=True))["/sensor.wrench.force.y"] == "N"
+    _, own = found(bag, "/sensor.wrench.force.y")
+    check(own)
+    assert own.unit == "N"
+
+
+def test_an_unknown_type_by_its_definition(tmp_path: Path) -> None:
+    store = store_with(GAUGE, "lab_msgs/msg/Gauge")
+    bag = write(tmp_path / "gauge", gauge, "lab_msgs/msg/Gauge", store=store, compression=CompressionMode.MESSAGE,
+                plugin=StoragePlugin.SQLITE3)  # fmt: skip
+    assert [name for table in bag_tables(bag) for name in table.names] == [
+        "/sensor.deflection", "/sensor.counter", "/sensor.others.1", "/sensor.others.2", "/sensor.others.3"
+    ]  # fmt: skip
+    run, own = found(bag, "/sensor.deflection", quantity="displacement", unit="m")
+    check(own)
+    assert run.channels[0].data[0] == pytest.approx(1e-3)
+
+
+def test_an_array_without_stamps_has_the_log_times_as_clock(tmp_path: Path) -> None:
+    bag = write(tmp_path / "array", multi, "std_msgs/msg/Float64MultiArray", late=0.3)
+    (table,) = bag_tables(bag)
+    assert table.names == ("/sensor.data.1", "/sensor.data.2")
+    run, own = found(bag, "/sensor.data.1", quantity="acceleration", unit="m/s^2")
+    check(own)
+    assert "the signals are smoother at even times" in " ".join(run.notes)
+    assert run.clock_std > 0.0
+
+
+def test_lost_messages_are_marked(tmp_path: Path) -> None:
+    bag = write(tmp_path / "imu", imu, "sensor_msgs/msg/Imu", lost=(100, 101, 102, 700))
+    (table,) = bag_tables(bag)
+    column = table.columns[table.names.index("/sensor.linear_acceleration.z")]
+    assert np.flatnonzero(np.isnan(column)).tolist() == [100, 101, 102, 700]
+    assert any("4 samples of /sensor of imu are missing at 2 places" in note for note in table.notes)
+
+
+def test_extraction_points_to_the_import(tmp_path: Path) -> None:
+    bag = write(tmp_path / "imu", imu, "sensor_msgs/msg/Imu", seconds=0.5)
+    with pytest.raises(BenchError, match=r"not of the bench.*sensor_msgs/msg/Imu.*import --init"):
+        extract_bag(bag)
+
+
+def test_a_bag_without_numbers_is_refused_with_its_topics(tmp_path: Path) -> None:
+    def text(store: Any, stamp: int, value: float) -> Any:
+        return store.types["std_msgs/msg/String"](f"{value}")
+
+    bag = write(tmp_path / "text", text, "std_msgs/msg/String", seconds=0.5)
+    with pytest.raises(BenchError, match=r"No topic.*has numbers.*/sensor \(std_msgs/msg/String, 250\)"):
+        sidecar_templates(bag)
+
+
+def test_a_cubic_is_interpolated_exactly_and_gaps_stay() -> None:
+    time = np.cumsum(np.random.default_rng(2).uniform(0.8, 1.2, 40))
+    time[20:] += 6.0
+    places = np.linspace(time[0], time[-1], 211)
+    values = interpolated(time, 1.0 + time - 0.1 * time**3, places)
+    inside = (places > time[19]) & (places < time[20])
+    assert np.isnan(values[inside]).all()
+    assert values[~inside] == pytest.approx((1.0 + places - 0.1 * places**3)[~inside], rel=1e-9, abs=1e-7)
+
+
+def test_late_stamps_of_even_samples_leave_the_signal_as_it_is() -> None:
+    true = np.arange(2000) / RATE
+    late = true + np.random.default_rng(3).uniform(0.0, 0.4, 2000) / RATE
+    grid = even_grid(late, [decay(true)], "x", "log times")
+    assert (grid.columns[0] == decay(true)).all()
+    assert 1.0 / grid.step == pytest.approx(RATE, rel=3.0 * grid.std)

@@ -34,6 +34,7 @@ NODE_MODULES = {
     "sequencer": "nmt_sequencer.sequencer_node",
     "extract": "nmt_extract.extract_node",
     "recorder": "nmt_record.bag.recorder_node",
+    "topic_bridge": "nmt_plant.topic_bridge_node",
 }
 
 # What the keys of a rig file mean; units and ranges come from the models.

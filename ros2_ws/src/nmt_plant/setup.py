@@ -24,5 +24,7 @@ setup(
     maintainer_email="nmt@example.org",
     description="The rig as a device: contract, oscillator, output guard, watchdog, simulated rig; plant node",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["plant = nmt_plant.plant_node:main"]},
+    entry_points={
+        "console_scripts": ["plant = nmt_plant.plant_node:main", "topic_bridge = nmt_plant.topic_bridge_node:main"]
+    },
 )

@@ -18,6 +18,7 @@ import numpy as np
 from nmt_core.arrays import FloatArray, IntArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.stamped_samples import field_getter, interpolated
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK, bench_name
 from nmt_record.exchange.import_table import SourceTable
@@ -26,8 +27,6 @@ _MOST_ELEMENTS = 64  # of one array
 _FEWEST = 16  # messages of a topic that is a recording
 _EVEN = 2e-3  # of a step: scatter of stamps that is not worth a word
 _SMOOTHER = 0.8  # roughness by which one reading of the stamps is better than the other
-_GAP = 1.5  # steps
-_SAME_RATE = 1e-3
 _MAGICS = (b"\x89MCAP0\r\n", b"SQLite format 3\0")
 
 # Units by REP 103, of the fields of sensor_msgs, geometry_msgs and nav_msgs.
@@ -258,12 +257,12 @@ def _numbers(value: Any, prefix: str) -> list[tuple[str, Callable[[Any], Any]]]:
         if isinstance(own, bool | str | bytes):
             continue
         if isinstance(own, int | float | np.integer | np.floating):
-            found.append((path, _getter(path)))
+            found.append((path, field_getter(path)))
         elif isinstance(own, np.ndarray) and own.dtype.kind in "iuf" and own.size <= _MOST_ELEMENTS:
             labels = [str(label) for label in names] if isinstance(names, list) and len(names) == own.size else None
             for number in range(own.size):
                 label = labels[number] if labels else str(number + 1)
-                found.append((f"{path}.{label}", _getter(path, number)))
+                found.append((f"{path}.{label}", field_getter(path, number)))
         elif isinstance(own, list) and own and is_dataclass(own[0]) and len(own) <= _MOST_ELEMENTS:
             for number, member in enumerate(own):
                 for inner, get in _numbers(member, ""):
@@ -273,19 +272,8 @@ def _numbers(value: Any, prefix: str) -> list[tuple[str, Callable[[Any], Any]]]:
     return found
 
 
-def _getter(path: str, number: int | None = None) -> Callable[[Any], Any]:
-    parts = path.split(".")
-
-    def get(message: Any) -> Any:
-        for part in parts:
-            message = getattr(message, part)
-        return message if number is None else message[number]
-
-    return get
-
-
 def _within(path: str, number: int, inner: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    outer = _getter(path)
+    outer = field_getter(path)
     return lambda message: inner(outer(message)[number])
 
 
@@ -430,31 +418,3 @@ def _roughness(values: FloatArray) -> float:
     differences = np.diff(values, 4)
     known = differences[np.isfinite(differences)]
     return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
-
-
-def interpolated(time: FloatArray, values: FloatArray, places: FloatArray) -> FloatArray:
-    """Values at other times, by the cubic through the four samples about each; NaN beyond them and in gaps.
-
-    Args:
-        time: ascending, s, shape ``(n,)``, n at least 4.
-        values: shape ``(n,)``.
-        places: s, shape ``(m,)``.
-    """
-    good = np.isfinite(values)
-    time, values = time[good], values[good]
-    if time.size < 4:
-        return np.full(places.size, np.nan)
-    typical = float(np.median(np.diff(time)))
-    right = np.clip(np.searchsorted(time, places), 1, time.size - 1)
-    first = np.clip(right - 2, 0, time.size - 4)
-    near = time[first[:, None] + np.arange(4)]
-    result = np.zeros(places.size)
-    for k in range(4):
-        weight = np.ones(places.size)
-        for j in range(4):
-            if j != k:
-                weight = weight * (places - near[:, j]) / (near[:, k] - near[:, j])
-        result += weight * values[first + k]
-    gap = time[right] - time[right - 1] > 2.0 * _GAP * typical
-    outside = (places < time[0] - 0.5 * typical) | (places > time[-1] + 0.5 * typical)
-    return np.where(gap | outside, np.nan, result)

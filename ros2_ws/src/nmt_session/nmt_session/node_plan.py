@@ -20,7 +20,7 @@ from nmt_core.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
 from nmt_core.linear_description import LinearDescription
-from nmt_core.vocabulary import ControlKind, TestKind
+from nmt_core.vocabulary import AUTOMATIC, ControlKind, HarmonicsTarget, TestKind
 from nmt_core.yaml_text import yaml_text
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout
@@ -30,7 +30,7 @@ from nmt_pll.loop_settings import settings_from
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
 from nmt_record.bag.bag_keys import SIMULATED_RIG, converter_name
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS, SPECIMEN
-from nmt_rig.linear_description import linear_description
+from nmt_rig.linear_description import force_per_volt, linear_description
 from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import LevelLimits
 
@@ -39,6 +39,7 @@ PACINGS = ("lockstep", "realtime")
 STRATEGIES = ("stepped", "ramp")
 LOOP_TOPICS = ("drive", "frequency")
 """Topics of the loop with a message for every block."""
+_FORCE_ROWS = 500  # of the force per volt over frequency
 _MESSAGE_BYTES = 200  # of a block besides its samples
 MOST_WAITING = 64e6
 """Bytes of samples by which the plant may be ahead of the bag in lockstep."""
@@ -87,6 +88,9 @@ class PlanSettings(TypedDict, total=False):
     device: str
     device_address: str
     linked: bool
+    harmonics_control: int | str | None
+    harmonics_target: str | None
+    levels_without: Sequence[int]
 
 
 @dataclass(frozen=True)
@@ -119,6 +123,10 @@ class TestPlan:
         device_address: of NI's device server.
         linked: whether plant, loop and sequencer are on one host, so that in lockstep they may hand on the sample path
             past the middleware.
+        harmonics_control: harmonics 2 to this one of the force are controlled; 0 = none, ``auto`` = as many as can be,
+            None = as the rig says.
+        harmonics_target: ``force`` (they are brought to zero) or ``modal``; None = as the rig says.
+        levels_without: indices of levels in which they are not controlled nevertheless, for comparison.
         tick_blocks: blocks between two decisions of the sequencer.
         block_reason: why blocks are as long as they are, where that was chosen; see `nmt_session.block_length`.
 
@@ -151,6 +159,9 @@ class TestPlan:
     device: str = ""
     device_address: str = ""
     linked: bool = True
+    harmonics_control: int | str | None = None
+    harmonics_target: str | None = None
+    levels_without: Sequence[int] = ()
     tick_blocks: int = 5
     block_reason: str = ""
 
@@ -158,7 +169,7 @@ class TestPlan:
         plain = {item.name: _plain(getattr(self, item.name)) for item in fields(self)}
         plain["run_id"] = self.run_id or time.strftime(f"{self.rig.name}-%Y%m%d-%H%M%S")
         plain["node_values"] = plain["node_values"] or {}
-        for name in ("levels", "frequencies_hz", "band_hz"):
+        for name in ("levels", "frequencies_hz", "band_hz", "levels_without"):
             plain[name] = None if plain[name] is None else tuple(plain[name])
         for name, value in plain.items():
             object.__setattr__(self, name, value)
@@ -213,8 +224,37 @@ class TestPlan:
     @property
     def excitation(self) -> Excitation:
         """Kind of test and its settings."""
-        values = *(self.band_hz or (0.0, 0.0)), self.rate_hz_s, self.frequency_end_hz, self.duration
-        return Excitation(TestKind.named(self.test), *map(float, values))
+        low, high = self.band_hz or (0.0, 0.0)
+        target = self.rig.test.harmonics_target if self.harmonics_target is None else self.harmonics_target
+        return Excitation(
+            TestKind.named(self.test),
+            float(low),
+            float(high),
+            float(self.rate_hz_s),
+            float(self.frequency_end_hz),
+            float(self.duration),
+            self.controlled_harmonics,
+            int(HarmonicsTarget.named(str(target))) if self.controlled_harmonics else 0,
+        )
+
+    @property
+    def controlled_harmonics(self) -> int:
+        """Highest harmonic of the force that is controlled; 0 = none, 1 = as many as can be.
+
+        What the rig file says holds for the kinds of test that can do it.
+
+        Raises:
+            BenchError: not a number, nor ``auto``.
+        """
+        given = self.harmonics_control
+        if given is None:
+            given = self.rig.test.harmonics_control if TestKind.named(self.test).closes_phase_loop else 0
+        if given == "auto":
+            return AUTOMATIC
+        try:
+            return int(given)
+        except ValueError:
+            raise BenchError(f"Harmonics to be controlled: '{given}' is no number; give a number or auto.") from None
 
     @property
     def level_frequencies_hz(self) -> tuple[float, ...]:
@@ -256,6 +296,7 @@ class TestPlan:
             "stop_on_lost_lock": self.stop_on_lost_lock,
             "frequencies_hz": list(self.level_frequencies_hz),
             **self.excitation.values,
+            "levels_without": list(self.levels_without),
         }
 
 
@@ -326,6 +367,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             "response_topic": response,
             "latency_blocks": test.lead_blocks,
             "watched_nodes": ["plant", "sequencer"],
+            **_known_force(test, linear),
             **pll,
         },
         "sequencer": {
@@ -507,6 +549,20 @@ def expected_peers(
         for name in names:
             peers[name].append(f"{topic}:1")
     return peers
+
+
+def _known_force(test: TestPlan, linear: LinearDescription | None) -> dict[str, Any]:
+    """Force per volt of the model over the frequencies of controlled harmonics, where there are any."""
+    if not test.controlled_harmonics or linear is None or test.is_on_hardware:
+        return {}
+    rate = float(test.rig.sample_rate_hz)
+    frequencies = np.geomspace(0.5 * linear.frequency_hz, 0.5 * rate, _FORCE_ROWS)
+    values = force_per_volt(test.rig, frequencies.tolist())
+    rows = [
+        [float(f"{x:.6g}") for x in (frequency, value.real, value.imag)]
+        for frequency, value in zip(frequencies, values, strict=True)
+    ]
+    return {"force_per_volt_json": json.dumps(rows)}
 
 
 def _hysteresis_layout(rig: Rig) -> HysteresisLayout | None:

@@ -70,14 +70,18 @@ class Extractor:
                 self._not_locked.append(self._not_locked_point(last_sample, level_index, reason, response_unit))
         self._assembler.add_state(last_sample, state, reason)
 
-    def add_level(self, index: int, amplitude: float, unit: str) -> None:
+    def add_level(self, index: int, amplitude: float, unit: str, driven: bool = False) -> None:
         """Take a level of the plan; the unit of controlled responses may be empty.
+
+        ``driven``: the drive has harmonics in it, which control those of the force.
 
         A level of amplitude zero ends the excitation and is no level of the plan.
         """
         if amplitude > 0.0:
             self._levels[index] = (amplitude, unit)
             self._passed_over.discard(index)
+            if driven:
+                self._history.driven.add(index)
 
     def pass_over_level(self, index: int) -> None:
         """A level of a test that gives no modal points: neither does its failure."""

@@ -364,8 +364,9 @@ class _WindowEvaluation:
         voltages = [row for row, channel in enumerate(self.window.channels) if channel.quantity is Quantity.VOLTAGE]
         voltage = complex(self.amplitudes[0, voltages[0], 1]) if len(voltages) == 1 else complex(math.nan)
         return channel_judge.DriveState(
-            float(omega[0]), voltage, force[0], velocity[0], self._shape_std(force), self._shape_std(velocity)
-        )
+            float(omega[0]), voltage, force[0], velocity[0], self._shape_std(force), self._shape_std(velocity),
+            self.window.lock.level_index in self.history.driven,
+        )  # fmt: skip
 
     def _leave_out(self, history: ChannelHistory | None) -> None:
         """Put the shape of the level before in the place of faulty channels; BenchError where that cannot be done."""

@@ -12,7 +12,7 @@ from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_core.records import LevelCommand
-from nmt_core.vocabulary import AUTOMATIC, ControlKind, LoopState, TestKind
+from nmt_core.vocabulary import AUTOMATIC, ControlKind, HarmonicsTarget, LoopState, TestKind
 from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.gains import LoopPlant
 from nmt_pll.harmonics_control import (
@@ -23,6 +23,7 @@ from nmt_pll.harmonics_control import (
     most_harmonics,
     table_of,
 )
+from nmt_pll.harmonics_target import ModalPowerRatio, check_modes
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.lock import Dwell, LockCriteria
 from nmt_pll.loop_settings import LoopSettings
@@ -101,6 +102,8 @@ class PhaseLockedLoop(LevelLoop):
         self._force_per_volt = force_per_volt or table_of(())
         self.harmonics: HarmonicsController | None = None
         self._harmonic_filter: AdaptiveFourierFilter | None = None
+        self._harmonics_target = HarmonicsTarget.ZERO
+        self._ratio: ModalPowerRatio | None = None
         self._harmonics_from: float = 0  # sample from which on that filter has forgotten its start
         self._motion = 0j  # fundamental of the response
 
@@ -111,6 +114,8 @@ class PhaseLockedLoop(LevelLoop):
             )
         if level.test is TestKind.RING_DOWN and level.amplitude > 0.0 and not 0.0 < level.duration < math.inf:
             raise BenchError(f"Level {level.index}: a ring-down needs a duration above 0 s, got {level.duration}.")
+        if level.harmonics_control and level.harmonics_target == HarmonicsTarget.MODAL:
+            check_modes(self.linear, f"Level {level.index}")
         if level.harmonics_control > self._most_harmonics(level.harmonics_control):
             raise BenchError(
                 f"Level {level.index}: harmonics of the force can be controlled up to "
@@ -136,7 +141,7 @@ class PhaseLockedLoop(LevelLoop):
         lead = self.settings.held_lead(2.0 * math.pi * present)
         if lead != 0.0:  # the loop takes the phase it holds for phase resonance
             error = math.remainder(error + lead, 2.0 * math.pi)
-        harmonics = self._force_harmonics(rows[0], force.oscillator)
+        harmonics = self._force_harmonics(rows[0], response, force.oscillator)
         if self.machine.state not in (LoopState.ACQUIRING, LoopState.LOCKED):
             self._quiet_reason = ""  # the drive is at zero already; the next level is not to suffer for it
         self._start_due_levels(force.first_sample, end)
@@ -173,17 +178,28 @@ class PhaseLockedLoop(LevelLoop):
         """Whether the present level asks for control of the force's harmonics."""
         return self._level is not None and self._level.harmonics_control != 0
 
-    def _force_harmonics(self, force: FloatArray, phase: OscillatorPhase) -> ComplexArray | None:
-        """F_1 … F_H after the block, N, where harmonics are controlled and the drive is periodic."""
+    def _force_harmonics(self, force: FloatArray, response: SampleBlock, phase: OscillatorPhase) -> ComplexArray | None:
+        """F_1 … F_H after the block (N), shape (1, H), where harmonics are controlled and the drive is periodic.
+
+        Where their target is a ratio, the responses at the points of the linear description follow, (1 + points, H).
+        """
         if self._harmonic_filter is None or math.isnan(phase.cycles) or not phase.frequency_hz > 0:
             return None
-        values = self._harmonic_filter.process(force[None, :], phase.cycles, phase.frequency_hz, phase.rate_hz_s)[0]
+        rows = force[None, :]
+        if self._ratio is not None:
+            rows = np.concatenate([rows, response.data[self._ratio.rows(response.points)]])
+        values = self._harmonic_filter.process(rows, phase.cycles, phase.frequency_hz, phase.rate_hz_s)
         if not np.isfinite(values).all():
             self._harmonic_filter.reset()
             self._harmonics_from = math.inf
             return None
-        result: ComplexArray = values[1:-1].copy()
+        result: ComplexArray = values[:, 1:-1].copy()
         return result  # one harmonic more is tracked, so that it does not leak into the others
+
+    @property
+    def _harmonics_step(self) -> float:
+        """Share by which a target that is measured follows in a block: as slowly as control itself."""
+        return 1.0 if self.harmonics is None else min(1.0, self.harmonics.rate * self.block_duration)
 
     def _control_harmonics(self, force: ComplexArray | None, frequency_hz: float, controls: bool, end: int) -> None:
         """One block of control of the force's harmonics."""
@@ -199,7 +215,10 @@ class PhaseLockedLoop(LevelLoop):
         else:
             if self._judged_from - self._block_samples < end <= self._judged_from:
                 controller.restart_dwell()
-            controller.update(force, self._motion, frequency_hz, self._amplitude, np.zeros(force.size - 1, complex))
+            target = np.zeros(force.shape[1] - 1, complex)
+            if self._ratio is not None:
+                target = self._ratio.target(force[0], force[1:], self._response_quantity, self._harmonics_step)
+            controller.update(force[0], self._motion, frequency_hz, self._amplitude, target)
 
     @property
     def _filter_warm_up(self) -> int:
@@ -212,7 +231,10 @@ class PhaseLockedLoop(LevelLoop):
         if level.harmonics_control:
             wanted = level.harmonics_control
             highest = self._most_harmonics(MOST_HARMONICS if wanted == AUTOMATIC else wanted)
-            if self.harmonics is None or self.harmonics.setup.highest != highest:
+            target = HarmonicsTarget(level.harmonics_target)
+            if self.harmonics is None or self.harmonics.setup.highest != highest or target != self._harmonics_target:
+                self._harmonics_target = target
+                self._ratio = ModalPowerRatio(self.linear) if target is HarmonicsTarget.MODAL else None
                 setup = HarmonicSetup(
                     highest,
                     self.cutoff,
@@ -223,11 +245,14 @@ class PhaseLockedLoop(LevelLoop):
                     self.settings.voltage_limit,
                 )
                 self.harmonics = HarmonicsController(setup, self._force_per_volt)
-                self._harmonic_filter = AdaptiveFourierFilter(1, highest + 1, self.cutoff, self.sample_rate)
+                channels = 1 if self._ratio is None else 1 + len(self.linear.points)
+                self._harmonic_filter = AdaptiveFourierFilter(channels, highest + 1, self.cutoff, self.sample_rate)
                 self._harmonics_from = end + warm_up
         if self.harmonics is None or self._harmonic_filter is None:
             return
         if was_quiet:
+            if self._ratio is not None:
+                self._ratio.clear()
             self.harmonics.clear()
             self._harmonic_filter.reset()
             self._harmonics_from = end + warm_up

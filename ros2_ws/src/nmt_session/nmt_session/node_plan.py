@@ -26,6 +26,7 @@ from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_plant.guarded_device import LEAST_LEAD
 from nmt_plant.hardware_rig import HARDWARE_LEAD
+from nmt_pll.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
 from nmt_record.bag.bag_keys import SIMULATED_RIG, converter_name
@@ -403,10 +404,13 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     if linked:
         for name in ("plant", "pll", "sequencer", *(("recorder", "extract") if bundle else ())):
             values[name]["linked"] = True
-    joined = linked or _joins_loop_input(test, response)
+    wants_shape = test.excitation.harmonics_target == HarmonicsTarget.MODAL
+    if wants_shape and linear is not None:
+        check_modes(linear, f"The test of rig {rig.name}")
+    joined = linked or (not wants_shape and _joins_loop_input(test, response))
     if joined:
         values["plant"]["loop_topics"] = ["force", response]
-        values["plant"]["drive_point"] = int(rig.drive_point)
+        values["plant"]["drive_point"] = 0 if wants_shape else int(rig.drive_point)
         values["pll"]["joined_input"] = True
     for name, extra in test.node_values.items():
         if name not in values:
@@ -495,7 +499,10 @@ def _joins_loop_input(test: TestPlan, response: str) -> bool:
 
 def _is_linked(test: TestPlan) -> bool:
     """Whether the nodes hand on the sample path past the middleware."""
-    return test.linked and test.pacing == "lockstep" and 16 * int(test.rig.block_samples) <= MOST_BYTES
+    channels = 2
+    if test.excitation.harmonics_target == HarmonicsTarget.MODAL:  # then the loop takes all channels
+        channels = 1 + len(test.rig.sensors)
+    return test.linked and test.pacing == "lockstep" and 8 * channels * int(test.rig.block_samples) <= MOST_BYTES
 
 
 def expected_peers(

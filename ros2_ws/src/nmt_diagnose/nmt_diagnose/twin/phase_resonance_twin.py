@@ -184,9 +184,7 @@ class PeriodicLevels:
             last = states[position] if states[position] is not None else last
         return states
 
-    def _held(
-        self, parts: RigParts, levels: list[LevelProblem], states: Sequence[PeriodicState]
-    ) -> list[LevelProblem]:
+    def _held(self, parts: RigParts, levels: list[LevelProblem], states: Sequence[PeriodicState]) -> list[LevelProblem]:
         """Levels with the phase that force and response truly had: converters that clip turn what was measured."""
         pair = [self._force, self._response]
         if self.ideal_force or not np.any(np.isfinite(parts.limits[pair, 0])):

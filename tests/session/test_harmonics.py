@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import cmath
+import json
+import math
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,7 +14,7 @@ from nmt_core.errors import BenchError
 from nmt_core.records import DriveCommand, LoopStatus
 from nmt_core.vocabulary import PointStatus
 from nmt_rig.reference import compute_reference
-from nmt_session import Session, plan_test
+from nmt_session import Session, plan_nodes, plan_test
 
 ONSET = (0.2, 0.3308, 0.7)  # V at point 2: sticking, onset of slip, slipping
 
@@ -96,6 +101,55 @@ def test_the_modal_target_gives_harmonics_the_power_that_the_mode_needs():
     needed = order**2 * modal.sum(axis=1)
     for n in (3, 5):  # a harmonic counts as settled within 0.3 % of the fundamental, and these have 0.7 and 0.4 %
         assert power[n - 1] / power[0] == pytest.approx(needed[n - 1] / needed[0], rel=0.15)
+
+
+def table(factor: complex) -> str:
+    """Force per volt of the beam's model, times a factor, as the loop gets it."""
+    values = plan_nodes(plan_test("beam", [0.1], harmonics_control=9), Path("bag"), Path("rig.yaml")).values
+    rows = json.loads(values["pll"]["force_per_volt_json"])
+    turned = [(frequency, complex(real, imag) * factor) for frequency, real, imag in rows]
+    return json.dumps([[frequency, value.real, value.imag] for frequency, value in turned])
+
+
+@pytest.mark.parametrize(
+    "factor", [cmath.rect(1.0, math.radians(60)), cmath.rect(1.0, math.radians(-150)), 2.0, None], ids=str
+)
+def test_a_force_per_volt_that_is_wrong_or_not_known_makes_no_difference_in_the_end(factor):
+    known = "" if factor is None else table(factor)
+    plan, result, drives, reasons = run(harmonics_control=9, node_values={"pll": {"force_per_volt_json": known}})
+    assert all(point.status is PointStatus.OK for point in result.points)
+    assert max(harmonics(point).max() for point in result.points) < 0.005
+    assert np.abs(errors(plan, result.points)[1]).max() < 0.005
+    assert not any("given up" in reason for reason in reasons)
+    if factor is None:  # one harmonic at a time, 2 % of the drive
+        first = [drive.harmonics for drive in drives if any(abs(v) for _, v in drive.harmonics)][:50]
+        assert all(sum(abs(v) > 0 for _, v in harmonic) == 1 for harmonic in first)
+        assert max(abs(v) for harmonic in first for _, v in harmonic) == pytest.approx(0.02 * ONSET[0])
+
+
+@pytest.mark.parametrize("limit", [1.505, 1.56])
+def test_at_the_voltage_limit_harmonics_are_given_up_by_name_and_the_level_goes_on(limit):
+    _, result, drives, reasons = run((0.3308, 1.5), harmonics_control=9, overrides=[f"limits.voltage_v={limit}"])
+    assert [point.status for point in result.points] == [PointStatus.OK] * 2
+    assert max(drive.amplitude + sum(abs(v) for _, v in drive.harmonics) for drive in drives) <= limit
+    assert any("harmonic 3 given up: it would need more than" in reason for reason in reasons)
+    assert not any(remark.startswith("Plant") for remark in result.remarks)
+
+
+def test_the_slew_limit_bounds_the_sum():
+    slew = 1.5 * 2 * math.pi * 22.2 * 1.12  # the beam's frequency is at most that of sticking
+    _, result, drives, _ = run((0.3308, 1.5), harmonics_control=9, overrides=[f"limits.slew_v_s={slew}"])
+    assert [point.status for point in result.points] == [PointStatus.OK] * 2
+    assert not any(remark.startswith("Plant") for remark in result.remarks)
+    assert any(abs(v) > 0 for drive in drives for _, v in drive.harmonics)
+
+
+def test_a_dead_force_cell_ends_the_level_with_the_drive_at_zero():
+    _, result, drives, reasons = run((0.3308,), harmonics_control=9, overrides=["sensors.0.gain=1e-9"])
+    assert result.points[0].status is PointStatus.NOT_LOCKED
+    assert any("floor" in reason for reason in reasons)
+    assert drives[-1].amplitude == 0.0
+    assert all(abs(v) == 0 for drive in drives for _, v in drive.harmonics)
 
 
 @pytest.mark.parametrize(

@@ -142,6 +142,8 @@ class HarmonicSetup:
         dead_time: mean delay between measurement and its effect, s.
         dwell_blocks: blocks over which a settled harmonic is judged.
         voltage_limit: V that drive and harmonics together must stay below; 0 = none.
+        slew_limit: V/s that they must stay below together; 0 = none.
+        sample_rate: Hz.
         tolerance: deviation that counts as settled, of the fundamental.
     """
 
@@ -152,6 +154,8 @@ class HarmonicSetup:
     dead_time: float
     dwell_blocks: int
     voltage_limit: float = 0.0
+    slew_limit: float = 0.0
+    sample_rate: float = 1e4
     tolerance: float = SETTLED
 
 
@@ -233,6 +237,24 @@ class HarmonicsController:
         known = np.array([self._force_per_volt(n * frequency_hz) for n in self.orders.tolist()], complex)
         return np.where(np.isnan(known), self._probed, known)
 
+    def fit(self, amplitude: float, frequency_hz: float) -> None:
+        """Keep the next block's voltages within the limits beside a drive of this amplitude (V), also while idle."""
+        self.voltages = self.voltages * self._room(amplitude, frequency_hz)
+
+    def _room(self, amplitude: float, frequency_hz: float) -> float:
+        """Share of the present voltages, at most 1, that the limits of voltage and slew leave room for."""
+        share = 1.0
+        step = math.pi * frequency_hz / self.setup.sample_rate
+        for limit, weights in (
+            (self.setup.voltage_limit, np.ones(self.orders.size + 1)),
+            (self.setup.slew_limit, 2.0 * self.setup.sample_rate * np.sin(step * np.arange(1, self.orders.size + 2))),
+        ):
+            together = float(np.sum(np.abs(self.voltages) * weights[1:]))
+            room = max(0.0, _LIMIT_SHARE * limit - amplitude * float(weights[0]))
+            if limit > 0.0 and together > room:
+                share = min(share, room / together)
+        return share
+
     def gain(self, frequency_hz: float) -> ComplexArray:
         """Ĝ(n f) of every harmonic, N/V; NaN where it has still to be probed."""
         result: ComplexArray = self._known(frequency_hz) * self._correction
@@ -269,7 +291,7 @@ class HarmonicsController:
         step *= np.minimum(1.0, largest / np.maximum(size, 1e-300))
         active = np.array([order not in self.given_up for order in self.orders.tolist()], bool)
         self.voltages = np.where(active, self.voltages + step, _FADE * self.voltages)
-        self._limit(amplitude, gain)
+        self._limit(amplitude, frequency_hz, gain)
         self._review()
 
     def _judge_block(self) -> None:
@@ -319,14 +341,12 @@ class HarmonicsController:
         self._correction = np.where(np.abs(corrected) > _LEAST_CORRECTION, corrected, self._correction)
         self._spread = np.maximum(self._spread * (1.0 - weight * np.abs(moved) ** 2), 1e-6)
 
-    def _limit(self, amplitude: float, gain: ComplexArray) -> None:
+    def _limit(self, amplitude: float, frequency_hz: float, gain: ComplexArray) -> None:
         """Keep every voltage, and all of them together, below what is allowed; name what stays there."""
         largest = np.full(self.orders.size, _LARGEST_VOLTAGE * amplitude)
-        if self.setup.voltage_limit > 0.0:
-            room = max(0.0, _LIMIT_SHARE * self.setup.voltage_limit - amplitude)
-            together = float(np.sum(np.abs(self.voltages)))
-            if together > room:
-                largest = np.minimum(largest, np.abs(self.voltages) * room / together)
+        share = self._room(amplitude, frequency_hz)
+        if share < 1.0:
+            largest = np.minimum(largest, share * np.abs(self.voltages))
         size = np.abs(self.voltages)
         over = (size > largest) | (largest == 0.0)
         self.voltages = np.where(over, self.voltages * largest / np.maximum(size, 1e-300), self.voltages)

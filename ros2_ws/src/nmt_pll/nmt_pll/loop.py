@@ -105,6 +105,7 @@ class PhaseLockedLoop(LevelLoop):
         self._harmonics_target = HarmonicsTarget.ZERO
         self._ratio: ModalPowerRatio | None = None
         self._harmonics_from: float = 0  # sample from which on that filter has forgotten its start
+        self._amplitude_before = 0.0
         self._motion = 0j  # fundamental of the response
 
     def _check_control(self, level: LevelCommand) -> None:
@@ -171,6 +172,8 @@ class PhaseLockedLoop(LevelLoop):
         output = self._output(end, self.controller.output, error, amplitudes, lock, flags)
         if self.harmonics is None:
             return output
+        before = self._amplitude_before if end <= self._judged_from else 0.0  # it may still be on its way down
+        self.harmonics.fit(max(output.amplitude, before), self.controller.high / (2.0 * math.pi))
         return output._replace(harmonics=self.harmonics.commands(off=not self._harmonics_wanted))
 
     @property
@@ -243,6 +246,8 @@ class PhaseLockedLoop(LevelLoop):
                     self._dead_time,
                     self.dwell.length,
                     self.settings.voltage_limit,
+                    self.settings.slew_limit,
+                    self.sample_rate,
                 )
                 self.harmonics = HarmonicsController(setup, self._force_per_volt)
                 channels = 1 if self._ratio is None else 1 + len(self.linear.points)
@@ -296,6 +301,7 @@ class PhaseLockedLoop(LevelLoop):
         if self.settings.ramp_delay_periods > 0 and self.machine.state == LoopState.LOCKED and not was_quiet:
             delay = self.settings.ramp_delay_periods * 2.0 * math.pi / self.controller.output
             self._running_from = self._judged_from = end + round(delay * self.sample_rate)
+        self._amplitude_before = self._amplitude
         self._amplitude = self._start_voltage(level, was_quiet)
         self._prepare_harmonics(level, end, was_quiet)
         self.dwell.clear()

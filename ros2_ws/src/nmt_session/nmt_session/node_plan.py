@@ -26,6 +26,7 @@ from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_plant.guarded_device import LEAST_LEAD
 from nmt_plant.hardware_rig import HARDWARE_LEAD
+from nmt_plant.output_guard import default_slew
 from nmt_pll.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
@@ -617,6 +618,10 @@ def _loop_values(test: TestPlan, linear: LinearDescription | None, response: str
         _add_floors(values, test, linear, response)
     if test.rig.limits.voltage_v is not None:
         values.setdefault("voltage_limit", float(test.rig.limits.voltage_v))
+    if test.controlled_harmonics:
+        limits, rate = test.rig.limits, float(test.rig.sample_rate_hz)
+        usual = 0.0 if limits.voltage_v is None else default_slew(float(limits.voltage_v), rate)
+        values.setdefault("slew_limit", float(usual if limits.slew_v_s is None else limits.slew_v_s))
     settings = settings_from({**values, "latency_blocks": test.lead_blocks})
     return {**loop, **{name: type(getattr(settings, name))(value) for name, value in values.items()}}
 

@@ -444,6 +444,11 @@ def _point_record(values: dict[str, Any]) -> ModalPoint:
 
 
 MODAL_POINT = MessageCodec(
-    "ModalPoint", ModalPoint, {"status": PointStatus}, make=_point_record, otherwise=_complex_parts
+    "ModalPoint",
+    ModalPoint,
+    {"status": PointStatus},
+    make=_point_record,
+    otherwise=_complex_parts,
+    later=("harmonics_control",),
 )
 """``nmt_msgs/ModalPoint``."""

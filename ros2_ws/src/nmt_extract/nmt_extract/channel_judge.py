@@ -67,7 +67,7 @@ class ChannelHistory:
         noise: rms of each channel that no harmonic explains, in the channel's unit.
         faulty: channels that were faulty at the level before, by row.
         drives: force and motion at the drive point at each level without a fault.
-        driven: levels in which the drive has harmonics.
+        driven: levels in which the drive has harmonics, and up to which those of the force are controlled.
     """
 
     names: tuple[str, ...] = ()
@@ -76,7 +76,7 @@ class ChannelHistory:
     noise: FloatArray = field(default_factory=lambda: np.empty(0))
     faulty: frozenset[int] = frozenset()
     drives: list[DriveState] = field(default_factory=list)
-    driven: set[int] = field(default_factory=set)
+    driven: dict[int, int] = field(default_factory=dict)
 
     def knows(self, names: Sequence[str]) -> bool:
         """Whether there is a level of the same channels."""

@@ -466,6 +466,7 @@ class _WindowEvaluation:
             shape_harmonics=(shape[0] * turns).T,
             normalised_shape=values.normalised_shape[0] * turn,
             participation=values.participation[0] * turn,
+            harmonics_control=self.history.driven.get(lock.level_index, 0),
             **fields,
         )
 

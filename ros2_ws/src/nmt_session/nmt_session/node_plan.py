@@ -27,6 +27,7 @@ from nmt_extract.hysteresis import HysteresisLayout
 from nmt_plant.guarded_device import LEAST_LEAD
 from nmt_plant.hardware_rig import HARDWARE_LEAD
 from nmt_plant.output_guard import default_slew
+from nmt_pll.harmonics_control import MOST_HARMONICS
 from nmt_pll.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
@@ -343,7 +344,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     response = _response_topic(rig)
     topics = _sample_topics(rig)
     extraction = ExtractionSettings(
-        harmonics=rig.extraction.harmonics,
+        harmonics=_extracted_harmonics(test, linear),
         topics=_extraction_topics(rig, topics),
         power_balance=test.strategy == "ramp",
         hysteresis=_hysteresis_layout(rig),
@@ -557,6 +558,17 @@ def expected_peers(
         for name in names:
             peers[name].append(f"{topic}:1")
     return peers
+
+
+def _extracted_harmonics(test: TestPlan, linear: LinearDescription | None) -> int:
+    """Harmonics of the extraction: those that are controlled, too, as far as they are below half the sample rate."""
+    harmonics = int(test.rig.extraction.harmonics)
+    controlled = test.controlled_harmonics
+    if not controlled or linear is None:
+        return harmonics
+    wanted = MOST_HARMONICS if controlled == AUTOMATIC else controlled
+    below_nyquist = int(0.45 * float(test.rig.sample_rate_hz) / linear.frequency_hz)
+    return max(harmonics, min(wanted, below_nyquist))
 
 
 def _known_force(test: TestPlan, linear: LinearDescription | None) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import math
 import platform
 import time
 from collections.abc import Mapping, Sequence
@@ -572,17 +573,20 @@ def _extracted_harmonics(test: TestPlan, linear: LinearDescription | None) -> in
 
 
 def _known_force(test: TestPlan, linear: LinearDescription | None) -> dict[str, Any]:
-    """Force per volt of the model over the frequencies of controlled harmonics, where there are any."""
-    if not test.controlled_harmonics or linear is None or test.is_on_hardware:
+    """Force per volt over the frequencies of controlled harmonics: of the linear test, beside it of the model.
+
+    On hardware nothing but the test is believed; what it does not cover is probed.
+    """
+    if not test.controlled_harmonics or linear is None:
         return {}
-    rate = float(test.rig.sample_rate_hz)
-    frequencies = np.geomspace(0.5 * linear.frequency_hz, 0.5 * rate, _FORCE_ROWS)
-    values = force_per_volt(test.rig, frequencies.tolist())
-    rows = [
-        [float(f"{x:.6g}") for x in (frequency, value.real, value.imag)]
-        for frequency, value in zip(frequencies, values, strict=True)
-    ]
-    return {"force_per_volt_json": json.dumps(rows)}
+    rows = [list(row) for row in linear.force_per_volt_rows]
+    low, high = (rows[0][0], rows[-1][0]) if rows else (math.inf, math.inf)
+    if not test.is_on_hardware:
+        frequencies = np.geomspace(0.5 * linear.frequency_hz, 0.5 * float(test.rig.sample_rate_hz), _FORCE_ROWS)
+        beside = frequencies[(frequencies < low) | (frequencies > high)]
+        for frequency, value in zip(beside, force_per_volt(test.rig, beside.tolist()), strict=True):
+            rows.append([float(f"{x:.6g}") for x in (frequency, value.real, value.imag)])
+    return {"force_per_volt_json": json.dumps(sorted(rows))} if rows else {}
 
 
 def _hysteresis_layout(rig: Rig) -> HysteresisLayout | None:

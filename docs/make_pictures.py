@@ -5,8 +5,8 @@ python docs/make_pictures.py out/pictures              # make
 python docs/make_pictures.py out/pictures --check      # exit code 1 if a stored picture is no longer what is made
 python docs/make_pictures.py out/pictures --notebooks  # and the outputs of the notebooks
 
-bench.svg: the nodes, and the backbone they measured. page.png: the live page replaying the demo. The others: the first
-screen of every kind of report, for docs/gallery.md.
+bench.svg: the nodes, and the backbone they measured. harmonics.svg: what control of the force's harmonics does.
+page.png: the live page replaying the demo. The others: the first screen of every kind of report, for docs/gallery.md.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from matplotlib.patches import FancyBboxPatch
 from nbclient import NotebookClient
 from PIL import Image
 
-from nmt_extract.modal_table import read_csv
+from nmt_extract.modal_table import read_csv, read_json
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import load_rig
 
@@ -116,6 +116,43 @@ def draw_bench(results: Path, target: Path) -> None:
     figure.savefig(target, metadata={"Date": None})
 
 
+def draw_harmonics(without: Path, controlled: Path, target: Path) -> None:
+    """Force harmonics where they are greatest, and the error of damping, without and with control of them."""
+    matplotlib.rcParams.update({"svg.hashsalt": "nmt", "font.family": "DejaVu Sans"})
+    figure = Figure(figsize=(9.6, 3.3), facecolor="white")
+    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.25))
+    figure.subplots_adjust(left=0.065, right=0.985, top=0.95, bottom=0.15, wspace=0.2)
+    runs = [(without, "sine of voltage", LINE, -0.2), (controlled, "force harmonics controlled", ACCENT, 0.2)]
+    points = {label: [p for p in read_json(folder / "modal.json")[0] if p.reason == ""] for folder, label, *_ in runs}
+    worst = max(range(len(points[runs[0][1]])), key=lambda k: np.abs(points[runs[0][1]][k].force_harmonics[2:]).max()
+                / abs(points[runs[0][1]][k].force_harmonics[1]))  # fmt: skip
+    rig = load_rig(without / "rig.yaml")
+    for _, label, colour, shift in runs:
+        size = np.abs(points[label][worst].force_harmonics[:8])
+        left.bar(np.arange(2, 8) + shift, 100.0 * size[2:] / size[1], 0.38, color=colour, label=label)
+        q = np.array([point.modal_amplitude for point in points[label]])
+        expected = compute_reference(rig, 15, np.unique(q))
+        error = [p.damping_ratio / np.interp(p.modal_amplitude, expected.modal_amplitude, expected.damping_ratio) - 1.0
+                 for p in points[label]]  # fmt: skip
+        right.plot(1e6 * q, 100.0 * np.array(error), "o-", color=colour, markersize=4.5, linewidth=0.9, label=label)
+    level = points[runs[0][1]][worst].level
+    left.set_xlabel(f"harmonic n of the force at {level:.2g} V", fontsize=8, color=INK)
+    left.set_ylabel("|Fₙ| / |F₁|, %", fontsize=8, color=INK)
+    right.axhline(0.0, color=INK, linewidth=0.6)
+    right.set_xscale("log")
+    right.set_xticks((30, 50, 100, 200, 500), ("30", "50", "100", "200", "500"))
+    right.minorticks_off()
+    right.set_xlabel("modal amplitude, 10⁻⁶ m√kg", fontsize=8, color=INK)
+    right.set_ylabel("damping ratio against EPMC, %", fontsize=8, color=INK)
+    right.legend(fontsize=8, frameon=False, loc="lower right")
+    for axes in (left, right):
+        axes.tick_params(labelsize=8, colors=INK)
+        axes.grid(alpha=0.25, linewidth=0.5)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    figure.savefig(target, metadata={"Date": None})
+
+
 # Picture: results folder, height of the shown part, and the command that makes the folder beside the others.
 HEAVY = "structure.added_masses=[{point: 5, mass_kg: 0.004}]"
 REPORTS: dict[str, tuple[str, int, tuple[str, ...]]] = {
@@ -129,6 +166,7 @@ REPORTS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "backbone": ("backbone", 900, ("run", "joint_resonator", "--linear", "linear/linear.json")),
     "synthesis": ("synthesis", 900, ("synthesis", "--backbone", "backbone", "--sweep", "sweep")),
     "reference": ("reference", 800, ("reference", "beam")),
+    "controlled": ("controlled", 0, ("run", "beam", "--harmonics-control", "auto")),
     "heavy": ("heavy", 0, ("run", "beam", "--set", HEAVY, "--levels", "0.05:1.5:8", "--periods", "60")),
     "diagnosis": ("diagnosis", 1150, ("diagnose", "--model", "beam", "--real", "heavy")),
     "study": ("study", 1000, ("study", "exciter_location", "--quick")),
@@ -224,6 +262,7 @@ def main(arguments: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder)
         draw_bench(options.results / "demo", made / "bench.svg")
+        draw_harmonics(options.results / "demo", options.results / "controlled", made / "harmonics.svg")
         asyncio.run(screenshots(options.results, made))
         asyncio.run(live_page(options.results / "demo" / "bag", made / "page.png"))
         shrink(made)

@@ -311,6 +311,9 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "ramp_s": "half-cosine between levels",
         "window_periods": "whole periods a window; fewer than 3 are rejected by the extraction",
         "lock_timeout_s": "bench time a level may take to lock, after its ramp",
+        "harmonics_control": "harmonics 2 to this one of the force are controlled in phase resonance tests; 0 = none, "
+        "`auto` = as many as the sample rate allows, at most 15",
+        "harmonics_target": "what they are brought to: `force` = zero, `modal` = the ratio that modal power needs",
     },
     "ExtractionSection": {
         "harmonics": "highest harmonic",

@@ -75,6 +75,24 @@ def test_no_slow_ramp_to_zero_keeps_a_fast_one_waiting():
     assert oscillator.is_quiet
 
 
+def test_harmonics_that_change_do_so_along_a_half_cosine_of_one_block():
+    oscillator = Oscillator(RATE)
+    oscillator.apply(sine(50.0, 1.0, harmonics=((3, 0.5j), (5, 0.2))))
+    oscillator.block(200)
+    oscillator.apply(sine(50.0, 1.0, harmonics=((3, -0.3), (4, 0.1j))))  # the fifth is no longer asked for
+    assert oscillator.bound(200) >= 1.0 + 0.5 + 0.2 + 0.1
+    blocks = [oscillator.block(200) for _ in range(2)]
+    fade = 0.5 - 0.5 * np.cos(np.pi * np.arange(201) / 200)
+    theta = blocks[0].phase.phase(201, RATE)
+    amplitudes = {3: 0.5j + (-0.3 - 0.5j) * fade, 4: 0.1j * fade, 5: 0.2 * (1.0 - fade)}
+    expected = np.cos(theta) + sum((value * np.exp(1j * n * theta)).real for n, value in amplitudes.items())
+    np.testing.assert_allclose(blocks[0].voltage, expected, atol=1e-12)
+    theta = blocks[1].phase.phase(201, RATE)
+    steady = np.cos(theta) + (-0.3 * np.exp(3j * theta) + 0.1j * np.exp(4j * theta)).real
+    np.testing.assert_allclose(blocks[1].voltage, steady, atol=1e-12)
+    assert blocks[0].voltage[-1] == pytest.approx(blocks[1].voltage[0], abs=1e-12)
+
+
 def test_harmonics_are_relative_to_the_phase():
     oscillator = Oscillator(RATE)
     oscillator.apply(sine(50.0, 1.0, harmonics=((3, 0.5j),)))

@@ -8,7 +8,7 @@ some bytes there when a sequence of ``float64`` is empty.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
@@ -85,7 +85,8 @@ class MessageCodec(Generic[Record]):
         kinds: what the record has in place of the number or array of a field.
         make: makes a record of the values by field, where they are not the record's own.
         otherwise: values of the fields that the record has in another form.
-        later: first of the fields that older recordings lack; they are read as zero. Empty = there are none.
+        later: fields that began what was added at some time; older recordings end before one of them and are read as
+            zero from there on.
 
     Attributes:
         name: of the message.
@@ -100,7 +101,7 @@ class MessageCodec(Generic[Record]):
         *,
         make: Callable[[dict[str, Any]], Record] | None = None,
         otherwise: Callable[[Record], Mapping[str, Any]] | None = None,
-        later: str = "",
+        later: Collection[str] = (),
     ) -> None:
         self.name = name
         self.fields = message_fields(find_message_file(f"nmt_msgs/msg/{name}").read_text(encoding="utf-8"))
@@ -192,7 +193,7 @@ class MessageCodec(Generic[Record]):
         old = False
         try:
             for name, kind in self.fields:
-                old = old or (name == self._later and position >= len(raw))
+                old = old or (name in self._later and position >= len(raw))
                 if old:
                     values[name] = _ZEROS[kind]
                 else:

@@ -8,18 +8,22 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.vocabulary import ControlKind, TestKind
+from nmt_core.vocabulary import AUTOMATIC, ControlKind, HarmonicsTarget, TestKind
 
 _LONGEST = 1e6  # s
 
 # Which fields a kind of test has; the others must be zero.
 _FIELDS: dict[TestKind, tuple[str, ...]] = {
-    TestKind.PHASE_RESONANCE: (),
+    TestKind.PHASE_RESONANCE: ("harmonics_control", "harmonics_target"),
     TestKind.RANDOM: ("band_low_hz", "band_high_hz", "duration"),
     TestKind.SWEEP: ("rate_hz_s", "frequency_end_hz"),
     TestKind.STEPPED_SINE: (),
-    TestKind.RING_DOWN: ("duration",),
+    TestKind.RING_DOWN: ("duration", "harmonics_control", "harmonics_target"),
 }
+
+_WHOLE = ("harmonics_control", "harmonics_target")
+MOST_HARMONICS = 50
+"""Highest harmonic that can be asked for."""
 
 PEAK_FACTOR = 4.0
 """Peak by rms that a random drive is taken to reach; Gaussian noise passes it once in some 16,000 values."""
@@ -35,6 +39,8 @@ class Excitation:
         rate_hz_s: SWEEP: Hz/s, sign = direction.
         frequency_end_hz: SWEEP: Hz at which it ends.
         duration: s; RANDOM: length of the window, RING_DOWN: of the free decay in it.
+        harmonics_control: harmonics 2 to this one of the force are controlled; 0 = none, 1 = as many as can be.
+        harmonics_target: what they are brought to, see :class:`~nmt_core.vocabulary.HarmonicsTarget`.
     """
 
     test: TestKind = TestKind.PHASE_RESONANCE
@@ -43,6 +49,8 @@ class Excitation:
     rate_hz_s: float = 0.0
     frequency_end_hz: float = 0.0
     duration: float = 0.0
+    harmonics_control: int = 0
+    harmonics_target: int = 0
 
     @classmethod
     def from_goal(cls, goal: Mapping[str, Any]) -> Excitation:
@@ -51,8 +59,10 @@ class Excitation:
         Raises:
             BenchError: no such kind of test.
         """
-        names = [item.name for item in fields(cls) if item.name != "test"]
-        return cls(TestKind.of(int(goal["test"])), **{name: float(goal[name]) for name in names})
+        names = [item.name for item in fields(cls) if item.name != "test" and item.name not in _WHOLE]
+        values: dict[str, Any] = {name: float(goal[name]) for name in names}
+        values |= {name: int(goal.get(name, 0)) for name in _WHOLE}
+        return cls(TestKind.of(int(goal["test"])), **values)
 
     @property
     def level_fields(self) -> dict[str, Any]:
@@ -88,6 +98,7 @@ class Excitation:
             if value != 0.0 and item.name not in _FIELDS[self.test]:
                 raise BenchError(f"A {label} test has no {item.name}; leave it out or choose another kind of test.")
         self._check_frequencies(frequencies_hz, levels, nyquist)
+        self._check_harmonics()
         if self.test is TestKind.RANDOM:
             if not 0.0 < self.band_low_hz < self.band_high_hz < nyquist:
                 raise BenchError(
@@ -102,6 +113,16 @@ class Excitation:
             )
         if self.test is TestKind.SWEEP:
             self._check_sweep(frequencies_hz, nyquist)
+
+    def _check_harmonics(self) -> None:
+        highest = self.harmonics_control
+        if highest not in (0, AUTOMATIC) and not 2 <= highest <= MOST_HARMONICS:
+            raise BenchError(
+                f"The highest harmonic of the force to be controlled must be from 2 to {MOST_HARMONICS}, 0 for none or "
+                f"auto, got {highest}."
+            )
+        if self.harmonics_target not in tuple(HarmonicsTarget):
+            raise BenchError(f"The harmonics' target {self.harmonics_target} is not known; use 0 (force) or 1 (modal).")
 
     def _check_frequencies(self, frequencies_hz: Sequence[float], levels: int, nyquist: float) -> None:
         label = self.test.label.replace("_", " ")

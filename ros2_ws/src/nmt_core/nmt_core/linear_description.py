@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,8 @@ class LinearDescription:
         force_per_volt: fundamental force at linear phase resonance, N/V; NaN if not known.
         displacement_per_volt: drive-point displacement there, m/V; NaN if not known.
         shape_stds: standard uncertainties of ``shapes``, 1/√kg; empty if not known.
+        force_per_volt_rows: force per volt of drive over frequency as a test has measured it, rows of frequency (Hz),
+            real and imaginary part (N/V), ascending; empty if not known.
     """
 
     source: str
@@ -84,6 +87,7 @@ class LinearDescription:
     force_per_volt: float = math.nan
     displacement_per_volt: float = math.nan
     shape_stds: tuple[tuple[float, ...], ...] = ()
+    force_per_volt_rows: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
         modes = len(self.frequencies_rad_s)
@@ -114,6 +118,8 @@ class LinearDescription:
         """JSON text; NaN becomes null."""
         values = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(self).items()}
         values["shape_stds"] = [[None if math.isnan(x) else x for x in row] for row in self.shape_stds]
+        if not self.force_per_volt_rows:
+            del values["force_per_volt_rows"]
         return json.dumps(values)
 
     @classmethod
@@ -129,6 +135,7 @@ class LinearDescription:
                 data[key] = tuple(data[key])
             data["shapes"] = tuple(tuple(float(x) for x in row) for row in data["shapes"])
             data["shape_stds"] = _stds(values)
+            data["force_per_volt_rows"] = _force_rows(values.get("force_per_volt_rows") or ())
             for key in ("force_per_volt", "displacement_per_volt"):
                 if data.get(key) is None:
                     data[key] = math.nan
@@ -155,6 +162,18 @@ def _stds(values: dict[str, Any]) -> tuple[tuple[float, ...], ...]:
     test = values.get("uncertainties")
     rows = values.get("shape_stds") or (test.get("shapes") if isinstance(test, dict) else None) or ()
     return tuple(tuple(math.nan if x is None else float(x) for x in row) for row in rows)
+
+
+def _force_rows(rows: Any) -> tuple[tuple[float, float, float], ...]:
+    """Rows of three finite numbers with ascending frequency; TypeError, ValueError or BenchError otherwise."""
+    found = tuple((float(frequency), float(real), float(imag)) for frequency, real, imag in rows)
+    largest = _LARGEST["force_per_volt"]
+    if not all(abs(x) <= largest for row in found for x in row) or any(b[0] <= a[0] for a, b in pairwise(found)):
+        raise BenchError(
+            "The linear description's force_per_volt_rows must be rows of frequency, real and imaginary part with "
+            "ascending frequency."
+        )
+    return found
 
 
 def _check_magnitudes(values: dict[str, Any]) -> None:

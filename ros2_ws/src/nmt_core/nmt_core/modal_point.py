@@ -79,6 +79,7 @@ class ModalPoint:
         shape_harmonics: ψ̃_n, m, shape ``(H + 1, points)``; row 0 is NaN where accelerometers do not see it.
         normalised_shape: φ̃₁, 1/√kg, shape ``(points,)``.
         participation: Γ, shape ``(modes,)``.
+        harmonics_control: harmonics 2 to this one of the force were controlled; 0 = none, 1 = as many as could be.
     """
 
     level_index: int
@@ -124,6 +125,7 @@ class ModalPoint:
     shape_harmonics: ComplexArray = field(default_factory=_empty_rows)
     normalised_shape: ComplexArray = field(default_factory=_empty)
     participation: ComplexArray = field(default_factory=_empty)
+    harmonics_control: int = 0
 
     def __post_init__(self) -> None:
         for name in COMPLEX:

@@ -72,7 +72,9 @@ class LevelCommand:
 
     ``amplitude`` of a RANDOM test is the rms of the voltage (V); ``duration`` (s) is the length of its window, of
     RING_DOWN that of the free decay; ``frequency_hz`` is the start of a SWEEP that goes to ``frequency_end_hz``.
-    ``control`` is a :class:`~nmt_core.vocabulary.ControlKind`, or a number that the loop refuses.
+    ``control`` is a :class:`~nmt_core.vocabulary.ControlKind`, or a number that the loop refuses; harmonics 2 to
+    ``harmonics_control`` of the force are controlled (0 = none, 1 = as many as can be), ``harmonics_target`` is a
+    :class:`~nmt_core.vocabulary.HarmonicsTarget`.
     """
 
     sequence: int
@@ -90,6 +92,8 @@ class LevelCommand:
     rate_hz_s: float = 0.0
     frequency_end_hz: float = 0.0
     duration: float = 0.0
+    harmonics_control: int = 0
+    harmonics_target: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,6 +133,34 @@ class LoopState(IntEnum):
     LOCK_LOST = 4
 
 
+AUTOMATIC = 1
+"""Number of controlled harmonics: as many as can be."""
+
+
+class HarmonicsTarget(IntEnum):
+    """What controlled harmonics of the force are brought to; the values are those of ``nmt_msgs/Level``.
+
+    Attributes:
+        ZERO: zero; its name for users is ``force``.
+        MODAL: the ratio to the fundamental that modal power needs; ``modal``.
+    """
+
+    ZERO = 0
+    MODAL = 1
+
+    @classmethod
+    def named(cls, name: str) -> HarmonicsTarget:
+        """Target by its name for users.
+
+        Raises:
+            BenchError: no such target.
+        """
+        targets = {"force": cls.ZERO, "modal": cls.MODAL}
+        if name not in targets:
+            raise BenchError(f"The harmonics' target '{name}' is not known; use {' or '.join(targets)}.")
+        return targets[name]
+
+
 class ControlKind(IntEnum):
     """What the amplitude of a level is; the values are those of ``nmt_msgs/Level``.
 

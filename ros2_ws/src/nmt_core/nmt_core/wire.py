@@ -395,9 +395,9 @@ def _numbers(values: Any) -> tuple[float, ...]:
     return tuple(values.tolist())
 
 
-LEVEL = MessageCodec("Level", LevelCommand, {"test": TestKind.of}, later="test")
+LEVEL = MessageCodec("Level", LevelCommand, {"test": TestKind.of}, later=("test", "harmonics_control"))
 """``nmt_msgs/Level``."""
-LOCK_EVENT = MessageCodec("LockEvent", LockEvent, {"test": TestKind.of}, later="test")
+LOCK_EVENT = MessageCodec("LockEvent", LockEvent, {"test": TestKind.of}, later=("test",))
 """``nmt_msgs/LockEvent``."""
 RUN_STATE = MessageCodec("RunState", RunState, {"phase": RunPhase, "result_code": ResultCode})
 """``nmt_msgs/RunState``."""
@@ -444,6 +444,11 @@ def _point_record(values: dict[str, Any]) -> ModalPoint:
 
 
 MODAL_POINT = MessageCodec(
-    "ModalPoint", ModalPoint, {"status": PointStatus}, make=_point_record, otherwise=_complex_parts
+    "ModalPoint",
+    ModalPoint,
+    {"status": PointStatus},
+    make=_point_record,
+    otherwise=_complex_parts,
+    later=("harmonics_control",),
 )
 """``nmt_msgs/ModalPoint``."""

@@ -44,6 +44,7 @@ class DriveState(NamedTuple):
         force: harmonics 0..H, N.
         velocity: harmonics 0..H at the drive point, m/s.
         force_std, velocity_std: their standard uncertainties; NaN = not known.
+        driven: whether the drive has harmonics as well.
     """
 
     omega: float
@@ -52,6 +53,7 @@ class DriveState(NamedTuple):
     velocity: ComplexArray
     force_std: FloatArray
     velocity_std: FloatArray
+    driven: bool = False
 
 
 @dataclass
@@ -65,6 +67,7 @@ class ChannelHistory:
         noise: rms of each channel that no harmonic explains, in the channel's unit.
         faulty: channels that were faulty at the level before, by row.
         drives: force and motion at the drive point at each level without a fault.
+        driven: levels in which the drive has harmonics, and up to which those of the force are controlled.
     """
 
     names: tuple[str, ...] = ()
@@ -73,6 +76,7 @@ class ChannelHistory:
     noise: FloatArray = field(default_factory=lambda: np.empty(0))
     faulty: frozenset[int] = frozenset()
     drives: list[DriveState] = field(default_factory=list)
+    driven: dict[int, int] = field(default_factory=dict)
 
     def knows(self, names: Sequence[str]) -> bool:
         """Whether there is a level of the same channels."""
@@ -394,7 +398,12 @@ def _fundamental_gain(
 
 
 def _harmonic_gain(drive: DriveState, before: DriveState) -> float | None:
-    """The factor that F/v has in common over the harmonics, against the level before; None where they do not agree."""
+    """The factor that F/v has in common over the harmonics, against the level before; None where they do not agree.
+
+    Nothing is known where the drive has harmonics itself.
+    """
+    if drive.driven or before.driven:
+        return None
     count = min(drive.force.size, before.force.size)
     ratios = []
     for n in range(2, count):

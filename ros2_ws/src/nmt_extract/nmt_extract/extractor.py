@@ -70,14 +70,19 @@ class Extractor:
                 self._not_locked.append(self._not_locked_point(last_sample, level_index, reason, response_unit))
         self._assembler.add_state(last_sample, state, reason)
 
-    def add_level(self, index: int, amplitude: float, unit: str) -> None:
+    def add_level(self, index: int, amplitude: float, unit: str, harmonics_control: int = 0) -> None:
         """Take a level of the plan; the unit of controlled responses may be empty.
+
+        ``harmonics_control``: up to which the force's harmonics are controlled in it, see
+        :class:`~nmt_core.records.LevelCommand`.
 
         A level of amplitude zero ends the excitation and is no level of the plan.
         """
         if amplitude > 0.0:
             self._levels[index] = (amplitude, unit)
             self._passed_over.discard(index)
+            if harmonics_control:
+                self._history.driven[index] = harmonics_control
 
     def pass_over_level(self, index: int) -> None:
         """A level of a test that gives no modal points: neither does its failure."""

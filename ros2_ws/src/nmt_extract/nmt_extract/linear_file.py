@@ -25,6 +25,9 @@ LINEAR_FREQUENCY_CHANGE = 2e-4
 LINEAR_DAMPING_CHANGE = 0.02
 """The same for its damping ratio."""
 
+_COHERENT = 0.9  # of voltage and force, from which on their ratio is kept
+_MOST_ROWS = 500
+
 
 @dataclass(frozen=True)
 class Linearity:
@@ -106,7 +109,26 @@ def description(test: LinearTest) -> LinearDescription:
         shape_stds=tuple(
             tuple(float(value) for value in row) for row in np.column_stack([mode.shape_std for mode in test.modes])
         ),
+        force_per_volt_rows=_force_per_volt(test),
         **known,
+    )
+
+
+def _force_per_volt(test: LinearTest) -> tuple[tuple[float, float, float], ...]:
+    """Force over voltage in the band, as far as the coherence is high, rows of Hz and N/V (real, imaginary)."""
+    frf = test.voltage_frf
+    name = test.force_frf.input
+    if frf is None or name not in frf.outputs:
+        return ()
+    row = frf.outputs.index(name)
+    low, high = test.settings.band_hz
+    use = (frf.frequency_hz >= low) & (frf.frequency_hz <= high) & (frf.coherence[row] >= _COHERENT)
+    lines = np.flatnonzero(use)
+    step = max(1, -(-lines.size // _MOST_ROWS))
+    chosen = lines[::step]
+    return tuple(
+        (float(f"{frf.frequency_hz[k]:.8g}"), float(f"{frf.h1[row, k].real:.6g}"), float(f"{frf.h1[row, k].imag:.6g}"))
+        for k in chosen
     )
 
 

@@ -25,6 +25,7 @@ from nmt_extract.window import Window
 from nmt_extract.window_judge import Remark
 
 _RESPONSES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
+_SINE = 0.005  # harmonics over the fundamental of a force that is held to a sine
 _INTEGRATIONS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 
 
@@ -358,6 +359,8 @@ class _WindowEvaluation:
             if np.ptp(window.data[row]) == 0.0:
                 faults[row] = "is dead: it does not move"
                 continue
+            if row == self.force_row and self._is_held_to_a_sine:
+                continue
             flat = channel_judge.flat_top(window.data[row], window.samples / self.advance)
             if flat is not None:
                 faults[row] = f"is flat-topped at {flat:.4g} {window.channels[row].quantity.unit}"
@@ -419,8 +422,20 @@ class _WindowEvaluation:
         voltages = [row for row, channel in enumerate(self.window.channels) if channel.quantity is Quantity.VOLTAGE]
         voltage = complex(self.amplitudes[0, voltages[0], 1]) if len(voltages) == 1 else complex(math.nan)
         return channel_judge.DriveState(
-            float(omega[0]), voltage, force[0], velocity[0], self._shape_std(force), self._shape_std(velocity)
-        )
+            float(omega[0]), voltage, force[0], velocity[0], self._shape_std(force), self._shape_std(velocity),
+            self.window.lock.level_index in self.history.driven,
+        )  # fmt: skip
+
+    @property
+    def _is_held_to_a_sine(self) -> bool:
+        """Whether the force is controlled to be a sine, and is: what could be cut off of it is less than its harmonics.
+
+        The little that harmonics beyond the controlled ones make of its crest may look like a cut.
+        """
+        if self.window.lock.level_index not in self.history.driven:
+            return False
+        size = np.abs(self.amplitudes[0, self.force_row])
+        return bool(np.linalg.norm(size[2:]) < _SINE * size[1])
 
     def _leave_out(self, history: ChannelHistory | None) -> None:
         """Put the shape of the level before in the place of faulty channels; BenchError where that cannot be done."""
@@ -527,6 +542,7 @@ class _WindowEvaluation:
             shape_harmonics=(shape[0] * turns).T,
             normalised_shape=values.normalised_shape[0] * turn,
             participation=values.participation[0] * turn,
+            harmonics_control=self.history.driven.get(lock.level_index, 0),
             **fields,
         )
 

@@ -20,6 +20,7 @@ from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value, read_rows, read_text
 from nmt_core.plain_json import plain_json
 from nmt_core.whole_file import csv_text, write_result
+from nmt_extract.harmonics_indicators import HARMONICS_COLUMNS, any_control, indicators
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
 from nmt_extract.modal_point import COMPLEX, ModalPoint, Status
 
@@ -51,11 +52,19 @@ _WHAT = "table of modal points"
 def write_csv(points: Iterable[ModalPoint], path: Path | str) -> None:
     """Write ``modal.csv``: one row for each level, in the given order.
 
+    Where harmonics of the force were controlled in any level, ``HARMONICS_COLUMNS`` follow.
+
     Raises:
         BenchError: the file cannot be written; an older file is then left as it was.
     """
-    rows = ([repr(float(getattr(point, name))) for name in COLUMNS] for point in points)
-    write_result(Path(path), csv_text([COLUMNS, *rows]))
+    points = list(points)
+    rows = [[repr(float(getattr(point, name))) for name in COLUMNS] for point in points]
+    columns: tuple[str, ...] = COLUMNS
+    if any_control(points):
+        columns = (*COLUMNS, *HARMONICS_COLUMNS)
+        for row, told in zip(rows, indicators(points), strict=True):
+            row += [repr(float(getattr(told, name))) for name in HARMONICS_COLUMNS]
+    write_result(Path(path), csv_text([columns, *rows]))
 
 
 def read_csv(path: Path | str) -> dict[str, list[float]]:
@@ -68,15 +77,16 @@ def read_csv(path: Path | str) -> dict[str, list[float]]:
         BenchError: not there, other columns, or a value that is no number.
     """
     rows = read_rows(Path(path), _WHAT)
-    if not rows or tuple(rows[0]) != COLUMNS:
+    names = tuple(rows[0]) if rows else ()
+    if names not in (COLUMNS, (*COLUMNS, *HARMONICS_COLUMNS)):
         raise BenchError(f"{path} is not a table of modal points; its first line must be {','.join(COLUMNS)}.")
-    columns: dict[str, list[float]] = {name: [] for name in COLUMNS}
+    columns: dict[str, list[float]] = {name: [] for name in names}
     for number, row in enumerate(rows[1:], start=2):
         try:
-            for name, text in zip(COLUMNS, row, strict=True):
+            for name, text in zip(names, row, strict=True):
                 columns[name].append(float(text))
         except ValueError as error:
-            raise BenchError(f"{path} line {number} is not a row of {len(COLUMNS)} numbers.") from error
+            raise BenchError(f"{path} line {number} is not a row of {len(names)} numbers.") from error
     return columns
 
 
@@ -154,6 +164,8 @@ def write_loops(points: Iterable[ModalPoint], layout: HysteresisLayout, path: Pa
 def _point_to_mapping(point: ModalPoint) -> dict[str, Any]:
     values: dict[str, Any] = {item.name: getattr(point, item.name) for item in fields(point)}
     values["status"] = point.status.name
+    if not point.harmonics_control:
+        del values["harmonics_control"]
     for name in COMPLEX:
         values[name] = {"real": values[name].real, "imag": values[name].imag}
     return plain_json(values)  # type: ignore[no-any-return]
@@ -162,7 +174,7 @@ def _point_to_mapping(point: ModalPoint) -> dict[str, Any]:
 def _point_from_mapping(values: Mapping[str, Any]) -> ModalPoint:
     data: dict[str, Any] = {}
     for item in fields(ModalPoint):
-        value = values[item.name]
+        value = values.get(item.name, 0) if item.name == "harmonics_control" else values[item.name]
         if item.name in COMPLEX:
             data[item.name] = _complex_array(value, 2 if item.name == "shape_harmonics" else 1)
         elif item.name == "status":

@@ -1,7 +1,8 @@
 """Phase-continuous oscillator of the drive, with half-cosine amplitude ramps.
 
 The phase never jumps: a new frequency bends it at a block boundary. The drive is u = Re Σ A_n exp(i n θ) for
-SINE and SWEEP, band-limited Gaussian noise for RANDOM.
+SINE and SWEEP, band-limited Gaussian noise for RANDOM. Harmonics that change go to their new amplitudes along a
+half-cosine within one block, so that a controller of theirs does not make steps.
 """
 
 from __future__ import annotations
@@ -205,6 +206,7 @@ class Oscillator:
         self._amplitude = Envelope()
         self._harmonic_weight = Envelope()
         self._harmonics: tuple[tuple[int, complex], ...] = ()
+        self._harmonics_before: dict[int, complex] = {}
         self._noise: BandNoise | None = None
         self._band = (0.0, 0.0)
 
@@ -235,7 +237,9 @@ class Oscillator:
         if self._waveform == Waveform.RANDOM:
             return PEAK_FACTOR * largest
         if self._harmonics:
-            largest += self._harmonic_weight.largest(samples) * sum(abs(value) for _, value in self._harmonics)
+            before = self._harmonics_before
+            sizes = (max(abs(value), abs(before.get(order, 0.0))) for order, value in self._harmonics)
+            largest += self._harmonic_weight.largest(samples) * sum(sizes)
         return largest
 
     def apply(self, command: DriveCommand) -> None:
@@ -267,7 +271,15 @@ class Oscillator:
             self._rate = command.rate_hz_s if command.waveform == Waveform.SWEEP else 0.0
             self._frequency_end = command.frequency_end_hz
         self._waveform = command.waveform
-        self._harmonics = () if random else command.harmonics
+        harmonics = () if random else command.harmonics
+        if self._harmonics and harmonics:
+            for order, value in self._harmonics:
+                self._harmonics_before.setdefault(order, value)
+            asked = {order for order, _ in harmonics}
+            harmonics += tuple((order, 0j) for order in self._harmonics_before if order not in asked)
+        else:
+            self._harmonics_before.clear()
+        self._harmonics = harmonics
         self._amplitude.aim(command.amplitude, length)
         self._harmonic_weight.aim(1.0 if self._harmonics else 0.0, length)
 
@@ -298,8 +310,13 @@ class Oscillator:
             if self._harmonics:
                 theta = phase.phase(samples + 1, self.sample_rate)
                 weight = self._harmonic_weight.values(samples + 1)
+                before = self._harmonics_before
+                fade = half_cosine(np.arange(samples + 1) / samples) if before else np.ones(samples + 1)
                 for order, value in self._harmonics:
-                    voltage += weight * (value * np.exp(1j * order * theta)).real
+                    start = before.get(order, 0j)
+                    amplitude = value if start == value or not before else start + (value - start) * fade
+                    voltage += weight * (amplitude * np.exp(1j * order * theta)).real
+                before.clear()
             moved = self.cycles + duration * (self.frequency_hz + 0.5 * rate * duration)
             self.cycles = moved - math.floor(moved)
             self.frequency_hz = end

@@ -50,7 +50,7 @@ device ="" {'|'.join(('', *SIMULATED_OR_CONVERTERS))}  What is driven: simulated
 bundle_blocks =0 (blocks) 0..100  Blocks whose samples are also published together on {PLANT_BUNDLE}, for readers that
     may be late; 0 = none.
 loop_topics =[""]  Topics whose channel at the drive point is also published, together, on {LOOP_INPUT}; empty = none.
-drive_point =0 0..  Point of the exciter, for loop_topics.
+drive_point =0 0..  Point of the exciter, for loop_topics; 0 = all their channels.
 device_address =""  host:port of NI's gRPC device server; empty = as the rig file says.
 reader_lead =0.0 (s) 0.0..  Bench time in lockstep by which the plant may be ahead of recorder and extraction, as told
     on {' and '.join(TAKEN_TOPICS.values())}; 0 = any.
@@ -273,7 +273,7 @@ class PlantNode(BenchNode):
         for block, raw in zip(blocks, written, strict=True):
             writer = self._loop_writers.get(int(block.quantity))
             if writer is not None:
-                chosen = block.at_point(self._loop_point)
+                chosen = block.at_point(self._loop_point) if self._loop_point else block
                 joined.add(block.quantity.topic, raw if chosen is block else writer.write(chosen))
         joined.flush()
 

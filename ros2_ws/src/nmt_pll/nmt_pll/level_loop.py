@@ -49,6 +49,7 @@ class LoopOutput(NamedTuple):
         rate_hz_s: SWEEP: rate of the frequency from the next block on, Hz/s.
         frequency_end_hz: SWEEP: where it ends, Hz.
         band_low_hz, band_high_hz: RANDOM: band of the noise, Hz.
+        harmonics: order and complex amplitude (V) of the drive's harmonics.
     """
 
     last_sample: int
@@ -68,6 +69,7 @@ class LoopOutput(NamedTuple):
     frequency_end_hz: float = 0.0
     band_low_hz: float = 0.0
     band_high_hz: float = 0.0
+    harmonics: tuple[tuple[int, complex], ...] = ()
 
 
 class LevelLoop(ABC):

@@ -15,6 +15,7 @@ from nmt_core.linear_description import LinearDescription
 from nmt_core.parameters import parameter_table
 from nmt_core.records import DriveCommand, LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import ControlKind, LoopState, Quantity, TestKind, Waveform
+from nmt_pll.harmonics_control import table_from_json
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.loop_settings import LoopSettings, setting_parameters, settings_from
@@ -26,6 +27,8 @@ from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
 PARAMETERS = (*parameter_table(f"""\
 linear_json =""  Linear description of the rig as JSON, see the reference of linear.json; empty = no phase is
     controlled.
+force_per_volt_json =""  Force per volt of drive as JSON, rows of frequency (Hz), real and imaginary part (N/V); where
+    it says nothing, control of harmonics measures it before the first level.
 drive_point =0 0..  Point of the exciter if there is no linear description.
 sample_rate =10000.0 (Hz) 1.0..  Sample rate of the blocks.
 block_samples =200 (samples) 2..100000  Samples a block.
@@ -55,7 +58,7 @@ def drive_command(output: LoopOutput, delay: int = 0) -> DriveCommand:
         output.ramp,
         output.last_sample + 1 + delay,
         output.last_sample,
-        (),
+        output.harmonics if output.amplitude > 0.0 else (),
         output.band_low_hz,
         output.band_high_hz,
         output.rate_hz_s,
@@ -171,7 +174,8 @@ class LoopCore:
             if v["loop"] == "paper":
                 loops.append(PaperLoop(linear, paper_settings_from(v), self.sample_rate, self.block_samples))
             else:
-                loops.append(PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples))
+                known = table_from_json(str(v["force_per_volt_json"]))
+                loops.append(PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples, known))
         loops.append(
             RandomDrive(
                 drive_point,

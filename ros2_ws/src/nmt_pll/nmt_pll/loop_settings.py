@@ -40,7 +40,9 @@ class LoopSettings:
         ramp_delay_periods: a level that follows a locked one opens its window so many periods after it begins, while
             its ramp goes on, without the lock criteria; 0 = wait for them.
         switch_off_periods: RING_DOWN: half-cosine of the voltage to zero, excitation periods; at most one.
-        voltage_limit: sweep and stepped sine give a level up whose drive would need more, V; 0 = no limit.
+        voltage_limit: sweep and stepped sine give a level up whose drive would need more, control of harmonics keeps
+            drive and harmonics together below it, V; 0 = no limit.
+        slew_limit: control of harmonics keeps drive and harmonics together below it, V/s; 0 = no limit.
         phase_offset_rad, loop_latency_s: φ₀ and τ of the phase the loop holds, arg F - arg v = φ₀ + ω τ, instead of 0;
             what a controller does whose channels are not matched in phase or time.
     """
@@ -67,6 +69,7 @@ class LoopSettings:
     ramp_delay_periods: float = 0.0
     switch_off_periods: float = 1.0
     voltage_limit: float = 0.0
+    slew_limit: float = 0.0
     phase_offset_rad: float = 0.0
     loop_latency_s: float = 0.0
 
@@ -122,6 +125,7 @@ _DESCRIPTIONS = {
     "ramp_delay_periods": ("periods", "Windows during the ramp so long after a level begins; 0 = after lock."),
     "switch_off_periods": ("periods", "Ring-down: half-cosine of the voltage to zero; at most 1."),
     "voltage_limit": ("V", "Sweep and stepped sine give a level up that would need more; 0 = no limit."),
+    "slew_limit": ("V/s", "Control of harmonics keeps drive and harmonics below it; 0 = no limit."),
     "phase_offset_rad": ("rad", "Phase by which the held force leads the velocity; 0 = phase resonance."),
     "loop_latency_s": ("s", "Time by which the held force leads the velocity, besides the phase offset."),
 }

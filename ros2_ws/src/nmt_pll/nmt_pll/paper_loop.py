@@ -128,6 +128,10 @@ class PaperLoop(LevelLoop):
                 f"Level {level.index}: the paper's loop steps the voltage only; "
                 "use the adaptive loop for other controls."
             )
+        if level.harmonics_control:
+            raise BenchError(
+                f"Level {level.index}: the paper's loop does not control harmonics of the force; use the adaptive loop."
+            )
 
     def process(self, force: SampleBlock, response: SampleBlock) -> LoopOutput:
         """Answer one block of force and drive-point response.

@@ -171,6 +171,7 @@ class RunReportData:
         end_sample: sample after the last recorded one.
         budgets: uncertainty budget of each point with values.
         budget_inputs: what it was made from; None = there is none.
+        lock_words: what the loop said when it locked, level index -> words.
         plant: what the plant node said of itself last, name -> value; empty where nothing was recorded.
     """
 
@@ -193,6 +194,7 @@ class RunReportData:
     end_sample: int = 0
     budgets: Sequence[PointBudget] = ()
     budget_inputs: BudgetInputs | None = None
+    lock_words: Mapping[int, str] = field(default_factory=dict)
     plant: Mapping[str, str] = field(default_factory=dict)
 
     @property

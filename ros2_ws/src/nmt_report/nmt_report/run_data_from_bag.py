@@ -15,6 +15,7 @@ from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.hardened import yaml_value
 from nmt_core.linear_description import LinearDescription
+from nmt_core.vocabulary import LoopState
 from nmt_core.wire import BlockReader
 from nmt_report.run_data import (
     Excerpt,
@@ -61,12 +62,16 @@ def report_data_from_bag(
     run = bag.run_start or {}
     linear = LinearDescription.from_mapping(run["linear"]) if run.get("linear") else None
     loop: list[tuple[int, float, float, int, float]] = []
+    words: dict[int, str] = {}
     levels: list[LevelStart] = []
     locks: list[LockMark] = []
     recorded: list[ModalPoint] = list(bag.records("modal_point", MODAL_POINT)) if "modal_point" in bag.topics else []
     for topic, _, _, raw in bag.raw_messages(["frequency", "level", "lock"]):
         if topic == "frequency":
-            loop.append(_status(bag, raw))
+            row, level, reason = _status(bag, raw)
+            loop.append(row)
+            if reason and row[3] == LoopState.LOCKED:
+                words[level] = reason
             continue
         message = bag.deserialise(topic, raw)
         if topic == "level":
@@ -92,12 +97,13 @@ def report_data_from_bag(
         loss=bag.loss,
         not_live=_not_live(points or recorded, recorded, locks) if "modal_point" in bag.topics else (),
         end_sample=end_sample,
+        lock_words=words,
         plant=_plant(bag),
     )
 
 
-def _status(bag: Bag, raw: bytes) -> tuple[int, float, float, int, float]:
-    """Last sample, frequency, phase error, state and drive amplitude of a message of ``frequency``."""
+def _status(bag: Bag, raw: bytes) -> tuple[tuple[int, float, float, int, float], int, str]:
+    """Last sample, frequency, phase error, state and drive amplitude of a message of ``frequency``; level, reason."""
     from nmt_core.wire import read_status
 
     status: Any
@@ -110,7 +116,8 @@ def _status(bag: Bag, raw: bytes) -> tuple[int, float, float, int, float]:
             ) from error
     else:
         status = bag.deserialise("frequency", raw)
-    return status.last_sample, status.frequency_hz, status.phase_error, status.state, status.drive_amplitude
+    row = status.last_sample, status.frequency_hz, status.phase_error, status.state, status.drive_amplitude
+    return row, int(status.level_index), str(status.reason)
 
 
 def _not_live(

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from nmt_core.number_words import level_list
 from nmt_core.vocabulary import ControlKind
+from nmt_extract.harmonics_indicators import any_control, indicators
 from nmt_extract.modal_point import Status
 from nmt_extract.uncertainty_budget import UncertaintySource, channel_tolerances_used, left_out
 from nmt_plant.real_time import read_histogram
@@ -51,6 +52,8 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         modal_figures=figures.get("modal", ()),
         shape_figures=figures.get("shape", ()),
         run_figures=figures.get("run", ()),
+        harmonics_table=_harmonics_table(data),
+        harmonics_notes=_harmonics_notes(data),
         level_table=_level_table(data),
         block_reason=_block_reason(data),
         budget_tables=_budget_tables(data),
@@ -90,7 +93,10 @@ def worst_deviation(data: RunReportData) -> tuple[float, float]:
     if data.reference is None:
         return math.nan, math.nan
     worst = [math.nan, math.nan]
+    controlled = any_control(data.points)
     for point in data.good_points:
+        if controlled and not point.harmonics_control:
+            continue  # a level for comparison
         expected = data.reference.at(point.modal_amplitude)
         for index, value in enumerate((point.omega_rad_s, point.damping_ratio)):
             deviation = value / expected[index] - 1.0
@@ -317,6 +323,77 @@ def _level_table(data: RunReportData) -> Table | None:
         ]
         rows.append(Row(cells, failed=point is None or point.status != Status.OK))
     return Table(_LEVEL_COLUMNS, rows, heading="Bench time of each level")
+
+
+_HARMONICS_COLUMNS = (
+    Column("Level", kind="text"),
+    Column("Target"),
+    Column("Controlled", kind="text"),
+    Column(Markup("√Σ|F<sub>n</sub>|² / |F<sub>1</sub>|"), "%"),
+    Column("without control", "%"),
+    Column(Markup("γ<sub>F</sub>")),
+    Column("PBMIF"),
+    Column("f̃ moved by", "%"),
+    Column("δ̃ moved by", "%"),
+)
+_ONE_EXCITER = 0.01  # deviation of damping from the reference from which on the exciter's place is named
+
+
+def _harmonics_table(data: RunReportData) -> Table | None:
+    """What control of the force's harmonics has done at each level; none in a run without it."""
+    if not any_control(data.points):
+        return None
+    rows = []
+    for point, told in zip(data.points, indicators(data.points), strict=True):
+        if point.status != Status.OK:
+            continue
+        controlled = {0: "none", 1: "all that can be"}.get(told.harmonics_control, f"2 to {told.harmonics_control}")
+        rows.append(
+            Row(
+                [
+                    point.level_index + 1,
+                    f"{significant(point.level)} {unit_text(point.level_unit)}",
+                    controlled,
+                    _share_text(told.force_harmonics),
+                    _share_text(told.force_harmonics_without),
+                    plain(point.gamma_force, 5),
+                    plain(point.pbmif, 5),
+                    _share_text(told.frequency_moved, True),
+                    _share_text(told.damping_moved, True),
+                ]
+            )
+        )
+    return Table(_HARMONICS_COLUMNS, rows, heading="Control of the force harmonics") if rows else None
+
+
+def _share_text(value: float, signed: bool = False) -> str:
+    if math.isnan(value):
+        return "—"
+    text = plain(100.0 * abs(value), 3)
+    return text if not signed else f"{'+' if value >= 0.0 else '−'}{text}"
+
+
+def _harmonics_notes(data: RunReportData) -> list[str]:
+    """Sentences on control of harmonics: what was given up, and what control cannot take away."""
+    if not any_control(data.points):
+        return []
+    notes = [
+        f"Level {index + 1}: {part.strip()}."
+        for index, words in sorted(data.lock_words.items())
+        for part in words.split(";")
+        if "given up" in part
+    ]
+    if any(not math.isnan(told.damping_moved) for told in indicators(data.points)):
+        notes.append(
+            "Moved by: modal properties with control over those without it at the same modal amplitude, i.e. the error "
+            "of the method that control has taken away."
+        )
+    if abs(worst_deviation(data)[1]) > _ONE_EXCITER:
+        notes.append(
+            "What is left of the deviation from the reference with the harmonics at their targets comes from the place "
+            "of the one exciter: its fundamental also drives the other modes."
+        )
+    return notes
 
 
 def _assumptions(data: RunReportData) -> list[str]:

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from nmt_core.arrays import ComplexArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.linear_description import LinearDescription
 from nmt_rig.model.linear_modes import damped_modes, sticking_modes
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_resting_elements, build_shaker, build_structure, build_system, input_per_volt
+
+
+def force_per_volt(rig: Rig, frequencies_hz: Sequence[float]) -> ComplexArray:
+    """Force at the drive point for a volt of drive, N/V, all friction sticking, shape (k,).
+
+    Args:
+        rig: the rig.
+        frequencies_hz: Hz, shape (k,).
+    """
+    system = build_system(rig)
+    per_volt = input_per_volt(rig)
+    return np.array([per_volt * system.response(2.0 * np.pi * float(f))[1] for f in frequencies_hz], complex)
 
 
 def linear_description(rig: Rig) -> LinearDescription:

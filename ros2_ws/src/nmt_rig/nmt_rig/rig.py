@@ -219,6 +219,8 @@ class TestSection(Section):
     ramp_s: Positive = 0.5
     window_periods: Annotated[int, Field(ge=3)] = 200
     lock_timeout_s: Positive = 60.0
+    harmonics_control: Annotated[int, Field(ge=0, le=50)] | Literal["auto"] = 0
+    harmonics_target: Literal["force", "modal"] = "force"
 
 
 class HysteresisSection(Section):

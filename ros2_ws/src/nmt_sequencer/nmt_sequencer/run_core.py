@@ -113,6 +113,7 @@ class RunCore:
             open_loop_abort=bool(v["open_loop_abort"]),
             excitation=Excitation.from_goal(goal),
             frequencies_hz=tuple(goal["frequencies_hz"]),
+            levels_without=frozenset(int(index) for index in goal.get("levels_without", ())),
         )
         plan.check(float(v["sample_rate"]), self.machine.limits)
         return plan
@@ -131,6 +132,8 @@ class RunCore:
             "test": plan.excitation.test.label,
             "pacing": self.values["pacing"],
         }
+        if plan.levels_without:
+            described["levels_without"] = sorted(plan.levels_without)
         return RunAnnouncement(goal, plan.run_id, described)
 
     def join(self, next_sample: int) -> None:

@@ -43,6 +43,7 @@ class RunPlan:
         open_loop_abort: end the run where a higher level would follow one that was lost without force or response.
         excitation: kind of test and its settings.
         frequencies_hz: frequency of each level; empty = none given.
+        levels_without: indices of levels without control of the force's harmonics.
     """
 
     run_id: str
@@ -55,6 +56,7 @@ class RunPlan:
     open_loop_abort: bool = True
     excitation: Excitation = field(default_factory=Excitation)
     frequencies_hz: tuple[float, ...] = ()
+    levels_without: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         check_levels(self.levels, "Plan")
@@ -607,6 +609,8 @@ class RunMachine:
             float(timeout),
             **plan.excitation.level_fields,
         )
+        if index in plan.levels_without:
+            order = replace(order, harmonics_control=0)
         self._orders.append(order)
         if self.pacing.lockstep:
             self._unacknowledged.append(order)

@@ -88,7 +88,13 @@ def with_rest(plan: RunPlan, present: int, levels: Sequence[float], frequencies_
         needed = "a frequency for each of the levels" if plan.frequencies_hz else "no frequencies"
         raise BenchError(f"This plan takes {needed}; {len(levels)} levels and {len(given)} frequencies are given.")
     kept = slice(0, present + 1)
-    return replace(plan, levels=(*plan.levels[kept], *levels), frequencies_hz=(*plan.frequencies_hz[kept], *given))
+    begun = frozenset(index for index in plan.levels_without if index <= present)
+    return replace(
+        plan,
+        levels=(*plan.levels[kept], *levels),
+        frequencies_hz=(*plan.frequencies_hz[kept], *given),
+        levels_without=begun,
+    )
 
 
 def with_repetition(plan: RunPlan, present: int, index: int) -> RunPlan:
@@ -98,9 +104,12 @@ def with_repetition(plan: RunPlan, present: int, index: int) -> RunPlan:
         BenchError: the plan has no room for it.
     """
     rest = slice(present + 1, None)
-    return with_rest(
+    repeated = {present + 1} if index in plan.levels_without else set()
+    later = {place + 1 for place in plan.levels_without if place > present}
+    changed = with_rest(
         plan,
         present,
         (plan.levels[index], *plan.levels[rest]),
         (*plan.frequencies_hz[index : index + 1], *plan.frequencies_hz[rest]),
     )
+    return replace(changed, levels_without=changed.levels_without | repeated | later)

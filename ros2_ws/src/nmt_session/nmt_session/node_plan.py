@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import math
 import platform
 import time
 from collections.abc import Mapping, Sequence
@@ -20,17 +21,20 @@ from nmt_core.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.errors import BenchError
 from nmt_core.excitation import Excitation
 from nmt_core.linear_description import LinearDescription
-from nmt_core.vocabulary import ControlKind, TestKind
+from nmt_core.vocabulary import AUTOMATIC, ControlKind, HarmonicsTarget, TestKind
 from nmt_core.yaml_text import yaml_text
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_plant.guarded_device import LEAST_LEAD
 from nmt_plant.hardware_rig import HARDWARE_LEAD
+from nmt_plant.output_guard import default_slew
+from nmt_pll.harmonics_control import MOST_HARMONICS
+from nmt_pll.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from
 from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
 from nmt_record.bag.bag_keys import SIMULATED_RIG, converter_name
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS, SPECIMEN
-from nmt_rig.linear_description import linear_description
+from nmt_rig.linear_description import force_per_volt, linear_description
 from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import LevelLimits
 
@@ -39,6 +43,7 @@ PACINGS = ("lockstep", "realtime")
 STRATEGIES = ("stepped", "ramp")
 LOOP_TOPICS = ("drive", "frequency")
 """Topics of the loop with a message for every block."""
+_FORCE_ROWS = 500  # of the force per volt over frequency
 _MESSAGE_BYTES = 200  # of a block besides its samples
 MOST_WAITING = 64e6
 """Bytes of samples by which the plant may be ahead of the bag in lockstep."""
@@ -87,6 +92,9 @@ class PlanSettings(TypedDict, total=False):
     device: str
     device_address: str
     linked: bool
+    harmonics_control: int | str | None
+    harmonics_target: str | None
+    levels_without: Sequence[int]
 
 
 @dataclass(frozen=True)
@@ -119,6 +127,10 @@ class TestPlan:
         device_address: of NI's device server.
         linked: whether plant, loop and sequencer are on one host, so that in lockstep they may hand on the sample path
             past the middleware.
+        harmonics_control: harmonics 2 to this one of the force are controlled; 0 = none, ``auto`` = as many as can be,
+            None = as the rig says.
+        harmonics_target: ``force`` (they are brought to zero) or ``modal``; None = as the rig says.
+        levels_without: indices of levels in which they are not controlled nevertheless, for comparison.
         tick_blocks: blocks between two decisions of the sequencer.
         block_reason: why blocks are as long as they are, where that was chosen; see `nmt_session.block_length`.
 
@@ -151,6 +163,9 @@ class TestPlan:
     device: str = ""
     device_address: str = ""
     linked: bool = True
+    harmonics_control: int | str | None = None
+    harmonics_target: str | None = None
+    levels_without: Sequence[int] = ()
     tick_blocks: int = 5
     block_reason: str = ""
 
@@ -158,7 +173,7 @@ class TestPlan:
         plain = {item.name: _plain(getattr(self, item.name)) for item in fields(self)}
         plain["run_id"] = self.run_id or time.strftime(f"{self.rig.name}-%Y%m%d-%H%M%S")
         plain["node_values"] = plain["node_values"] or {}
-        for name in ("levels", "frequencies_hz", "band_hz"):
+        for name in ("levels", "frequencies_hz", "band_hz", "levels_without"):
             plain[name] = None if plain[name] is None else tuple(plain[name])
         for name, value in plain.items():
             object.__setattr__(self, name, value)
@@ -213,8 +228,37 @@ class TestPlan:
     @property
     def excitation(self) -> Excitation:
         """Kind of test and its settings."""
-        values = *(self.band_hz or (0.0, 0.0)), self.rate_hz_s, self.frequency_end_hz, self.duration
-        return Excitation(TestKind.named(self.test), *map(float, values))
+        low, high = self.band_hz or (0.0, 0.0)
+        target = self.rig.test.harmonics_target if self.harmonics_target is None else self.harmonics_target
+        return Excitation(
+            TestKind.named(self.test),
+            float(low),
+            float(high),
+            float(self.rate_hz_s),
+            float(self.frequency_end_hz),
+            float(self.duration),
+            self.controlled_harmonics,
+            int(HarmonicsTarget.named(str(target))) if self.controlled_harmonics else 0,
+        )
+
+    @property
+    def controlled_harmonics(self) -> int:
+        """Highest harmonic of the force that is controlled; 0 = none, 1 = as many as can be.
+
+        What the rig file says holds for the kinds of test that can do it.
+
+        Raises:
+            BenchError: not a number, nor ``auto``.
+        """
+        given = self.harmonics_control
+        if given is None:
+            given = self.rig.test.harmonics_control if TestKind.named(self.test).closes_phase_loop else 0
+        if given == "auto":
+            return AUTOMATIC
+        try:
+            return int(given)
+        except ValueError:
+            raise BenchError(f"Harmonics to be controlled: '{given}' is no number; give a number or auto.") from None
 
     @property
     def level_frequencies_hz(self) -> tuple[float, ...]:
@@ -256,6 +300,7 @@ class TestPlan:
             "stop_on_lost_lock": self.stop_on_lost_lock,
             "frequencies_hz": list(self.level_frequencies_hz),
             **self.excitation.values,
+            "levels_without": list(self.levels_without),
         }
 
 
@@ -300,7 +345,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     response = _response_topic(rig)
     topics = _sample_topics(rig)
     extraction = ExtractionSettings(
-        harmonics=rig.extraction.harmonics,
+        harmonics=_extracted_harmonics(test, linear),
         topics=_extraction_topics(rig, topics),
         power_balance=test.strategy == "ramp",
         hysteresis=_hysteresis_layout(rig),
@@ -326,6 +371,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             "response_topic": response,
             "latency_blocks": test.lead_blocks,
             "watched_nodes": ["plant", "sequencer"],
+            **_known_force(test, linear),
             **pll,
         },
         "sequencer": {
@@ -361,10 +407,13 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     if linked:
         for name in ("plant", "pll", "sequencer", *(("recorder", "extract") if bundle else ())):
             values[name]["linked"] = True
-    joined = linked or _joins_loop_input(test, response)
+    wants_shape = test.excitation.harmonics_target == HarmonicsTarget.MODAL
+    if wants_shape and linear is not None:
+        check_modes(linear, f"The test of rig {rig.name}")
+    joined = linked or (not wants_shape and _joins_loop_input(test, response))
     if joined:
         values["plant"]["loop_topics"] = ["force", response]
-        values["plant"]["drive_point"] = int(rig.drive_point)
+        values["plant"]["drive_point"] = 0 if wants_shape else int(rig.drive_point)
         values["pll"]["joined_input"] = True
     for name, extra in test.node_values.items():
         if name not in values:
@@ -453,7 +502,10 @@ def _joins_loop_input(test: TestPlan, response: str) -> bool:
 
 def _is_linked(test: TestPlan) -> bool:
     """Whether the nodes hand on the sample path past the middleware."""
-    return test.linked and test.pacing == "lockstep" and 16 * int(test.rig.block_samples) <= MOST_BYTES
+    channels = 2
+    if test.excitation.harmonics_target == HarmonicsTarget.MODAL:  # then the loop takes all channels
+        channels = 1 + len(test.rig.sensors)
+    return test.linked and test.pacing == "lockstep" and 8 * channels * int(test.rig.block_samples) <= MOST_BYTES
 
 
 def expected_peers(
@@ -509,6 +561,34 @@ def expected_peers(
     return peers
 
 
+def _extracted_harmonics(test: TestPlan, linear: LinearDescription | None) -> int:
+    """Harmonics of the extraction: those that are controlled, too, as far as they are below half the sample rate."""
+    harmonics = int(test.rig.extraction.harmonics)
+    controlled = test.controlled_harmonics
+    if not controlled or linear is None:
+        return harmonics
+    wanted = MOST_HARMONICS if controlled == AUTOMATIC else controlled
+    below_nyquist = int(0.45 * float(test.rig.sample_rate_hz) / linear.frequency_hz)
+    return max(harmonics, min(wanted, below_nyquist))
+
+
+def _known_force(test: TestPlan, linear: LinearDescription | None) -> dict[str, Any]:
+    """Force per volt over the frequencies of controlled harmonics: of the linear test, beside it of the model.
+
+    On hardware nothing but the test is believed; what it does not cover is probed.
+    """
+    if not test.controlled_harmonics or linear is None:
+        return {}
+    rows = [list(row) for row in linear.force_per_volt_rows]
+    low, high = (rows[0][0], rows[-1][0]) if rows else (math.inf, math.inf)
+    if not test.is_on_hardware:
+        frequencies = np.geomspace(0.5 * linear.frequency_hz, 0.5 * float(test.rig.sample_rate_hz), _FORCE_ROWS)
+        beside = frequencies[(frequencies < low) | (frequencies > high)]
+        for frequency, value in zip(beside, force_per_volt(test.rig, beside.tolist()), strict=True):
+            rows.append([float(f"{x:.6g}") for x in (frequency, value.real, value.imag)])
+    return {"force_per_volt_json": json.dumps(sorted(rows))} if rows else {}
+
+
 def _hysteresis_layout(rig: Rig) -> HysteresisLayout | None:
     """Points and masses of the hysteresis evaluation; none where the exciter was moved away from its mass."""
     section = rig.extraction.hysteresis
@@ -554,6 +634,10 @@ def _loop_values(test: TestPlan, linear: LinearDescription | None, response: str
         _add_floors(values, test, linear, response)
     if test.rig.limits.voltage_v is not None:
         values.setdefault("voltage_limit", float(test.rig.limits.voltage_v))
+    if test.controlled_harmonics:
+        limits, rate = test.rig.limits, float(test.rig.sample_rate_hz)
+        usual = 0.0 if limits.voltage_v is None else default_slew(float(limits.voltage_v), rate)
+        values.setdefault("slew_limit", float(usual if limits.slew_v_s is None else limits.slew_v_s))
     settings = settings_from({**values, "latency_blocks": test.lead_blocks})
     return {**loop, **{name: type(getattr(settings, name))(value) for name, value in values.items()}}
 

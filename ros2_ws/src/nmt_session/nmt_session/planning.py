@@ -25,6 +25,7 @@ class TestSettings(PlanSettings, total=False):
     overrides: Sequence[str]
     exciter: int | None
     seed: int | None
+    compare: int
 
 
 def plan_test(
@@ -34,6 +35,7 @@ def plan_test(
     overrides: Sequence[str] = (),
     exciter: int | None = None,
     seed: int | None = None,
+    compare: int = 0,
     **settings: Unpack[PlanSettings],
 ) -> TestPlan:
     """A test of a rig.
@@ -48,6 +50,7 @@ def plan_test(
         overrides: ``key=value`` texts applied to the rig file.
         exciter: drive point; None = the rig's own.
         seed: seed of all noise; None = the rig's own.
+        compare: with control of the force's harmonics, every so manyth level is run without it first; 0 = none.
         settings: fields of :class:`nmt_session.node_plan.TestPlan`.
 
     Raises:
@@ -75,8 +78,33 @@ def plan_test(
     amplitudes = tuple(parse_levels(plan) if isinstance(plan, str) else plan)
     if kind is TestKind.STEPPED_SINE and len(amplitudes) == 1:
         amplitudes *= max(1, len(settings.get("frequencies_hz", ())))
+    if compare:
+        amplitudes, without = _with_comparison(amplitudes, compare)
+        settings["levels_without"] = without
     planned = TestPlan(loaded, text, amplitudes, **settings)
+    if compare and not planned.controlled_harmonics:
+        raise BenchError("A comparison needs control of the force's harmonics: give --harmonics-control.")
+    if compare and len(planned.frequencies_hz) > 1:
+        raise BenchError("A comparison takes one frequency for all levels; leave out --compare.")
     return _with_chosen_block(planned) if _leaves_block_open(planned) else planned
+
+
+def _with_comparison(levels: Sequence[float], every: int) -> tuple[tuple[float, ...], tuple[int, ...]]:
+    """Levels with every so manyth once more before itself, and the indices of those.
+
+    Raises:
+        BenchError: the number is negative.
+    """
+    if every < 0:
+        raise BenchError(f"A comparison at every {every}th level is not possible; give 1 or more.")
+    expanded: list[float] = []
+    without: list[int] = []
+    for place, level in enumerate(levels):
+        if place % every == 0:
+            without.append(len(expanded))
+            expanded.append(level)
+        expanded.append(level)
+    return tuple(expanded), tuple(without)
 
 
 def _leaves_block_open(plan: TestPlan) -> bool:

@@ -13,6 +13,10 @@ STUDIES: dict[str, tuple[str, str]] = {
         "nmt_study.joint_stiffness",
         "tangential stiffness of the joint from 8 to 500 kN/m; locks on the second mode",
     ),
+    "harmonic_control": (
+        "nmt_study.harmonic_control",
+        "harmonics of the force left alone, brought to zero, or to modal power: error against EPMC, PBMIF, γ_F",
+    ),
     "levels": ("nmt_study.levels", "levels upwards, downwards and up and down again"),
     "bench_time": (
         "nmt_study.bench_time",

@@ -17,6 +17,7 @@ PAPER_JOINT = 8000.0
 _EXCITATION = ("test", "frequencies_hz", "rate_hz_s", "frequency_end_hz", "duration")
 PLANNED = (
     "levels", "overrides", "exciter", "seed", "window_periods", "ramp", "timeout", "control", "strategy", *_EXCITATION,
+    "harmonics_control", "harmonics_target",
 )  # fmt: skip
 """What of a case :func:`nmt_session.planning` takes by the same name."""
 
@@ -44,6 +45,8 @@ class StudyCase:
         rate_hz_s: sweep rate.
         frequency_end_hz: where a sweep ends.
         duration: of a recorded decay, s.
+        harmonics_control: harmonics 2 to this one of the force are controlled; 0 = none, ``auto`` = as many as can be.
+        harmonics_target: what they are brought to, ``force`` (zero) or ``modal``.
         window_periods: whole periods a window.
         ramp: half-cosine between levels, s.
         timeout: bench time a level may take to lock after its ramp, s.
@@ -69,6 +72,8 @@ class StudyCase:
     rate_hz_s: float = 0.0
     frequency_end_hz: float = 0.0
     duration: float = 0.0
+    harmonics_control: int | str = 0
+    harmonics_target: str = "force"
     window_periods: int = 200
     ramp: float = 0.5
     timeout: float = 30.0
@@ -109,6 +114,9 @@ class StudyCase:
     def fingerprint(self) -> str:
         """Digest of all that decides the case's result; the title does not."""
         values = {key: value for key, value in self.to_mapping().items() if key not in ("title", "labels")}
+        if not self.harmonics_control:
+            # Results from before there was control of harmonics stay valid.
+            del values["harmonics_control"], values["harmonics_target"]
         if self.test == "phase_resonance":
             # Results from before there were other kinds of test stay valid.
             for name in _EXCITATION:

@@ -67,6 +67,9 @@ def single_point_at(case: StudyCase) -> dict[str, Any]:
     if case.control != "voltage" or case.test != "phase_resonance":
         failure = "levels are no voltages at phase resonance"
         return {"failure": failure, "single_valued": False, "levels": {}, "curve": {}}
+    if case.harmonics_control:
+        failure = "the reference has a sine of voltage, the case controls the force's harmonics"
+        return {"failure": failure, "single_valued": False, "levels": {}, "curve": {}}
     volts = np.unique(np.asarray(case.levels))
     points = 240 if case.strategy == "ramp" else 60
     grid = np.unique(np.concatenate((np.geomspace(volts[0] / 1.3, volts[-1] * 1.1, points), volts)))

@@ -76,17 +76,22 @@ def _upwards(stiffness: float, point: int, periods: int, count: int) -> StudyCas
     )
 
 
-def _downwards(stiffness: float, periods: int) -> StudyCase:
-    """From the highest level down, started near the frequency of full slip: there the mode can be driven at point 2."""
+def start_near_slip() -> dict[str, float]:
+    """Loop settings that start a little above the frequency of full slip."""
     structure = build_structure(load_rig("beam"))
     slipping = float(sticking_modes(structure, (), 1).frequencies[0])
+    return {"start_frequency_hz": 1.05 * slipping / (2.0 * math.pi)}
+
+
+def _downwards(stiffness: float, periods: int) -> StudyCase:
+    """From the highest level down, started near the frequency of full slip: there the mode can be driven at point 2."""
     return StudyCase(
         name=f"point_2_kt_{stiffness / 1e3:g}_from_above",
         title=f"{stiffness / 1e3:g} kN/m, point 2, from above",
         exciter=2,
         levels=FROM_ABOVE,
         overrides=_override(stiffness),
-        loop_values={"start_frequency_hz": 1.05 * slipping / (2.0 * math.pi)},
+        loop_values=start_near_slip(),
         window_periods=periods,
         harmonics=21,
         labels={"joint": f"{stiffness / 1e3:g} kN/m", "group": "point 2"},

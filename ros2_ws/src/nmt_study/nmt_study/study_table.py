@@ -182,6 +182,8 @@ def summary_row(result: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) ->
         notes.append(f"no EPMC: {result['epmc']['failure']}")
     if result["case"].get("test", "phase_resonance") != "phase_resonance":
         pass  # A perfect phase resonance test is no reference for another kind at the same level.
+    elif result["case"].get("harmonics_control"):
+        pass  # Nor is one with a sine of voltage for a test with control of harmonics.
     elif result["single_point"]["failure"]:
         notes.append(f"no single-point reference: {result['single_point']['failure']}")
     elif any(row["single_point_omega_rad_s"] is None for row in good):

@@ -111,9 +111,12 @@ def _sections(usage: str) -> tuple[str, str, str]:
 
 
 def bench_of(
-    arguments: argparse.Namespace, levels: Sequence[float] | str | None = None, **settings: Unpack[PlanSettings]
+    arguments: argparse.Namespace,
+    levels: Sequence[float] | str | None = None,
+    compare: int = 0,
+    **settings: Unpack[PlanSettings],
 ) -> Bench:
-    """The bench that the options of rig, device and processes ask for; levels and settings as of `plan_test`.
+    """The bench that the options of rig, device and processes ask for; levels, compare and settings as of `plan_test`.
 
     Raises:
         BenchError: the rig, a level or an option is refused, or the converter is not there or not checked.
@@ -130,6 +133,7 @@ def bench_of(
         overrides=arguments.set,
         exciter=arguments.exciter,
         seed=arguments.seed,
+        compare=compare,
         **settings,
         **device_settings(arguments),
     )

@@ -42,6 +42,12 @@ RIG  name of a rig (for example beam) or path of a rig file
 --ramp S  half-cosine between levels, s (default: the rig's)
 --timeout S  bench time a level may take to lock, s (default: the rig's)
 --stop-on-lost-lock  end the test at the first level that does not lock
+--harmonics-control H :harmonics  bring harmonics 2 to H of the force to their targets by harmonics of the drive; auto =
+    as many as the sample rate allows, at most 15; 0 = none (default: the rig's, else 0)
+--harmonics-target force|modal  force: to zero; modal: to the ratio to the fundamental that modal power needs, for which
+    the linear description must have three modes (default: the rig's, else force)
+--compare K :int  with control of harmonics: every K-th level is measured without it first, which tells by how much it
+    moves frequency and damping (default: never)
 --pll adaptive|paper  phase-locked loop: adaptive filter with guard band, or the paper's (default: the rig's, else
     adaptive)
 @pacing
@@ -55,6 +61,18 @@ RIG  name of a rig (for example beam) or path of a rig file
 --no-report  tables only; './nmt extract' makes a report of the bag at any time
 @processes
 """
+
+
+def _harmonics(text: str) -> int | str:
+    if text == "auto":
+        return text
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is no number of harmonics; give one from 2 on, auto or 0") from None
+
+
+KINDS = {"harmonics": _harmonics}
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -93,6 +111,9 @@ def _run(arguments: argparse.Namespace) -> int:
         control=arguments.control,
         strategy=arguments.strategy,
         linear=linear,
+        harmonics_control=arguments.harmonics_control,
+        harmonics_target=arguments.harmonics_target,
+        compare=arguments.compare or 0,
     )
     if linear is not None:
         check_fits(linear, bench.rig, arguments.linear)

@@ -17,6 +17,7 @@ from nmt_diagnose.inference.search import Found
 from nmt_diagnose.inference.size import Left, change_size, left_over, matters
 from nmt_diagnose.inference.sources import SourcePlace, places
 from nmt_diagnose.inference.tuned import (
+    CREDIBLE,
     EQUIVALENT,
     ORDINARY,
     PRIOR_EFFECT,
@@ -216,8 +217,10 @@ class Hypotheses:
 
     @staticmethod
     def _evidence(found: Found) -> float:
-        """ln evidence; what the fit did not reach counts as if it had."""
-        return found.fit.log_evidence + 0.5 * found.fit.promised
+        """ln evidence; what the fit did not reach counts as if it had, parameters that nobody believes count twice."""
+        own = found.fit
+        far = np.abs(own.theta[: len(own.parametrisation.calibration)]) - CREDIBLE
+        return own.log_evidence + 0.5 * own.promised - 0.5 * float(np.sum(np.maximum(far, 0.0) ** 2))
 
     @cached_property
     def best(self) -> Found | None:

@@ -336,9 +336,10 @@ def diagnose_observations(
     share = None if leader is None else shares[leader.head.explanation]
     size = None if leader is None else measured_size(data, leader.head)
     small = not left_over(data, null, settings.matters)
+    needed = leader is not None and (not small or worth(data, leader.head, null, settings.matters))
     verdict = Verdict.UNKNOWN
     if not findings.inadequate:
-        verdict = _verdict(comparison, leader, share, size, small, settings, _moved(findings, given, settings))
+        verdict = _verdict(comparison, leader, share, size, small, needed, settings, _moved(findings, given, settings))
     named = leader if verdict is Verdict.EFFECT else None
     adequate = verdict is not Verdict.UNKNOWN and (named is None or named.adequate)
     # What nothing in the library explains is told with the part that it does explain.
@@ -457,15 +458,28 @@ def _verdict(
     share: Closed | None,
     size: Size | None,
     small: bool,
+    needed: bool,
     settings: DiagnosisSettings,
     moved: bool,
 ) -> Verdict:
+    """Verdict.
+
+    Args:
+        comparison: of all explanations.
+        leader: the most probable class of named ones.
+        share: of the gap that it closes on held-out data.
+        size: of what it does.
+        small: what the model alone leaves is noise, or smaller than what matters.
+        needed: it explains something of that, or what bends the parameters of the model alone.
+        settings: of the diagnosis.
+        moved: re-fitting the model's own parameters closed a gap.
+    """
     quiet = Verdict.CALIBRATION if moved else Verdict.NONE
     if comparison.log_odds < ALARM:
         return quiet
     named = leader is not None and leader.adequate and leader.probability >= max(comparison.unknown, comparison.none)
-    if small and not named:
-        return quiet  # what the model leaves is noise, or smaller than what matters
+    if small and not (named and needed):
+        return quiet
     if leader is None or (share is not None and share.value < 0.0 and share.gain < -WORSE):
         return Verdict.UNKNOWN
     if named:

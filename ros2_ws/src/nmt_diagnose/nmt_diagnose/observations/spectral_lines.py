@@ -90,13 +90,18 @@ def mains_line(cycles: FloatArray, data: FloatArray, sample_rate: float, harmoni
 def _beside_harmonics(cycles: FloatArray, data: FloatArray, harmonics: int, per_sample: FloatArray) -> ComplexArray:
     """Complex amplitudes (channels, frequencies) of tones, each fitted beside the harmonics."""
     steady = _tones(cycles, np.arange(1, harmonics + 1, dtype=np.float64))
-    q = np.linalg.qr(np.concatenate((np.ones((1, cycles.size)), steady.real, steady.imag)).T)[0]
+    taken = np.concatenate((np.ones((1, cycles.size)), steady.real, steady.imag))
     tones = _tones(np.arange(cycles.size, dtype=np.float64), per_sample)
-    real = np.stack((tones.real, tones.imag), axis=1)
-    clear = real - (real @ q) @ q.T
+    factor = np.linalg.cholesky(taken @ taken.T)
+    both = np.concatenate((tones.real, tones.imag))
+    # What the harmonics take of tones and data comes off their products; nothing has the length of the samples.
+    tones_taken = np.linalg.solve(factor, taken @ both.T)
+    on_data = both @ data.T - tones_taken.T @ np.linalg.solve(factor, taken @ data.T)
     result = np.empty((data.shape[0], per_sample.size), dtype=np.complex128)
-    for number, pair in enumerate(clear):
-        cosine, sine = np.linalg.solve(pair @ pair.T, pair @ data.T)
+    for number in range(per_sample.size):
+        pair = [number, number + per_sample.size]
+        mine, off = both[pair], tones_taken[:, pair]
+        cosine, sine = np.linalg.solve(mine @ mine.T - off.T @ off, on_data[pair])
         result[:, number] = cosine - 1j * sine
     return result
 

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -24,6 +26,7 @@ from nmt_record.exchange.sidecar_template import sidecar_templates
 RATE, FREQUENCY, DAMPING = 500.0, 20.0, 0.004
 BEGIN = 1_764_064_800_000_000_000  # ns
 OMEGA = 2.0 * math.pi * FREQUENCY
+IMU_COLUMN = "/sensor.linear_acceleration.z"
 
 
 def decay(time: np.ndarray) -> np.ndarray:
@@ -188,6 +191,85 @@ def test_an_array_without_stamps_has_the_log_times_as_clock(tmp_path: Path) -> N
     check(own)
     assert "the signals are smoother at even times" in " ".join(run.notes)
     assert run.clock_std > 0.0
+
+
+@pytest.mark.parametrize("compression", [CompressionMode.STORAGE, CompressionMode.FILE])
+def test_compressed_mcap(tmp_path: Path, compression: CompressionMode) -> None:
+    _, own = found(write(tmp_path / "imu", imu, "sensor_msgs/msg/Imu", compression=compression), IMU_COLUMN)
+    check(own)
+
+
+def test_a_split_bag_is_one_recording(tmp_path: Path) -> None:
+    whole = write(tmp_path / "whole", imu, "sensor_msgs/msg/Imu", seconds=4.0)
+    folder = tmp_path / "split"
+    folder.mkdir()
+    (file,) = whole.glob("*.mcap")
+    with file.open("rb") as data:
+        messages = list(make_reader(data).iter_messages())
+    for number, part in enumerate((messages[:700], messages[700:])):
+        with (folder / f"split_{number}.mcap").open("wb") as out:
+            writer = McapWriter(out)
+            writer.start(profile="ros2", library="other")
+            schema, channel, _ = part[0]
+            own = writer.register_schema(schema.name, schema.encoding, schema.data)
+            key = writer.register_channel(channel.topic, channel.message_encoding, own, channel.metadata)
+            for _, _, message in part:
+                writer.add_message(key, message.log_time, message.data, message.publish_time)
+            writer.finish()
+    (table,), (expected,) = bag_tables(folder), bag_tables(whole)
+    assert table.rows == 2000
+    for one, other in zip(table.columns, expected.columns, strict=True):
+        assert (one == other).all()
+
+
+def test_joints_are_named_and_blocks_of_samples_unfolded(tmp_path: Path) -> None:
+    def joints(store: Any, stamp: int, value: float) -> Any:
+        values = np.array([value, 2.0 * value])
+        return store.types["sensor_msgs/msg/JointState"](
+            header(store, stamp), ["hip", "knee"], values, 3.0 * values, np.zeros(2)
+        )
+
+    def blocks(store: Any, stamp: int, value: float) -> Any:
+        types = store.types
+        dimension = types["std_msgs/msg/MultiArrayDimension"]
+        layout = types["std_msgs/msg/MultiArrayLayout"]([dimension("samples", 4, 8), dimension("channels", 2, 2)], 0)
+        data = np.array([[value, k] for k in range(4)]).ravel()
+        return types["std_msgs/msg/Float64MultiArray"](layout, data)
+
+    (table,) = bag_tables(write(tmp_path / "joints", joints, "sensor_msgs/msg/JointState", seconds=1.0))
+    assert table.names[:3] == ("/sensor.position.hip", "/sensor.position.knee", "/sensor.velocity.hip")
+    (table,) = bag_tables(write(tmp_path / "blocks", blocks, "std_msgs/msg/Float64MultiArray", seconds=1.0))
+    assert table.names == ("/sensor.data.1", "/sensor.data.2")
+    assert table.columns[1][:6].tolist() == [0.0, 1.0, 2.0, 3.0, 0.0, 1.0]
+    assert table.step == pytest.approx(1.0 / (4.0 * RATE), rel=1e-4)
+
+
+def test_two_topics_are_brought_to_one_clock(tmp_path: Path) -> None:
+    store = store_with()
+    folder = tmp_path / "two"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        force = writer.add_connection("/wrench", "geometry_msgs/msg/WrenchStamped", typestore=store)
+        motion = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
+        for k in range(3000):
+            for connection, make, at in ((motion, imu, k / 1000.0), (force, wrench, k / 1000.0 + 3e-4)):
+                if connection is force and k % 2:
+                    continue
+                stamp = BEGIN + round(1e9 * at)
+                message = make(store, stamp, float(decay(np.array(at))))
+                writer.write(connection, stamp, store.serialize_cdr(message, connection.msgtype))
+    path = tmp_path / "s.yaml"
+    channels = [
+        {"column": "/wrench.wrench.force.y", "quantity": "force", "unit": "N", "point": 1},
+        {"column": IMU_COLUMN.replace("sensor", "imu"), "quantity": "acceleration", "unit": "m/s^2", "point": 1},
+    ]
+    path.write_text(yaml.safe_dump({"file": "two", "channels": channels}))
+    run = read_import(path)
+    assert (run.sample_rate, run.samples) == (1000.0, 3000)
+    assert "/wrench was interpolated at the times of /imu" in " ".join(run.notes)
+    inner = slice(10, -10)
+    apart = run.channels[0].data - (run.channels[1].data - 9.81)
+    # The cubic through four samples of a sine, 0.002 s apart: its error is 3/128 (ω Δt)⁴.
+    assert np.abs(apart[inner]).max() < 1.1 * 3.0 / 128.0 * (OMEGA * 0.002) ** 4
 
 
 def test_lost_messages_are_marked(tmp_path: Path) -> None:

@@ -183,7 +183,7 @@ class _WindowEvaluation:
         self.faults: dict[int, str] = {}  # by row of the window
         self.other_shapes: list[ComplexArray] = []  # with what else could be in the place of what is left out
         self.other_amplitudes: ComplexArray | None = None  # with another polynomial in the place of the drift
-        self.drifted: tuple[int, ...] = ()
+        self.drifted: dict[int, float] = {}  # height of the drift by row
         self._find_rows()
         self._find_phase()
         self._find_harmonics()
@@ -294,7 +294,7 @@ class _WindowEvaluation:
         )
         if not found:
             return
-        self.drifted = tuple(rows[k] for k in found)
+        self.drifted = {rows[k]: float(np.ptp(parts[:, rows[k], 0].real)) for k in found}
         chosen = list(self.drifted)
         for order in window_judge.drift_orders(self.periods)[::-1]:  # the one that stays last
             data = window.data.copy()
@@ -576,11 +576,15 @@ class _WindowEvaluation:
         shape = self._integrated(self.amplitudes[:, self.shape_rows], self.shape_quantity, omega, 0)
         other = self._values(omega, shape[:, :, 1])
         self.amplitudes = own
-        names = ", ".join(self.window.channels[row].name for row in self.drifted)
+        channels = self.window.channels
+        names = ", ".join(
+            f"{channels[row].name} drifts by {height:.2g} {channels[row].quantity.unit}"
+            for row, height in self.drifted.items()
+        )
         order = window_judge.drift_orders(self.periods)[0]
         return [
             Remark(
-                f"{names} drifts over the window; a polynomial of order {order} was taken out. Let the sensor warm up, "
+                f"{names} over the window; a polynomial of order {order} was taken out. Let the sensor warm up, "
                 "or couple it over a high-pass that all channels share.",
                 {name: abs(float(getattr(other, name)[0]) - fields[name]) for name in EVALUATED},
             )

@@ -337,7 +337,7 @@ def _time_axis(table: SourceTable, sidecar: Sidecar, place: str) -> _Axis | None
 
 
 def quantum_of(values: FloatArray) -> float:
-    """Power of ten to which all values are rounded; that of their floating point where none is seen."""
+    """Power of ten to which all values are rounded, or the finest that floating point lets one see; 0 below 1e-9."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0
@@ -346,7 +346,7 @@ def quantum_of(values: FloatArray) -> float:
         scaled = finite * 10.0**digits
         noise = 4.0 * np.finfo(np.float64).eps * largest * 10.0**digits
         if noise > 0.1:
-            return 10.0**-digits
+            return 10.0**-digits  # finer roundings cannot be told from those of floating point
         if np.abs(scaled - np.round(scaled)).max() <= max(1e-6, noise):
             return float(10.0**-digits)
     return 0.0

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from decimal import Decimal
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
 
@@ -54,16 +54,26 @@ _TIME_OF_DAY = re.compile(
     r"(?:[.,](?P<part>\d+))?\s*(?P<zone>Z|UTC|[-+]\d{2}:?\d{2})?$"
 )
 _DATE_AND_TIME = re.compile(r"(\d{4}-\d{2}-\d{2}|\d{2}\.\d{2}\.\d{4}) +(?=\d{1,2}:\d{2}:\d{2})")
-_HEAD_RATE = re.compile(
-    r"(?:sampl\w*[ _-]*(?:rate|freq\w*)|abtastrate|\bfs\b)"
-    r"[^\d+-]{0,20}(\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)\s*[;,]?\s*([kM]?Hz)?",
-    re.I,
-)  # fmt: skip
+_HEAD_NUMBER = r"(?:\s*[\[(]\s*(?P<before>[^\])]*)[\])])?[\s:=;,\"]*(?P<number>\d[\d.,]*(?:[eE][-+]?\d+)?)\s*[;,\"]?\s*"
+_HEAD_RATE = re.compile(rf"(?:sampl\w*[ _-]*(?:rate|freq\w*)|abtastrate|\bfs\b){_HEAD_NUMBER}(?P<after>[kM]?Hz)?", re.I)
 _HEAD_STEP = re.compile(
     r"(?:sampl\w*[ _-]*(?:interval|period|time)|time[ _-]*(?:step|increment)|delta[ _-]?[tx]|\bdt\b)"
-    r"[^\d+-]{0,20}(\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)\s*[;,]?\s*(ms|us|µs|ns|s)?\b",
+    rf"{_HEAD_NUMBER}(?P<after>ms|us|µs|ns|s)?\b",
     re.I,
 )
+_HEAD_UNITS = {
+    "hz": 0,
+    "khz": 3,
+    "mhz": 6,
+    "s": 0,
+    "sec": 0,
+    "ms": -3,
+    "us": -6,
+    "µs": -6,
+    "ns": -9,
+}  # powers of ten
+# Without a unit, what is no likely rate or step in Hz or s is one in another unit.
+_LEAST_RATE, _LARGEST_STEP = 200.0, 0.05
 _UNIT_IN_NAME = re.compile(r"^(.*?)\s*[\[({]\s*([^\[\](){}]*)\s*[\])}]\s*$")
 
 
@@ -307,7 +317,9 @@ def _read_csv(path: Path) -> SourceTable:
     columns = tuple(np.ascontiguousarray(column) for column in table.T)
     for i in stamps:
         columns[i].flat[:] = columns[i] - (columns[i][0] if np.isfinite(columns[i][0]) else 0.0)
-    rate, step = _clock_of_heading([line for line in everything[: numbers[first]] if line.strip()])
+    above = [line for line in everything[: numbers[first]] if line.strip()]
+    # A line of names tells no clock.
+    rate, step = _clock_of_heading(above[:-1] if any(names) and heads and len(heads[-1]) == width > 1 else above)
     return SourceTable(
         name, names, columns, units, notes=notes, lines=line_of, breaks=breaks, stamps=stamps, sample_rate=rate,
         step=step,
@@ -333,21 +345,30 @@ def _with_empty_rows(
 
 def _clock_of_heading(lines: Sequence[str]) -> tuple[float | None, float | None]:
     """Sampling rate (Hz) and step (s) that the lines above the numbers state; None if none does, or several."""
-    rates: list[float] = []
-    steps: list[float] = []
+    found: tuple[list[float], list[float]] = ([], [])
     for line in lines:
-        found = _HEAD_RATE.search(line)
-        if found:
-            factor = {"khz": 1e3, "mhz": 1e6}.get((found[2] or "").lower(), 1.0)
-            rates.append(float(found[1].replace(",", ".")) * factor)
-            continue
-        found = _HEAD_STEP.search(line)
-        if found and float(found[1].replace(",", ".")) > 0.0:
-            power = {"ms": 3, "us": 6, "µs": 6, "ns": 9}.get((found[2] or "").lower(), 0)
-            # By the decimal power, so that its digits stay those of the file.
-            steps.append(float(Decimal(found[1].replace(",", ".")).scaleb(-power)))
-    rate, step = (own[0] if len(set(own)) == 1 and own[0] > 0.0 else None for own in (rates, steps))
+        for own, pattern in zip(found, (_HEAD_RATE, _HEAD_STEP), strict=True):
+            match = pattern.search(line)
+            value = None if match is None else _stated_number(match)
+            likely = value is not None and (value >= _LEAST_RATE if own is found[0] else value <= _LARGEST_STEP)
+            if match is not None and value is not None and (likely or match["before"] or match["after"]):
+                own.append(value)
+            if match is not None:
+                break
+    rate, step = (own[0] if len(set(own)) == 1 and own[0] > 0.0 else None for own in found)
     return rate, step
+
+
+def _stated_number(match: re.Match[str]) -> float | None:
+    """A number with its unit in Hz or s; None where a comma may be one of thousands or the unit is not known."""
+    text, unit = match["number"].rstrip(".,"), (match["before"] or match["after"] or "").strip().lower()
+    if re.fullmatch(r"\d{1,3}([.,]\d{3})+", text) or (unit and unit not in _HEAD_UNITS):
+        return None
+    try:
+        # By the decimal power, so that its digits stay those of the file.
+        return float(Decimal(text.replace(",", ".")).scaleb(_HEAD_UNITS.get(unit, 0)))
+    except InvalidOperation:
+        return None
 
 
 def _without_stamps(
@@ -627,6 +648,9 @@ def _read_lvm(path: Path) -> SourceTable:
         raise BenchError(f"{name} cannot be read as a LabVIEW measurement ({error}); export it again.") from error
     if len(sections) > 1:
         notes.append(f"{name} has {len(sections)} sections; the largest was read.")
+    kinds = {str(kind).strip() for kind in section.get("X_Dimension", [])} - {"", "Time"}
+    if kinds:
+        raise BenchError(f"The channels of {name} are over {', '.join(sorted(kinds)).lower()}, not over time.")
     if len(set(steps[:count])) > 1 or len(set(starts[:count])) > 1:
         raise BenchError(f"The channels of {name} have clocks of their own; export those of one clock.")
     if not steps or not steps[0] > 0.0:
@@ -696,10 +720,10 @@ def _clock_keys(values: Mapping[str, NDArray[Any]]) -> tuple[float | None, float
     single = {key: float(np.real(array.reshape(-1)[0])) for key, array in values.items()
               if array.size == 1 and array.dtype.kind in "iufc"}  # fmt: skip
     rates = {key: value for key, value in single.items() if _plain_key(key) in _RATES and value > 0.0}
-    steps = {key: value for key, value in single.items() if _plain_key(key) in _STEPS and value > 0.0}
+    steps = {key: value for key, value in single.items() if _plain_key(key) in _STEPS and 0.0 < value <= _LARGEST_STEP}
     rate = next(iter(rates.values())) if len(set(rates.values())) == 1 else None
     step = next(iter(steps.values())) if len(set(steps.values())) == 1 else None
-    return rate, step, [*rates, *steps]
+    return rate, step, [key for key in single if _plain_key(key) in _RATES | _STEPS]
 
 
 def _read_mat(path: Path, wanted: Sequence[str | int]) -> SourceTable:

@@ -197,6 +197,7 @@ class HarmonicsController:
         self._since_look: FloatArray = np.zeros(count)
         self._motion = math.inf
         self._probe: tuple[int, int, ComplexArray] | None = None
+        self._rest = 0
         self._fundamental = 0.0
         self._deviation: ComplexArray = np.zeros(count, complex)
         self._mean: FloatArray = np.zeros(count)
@@ -279,6 +280,10 @@ class HarmonicsController:
         if np.isnan(known).any():
             self._probe_next(known, harmonics, amplitude)
             return
+        if self._rest > 0:  # what the last probe has left in the filter is no deviation
+            self._rest -= 1
+            self._past.clear()
+            return
         self._deviation = harmonics - target
         self._judge_block()
         self._learn(harmonics, seen, response, known)
@@ -304,7 +309,8 @@ class HarmonicsController:
         record = np.array(self._dwell)
         self._mean = np.abs(record.mean(axis=0))
         bend = record[:-2] - 2.0 * record[1:-1] + record[2:]
-        noise = self._noise_per_bend * np.sqrt(np.mean(np.abs(bend) ** 2, axis=0))
+        # The median: a transient bends a few blocks only, noise all of them; its square is distributed exponentially.
+        noise = self._noise_per_bend * np.sqrt(np.median(np.abs(bend) ** 2, axis=0) / math.log(2.0))
         if length < (self._dwell.maxlen or 0):  # too few values; what is there from before counts
             noise = np.where(self._noise > 0.0, np.minimum(noise, self._noise), noise)
         grow = 2.0 ** (1.0 / (_NOISE_GROWS * (self._dwell.maxlen or 1)))
@@ -412,13 +418,14 @@ class HarmonicsController:
             self._correction[index] = 1.0
             self.voltages[index] = 0.0
             self._probe = None
+            self._rest = wait
             return
         self._probe = (index, blocks, ends)
 
     @property
     def is_probing(self) -> bool:
         """Whether Ĝ is still being measured."""
-        return self._probe is not None
+        return self._probe is not None or self._rest > 0
 
     # -- judgement -----------------------------------------------------------------------------------------------
 

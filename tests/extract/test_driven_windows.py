@@ -70,3 +70,15 @@ def test_points_say_what_was_controlled():
         points = session.run().points
     assert [point.harmonics_control for point in points] == [0, 9]
     assert all(point.harmonics == 9 for point in points)
+
+
+def test_noise_of_the_response_is_no_change_of_the_force_gain():
+    """Where the joint sticks F is a small difference of K u and Z v, which noise of v must not pass for knowledge."""
+    noise = [f"sensors.0.{key}" for key in ("noise_psd=2e-9", "noise_correlation_time_s=1e-5")]
+    for sensor in range(1, 5):
+        noise += [f"sensors.{sensor}.{key}" for key in ("noise_psd=4.5e-16", "noise_correlation_time_s=1e-5")]
+    levels = [0.05, 0.073, 0.1065, 0.1554, 0.2267, 0.3308, 0.4827]
+    plan = plan_test("beam", levels, overrides=noise, window_periods=200)
+    with Session(plan, record=False) as session:
+        points = session.run().points
+    assert [point.reason for point in points] == [""] * len(levels)

@@ -23,6 +23,11 @@ TESTS: dict[str, dict[str, Any]] = {
     "phase_resonance": {"levels": [0.2, 0.5], "window_periods": 20, "seed": 3},
     "force": {"levels": [0.4, 0.8], "window_periods": 20, "control": "force"},
     "latency": {"levels": [0.3], "window_periods": 20, "latency_blocks": 2},
+    "harmonics": {"levels": [0.3308, 0.7], "window_periods": 20, "harmonics_control": 9, "compare": 2},
+    "modal_power": {
+        "levels": [0.7], "window_periods": 20, "harmonics_control": "auto", "harmonics_target": "modal",
+        "overrides": ["extraction.linear_modes=3"],
+    },
     "lost": {"levels": [0.3, 0.4], "window_periods": 20, "timeout": 0.3},
     "random": {"levels": [0.05], "test": "random", "band_hz": (5.0, 500.0), "duration": 2.0},
     "ring_down": {"levels": [0.3], "test": "ring_down", "duration": 2.0},

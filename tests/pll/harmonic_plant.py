@@ -19,13 +19,13 @@ FORCE = 1.0  # N
 DISTURBANCE = np.array([0.001, 0.12, 0.002, 0.05, 0.001, 0.02, 0.0, 0.008]) * np.exp(1j * np.arange(8))  # n = 2 … 9
 
 
-def gain(frequency_hz: float) -> complex:
+def gain(frequency_hz):
     """Force per volt: a stiff exciter with inductance on a structure with an antiresonance near the fifth harmonic."""
     s = 2j * math.pi * frequency_hz
     low, high = 2 * math.pi * 100.0, 2 * math.pi * 125.0
     numerator = s * s + 2 * 0.2 * low * s + low * low
     denominator = s * s + 2 * 0.2 * high * s + high * high
-    return complex(5.0 * numerator / denominator / (1 + s / 4000.0))
+    return 5.0 * numerator / denominator / (1 + s / 4000.0)
 
 
 class HarmonicPlant:
@@ -49,7 +49,7 @@ class HarmonicPlant:
         self.setup = HarmonicSetup(
             HIGHEST, CUTOFF, duration, latency, (1.5 + latency) * duration, math.ceil(10 * PERIOD / duration), **values
         )
-        known = (lambda f: complex(math.nan, math.nan)) if factor is None else (lambda f: factor * gain(f))
+        known = (lambda f: np.full(f.shape, np.nan + 0j)) if factor is None else (lambda f: factor * gain(f))
         self.controller = HarmonicsController(self.setup, known)
         self.filter = AdaptiveFourierFilter(1, HIGHEST + 1, CUTOFF, RATE)
         self.gains = np.array([0.0 if n in dead else gain(n * FREQUENCY) for n in range(2, HIGHEST + 1)])

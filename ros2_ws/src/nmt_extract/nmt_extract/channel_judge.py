@@ -367,16 +367,25 @@ def _fundamental_gain(
     open_z = _PRIOR.get(linear.source, 0.2) * size + (plant / omega - 1.0) ** 2 * omega * (mass + moving)
     open_z = max(open_z, 1e-3 * 2.0 * linear.damping_ratios[linear.target_mode] * omega * mass)
 
-    def fundamental(state: DriveState) -> tuple[complex, complex, float]:
-        return complex(state.force[1]), complex(state.velocity[1]), float(state.force_std[1])
+    def fundamental(state: DriveState) -> tuple[complex, complex, float, float]:
+        return (
+            complex(state.force[1]),
+            complex(state.velocity[1]),
+            float(state.force_std[1]),
+            float(state.velocity_std[1]),
+        )
 
     def rows(states: Sequence[DriveState]) -> tuple[ComplexArray, ComplexArray, FloatArray]:
         """Factors of K, and of what c and k/ω₀ have beyond the start; what F is with the start; its deviation."""
-        force, speed, force_std = (np.array(each) for each in zip(*map(fundamental, states), strict=True))
+        force, speed, force_std, speed_std = (np.array(each) for each in zip(*map(fundamental, states), strict=True))
         voltage, at = np.array([state.voltage for state in states]), np.array([state.omega for state in states])
         factors = np.stack([voltage, 1j * voltage, -speed * open_z, 1j * speed * open_z * omega / at], axis=1)
-        value = force + (damping + 1j * (at * moving - stiffness / at)) * speed
-        std = _EXCITER * np.abs(value) + np.nan_to_num(force_std)
+        impedance = damping + 1j * (at * moving - stiffness / at)
+        value = force + impedance * speed
+        # F is often the small difference of K u and Z v: the noise of v counts as well.
+        std = _EXCITER * np.abs(value) + np.hypot(
+            np.nan_to_num(force_std), np.abs(impedance) * np.nan_to_num(speed_std)
+        )
         return factors, value, std
 
     def parts(values: ComplexArray) -> FloatArray:

@@ -61,8 +61,8 @@ _LOOKS = 3  # looks without progress before it is given up
 _AT_LIMIT = 10.0  # loop time constants at the largest voltage before a harmonic is given up
 _FADE = 0.7  # share of a given-up harmonic's voltage that is left after a block
 
-ForcePerVolt = Callable[[float], complex]
-"""G at a frequency in Hz, N/V; NaN where it is not known."""
+ForcePerVolt = Callable[[FloatArray], ComplexArray]
+"""G at frequencies in Hz, N/V, both of shape (k,); NaN where it is not known."""
 
 
 def integral_rate(cutoff: float, dead_time: float, margin: float = PHASE_MARGIN) -> float:
@@ -187,7 +187,8 @@ class HarmonicsController:
         self._spread: FloatArray = np.full(count, _START_SPREAD**2)  # variance of that
         lag = max(1, round(1.0 / (setup.cutoff * setup.block_duration)))
         self._past: deque[tuple[ComplexArray, ComplexArray, complex]] = deque(maxlen=lag + 1)
-        self._dwell: deque[ComplexArray] = deque(maxlen=max(4, setup.dwell_blocks))
+        self._dwell: ComplexArray = np.zeros((max(4, setup.dwell_blocks), count), complex)  # a ring
+        self._dwelt = 0
         self._correlation = max(1.0, 2.0 / (setup.cutoff * setup.block_duration))
         neighbour = math.exp(-2.0 / self._correlation)
         self._noise_per_bend = 1.0 / math.sqrt(6.0 - 8.0 * neighbour + 2.0 * neighbour**2)
@@ -197,6 +198,7 @@ class HarmonicsController:
         self._since_look: FloatArray = np.zeros(count)
         self._motion = math.inf
         self._probe: tuple[int, int, ComplexArray] | None = None
+        self._rest = 0
         self._fundamental = 0.0
         self._deviation: ComplexArray = np.zeros(count, complex)
         self._mean: FloatArray = np.zeros(count)
@@ -221,7 +223,7 @@ class HarmonicsController:
 
     def restart_dwell(self) -> None:
         """Judge what comes from now on."""
-        self._dwell.clear()
+        self._dwelt = 0
         self._looked_at[:] = np.inf
         self._since_look[:] = 0.0
 
@@ -234,7 +236,7 @@ class HarmonicsController:
 
     def _known(self, frequency_hz: float) -> ComplexArray:
         """G(n f) as it was known at first, N/V; NaN where it has still to be probed."""
-        known = np.array([self._force_per_volt(n * frequency_hz) for n in self.orders.tolist()], complex)
+        known = self._force_per_volt(np.asarray(self.orders * frequency_hz, dtype=np.float64))
         return np.where(np.isnan(known), self._probed, known)
 
     def fit(self, amplitude: float, frequency_hz: float) -> None:
@@ -279,6 +281,10 @@ class HarmonicsController:
         if np.isnan(known).any():
             self._probe_next(known, harmonics, amplitude)
             return
+        if self._rest > 0:  # what the last probe has left in the filter is no deviation
+            self._rest -= 1
+            self._past.clear()
+            return
         self._deviation = harmonics - target
         self._judge_block()
         self._learn(harmonics, seen, response, known)
@@ -289,25 +295,30 @@ class HarmonicsController:
         size = np.abs(step)
         largest = _LARGEST_STEP * amplitude
         step *= np.minimum(1.0, largest / np.maximum(size, 1e-300))
-        active = np.array([order not in self.given_up for order in self.orders.tolist()], bool)
-        self.voltages = np.where(active, self.voltages + step, _FADE * self.voltages)
+        self.voltages = self.voltages + step
+        for order in self.given_up:
+            self.voltages[order - 2] = _FADE * (self.voltages[order - 2] - step[order - 2])
         self._limit(amplitude, frequency_hz, gain)
         self._review()
 
     def _judge_block(self) -> None:
         """Mean deviation and noise over the dwell so far."""
-        self._dwell.append(self._deviation.copy())
-        length = len(self._dwell)
+        most = self._dwell.shape[0]
+        self._dwell[self._dwelt % most] = self._deviation
+        self._dwelt += 1
+        length = min(self._dwelt, most)
         if length < 4:
             self._mean = np.abs(self._deviation)
             return
-        record = np.array(self._dwell)
+        oldest = self._dwelt % most if self._dwelt > most else 0
+        record = np.concatenate([self._dwell[oldest:length], self._dwell[:oldest]])
         self._mean = np.abs(record.mean(axis=0))
         bend = record[:-2] - 2.0 * record[1:-1] + record[2:]
-        noise = self._noise_per_bend * np.sqrt(np.mean(np.abs(bend) ** 2, axis=0))
-        if length < (self._dwell.maxlen or 0):  # too few values; what is there from before counts
+        # The median: a transient bends a few blocks only, noise all of them; its square is distributed exponentially.
+        noise = self._noise_per_bend * np.sqrt(np.median(np.abs(bend) ** 2, axis=0) / math.log(2.0))
+        if length < most:  # too few values; what is there from before counts
             noise = np.where(self._noise > 0.0, np.minimum(noise, self._noise), noise)
-        grow = 2.0 ** (1.0 / (_NOISE_GROWS * (self._dwell.maxlen or 1)))
+        grow = 2.0 ** (1.0 / (_NOISE_GROWS * most))
         self._noise = np.where(self._noise > 0.0, np.minimum(noise, self._noise * grow), noise)
 
     def _quiet_share(self) -> FloatArray:
@@ -363,7 +374,7 @@ class HarmonicsController:
 
     def _review(self) -> None:
         """From time to time: whether every harmonic that is not settled gets nearer to its target."""
-        if self._motion > _STEADY or len(self._dwell) < (self._dwell.maxlen or 0):
+        if self._motion > _STEADY or not self._has_dwelt:
             return  # what changes by itself says nothing of control
         self._since_look += self.setup.block_duration * self._quiet_share()
         due = self._since_look >= _REVIEW / self.rate
@@ -412,20 +423,26 @@ class HarmonicsController:
             self._correction[index] = 1.0
             self.voltages[index] = 0.0
             self._probe = None
+            self._rest = wait
             return
         self._probe = (index, blocks, ends)
 
     @property
     def is_probing(self) -> bool:
         """Whether Ĝ is still being measured."""
-        return self._probe is not None
+        return self._probe is not None or self._rest > 0
 
     # -- judgement -----------------------------------------------------------------------------------------------
 
     @property
+    def _has_dwelt(self) -> bool:
+        return self._dwelt >= len(self._dwell)
+
+    @property
     def settled(self) -> np.ndarray:
         """Whether each harmonic is at its target, bool (N,): within the tolerance, or nothing but noise is left."""
-        mean_std = self._noise * math.sqrt(self._correlation / max(1, len(self._dwell)))
+        length = min(self._dwelt, self._dwell.shape[0])
+        mean_std = self._noise * math.sqrt(self._correlation / max(1, length))
         tolerance = self.setup.tolerance * self._fundamental
         in_mean = self._mean <= tolerance + _NOISE_STDS * mean_std
         now = np.abs(self._deviation) <= _SETTLED_NOW * tolerance + 2.0 * _NOISE_STDS * self._noise
@@ -437,7 +454,7 @@ class HarmonicsController:
         """What keeps the harmonics from being settled, empty if nothing does; harmonics given up do not count."""
         if self.is_probing:
             return "force per volt of the harmonics is being measured"
-        if len(self._dwell) < (self._dwell.maxlen or 0):
+        if not self._has_dwelt:
             return "the force harmonics have not been controlled for a dwell yet"
         settled = self.settled
         for index, order in enumerate(self.orders.tolist()):
@@ -471,15 +488,13 @@ class HarmonicsController:
 
 def table_of(rows: Sequence[Sequence[float]]) -> ForcePerVolt:
     """G(f) from rows of frequency (Hz), real and imaginary part (N/V), linear in between; NaN outside of them."""
-    if not rows:
-        return lambda _: complex(math.nan, math.nan)
-    table = np.array(sorted(map(tuple, rows)), float)
+    table = np.array(sorted(map(tuple, rows)), float).reshape(-1, 3)
+    frequency, values = table[:, 0].copy(), table[:, 1] + 1j * table[:, 2]
 
-    def value(frequency_hz: float) -> complex:
-        if not table[0, 0] <= frequency_hz <= table[-1, 0]:
-            return complex(math.nan, math.nan)
-        real, imag = (float(np.interp(frequency_hz, table[:, 0], table[:, k])) for k in (1, 2))
-        return complex(real, imag)
+    def value(frequency_hz: FloatArray) -> ComplexArray:
+        if not frequency.size:
+            return np.full(np.shape(frequency_hz), math.nan, complex)
+        return np.asarray(np.interp(frequency_hz, frequency, values, math.nan, math.nan), dtype=np.complex128)
 
     return value
 

@@ -187,6 +187,7 @@ class _WindowEvaluation:
         self._find_rows()
         self._find_phase()
         self._find_harmonics()
+        self.noise = channel_judge.noise_rms(self.window.data, self.part_moments, self.part_amplitudes)
         self._take_out_drift()
         self._judge_channels()
 
@@ -288,9 +289,12 @@ class _WindowEvaluation:
             return
         assert self.force_row is not None
         rows = sorted({self.force_row, self.drive_row, self.gamma_row, *self.shape_rows})
-        noise = channel_judge.noise_rms(window.data, self.part_moments, parts)
         found = window_judge.drifting(
-            parts[:, rows, 0].real, np.abs(self.amplitudes[0, rows, 1]), noise[rows], window.samples, self.periods
+            parts[:, rows, 0].real,
+            np.abs(self.amplitudes[0, rows, 1]),
+            self.noise[rows],
+            window.samples,
+            self.periods,
         )
         if not found:
             return
@@ -305,6 +309,7 @@ class _WindowEvaluation:
             self._find_harmonics()
             if self.other_amplitudes is None:
                 self.other_amplitudes = self.amplitudes
+        self.noise = channel_judge.noise_rms(self.window.data, self.part_moments, self.part_amplitudes)
 
     def _find_harmonics(self) -> None:
         window = self.window
@@ -364,7 +369,7 @@ class _WindowEvaluation:
             flat = channel_judge.flat_top(window.data[row], window.samples / self.advance)
             if flat is not None:
                 faults[row] = f"is flat-topped at {flat:.4g} {window.channels[row].quantity.unit}"
-        noise = channel_judge.noise_rms(window.data, self.part_moments, self.part_amplitudes)
+        noise = self.noise
         names = tuple(channel.name for channel in window.channels)
         history = self.history if self.history.knows(names) else None
         shape = self.amplitudes[:, self.shape_rows, 1]
@@ -628,10 +633,9 @@ class _WindowEvaluation:
                     fields[f"{name}_std"] = math.hypot(own, part) if math.isfinite(own) else part
         assert self.force_row is not None
         places = window_judge.places_of_period(self.cycles)
-        noise = channel_judge.noise_rms(self.window.data, self.part_moments, self.part_amplitudes)
         sound = [row for row in self.shape_rows if row not in self.faults]
         least = {
-            row: window_judge.resolution_floor(self.window.data[row], places, float(noise[row]))
+            row: window_judge.resolution_floor(self.window.data[row], places, float(self.noise[row]))
             for row in {self.force_row, self.drive_row, *sound}
         }
         size = np.abs(self.amplitudes[0, :, 1])

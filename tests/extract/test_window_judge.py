@@ -111,8 +111,8 @@ STRANGE = [
     ("mean", 5.0),
     *(("saturated", size) for size in (0.6, 0.9)),
     ("velocity", 0), ("acceleration", 0), ("sign", 0),
-    *(("growing", size) for size in (0.05, -0.3)),
-    *(("rounded", size) for size in (0.02, 0.3)),
+    *(("growing", size) for size in (0.05, -0.0027, -0.3)),
+    *(("rounded", size) for size in (0.0057, 0.02, 0.3)),
 ]  # fmt: skip
 
 
@@ -193,6 +193,10 @@ def test_the_grid_of_values_is_seen():
     assert resolution(values) == 0.0
     assert resolution(np.round(values, 2)) == pytest.approx(0.01)
     assert resolution(np.round(values, 2) * 9.81) == pytest.approx(0.0981)
+    # The same few values in every period: none is one step beside another.
+    few = np.tile([0.0, 0.03, 0.05, 0.08, 0.12, -0.07], 300)
+    assert resolution(few) == pytest.approx(0.01)
+    assert resolution(np.tile([0.0, 0.0312, 0.0507, 0.0893, 0.1211, -0.0749], 300) * math.pi) < 1e-3
 
 
 def test_a_beat_is_not_silence():

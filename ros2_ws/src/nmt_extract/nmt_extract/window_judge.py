@@ -37,6 +37,7 @@ _PHASE_NOTED = 5e-4  # relative error of damping by the phase, from which on it 
 _LEAK = 1e-5  # of the fundamental: what a drift may add to it unseen
 _SURE = 6.0  # standard deviations
 _UNSTEADY = 0.01  # of the damping ratio: error by a level that still changes
+_STEADY = 1e-3  # the same, from which on it is part of the uncertainty
 _RUNNING = math.radians(3.0)  # phase over the window: half of it to each side makes 0.03 % of damping
 _SILENT = 0.05  # rms over a period, of the median one
 _BURST, _BURST_SHARE = 10.0, 0.01  # residual of a part over that of the others; of the rms of the channel
@@ -236,15 +237,14 @@ def judge_steadiness(
     remarks = []
     growth, std = _slope(time, np.log(np.abs(velocity)))
     error = abs(growth) / values["omega_rad_s"]
-    if error > _UNSTEADY * values["damping_ratio"] and abs(growth) > _SURE * std:
+    if error > _STEADY * values["damping_ratio"] and abs(growth) > _SURE * std:
         change = 100.0 * math.expm1(growth * seconds)
-        remarks.append(
-            Remark(
-                f"The level was not steady: the response at the drive point changes by {change:.2g} % over the window; "
-                "wait longer before the window, or extract with 'power_balance: true'.",
-                {"damping_ratio": error, "self_excitation": 2.0 * values["omega_rad_s"] * error},
-            )
+        sentence = (
+            f"The level was not steady: the response at the drive point changes by {change:.2g} % over the window; "
+            "wait longer before the window, or extract with 'power_balance: true'."
         )
+        parts = {"damping_ratio": error, "self_excitation": 2.0 * values["omega_rad_s"] * error}
+        remarks.append(Remark(sentence if error > _UNSTEADY * values["damping_ratio"] else "", parts))
     angles = force * velocity.conj()
     angles = np.angle(angles * np.conj(angles.sum()))
     slope, std = _slope(time, angles)
@@ -342,10 +342,14 @@ def resolution(values: FloatArray) -> float:
     steps = steps[steps > finest]
     if steps.size < 3:
         return 0.0
-    step = float(steps.min())
-    ratio = steps / step
-    on_grid = np.abs(ratio - np.round(ratio)) < np.maximum(_FINEST * ratio, 1e-6)
-    return step if bool(on_grid.all()) and float(np.median(ratio)) < 1.0 / _FINEST else 0.0
+    # Where the same few values repeat, none may be one step beside another.
+    for parts in range(1, 9):
+        step = float(steps.min()) / parts
+        ratio = steps / step
+        on_grid = np.abs(ratio - np.round(ratio)) < np.maximum(_FINEST * ratio / parts, 1e-6)
+        if bool(on_grid.all()) and float(np.median(ratio)) < 1.0 / _FINEST:
+            return step
+    return 0.0
 
 
 def places_of_period(cycles: FloatArray) -> int:
@@ -357,7 +361,8 @@ def resolution_floor(values: FloatArray, places: int, noise: float) -> float:
     """Least standard uncertainty of the amplitude of a fundamental, in the unit of the channel.
 
     Rounding to steps of d has the standard deviation d/√12. Where the samples of all periods fall on the same places
-    of the sine it repeats, so only those of one period average. Under noise of more than half a step it does not, and
+    of the sine it repeats, so only those of one period average, and of them, by the symmetry of the sine, a quarter.
+    Under noise of more than half a step it does not, and
     the scatter of the parts of the window shows it. Of values on no grid that can be seen, d is the step of a
     converter of ``CONVERTER_BITS`` over their range.
 
@@ -370,7 +375,8 @@ def resolution_floor(values: FloatArray, places: int, noise: float) -> float:
     if noise > 0.5 * step > 0.0:
         return 0.0
     step = step or float(np.ptp(values)) / 2**CONVERTER_BITS
-    return step / math.sqrt(12.0) * math.sqrt(2.0 / max(places, 2))
+    repeats = 4.0 if 2 * places < values.size else 1.0
+    return step / math.sqrt(12.0) * math.sqrt(2.0 * repeats / max(places, 2))
 
 
 def floors(

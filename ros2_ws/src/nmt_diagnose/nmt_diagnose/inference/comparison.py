@@ -14,11 +14,12 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.fitting import Data, Metric
 from nmt_diagnose.inference.search import Found
-from nmt_diagnose.inference.size import Left, change_size, left_over, matters
+from nmt_diagnose.inference.size import Left, change_size, disbelieved, left_over, matters
 from nmt_diagnose.inference.sources import SourcePlace, places
 from nmt_diagnose.inference.tuned import (
     CREDIBLE,
     EQUIVALENT,
+    INCREDIBLE,
     ORDINARY,
     PRIOR_EFFECT,
     PRIOR_NONE,
@@ -52,7 +53,8 @@ class Equivalents:
         members: the most probable first, no two with the same effects.
         probability: of all of them together.
         given_library: the same if one of the explanations had to be the whole of the gap.
-        left: what the most probable leaves that is more than noise and matters.
+        left: what the most probable leaves that is more than noise and matters, and what it asks of the model that
+            nobody believes.
     """
 
     members: tuple[Found, ...]
@@ -206,14 +208,17 @@ class Hypotheses:
         return each + math.log(PRIOR_EFFECT if len(found.candidates) == 1 else 2.0 * PRIOR_PAIR)
 
     def _left(self, found: Found) -> float:
-        """ln of the probability that an explanation leaves noise; 0 where what it leaves is small or may well be."""
-        if not self._left_over(found):
-            return 0.0
-        own = found.fit.errors
-        return min(0.0, math.log(max(self.data.groups.chance(own.squares, self.data.counts), 1e-300) / ORDINARY))
+        """ln of the probability that an explanation leaves noise and asks nothing of the model that nobody believes."""
+        own, total = found.fit.errors, 0.0
+        if left_over(self.data, found, self.data.observations.matters):
+            chance = self.data.groups.chance(own.squares, self.data.counts)
+            total += min(0.0, math.log(max(chance, 1e-300) / ORDINARY))
+        bent, chance = disbelieved(found)
+        return total + math.log(max(chance, 1e-300) / INCREDIBLE) if bent else total
 
-    def _left_over(self, found: Found) -> tuple[Left, ...]:
-        return left_over(self.data, found, self.data.observations.matters)
+    def _against(self, found: Found) -> tuple[Left, ...]:
+        """What speaks against an explanation as the whole of the gap."""
+        return (*left_over(self.data, found, self.data.observations.matters), *disbelieved(found)[0])
 
     @staticmethod
     def _evidence(found: Found) -> float:
@@ -298,7 +303,7 @@ class Hypotheses:
             # With one effect more than another member an explanation says nothing new.
             members = [own for _, _, own in mine if not any(set(o.effects) < set(own.effects) for _, _, o in mine)]
             weight, given = sum(w for w, _, _ in mine), sum(g for _, g, _ in mine)
-            result.append(Equivalents(tuple(members), weight, given, self._left_over(members[0])))
+            result.append(Equivalents(tuple(members), weight, given, self._against(members[0])))
         return tuple(sorted(result, key=lambda own: (-own.probability if own.adequate else 0.0, -own.given_library)))
 
 

@@ -9,7 +9,7 @@ from nmt_core.number_words import percent, share_with_interval, significant, val
 from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.inference.diagnosis import NULL, Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
 from nmt_diagnose.inference.gap import NOISE
-from nmt_diagnose.inference.size import SIZE_NAMES, Left
+from nmt_diagnose.inference.size import Left
 
 PLACES = {
     "structure": "the structure",
@@ -65,7 +65,7 @@ def sentences(
     if not head.adequate:
         which = (
             f"{_share_of(gap)} of the gap acts like {what}, probability {_sure(head.probability)} among the effects of "
-            f"the library; {_more(left)} that it does not explain, so something unnamed acts too"
+            f"the library; {_against(left)}, so something unnamed acts too"
         )
     else:
         sure = "The cause is" if head.probability >= _LIKELY else "The most probable cause is"
@@ -79,12 +79,9 @@ def _share_of(gap: Gap) -> str:
     return percent(gap.closed, 1) if math.isfinite(gap.closed) else "Most"
 
 
-def _more(left: Sequence[Left]) -> str:
-    """What is left, in its own size."""
-    if not left:
-        return "more than noise remains"
-    first = left[0]
-    return f"{significant(100.0 * first.size, 2)} % of {SIZE_NAMES[first.kind]} ({first.group}) remain"
+def _against(left: Sequence[Left]) -> str:
+    """What speaks against an explanation as the whole of the gap."""
+    return left[0].sentence if left else "more than noise remains that it does not explain"
 
 
 def likeness(head: Ranked, named: Explanation | None) -> str:

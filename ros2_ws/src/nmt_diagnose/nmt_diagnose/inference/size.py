@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from nmt_core.arrays import FloatArray
+from nmt_core.number_words import significant
 from nmt_diagnose.inference.candidate_starts import at_zero
 from nmt_diagnose.inference.fitting import Data, predicted
 from nmt_diagnose.inference.search import Found
-from nmt_diagnose.inference.tuned import SEEN, STRAIN, SURE_EXCESS
+from nmt_diagnose.inference.tuned import INCREDIBLE, SEEN, STRAIN, SURE_EXCESS
 from nmt_diagnose.observations.observables import Part
 
 _KINDS: dict[str, tuple[Part, ...]] = {
@@ -61,17 +63,25 @@ def measured_size(data: Data, found: Found) -> Size:
 
 @dataclass(frozen=True)
 class Left:
-    """More than noise in a group of rows.
+    """More than noise in a group of rows, or a parameter of the model where nobody believes it.
 
     Attributes:
-        group: test and kind of row.
-        kind: kind of what matters.
-        size: relative, what noise makes taken off.
+        group: test and kind of row; name of the parameter.
+        kind: kind of what matters; empty of a parameter.
+        size: relative, what noise makes taken off; of a parameter standard deviations of its prior.
     """
 
     group: str
     kind: str
     size: float
+
+    @property
+    def sentence(self) -> str:
+        """What speaks against an explanation as the whole of a gap, without a full stop."""
+        if not self.kind:
+            return f"it takes {self.group} {self.size:.1f} standard deviations from what is believed of it"
+        size = f"{significant(_PERCENT * self.size, 2)} % of {SIZE_NAMES[self.kind]}"
+        return f"{size} ({self.group}) remain that it does not explain"
 
 
 def left_over(data: Data, found: Found, wanted: Mapping[str, float]) -> tuple[Left, ...]:
@@ -107,6 +117,23 @@ def left_over(data: Data, found: Found, wanted: Mapping[str, float]) -> tuple[Le
         if size > 0.0 and size >= wanted.get(kind, 0.0):
             result.append(Left(groups.names[number], kind, size))
     return tuple(sorted(result, key=lambda left: -left.size / max(wanted.get(left.kind, 0.0), 1e-300)))
+
+
+def disbelieved(found: Found) -> tuple[tuple[Left, ...], float]:
+    """The model's own parameter furthest from what is believed of it, where that is improbable (Bonferroni).
+
+    Returns:
+        None or one, and the probability that any of them is as far.
+    """
+    parameters = found.fit.parametrisation.calibration
+    if not parameters:
+        return (), 1.0
+    theta = np.abs(found.fit.theta[: len(parameters)])
+    worst = int(np.argmax(theta))
+    chance = min(1.0, len(parameters) * 2.0 * float(norm.sf(theta[worst])))
+    if chance >= INCREDIBLE:
+        return (), chance
+    return (Left(parameters[worst].name, "", float(theta[worst])),), chance
 
 
 def worth(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> bool:

@@ -85,6 +85,8 @@ STRAINED = 2.0
 # Standard deviations of its prior beyond which a parameter is not credible; relative standard deviation of a limit that
 # physics sets, of a drag coefficient for example.
 CREDIBLE, LIMIT_STD = 3.0, 0.5
+# Probability that any parameter of the model is as far off as the furthest, below which an explanation is not adequate.
+INCREDIBLE = 0.01
 # What is left over the floor from which it is more than noise, and the share of the gap from which that is a warning.
 LEFT_OVER, SMALL_SHARE = 2.0, 0.15
 # Relative standard deviation of the scale of amplitudes that a file gives without a word on its sensor.

@@ -15,7 +15,7 @@ from independent import laboratory_one, laboratory_two
 
 from nmt_bench.cli import main
 from nmt_blind.campaign.explain import explain_foreign
-from nmt_blind.campaign.foreign_case import ForeignTruth, judge, read_cases, read_truth
+from nmt_blind.campaign.foreign_case import ForeignTruth, contradictions, judge, read_cases, read_truth
 from nmt_blind.campaign.foreign_run import ForeignLine, print_lines, run_laboratory, summary, write_tables
 from nmt_core.errors import BenchError
 
@@ -114,6 +114,39 @@ def said(verdict: str, *ranking: dict[str, Any], p: float = 0.0, where: str = ""
 )
 def test_an_answer_is_classed(truth: ForeignTruth, diagnosis: dict[str, Any] | None, outcome: str) -> None:
     assert judge(truth, diagnosis).outcome == outcome
+
+
+def told(verdict: str, text: str, adequate: bool, unnamed: float, *ranking: dict[str, Any]) -> dict[str, Any]:
+    """What ``diagnosis.json`` holds of what is said."""
+    return {
+        "verdict": verdict, "sentences": [text], "adequate": adequate, "ranking": ranking,
+        "probabilities": {"unknown": unnamed},
+    }  # fmt: skip
+
+
+WHOLE = explained("cubic_stiffness", "structure 7", 0.97)
+PART = explained("cubic_stiffness", "structure 7", 0.97, adequate=False, given_library=True)
+CAUSE = "The cause is cubic stiffness at point 7."
+ACTS = "99 % of the gap acts like cubic stiffness at point 7."
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "differing"),
+    [
+        (told("effect", CAUSE, True, 0.01, WHOLE), 0),
+        (told("effect", ACTS, False, 0.9, PART), 0),
+        (told("unknown", "Nothing in the library explains all of it.", False, 0.9, WHOLE), 0),
+        (told("none", "There is no gap.", True, 0.0), 0),
+        (told("none", CAUSE, True, 0.0, WHOLE), 1),
+        (told("effect", CAUSE, True, 0.98, {**WHOLE, "probability": 0.02}), 1),
+        (told("effect", CAUSE, False, 0.01, WHOLE), 4),
+        (told("effect", CAUSE.replace("cubic", "quintic"), True, 0.01, WHOLE), 1),
+        (told("effect", "The cause is seen.", True, 0.0), 1),
+        (told("unknown", "Nothing.", True, 0.9), 1),
+    ],
+)
+def test_parts_that_say_different_things_are_found(diagnosis: dict[str, Any], differing: int) -> None:
+    assert len(contradictions(diagnosis)) == differing, contradictions(diagnosis)
 
 
 def test_a_parameter_is_compared_in_stated_standard_deviations() -> None:

@@ -152,6 +152,36 @@ def read_truth(path: Path) -> ForeignTruth:
     )
 
 
+def contradictions(diagnosis: Mapping[str, Any]) -> tuple[str, ...]:
+    """Where verdict, sentences, ranking and probabilities of a ``diagnosis.json`` say different things; sentences."""
+    verdict, text = str(diagnosis["verdict"]), " ".join(diagnosis.get("sentences", ()))
+    ranking, unnamed = diagnosis["ranking"], float(diagnosis["probabilities"].get("unknown", 0.0))
+    adequate, head = bool(diagnosis.get("adequate", True)), ranking[0] if ranking else None
+    named = "The cause is" in text or "The most probable cause is" in text
+    partial = "of the gap acts like" in text
+    found = []
+    if named != (verdict == "effect" and adequate):
+        found.append(f"the sentences {'name' if named else 'do not name'} a cause where the verdict is {verdict}")
+    if partial != (verdict == "effect" and not adequate):
+        found.append("sentences and verdict differ on whether the explanation is a partial one")
+    if verdict == "unknown" and adequate:
+        found.append("the verdict is unknown, and the explanation adequate")
+    if verdict == "effect" and head is None:
+        found.append("an effect without an explanation")
+    if head is not None:
+        sure = float(head["probability"])
+        if verdict == "effect" and bool(head.get("adequate", True)) != adequate:
+            found.append("table and verdict differ on whether the explanation is adequate")
+        if verdict == "effect" and bool(head.get("given_library", False)) == adequate:
+            found.append("the probability of the table is of other alternatives than that of the sentences")
+        if verdict == "effect" and adequate and sure < unnamed:
+            found.append(f"a cause at {sure:.2f} beside something unnamed at {unnamed:.2f}")
+        name = str(head["effect"]).replace("_", " ")
+        if (named or partial) and name not in text:
+            found.append(f"the sentences name something else than the first explanation, {name}")
+    return tuple(found)
+
+
 def judge(truth: ForeignTruth, diagnosis: Mapping[str, Any] | None) -> ForeignAnswer:
     """Class an answer.
 

@@ -18,7 +18,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nmt_blind.campaign.foreign_case import CLASSES, TRUTH_FILE, ForeignAnswer, ForeignCase, judge, read_cases
+from nmt_blind.campaign.foreign_case import (
+    CLASSES,
+    TRUTH_FILE,
+    ForeignAnswer,
+    ForeignCase,
+    contradictions,
+    judge,
+    read_cases,
+)
 from nmt_blind.campaign.frozen import diagnosis_digest
 from nmt_blind.campaign.scored_case import ALARMS
 from nmt_core.errors import BenchError
@@ -45,6 +53,7 @@ class ForeignLine:
         import_seconds: processor time of the imports, s.
         trouble: why there is no diagnosis.
         kept: from an earlier run.
+        contradictions: where the parts of the diagnosis say different things.
     """
 
     case: str
@@ -55,6 +64,7 @@ class ForeignLine:
     import_seconds: float
     trouble: str = ""
     kept: bool = False
+    contradictions: tuple[str, ...] = ()
 
 
 def run_laboratory(
@@ -181,6 +191,7 @@ def summary(lines: Sequence[ForeignLine]) -> dict[str, Any]:
         "share_right_or_hedged": (counts["right"] + counts["hedged right"]) / len(lines) if lines else math.nan,
         "healthy": len(healthy),
         "alarms": sum(line.answer.verdict in ALARMS for line in healthy),
+        "contradictory": sum(bool(line.contradictions) for line in lines),
         "parameters": len(deviations),
         "parameters_within_3": sum(deviation <= 3.0 for deviation in deviations),
         "seconds_median": statistics.median(times) if times else math.nan,
@@ -196,6 +207,7 @@ def print_lines(lines: Sequence[ForeignLine]) -> list[str]:
     text = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     text[1:1] = ["  ".join("-" * width for width in widths)]
     text += ["", *(f"{line.case}: {line.trouble}" for line in lines if line.trouble)]
+    text += [f"{line.case}: {sentence}" for line in lines for sentence in line.contradictions]
     found = summary(lines)
     counts = ", ".join(f"{name} {count}" for name, count in found["classes"].items())
     text += [
@@ -203,6 +215,7 @@ def print_lines(lines: Sequence[ForeignLine]) -> list[str]:
         f"right or hedged right {_percent(found['share_right_or_hedged'])}, right {_percent(found['share_right'])}; "
         f"alarms in {found['alarms']} of {found['healthy']} healthy",
         f"parameters within 3 stated standard deviations: {found['parameters_within_3']} of {found['parameters']}",
+        f"diagnoses whose parts say different things: {found['contradictory']} of {len(lines)}",
         f"processor time of a diagnosis: median {_text(found['seconds_median'], 1)} s, "
         f"worst {_text(found['seconds_worst'], 1)} s",
     ]
@@ -297,7 +310,9 @@ def _line(case: ForeignCase, result: dict[str, Any], out: Path, kept: bool) -> F
     named = " | ".join(" + ".join(sorted(effects)) for effects in truth.effects) or " | ".join(truth.verdicts)
     place = f" @ {', '.join(truth.place)}" if truth.place else ""
     seconds = (float(result["seconds"]), float(result["import_seconds"]))
-    return ForeignLine(case.name, truth.kind, f"{named}{place}", judge(truth, diagnosis), *seconds, trouble, kept)
+    differ = () if diagnosis is None else contradictions(diagnosis)
+    answer = judge(truth, diagnosis)
+    return ForeignLine(case.name, truth.kind, f"{named}{place}", answer, *seconds, trouble, kept, differ)
 
 
 def _cells(line: ForeignLine) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.result_rows import calibration_rows, candidate_row, inputs, place_rows, ranked_rows
 from nmt_diagnose.inference.search import Found, Score, Search, best_of
 from nmt_diagnose.inference.sentences import likeness, sentences
-from nmt_diagnose.inference.size import Size, change_size, left_over, matters, measured_size, worth
+from nmt_diagnose.inference.size import Size, change_size, differs, left_over, matters, measured_size, worth
 from nmt_diagnose.inference.tuned import (
     ALARM,
     CHAIN_ROUNDS,
@@ -336,7 +336,7 @@ def diagnose_observations(
     share = None if leader is None else shares[leader.head.explanation]
     size = None if leader is None else measured_size(data, leader.head)
     small = not left_over(data, null, settings.matters)
-    needed = leader is not None and (not small or worth(data, leader.head, null, settings.matters))
+    needed = leader is not None and (not small or differs(data, leader.head, null, settings.matters))
     verdict = Verdict.UNKNOWN
     if not findings.inadequate:
         verdict = _verdict(comparison, leader, share, size, small, needed, settings, _moved(findings, given, settings))
@@ -470,7 +470,7 @@ def _verdict(
         share: of the gap that it closes on held-out data.
         size: of what it does.
         small: what the model alone leaves is noise, or smaller than what matters.
-        needed: it explains something of that, or what bends the parameters of the model alone.
+        needed: it predicts something else that matters than the model alone, or unbends the parameters of that.
         settings: of the diagnosis.
         moved: re-fitting the model's own parameters closed a gap.
     """

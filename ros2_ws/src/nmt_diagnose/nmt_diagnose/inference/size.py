@@ -142,7 +142,18 @@ def worth(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> 
     It is where the other leaves more than noise that matters and its predictions differ by what matters, or where the
     other is that near only by parameters and a measuring chain that are hard to believe.
     """
-    change = data.forward.difference(more.fit.errors.values, less.fit.errors.values)
+    if _unbends(more, less):
+        return True
+    return bool(left_over(data, less, wanted)) and _apart(data, more, less, wanted)
+
+
+def differs(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> bool:
+    """The same where what the other leaves may not be surely more than noise yet."""
+    return _unbends(more, less) or _apart(data, more, less, wanted)
+
+
+def _unbends(more: Found, less: Found) -> bool:
+    """Whether further effects take parameters and measuring chain back to what is believed of them."""
     pulls = [
         float(
             np.sum((own.fit.theta / own.fit.parametrisation.prior_std) ** 2)
@@ -150,9 +161,13 @@ def worth(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> 
         )
         for own in (less, more)
     ]
-    if pulls[0] - pulls[1] > STRAIN:
-        return True
-    return bool(left_over(data, less, wanted)) and matters(change_size(data, change), wanted)
+    return pulls[0] - pulls[1] > STRAIN
+
+
+def _apart(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> bool:
+    """Whether the predictions of two fits differ by what matters."""
+    change = data.forward.difference(more.fit.errors.values, less.fit.errors.values)
+    return matters(change_size(data, change), wanted)
 
 
 def change_size(data: Data, change: FloatArray) -> Size:

@@ -108,6 +108,17 @@ def test_a_run_from_the_page_is_the_run_before_with_other_levels() -> None:
             start_request(order)
 
 
+def test_a_new_run_may_have_other_harmonics_controlled():
+    before = {"levels": [0.1], "test": "phase_resonance", "harmonics_control": 9, "harmonics_target": 1}
+    for words, wanted in (("", 9), ("auto", 1), ("0", 0), ("7", 7)):
+        goal = goal_of(start_request({"levels": "0.2", "harmonics": words}), before)
+        assert goal["harmonics_control"] == wanted
+        assert goal["harmonics_target"] == 1
+    for words in ("1", "51", "-2", "many", 3.5):
+        with pytest.raises(BenchError, match="number from 2 to 50"):
+            start_request({"levels": "0.2", "harmonics": words})
+
+
 def test_a_command_serves_its_progress_in_a_process_of_its_own() -> None:
     said: list[str] = []
     console = SimpleNamespace(print=lambda line, **_: said.append(line))

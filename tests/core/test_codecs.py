@@ -204,7 +204,7 @@ def test_a_cut_message_is_refused(codec, record):
     whole = codec.read(raw)
     assert whole.identical(record) if codec is MODAL_POINT else whole == record
     # An old recording ends where the fields begin that came later.
-    old = {LEVEL: (BASE + 64, len(raw) - 5), LOCK_EVENT: (len(raw) - 1,), MODAL_POINT: (len(raw) - 4,)}.get(codec, ())
+    old = {LEVEL: (BASE + 64, len(raw) - 8), LOCK_EVENT: (len(raw) - 1,), MODAL_POINT: (len(raw) - 4,)}.get(codec, ())
     for stop in range(len(raw)):
         if stop not in old:
             with pytest.raises(ValueError, match=r"not a whole|little-endian"):
@@ -221,7 +221,7 @@ def test_recordings_from_before_harmonics_were_controlled_are_without():
     controlled = replace(ORDER, harmonics_control=9, harmonics_target=1)
     raw = LEVEL.write(controlled)
     assert LEVEL.read(raw) == controlled
-    assert LEVEL.read(raw[:-5]) == ORDER
+    assert LEVEL.read(raw[:-8]) == ORDER
     point = ModalPoint(0, PointStatus.REJECTED, "gap", 0.1, "V", harmonics_control=9)
     raw = MODAL_POINT.write(point)
     assert MODAL_POINT.read(raw).identical(point)

@@ -395,7 +395,7 @@ def _numbers(values: Any) -> tuple[float, ...]:
     return tuple(values.tolist())
 
 
-LEVEL = MessageCodec("Level", LevelCommand, {"test": TestKind.of}, later=("test", "harmonics_control"))
+LEVEL = MessageCodec("Level", LevelCommand, {"test": TestKind.of}, later=("test", "harmonics_target"))
 """``nmt_msgs/Level``."""
 LOCK_EVENT = MessageCodec("LockEvent", LockEvent, {"test": TestKind.of}, later=("test",))
 """``nmt_msgs/LockEvent``."""

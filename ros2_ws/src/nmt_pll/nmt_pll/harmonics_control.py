@@ -41,7 +41,7 @@ SETTLED = 0.003
 """Deviation of a harmonic from its target that counts as settled, of the fundamental."""
 
 _SETTLED_NOW = 2.0  # the same for the newest value instead of the mean over the dwell
-_NOISE_STDS = 2.0  # standard uncertainties by which noise may exceed it
+_NOISE_STDS = 3.0  # standard deviations by which noise may exceed it: once in 10,000, with many harmonics to wait for
 _QUIET_GAIN = 0.1  # least share of the gain in noise
 _LARGEST_STEP = 0.1  # of a harmonic's voltage in a block, of the drive's amplitude
 _LARGEST_VOLTAGE = 1.0  # of a harmonic, of the drive's amplitude
@@ -445,7 +445,7 @@ class HarmonicsController:
         mean_std = self._noise * math.sqrt(self._correlation / max(1, length))
         tolerance = self.setup.tolerance * self._fundamental
         in_mean = self._mean <= tolerance + _NOISE_STDS * mean_std
-        now = np.abs(self._deviation) <= _SETTLED_NOW * tolerance + 2.0 * _NOISE_STDS * self._noise
+        now = np.abs(self._deviation) <= _SETTLED_NOW * tolerance + _NOISE_STDS * self._noise
         result: np.ndarray = in_mean & now
         return result
 

@@ -23,10 +23,12 @@ class StartRequest:
     Attributes:
         levels: in the order of the test, in the unit of the run before, else V.
         window_periods: whole periods a window; 0 = as before.
+        harmonics_control: up to which the force's harmonics are controlled, see ``nmt_msgs/Level``; None = as before.
     """
 
     levels: tuple[float, ...]
     window_periods: int = 0
+    harmonics_control: int | None = None
 
 
 class BenchLink(Protocol):

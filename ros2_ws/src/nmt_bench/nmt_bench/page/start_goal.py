@@ -8,8 +8,8 @@ from typing import Any
 
 from nmt_bench.page.bench_link import StartRequest
 from nmt_core.errors import BenchError
-from nmt_core.excitation import Excitation
-from nmt_core.vocabulary import TestKind
+from nmt_core.excitation import MOST_HARMONICS, Excitation
+from nmt_core.vocabulary import AUTOMATIC, TestKind
 from nmt_sequencer.level_plan import LevelLimits, parse_levels
 
 _KEPT = (
@@ -27,12 +27,13 @@ def start_request(order: Mapping[str, Any]) -> StartRequest:
     """The run that an order of the page asks for.
 
     Args:
-        order: ``levels`` in the notation of the command line, ``window_periods``.
+        order: ``levels`` in the notation of the command line, ``window_periods``, and ``harmonics`` to be controlled:
+            a number, ``auto``, or empty = as before.
 
     Raises:
         BenchError: it is not an order, or the levels are not a plan.
     """
-    unknown = set(order) - {"levels", "window_periods"}
+    unknown = set(order) - {"levels", "window_periods", "harmonics"}
     if unknown:
         raise BenchError(f"A run is not started with '{sorted(unknown)[0][:40]}'.")
     levels, periods = order.get("levels"), order.get("window_periods", 0)
@@ -40,7 +41,17 @@ def start_request(order: Mapping[str, Any]) -> StartRequest:
         raise BenchError("The levels must be a text such as '0.2:1:5' or '0.2, 0.5, 1'.")
     if not isinstance(periods, int) or isinstance(periods, bool) or not 0 <= periods <= _MOST_PERIODS:
         raise BenchError(f"The periods a window must be a whole number from 0 to {_MOST_PERIODS}.")
-    return StartRequest(tuple(parse_levels(levels)), periods)
+    return StartRequest(tuple(parse_levels(levels)), periods, _harmonics(order.get("harmonics", "")))
+
+
+def _harmonics(text: Any) -> int | None:
+    """Number of harmonics from the page's words; BenchError where they are none."""
+    words = str(text).strip()[:20]
+    if words in ("", "auto"):
+        return AUTOMATIC if words else None
+    if not words.isdecimal() or not 0 <= int(words) <= MOST_HARMONICS or int(words) == 1:
+        raise BenchError(f"The harmonics must be a number from 2 to {MOST_HARMONICS}, 0 for none, or auto.")
+    return int(words)
 
 
 def goal_of(request: StartRequest, before: Mapping[str, Any]) -> dict[str, Any]:
@@ -67,4 +78,6 @@ def goal_of(request: StartRequest, before: Mapping[str, Any]) -> dict[str, Any]:
     goal.update(levels=list(request.levels), frequencies_hz=frequencies, run_id="")
     if request.window_periods:
         goal["window_periods"] = request.window_periods
+    if request.harmonics_control is not None:
+        goal["harmonics_control"] = request.harmonics_control
     return goal

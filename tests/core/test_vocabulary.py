@@ -185,8 +185,8 @@ def second_definitions(tree: ast.AST) -> list[str]:
             for one, other in ((keys, values), (values, keys)):
                 if len(one) > 1 and all(type(item) is int for item in one) and other and set(other) <= UNITS:
                     found.append(f"line {node.lineno}: a table of units by number")
-                same_length = len(one) == len(other) > 1
-                if same_length and all((str(b).upper(), a) in WORDS for a, b in zip(one, other, strict=True)):
+                numbered = len(one) == len(other) > 1 and all(type(item) is int for item in one)
+                if numbered and all((str(b).upper(), a) in WORDS for a, b in zip(one, other, strict=True)):
                     found.append(f"line {node.lineno}: a table of words by number")
     return found
 
@@ -206,7 +206,13 @@ def test_a_second_definition_is_found():
         'CODES = {"force": 1, "displacement": 2}',
     ):
         assert second_definitions(ast.parse(text)), text
-    for text in ("ACCELERATION = 12", "LIMIT_KERNEL = 2", "limit = 2", 'NAMES = {1: "a", 2: "b"}'):
+    for text in (
+        "ACCELERATION = 12",
+        "LIMIT_KERNEL = 2",
+        "limit = 2",
+        'NAMES = {1: "a", 2: "b"}',
+        'P = {"none": 0.0, "unknown": 0.0}',
+    ):
         assert not second_definitions(ast.parse(text)), text
 
 

@@ -175,10 +175,26 @@ class Search:
                 squares = groups.sums((left - strength * vector) ** 2)
                 weights = groups.weights(squares, counts)[groups.of]
             gain = before - groups.cost(squares, counts) + 2.0 * strength * pull - strength**2 * stiff
+            instead = self._in_place_of_chain(own, column)
+            if instead is not None and instead[1] > gain and (signed or instead[0] > 0.0):
+                strength, gain = instead
             position = strength_position(self.candidates[number])
             own_start = at_strength(self.candidates[number], start, start[position] or strength)
             result.append(Score(number, own_start, gain, reach, column))
         return sorted(result, key=lambda score: -score.gain)
+
+    def _in_place_of_chain(self, own: Fitted, column: FloatArray) -> tuple[float, float] | None:
+        """Strength of an effect that does what an incredible error of the chain does now, and what that saves.
+
+        Far from rest, as for a delay of a good part of a turn, the change to first order leads away from it.
+        """
+        errors, size = own.errors, float(np.linalg.norm(column))
+        for j in np.flatnonzero(np.abs(errors.chain) > CREDIBLE):
+            slope = errors.slopes[:, j]
+            along = float(slope @ column)
+            if abs(along) > ALIKE * size * float(np.linalg.norm(slope)):
+                return float(errors.chain[j]) * along / size**2, float(errors.chain[j]) ** 2
+        return None
 
     def _columns(self, base: Found) -> list[tuple[int, FloatArray, FloatArray, bool]]:
         """Number, start, column and whether either sign, of all candidates that the fit does not have yet."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nmt_core.blocks import SampleBlock
-from nmt_core.cdr import BASE, bench_time_ns
+from nmt_core.cdr import bench_time_ns
 from nmt_core.errors import BenchError
 from nmt_core.message_files import message_fields
 from nmt_core.modal_point import COMPLEX, ModalPoint
@@ -203,29 +203,9 @@ def test_a_cut_message_is_refused(codec, record):
     raw = codec.write(record)
     whole = codec.read(raw)
     assert whole.identical(record) if codec is MODAL_POINT else whole == record
-    # An old recording ends where the fields begin that came later.
-    old = {LEVEL: (BASE + 64, len(raw) - 8), LOCK_EVENT: (len(raw) - 1,), MODAL_POINT: (len(raw) - 4,)}.get(codec, ())
     for stop in range(len(raw)):
-        if stop not in old:
-            with pytest.raises(ValueError, match=r"not a whole|little-endian"):
-                codec.read(raw[:stop])
-
-
-def test_recordings_from_before_there_were_kinds_are_of_phase_resonance():
-    level = LEVEL.read(LEVEL.write(ORDER)[: BASE + 64])
-    assert level == LevelCommand(2, 1, 0.5, 400, 0.1, ControlKind.FORCE, 20.0, 30, 5.0, TestKind.PHASE_RESONANCE)
-    assert LOCK_EVENT.read(LOCK_EVENT.write(LOCK)[:-1]).test is TestKind.PHASE_RESONANCE
-
-
-def test_recordings_from_before_harmonics_were_controlled_are_without():
-    controlled = replace(ORDER, harmonics_control=9, harmonics_target=1)
-    raw = LEVEL.write(controlled)
-    assert LEVEL.read(raw) == controlled
-    assert LEVEL.read(raw[:-8]) == ORDER
-    point = ModalPoint(0, PointStatus.REJECTED, "gap", 0.1, "V", harmonics_control=9)
-    raw = MODAL_POINT.write(point)
-    assert MODAL_POINT.read(raw).identical(point)
-    assert MODAL_POINT.read(raw[:-4]).identical(replace(point, harmonics_control=0))
+        with pytest.raises(ValueError, match=r"not a whole|little-endian"):
+            codec.read(raw[:stop])
 
 
 def test_numbers_that_stand_for_nothing_are_refused():

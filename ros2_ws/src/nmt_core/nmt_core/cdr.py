@@ -8,7 +8,7 @@ some bytes there when a sequence of ``float64`` is empty.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
@@ -85,8 +85,6 @@ class MessageCodec(Generic[Record]):
         kinds: what the record has in place of the number or array of a field.
         make: makes a record of the values by field, where they are not the record's own.
         otherwise: values of the fields that the record has in another form.
-        later: fields that began what was added at some time; older recordings end before one of them and are read as
-            zero from there on.
 
     Attributes:
         name: of the message.
@@ -101,7 +99,6 @@ class MessageCodec(Generic[Record]):
         *,
         make: Callable[[dict[str, Any]], Record] | None = None,
         otherwise: Callable[[Record], Mapping[str, Any]] | None = None,
-        later: Collection[str] = (),
     ) -> None:
         self.name = name
         self.fields = message_fields(find_message_file(f"nmt_msgs/msg/{name}").read_text(encoding="utf-8"))
@@ -112,7 +109,6 @@ class MessageCodec(Generic[Record]):
         self._otherwise = otherwise
         attributes = ((field, "time_ns" if field == "stamp" else field) for field, _ in self.fields)
         self._plain = tuple(pair for pair in attributes if pair[1] in record.__annotations__)
-        self._later = later
 
     def write(self, record: Record) -> bytes:
         """The serialised message.
@@ -183,21 +179,6 @@ class MessageCodec(Generic[Record]):
                     position += layout.size
                 else:
                     values[names[0]], position = take(raw, position, kinds[0])
-        except (struct.error, UnicodeDecodeError, ValueError):
-            return self._values_each(raw)  # an older recording, or not a whole message
-        return values
-
-    def _values_each(self, raw: bytes) -> dict[str, Any]:
-        values: dict[str, Any] = {}
-        position = BASE
-        old = False
-        try:
-            for name, kind in self.fields:
-                old = old or (name in self._later and position >= len(raw))
-                if old:
-                    values[name] = _ZEROS[kind]
-                else:
-                    values[name], position = take(raw, position, kind)
         except (struct.error, UnicodeDecodeError, ValueError) as error:
             raise ValueError(f"the message is not a whole {self.name}: {error}") from error
         return values
@@ -225,9 +206,6 @@ def _layout(kinds: tuple[str, ...], offset: int) -> struct.Struct:
         text += f"{padding}x{number.format[1:]}" if padding else number.format[1:]
         position += padding + number.size
     return struct.Struct(text)
-
-
-_ZEROS: dict[str, Any] = {TIME: 0, "string": "", **dict.fromkeys(_NUMBERS, 0), **dict.fromkeys(_ITEMS, ())}
 
 
 def append(buffer: bytearray, kind: str, value: Any) -> None:

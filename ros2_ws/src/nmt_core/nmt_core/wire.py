@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -395,9 +395,9 @@ def _numbers(values: Any) -> tuple[float, ...]:
     return tuple(values.tolist())
 
 
-LEVEL = MessageCodec("Level", LevelCommand, {"test": TestKind.of}, later=("test", "harmonics_target"))
+LEVEL = MessageCodec("Level", LevelCommand, {"test": TestKind.of})
 """``nmt_msgs/Level``."""
-LOCK_EVENT = MessageCodec("LockEvent", LockEvent, {"test": TestKind.of}, later=("test",))
+LOCK_EVENT = MessageCodec("LockEvent", LockEvent, {"test": TestKind.of})
 """``nmt_msgs/LockEvent``."""
 RUN_STATE = MessageCodec("RunState", RunState, {"phase": RunPhase, "result_code": ResultCode})
 """``nmt_msgs/RunState``."""
@@ -449,6 +449,33 @@ MODAL_POINT = MessageCodec(
     {"status": PointStatus},
     make=_point_record,
     otherwise=_complex_parts,
-    later=("harmonics_control",),
 )
 """``nmt_msgs/ModalPoint``."""
+
+_RECORDS: dict[str, Any] = {
+    "Drive": DriveCommand,
+    "DriveStop": DriveStop,
+    "Frequency": LoopStatus,
+    "Level": LevelCommand,
+    "LockEvent": LockEvent,
+    "ModalPoint": ModalPoint,
+    "Monitor": SignalLevels,
+    "RunRecord": RunRecord,
+    "RunState": RunState,
+    "SampleBlock": SampleBlock,
+    "Steering": Steering,
+}
+
+
+def record_defaults(name: str) -> dict[str, Any]:
+    """What the fields of a message stand at where nothing is said of them, as far as its record has a default.
+
+    Args:
+        name: of the message, for example ``ModalPoint``; one without a record has none.
+    """
+    record = _RECORDS.get(name)
+    if record is None:
+        return {}
+    if hasattr(record, "_field_defaults"):
+        return dict(record._field_defaults)
+    return {item.name: item.default for item in fields(record) if item.default is not MISSING}

@@ -110,13 +110,14 @@ def write_json(points: Iterable[ModalPoint], path: Path | str, inputs: Mapping[s
 
 
 def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
-    """Read ``modal.json``.
+    """Read ``modal.json`` of this or an earlier release.
 
     Returns:
-        Points (the same bits as were written) and inputs.
+        Points (the same bits as were written; a field that the file lacks has the default of
+        :class:`~nmt_extract.modal_point.ModalPoint`) and inputs.
 
     Raises:
-        BenchError: not there, or not such a file.
+        BenchError: not there, not such a file, or a point without number, level or status.
     """
     try:
         document = json_value(read_text(Path(path), _WHAT), str(path), bounded=False)
@@ -172,9 +173,12 @@ def _point_to_mapping(point: ModalPoint) -> dict[str, Any]:
 
 
 def _point_from_mapping(values: Mapping[str, Any]) -> ModalPoint:
+    """The point of a file of any release: fields that it lacks have the record's defaults, unknown ones are ignored."""
     data: dict[str, Any] = {}
     for item in fields(ModalPoint):
-        value = values.get(item.name, 0) if item.name == "harmonics_control" else values[item.name]
+        if item.name not in values:
+            continue  # those without a default are told by the record itself
+        value = values[item.name]
         if item.name in COMPLEX:
             data[item.name] = _complex_array(value, 2 if item.name == "shape_harmonics" else 1)
         elif item.name == "status":

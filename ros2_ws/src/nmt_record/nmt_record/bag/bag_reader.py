@@ -1,6 +1,7 @@
 """Reads bags, whole, cut off or damaged, without ROS.
 
-The message definitions come from the bag itself, so it opens where the bench's messages were never installed.
+The message definitions come from the bag itself, so it opens where the bench's messages were never installed, and
+whichever release recorded it: :mod:`nmt_record.bag.stored_messages`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import MessageCodec, Record
 from nmt_core.errors import BenchError
 from nmt_core.hardened import json_value, open_regular, read_text, yaml_value
-from nmt_core.message_files import message_fields
 from nmt_core.records import LockEvent
 from nmt_core.vocabulary import RecordKind
 from nmt_core.wire import LOCK_EVENT, RUN_RECORD, BlockHead, BlockReader
@@ -28,7 +28,8 @@ from nmt_core.work_progress import counted
 from nmt_record.bag.bag_keys import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK, bench_name
 from nmt_record.bag.mcap_file import LostStretch, McapChannel, McapFile, check_magic
-from nmt_record.bag.message_definitions import MessageDefinition, typestore_of
+from nmt_record.bag.message_definitions import MessageDefinition, local_definitions, typestore_of
+from nmt_record.bag.stored_messages import Translation, is_translated, translation
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _ENCODINGS = {"MSG": "ros2msg", "IDL": "ros2idl"}  # by the name of the format in rosbags
@@ -143,11 +144,12 @@ class Bag:
                 "record a run of the bench or name another bag."
             )
 
-    def raw_messages(self, topics: Iterable[str] | None = None) -> Iterator[RawMessage]:
-        """Serialised messages.
+    def raw_messages(self, topics: Iterable[str] | None = None, *, as_stored: bool = False) -> Iterator[RawMessage]:
+        """Serialised messages, those of the bench by the definitions of today.
 
         Args:
             topics: names; None = all.
+            as_stored: by the definitions in the bag, as a copy of it needs them.
 
         Yields:
             Topic, time of reception (ns), publish time (ns; bench time on the bench's stamped topics), CDR.
@@ -157,10 +159,10 @@ class Bag:
         """
         wanted = None if topics is None else {bench_name(name) for name in topics}
         total = sum(count for topic, (_, count) in self.topics.items() if wanted is None or topic in wanted)
-        return iter(counted(f"reading {self.path.name}", self._source.raw(wanted), total))
+        return iter(counted(f"reading {self.path.name}", self._source.raw(wanted, as_stored), total))
 
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[tuple[str, int, Any]]:
-        """Messages as objects of the ``rosbags`` reader (arrays are read-only).
+        """Messages as objects of the ``rosbags`` reader (arrays are read-only), as :meth:`raw_messages` gives them.
 
         Args:
             topics: names; None = all.
@@ -342,7 +344,7 @@ class Bag:
                     definition=channel.definition,
                     offered_qos=channel.offered_qos,
                 )
-            for topic, received, published, raw in self.raw_messages():
+            for topic, received, published, raw in self.raw_messages(as_stored=True):
                 writer.write(topic, raw, received, published)
             if self.run_start is not None and self.run_stop is None:
                 writer.add_stop("repaired", self.loss or "")
@@ -384,6 +386,9 @@ class Bag:
         """
         if self._typestore is None:
             definitions = {channel.message_type: channel.definition for channel, _ in self._source.channels()}
+            for kind, definition in definitions.items():
+                if is_translated(kind, definition):
+                    definitions[kind] = local_definitions().definition(kind)
             self._typestore = typestore_of(definitions, str(self.path))
         try:
             return self._typestore.deserialize_cdr(raw, self._types[topic])
@@ -408,14 +413,8 @@ class Bag:
         self._repair = self._parse(self._custom.get(REPAIR_KEY, ""))
 
     def _run_records(self) -> Iterator[Any]:
-        """Start and stop records; by the bag's own definitions, which take long to compile, only if they differ."""
-        kind, definition = next(
-            (channel.message_type, channel.definition)
-            for channel, _ in self._source.channels()
-            if bench_name(channel.topic) == "run_record"
-        )
-        known = kind == f"nmt_msgs/msg/{RUN_RECORD.name}" and definition.encoding == "ros2msg"
-        if known and message_fields(definition.text) == RUN_RECORD.fields:
+        """Start and stop records; those of another's type are read by the definitions in the bag."""
+        if self._types["run_record"] == f"nmt_msgs/msg/{RUN_RECORD.name}":
             yield from self.records("run_record", RUN_RECORD)
         else:
             yield from (record for _, _, record in self.messages(["run_record"]))
@@ -477,7 +476,9 @@ class _Source(Protocol):
 
     def channels(self) -> list[tuple[McapChannel, int]]: ...
 
-    def raw(self, wanted: set[str] | None) -> Iterator[RawMessage]: ...
+    def raw(self, wanted: set[str] | None, as_stored: bool = False) -> Iterator[RawMessage]:
+        """Messages by the definitions of today, or as they are stored."""
+        ...
 
     def parts(self, wanted: set[str]) -> Iterator[list[RawMessage] | LostSpan]: ...
 
@@ -500,28 +501,44 @@ class _McapSource:
     def channels(self) -> list[tuple[McapChannel, int]]:
         return [(channel, file.counts.get(key, 0)) for file in self._files for key, channel in file.channels.items()]
 
-    def raw(self, wanted: set[str] | None) -> Iterator[RawMessage]:
+    def raw(self, wanted: set[str] | None, as_stored: bool = False) -> Iterator[RawMessage]:
         for file in self._files:
             names = {key: bench_name(channel.topic) for key, channel in file.channels.items()}
             keys = None if wanted is None else {key for key, name in names.items() if name in wanted}
+            translated = {} if as_stored else _translations(file, keys)
             for key, received, published, raw in file.raw_messages(keys):
-                yield names[key], received, published, raw
+                yield names[key], received, published, translated[key](raw) if key in translated else raw
 
     def parts(self, wanted: set[str]) -> Iterator[list[RawMessage] | LostSpan]:
         for file in self._files:
             names = {key: bench_name(channel.topic) for key, channel in file.channels.items()}
+            translated = _translations(file, {key for key, name in names.items() if name in wanted})
             for part in file.parts():
                 if isinstance(part, LostStretch):
                     counts = {names[key]: count for key, count in part.counts.items()}
                     yield LostSpan(part.path.name, part.offset, part.length, part.reason, {}, counts)
                 else:
-                    yield [(names[key], at, published, raw) for key, at, published, raw in part if names[key] in wanted]
+                    yield [
+                        (names[key], at, published, translated[key](raw) if key in translated else raw)
+                        for key, at, published, raw in part
+                        if names[key] in wanted
+                    ]
             if file.cut and file is not self._files[-1]:
                 size = file.path.stat().st_size
                 yield LostSpan(file.path.name, size - file.lost_bytes, file.lost_bytes, file.damage or "", {}, {})
 
     def has_lost(self) -> bool:
         return any(file.has_lost() or (file.cut and file is not self._files[-1]) for file in self._files)
+
+
+def _translations(file: McapFile, keys: set[int] | None) -> dict[int, Translation]:
+    """What makes messages of today of those of some channels of a file, where they are stored in another form."""
+    found = {
+        key: translation(channel.message_type, channel.definition, str(file.path))
+        for key, channel in file.channels.items()
+        if keys is None or key in keys
+    }
+    return {key: translate for key, translate in found.items() if translate is not None}
 
 
 class _RosbagsSource:
@@ -545,7 +562,12 @@ class _RosbagsSource:
     def channels(self) -> list[tuple[McapChannel, int]]:
         return self._channels
 
-    def raw(self, wanted: set[str] | None) -> Iterator[RawMessage]:
+    def raw(self, wanted: set[str] | None, as_stored: bool = False) -> Iterator[RawMessage]:
+        translated: dict[str, Translation] = {}
+        for channel, _ in () if as_stored else self._channels:
+            translate = translation(channel.message_type, channel.definition, str(self._path))
+            if translate is not None:
+                translated[channel.topic] = translate
         with self._reader() as reader:
             chosen = [c for c in reader.connections if wanted is None or bench_name(c.topic) in wanted]
             messages = reader.messages(chosen) if chosen else iter(())
@@ -556,7 +578,10 @@ class _RosbagsSource:
                     return
                 except Exception as error:
                     raise BenchError(f"The bag {self._path} is damaged: {error}.") from error
-                yield bench_name(connection.topic), received, received, bytes(raw)
+                message = bytes(raw)
+                if connection.topic in translated:
+                    message = translated[connection.topic](message)
+                yield bench_name(connection.topic), received, received, message
 
     def parts(self, wanted: set[str]) -> Iterator[list[RawMessage] | LostSpan]:
         """Nothing: what these stores lose they do not survive."""

@@ -6,9 +6,9 @@ while the workspace is built: the one keeps a single core busy, the other waits 
 
 from __future__ import annotations
 
-import contextlib
 import glob
 import os
+import shutil
 import sys
 from typing import Any
 
@@ -30,10 +30,8 @@ class KernelCompilation:
     """
 
     def __init__(self, state: dict[str, Any], guard: int) -> None:
-        for pattern in ("*.nbi", "*.nbc"):
-            for path in glob.glob(os.path.join(SOURCE, "**", "__pycache__", pattern), recursive=True):
-                with contextlib.suppress(OSError):
-                    os.remove(path)
+        for folder in glob.glob(os.path.join(SOURCE, "**", "__pycache__", "kernels-*"), recursive=True):
+            shutil.rmtree(folder, ignore_errors=True)
         self._runner = StepRunner("kernels", None, guard)
         self._process = None
         if os.path.isfile(WARM_UP):

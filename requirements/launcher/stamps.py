@@ -71,8 +71,8 @@ def package_digest(name: str) -> str:
 def kernel_sources() -> list[str]:
     """Python files with compiled kernels or with formulas for them, or that only name their compiler.
 
-    numba looks at the file of a kernel alone when it loads it from its cache: a kernel whose callee in another file has
-    changed would go on computing the old formula. So a change of any of these files discards the whole cache.
+    The cache is keyed by the formulas (``nmt_core.kernels``), so that nobody computes an old one. After a change of any
+    of these files the set-up compiles beforehand what a run would otherwise wait for, and discards what is old.
     """
     sources = []
     for path in sorted(glob.glob(os.path.join(SOURCE, "*", "*", "**", "*.py"), recursive=True)):

@@ -121,8 +121,8 @@ def test_a_changed_kernel_discards_every_cached_one(project, name):
     project.write("ros2_ws/src/nmt_plant/nmt_plant/plain.py", "x = 1\n")
     project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
     project.launcher.set_up.set_up(None)
-    cached = kernel.parent / "__pycache__" / "kernel.f-1.py311.1.nbc"
-    cached.parent.mkdir(exist_ok=True)
+    cached = kernel.parent / "__pycache__" / "kernels-kernel-0123" / "nmt_plant_4567" / "kernel.f-1.py311.1.nbc"
+    cached.parent.mkdir(parents=True)
     cached.write_text("old")
     project.write("ros2_ws/src/nmt_plant/nmt_plant/plain.py", "x = 2\n")
     project.launcher.set_up.set_up(None)

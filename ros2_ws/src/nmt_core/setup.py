@@ -13,6 +13,7 @@ setup(
         "distributed>=2024.1",
         "h5py>=3.10",
         "joblib>=1.3",
+        "numba>=0.59",
         "numpy>=1.26",
         "PyYAML>=6.0",
     ],

@@ -13,7 +13,6 @@ setup(
         "grpcio>=1.49",
         "JACK-Client>=0.5.4",
         "nidaqmx>=1.0",
-        "numba>=0.59",
         "numpy>=1.26",
         "scipy>=1.11",
         "sounddevice>=0.4.6",

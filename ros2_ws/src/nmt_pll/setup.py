@@ -10,7 +10,6 @@ setup(
         ("share/nmt_pll", ["package.xml"]),
     ],
     install_requires=[
-        "numba>=0.59",
         "numpy>=1.26",
     ],
     extras_require={"test": ["pytest"]},

@@ -10,7 +10,6 @@ setup(
         ("share/nmt_rig", ["package.xml"]),
     ],
     install_requires=[
-        "numba>=0.59",
         "numpy>=1.26",
         "pydantic>=2.5",
         "ruamel.yaml>=0.17.21",

@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity, SampleBlock
+from nmt_core.kernels import njit
 
 # A prediction trips when it lies this much beyond the level: between the two, the measurement decides.
 PREDICTION_FACTOR = 1.25

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import OscillatorPhase
 from nmt_core.errors import BenchError
 from nmt_core.excitation import PEAK_FACTOR
+from nmt_core.kernels import njit
 from nmt_core.ramp import half_cosine
 from nmt_core.records import DriveCommand
 from nmt_core.vocabulary import Waveform

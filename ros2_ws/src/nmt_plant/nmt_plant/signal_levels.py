@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import SampleBlock
 from nmt_core.cdr import bench_time_ns
+from nmt_core.kernels import njit
 from nmt_core.records import SignalLevels
 from nmt_core.vocabulary import Quantity
 

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import FloatArray
+from nmt_core.kernels import njit
 from nmt_core.vocabulary import LoopState
 
 

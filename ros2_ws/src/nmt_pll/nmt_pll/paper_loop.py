@@ -27,11 +27,11 @@ import math
 from collections import deque
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.errors import BenchError
+from nmt_core.kernels import njit
 from nmt_core.linear_description import LinearDescription
 from nmt_core.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState

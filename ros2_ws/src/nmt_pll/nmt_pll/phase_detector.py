@@ -6,10 +6,10 @@ import cmath
 import math
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.kernels import njit
 
 
 @njit(cache=True)

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import FloatArray
+from nmt_core.kernels import njit
 
 # Samples that the polynomial passes through.
 NODES = 6

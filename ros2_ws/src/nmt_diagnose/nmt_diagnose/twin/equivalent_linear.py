@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import FloatArray
+from nmt_core.kernels import njit
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.element_kernels import response
 

@@ -12,9 +12,9 @@ the equation is as mild as the linear one: no folds, because a curve of force ov
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.kernels import njit
 from nmt_diagnose.twin.linear_model import LinearTables, response_at
 from nmt_diagnose.twin.periodic_kernel import (
     RigTables,

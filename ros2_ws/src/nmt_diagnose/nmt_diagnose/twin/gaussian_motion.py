@@ -7,10 +7,10 @@ local forces (equivalent_linear.py), these give the motion; turns go on until ne
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from nmt_core.arrays import FloatArray
+from nmt_core.kernels import njit
 from nmt_diagnose.twin.equivalent_linear import NODES, equivalents_kernel
 from nmt_diagnose.twin.linear_model import LinearModel
 from nmt_rig.model.aft import LocalTables

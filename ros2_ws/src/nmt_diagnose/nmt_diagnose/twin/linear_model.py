@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.kernels import njit
 from nmt_rig.model.assembly import ElectromechanicalSystem
 
 LinearTables: TypeAlias = tuple[

@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.kernels import njit
 from nmt_diagnose.twin.linear_model import LinearTables, response_at, transfer_at
 from nmt_rig.model.aft import LocalTables, forces_alone, local_forces
 

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.kernels import njit
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.gaussian_motion import forces_in_motion

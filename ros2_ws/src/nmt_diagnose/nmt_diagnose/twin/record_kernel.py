@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import ComplexArray, FloatArray, IntArray
+from nmt_core.kernels import njit
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.element_kernels import response
 from nmt_rig.model.local_elements.friction import Jenkins

@@ -17,8 +17,8 @@ located on a grid of step / 2^K. Four things differ, so that a place at rest cos
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from nmt_core.kernels import njit
 from nmt_rig.model.element_kernels import margin, next_branch, piece
 from nmt_rig.model.integration_kernel import _SMALLEST, JENKINS, Integers
 from nmt_rig.model.structure import Array

@@ -1,16 +1,14 @@
 """Compiled dispatch: the formulas of all local elements by the number of their class.
 
-A call is ``formula(kind, p, e, …)`` with the parameters of element e in p[e]. Kernels that call these carry them in
-their own cache, which numba takes for up to date whatever changes in another file: after a change of a formula
-``./nmt`` discards the cached kernels, and who calls Python directly deletes ``*.nb[ic]``.
+A call is ``formula(kind, p, e, …)`` with the parameters of element e in p[e]. Kernels that call these carry them inside
+themselves, and their cache is keyed by them: :mod:`nmt_core.kernels`.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
+from nmt_core.kernels import njit
 from nmt_rig.model.local_elements import ELEMENTS
 
 

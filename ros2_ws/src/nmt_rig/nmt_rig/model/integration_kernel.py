@@ -11,9 +11,9 @@ forces and slopes of all of them.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from nmt_core.kernels import njit
 from nmt_rig.model.couplings import BOUC_WEN, FORCE_FACTOR, LUGRE
 from nmt_rig.model.element_kernels import frozen, next_branch_here, piece_here
 from nmt_rig.model.local_elements.friction import Jenkins

@@ -12,9 +12,9 @@ hysteretic memory is the displacement at the last slip → stick turning point, 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from nmt_core.arrays import FloatArray, IntArray
+from nmt_core.kernels import njit
 
 TWO_PI = 2.0 * np.pi
 

@@ -1,0 +1,99 @@
+"""Compiled functions whose cache is keyed by the formulas that they are made of.
+
+numba asks of a cached function only whether its own file has changed. A function carries what it calls inside itself,
+so a formula that changed in another file would go on being computed as it was: a new local element, for example, would
+be integrated as one without force. Here the folder of the cache is named by the content of the function's file and of
+every module of the bench that this file imports, directly or through others, so that another formula is another folder
+for whoever runs it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+
+_IMPORT = re.compile(r"^(?:from (nmt[\w.]*) import (\([^)]*\)|[^\n]*)|import (nmt[\w.]*))", re.M)
+
+
+def njit(*function: Any, **options: Any) -> Any:
+    """``numba.njit``, whose ``cache=True`` is keyed by the formulas; without a folder to write to nothing is cached."""
+    if not options.pop("cache", False):
+        return numba.njit(*function, **options)
+
+    def compiled(python_function: Any) -> Any:
+        folder = cache_folder(python_function)
+        if folder is None:
+            return numba.njit(**options)(python_function)
+        given = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(folder)  # read once, as the function is decorated
+        try:
+            return numba.njit(cache=True, **options)(python_function)
+        finally:
+            numba.config.CACHE_DIR = given
+
+    return compiled(*function) if function else compiled
+
+
+def cache_folder(python_function: Any) -> Path | None:
+    """Where the compiled code of a function is kept: ``NUMBA_CACHE_DIR``, beside its module, or the user's cache.
+
+    Args:
+        python_function: of a module that has been imported as far as this function.
+
+    Returns:
+        A folder that exists; None if none can be written to.
+    """
+    module = python_function.__globals__["__name__"]
+    file = Path(python_function.__code__.co_filename)
+    name = f"kernels-{file.stem}-{formulas_digest(module)[:16]}"
+    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "nmt"
+    bases = [Path(numba.config.CACHE_DIR)] if numba.config.CACHE_DIR else [file.parent / "__pycache__", user]
+    for folder in (base / name for base in bases):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return folder
+    return None
+
+
+@cache
+def formulas_digest(module: str) -> str:
+    """SHA-256 of the sources of :func:`formula_modules`."""
+    total = hashlib.sha256()
+    for name in formula_modules(module):
+        total.update(name.encode() + b"\0" + hashlib.sha256(_source(name)[0]).digest())
+    return total.hexdigest()
+
+
+def formula_modules(module: str) -> list[str]:
+    """Names of a module and of those of the bench that it imports, directly or through others.
+
+    Imports count that stand at the left margin, which have run when the module's functions are decorated.
+    """
+    found = [module]
+    for name in found:
+        found += [other for other in _source(name)[1] if other not in found]
+    return found
+
+
+@cache
+def _source(module: str) -> tuple[bytes, tuple[str, ...]]:
+    """Source of a module, and the modules of the bench that it imports; nothing for one that has no file."""
+    try:
+        content = Path(sys.modules[module].__file__ or "").read_bytes()
+    except (KeyError, AttributeError, TypeError, OSError):
+        return b"", ()
+    imported = []
+    for parent, names, alone in _IMPORT.findall(content.decode(errors="replace")):
+        own = parent or alone
+        imported += [own, *(f"{own}.{name}" for name in re.findall(r"\w+", names))]
+    return content, tuple(name for name in dict.fromkeys(imported) if name in sys.modules)

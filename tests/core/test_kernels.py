@@ -1,0 +1,119 @@
+"""The cache of compiled functions is keyed by the formulas inside them, for whoever runs them."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from nmt_core.kernels import formula_modules
+
+SOURCE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
+ELEMENTS = SOURCE / "nmt_rig" / "nmt_rig" / "model" / "local_elements"
+OWN = SOURCE / "nmt_core" / "nmt_core" / "kernels.py"
+KERNEL = """\
+import sys
+from nmt_core.kernels import cache_folder, njit
+from nmt_sample.middle import middle
+
+@njit(cache=True)
+def kernel(x):
+    return middle(x) + 1.0
+
+if __name__ == "__main__":
+    from nmt_sample import kernel as own
+    print(own.kernel(2.0), sum(own.kernel.stats.cache_hits.values()), cache_folder(own.kernel.py_func))
+"""
+MIDDLE = """\
+from nmt_core.kernels import njit
+from nmt_sample.constants import (
+    FACTOR,
+)
+from nmt_sample import formulas
+
+formula = njit(formulas.spring)
+
+@njit
+def middle(x):
+    return FACTOR * formula(x)
+"""
+
+
+class Sample:
+    """A package with a kernel, whose formula and constant stand in other files, and what a new process makes of it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.environment = {**os.environ, "PYTHONPATH": f"{folder}:{SOURCE / 'nmt_core'}"}
+        self.environment.pop("NUMBA_CACHE_DIR", None)
+        (folder / "nmt_sample").mkdir()
+        self.write("__init__", "")
+        self.write("kernel", KERNEL)
+        self.write("middle", MIDDLE)
+        self.write("constants", "FACTOR = 10.0\n")
+        self.write("formulas", "def spring(x):\n    return x\n")
+
+    def write(self, module: str, text: str) -> None:
+        (self.folder / "nmt_sample" / f"{module}.py").write_text(text)
+
+    def run(self) -> tuple[float, int, Path]:
+        """Value of the kernel at 2, how often it came from the cache, and where that is."""
+        words = subprocess.run(
+            [sys.executable, "-m", "nmt_sample.kernel"], env=self.environment, cwd=self.folder, check=True,
+            capture_output=True, text=True,
+        ).stdout.split()  # fmt: skip
+        return float(words[0]), int(words[1]), Path(words[2])
+
+
+@pytest.fixture
+def sample(tmp_path: Path) -> Sample:
+    return Sample(tmp_path)
+
+
+def test_a_formula_or_a_constant_in_another_file_counts(sample: Sample) -> None:
+    assert sample.run()[:2] == (21.0, 0)
+    value, hits, folder = sample.run()
+    assert (value, hits) == (21.0, 1)
+    assert folder.parent == sample.folder / "nmt_sample" / "__pycache__"
+    sample.write("formulas", "def spring(x):\n    return x**3\n")
+    assert sample.run()[:2] == (81.0, 0)
+    sample.write("constants", "FACTOR = 1.0\n")
+    assert sample.run()[:2] == (9.0, 0)
+    sample.write("formulas", "def spring(x):\n    return x\n")
+    sample.write("constants", "FACTOR = 10.0\n")
+    assert sample.run() == (21.0, 1, folder)
+
+
+def test_the_folder_of_the_environment_is_taken(sample: Sample, tmp_path: Path) -> None:
+    sample.environment["NUMBA_CACHE_DIR"] = str(tmp_path / "kept")
+    assert sample.run()[2].parent == tmp_path / "kept"
+    assert sample.run()[1] == 1
+    sample.write("formulas", "def spring(x):\n    return -x\n")
+    assert sample.run()[:2] == (-19.0, 0)
+
+
+def test_the_time_integration_is_keyed_by_every_local_element() -> None:
+    importlib.import_module("nmt_rig.model.integration_kernel")
+    elements = {f"nmt_rig.model.local_elements.{path.stem}" for path in ELEMENTS.glob("[a-z]*.py")}
+    assert len(elements) > 5
+    assert elements <= set(formula_modules("nmt_rig.model.integration_kernel"))
+
+
+def test_every_kernel_of_the_bench_is_cached_so() -> None:
+    """Only one module asks numba itself; imports that the key would not follow do not stand beside kernels."""
+    compiled = 0
+    for path in sorted(SOURCE.glob("*/nmt*/**/*.py")):
+        text = path.read_text(encoding="utf-8")
+        if path == OWN or "njit" not in text:
+            continue
+        compiled += 1
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.ImportFrom):
+                assert not node.level, f"{path}: a relative import"
+                assert node.module != "numba" or all(name.name != "njit" for name in node.names), path
+    assert compiled > 20

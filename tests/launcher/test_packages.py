@@ -119,10 +119,28 @@ def test_manifest_and_setup_say_the_same(package: str) -> None:
     assert root.findtext("version") == arguments["version"] == project["version"]
     assert root.findtext("description") == arguments["description"]
     assert root.findtext("license") == arguments["license"] == "Apache-2.0"
-    changelog = (SOURCE / package / "CHANGELOG.rst").read_text()
-    assert f"Changelog for package {package}\n" in changelog
     configuration = (SOURCE / package / "setup.cfg").read_text()
     assert configuration.count(f"$base/lib/{package}\n") == 2
+
+
+def test_the_version_is_told_the_same_everywhere() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    newest = re.findall(r"^## (\S+)(?: \((\d{4}-\d\d-\d\d)\))?$", (ROOT / "CHANGELOG.md").read_text(), re.M)
+    released = [release for release in newest if release[0] != "Unreleased"]
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert released[0][0] == version == manifest("nmt_msgs").findtext("version")
+    assert f"\nversion: {version}\ndate-released: {released[0][1]}\n" in citation
+
+
+def test_a_release_is_told_on_one_page() -> None:
+    """Added, Changed, Fixed in this order, at most 750 words; the changes of a package stand nowhere else."""
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    for page in re.split(r"^## ", text, flags=re.M)[1:]:
+        name, *_ = page.split()
+        headings = re.findall(r"^### (.+)$", page, re.M)
+        assert headings == [heading for heading in ("Added", "Changed", "Fixed") if heading in headings], name
+        assert len(page.split()) <= 750, name
+    assert not list(SOURCE.rglob("CHANGELOG*"))
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -12,6 +12,7 @@ from typing import Any
 
 from nmt_blind.cases.laboratory_rig import Converters, LaboratoryRig
 from nmt_blind.cases.rig_edits import rig_yaml
+from nmt_core.bench_version import bench_version
 from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import ResultCode, TestKind
@@ -222,7 +223,7 @@ def _record(built: Rig, test: PlannedTest, converters: Converters | None) -> Rec
     try:
         session = Session(plan, device=device, loop_values=test.loop_values)
         # Nothing in the run's description depends on the truth, on the clock or on where the files are.
-        described = {key: session.plan.run[key] for key in _DESCRIBED} | {"versions": {"nmt": "0.1.0"}}
+        described = {key: session.plan.run[key] for key in _DESCRIBED} | {"versions": {"nmt": bench_version()}}
         if converters is not None:
             described["imported"] = {"sidecar": sidecar_of(plan.rig), "files": [], "notes": []}
         session.describe(described)

@@ -21,6 +21,7 @@ from nmt_blind.cases.laboratory import BenchSettings, RecordingOutcome, as_built
 from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.rig_edits import rig_yaml
 from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.bench_version import bench_version
 from nmt_core.blocks import OscillatorPhase
 from nmt_core.errors import BenchError
 from nmt_plant.simulated_rig import rig_sensors, sensor_row
@@ -333,4 +334,4 @@ def _named(model: Rig, quantity: str, point: int) -> str:
 def _import(folder: Path, sidecar: dict[str, Any], bag: Path, model: Rig) -> None:
     path = folder / "sidecar.yaml"
     path.write_text(yaml.safe_dump(json.loads(json.dumps(sidecar)), sort_keys=False), encoding="utf-8")
-    write_import(read_import(path), bag, model.name, rig_yaml(model), {"nmt": "0.1.0"})
+    write_import(read_import(path), bag, model.name, rig_yaml(model), {"nmt": bench_version()})

@@ -8,6 +8,16 @@
 
 :func:`open` reads the results folder of any command. The functions do what the commands of their names do and return
 objects; they print nothing and write nothing unless asked. Everything is loaded when it is asked for.
+
+A diagnosis, here of two effects only, compares a rig file with recordings:
+
+>>> from nmt_diagnose.inference.diagnose import DiagnosisSettings
+>>> few = DiagnosisSettings(withheld=OTHERS, jobs=1, allow_own_model=True)
+>>> diagnosis = nmt.diagnose("out/demo/rig.yaml", ["out/demo"], settings=few).diagnosis
+>>> diagnosis.verdict.name
+'NONE'
+>>> nmt.open("out/diagnosis").verdict
+'effect'
 """
 
 from __future__ import annotations

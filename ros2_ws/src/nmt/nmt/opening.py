@@ -30,6 +30,16 @@ def open(folder: Path | str) -> Results:
 
     Raises:
         BenchError: there are no results that it knows, or they are damaged.
+
+    Examples:
+        >>> run = nmt.open("out/demo")
+        >>> run
+        RunResults('out/demo': 2 of 2 levels with values)
+        >>> run.values("damping_ratio").round(4)
+        array([0.0051, 0.0538])
+        >>> nmt.open("out/empty")
+        Traceback (most recent call last):
+        nmt_core.errors.BenchError: out/empty holds no results that can be opened; it needs one of modal.json, ...
     """
     path = Path(folder)
     if path.is_file():

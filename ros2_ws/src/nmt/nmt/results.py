@@ -59,8 +59,15 @@ class Results:
     def to_dataframe(self) -> Any:
         """The main table as a ``pandas.DataFrame``.
 
-        Raises:
-            BenchError: pandas is not installed.
+            Raises:
+                BenchError: pandas is not installed.
+
+        Examples:
+            >>> table = nmt.open("out/demo").to_dataframe()
+            >>> table["level"].tolist()
+            [0.1, 0.6]
+            >>> nmt.open("out/reference").to_dataframe().shape[0]
+            2
         """
         return _pandas().DataFrame(self.rows())
 
@@ -97,15 +104,22 @@ class Results:
     def export(self, path: Path | str) -> Path:
         """Write the results to a file; its ending chooses what and how.
 
-        Args:
-            path: ``.csv``: the rows of :meth:`to_dataframe`; ``.nc``, ``.npz``, ``.h5`` or ``.mat``: the arrays of
-                :meth:`to_xarray`.
+            Args:
+                path: ``.csv``: the rows of :meth:`to_dataframe`; ``.nc``, ``.npz``, ``.h5`` or ``.mat``: the arrays of
+                    :meth:`to_xarray`.
 
-        Returns:
-            The path.
+            Returns:
+                The path.
 
-        Raises:
-            BenchError: no such format, pandas or xarray is not installed, or the file cannot be written.
+            Raises:
+                BenchError: no such format, pandas or xarray is not installed, or the file cannot be written.
+
+        Examples:
+            >>> nmt.open("out/demo").export("out/demo.npz").name
+            'demo.npz'
+            >>> nmt.open("out/demo").export("out/d.docx")
+            Traceback (most recent call last):
+            nmt_core.errors.BenchError: d.docx: arrays are written as .nc, .npz, .h5, .mat; choose ...
         """
         target = Path(path)
         if target.suffix != ".csv":
@@ -230,11 +244,19 @@ class RunResults(Results):
     def values(self, name: str) -> FloatArray:
         """One property over the levels with values, shape ``(levels,)``.
 
-        Args:
-            name: field of :class:`nmt_core.modal_point.ModalPoint`, or ``<name>_std``.
+            Args:
+                name: field of :class:`nmt_core.modal_point.ModalPoint`, or ``<name>_std``.
 
-        Raises:
-            BenchError: there is no such property.
+            Raises:
+                BenchError: there is no such property.
+
+        Examples:
+            >>> run = nmt.open("out/demo")
+            >>> run.values("frequency_hz").round(3)
+            array([22.193, 21.12 ])
+            >>> run.values("loudness")
+            Traceback (most recent call last):
+            nmt_core.errors.BenchError: A modal point has no property 'loudness'; it has frequency_hz, omega_rad_s, ...
         """
         if not hasattr(ModalPoint, name) or name in COMPLEX:
             raise BenchError(f"A modal point has no property '{name}'; it has {', '.join(MEASURED)}.")
@@ -257,10 +279,17 @@ class RunResults(Results):
     def to_xarray(self) -> Any:
         """All of it as an ``xarray.Dataset``: properties over ``level``; harmonics over level, order and point.
 
-        Levels without values are left out.
+            Levels without values are left out.
 
-        Raises:
-            BenchError: xarray is not installed, or no level has values.
+            Raises:
+                BenchError: xarray is not installed, or no level has values.
+
+        Examples:
+            >>> dataset = nmt.open("out/demo").to_xarray()
+            >>> dict(dataset.sizes)
+            {'level': 2, 'order': 8, 'point': 2, 'mode': 2}
+            >>> round(abs(dataset.force_harmonics.sel(level=0.6, order=1)).item(), 3)
+            1.145
         """
         library = _xarray()
         points = self.good_points
@@ -283,17 +312,23 @@ class RunResults(Results):
     def plot(self, y: str = "frequency_hz", x: str = "modal_amplitude", axes: Axes | None = None, **style: Any) -> Axes:
         """One property over another with standard uncertainties.
 
-        Args:
-            y: property of the ordinate.
-            x: property of the abscissa, or ``level``.
-            axes: to draw on; None = new ones.
-            style: of :meth:`matplotlib.axes.Axes.errorbar`.
+            Args:
+                y: property of the ordinate.
+                x: property of the abscissa, or ``level``.
+                axes: to draw on; None = new ones.
+                style: of :meth:`matplotlib.axes.Axes.errorbar`.
 
-        Returns:
-            The axes.
+            Returns:
+                The axes.
 
-        Raises:
-            BenchError: there is no such property.
+            Raises:
+                BenchError: there is no such property.
+
+        Examples:
+            >>> nmt.open("out/demo").plot("damping_ratio").get_ylabel()
+            'modal damping ratio'
+            >>> nmt.open("out/demo").plot("force_n", x="level", color="k").get_xlabel()
+            'level'
         """
         drawn = _axes(axes)
         across = np.array([p.level for p in self.good_points]) if x == "level" else self.values(x)

@@ -32,6 +32,13 @@ def import_data(sidecar: Path | str, bag: Path | str) -> ImportedRun:
 
     Raises:
         BenchError: the sidecar, the rig it names or the data are wrong, or the bag cannot be written.
+
+    Examples:
+        >>> data = nmt.import_data("out/exported/sidecar.yaml", "out/imported")
+        >>> len(data.segments)
+        2
+        >>> nmt.Bag.open("out/imported").lock_events()[1].level
+        0.6
     """
     imported, rig = read_data(Path(sidecar))
     write_data(imported, rig, Path(bag))

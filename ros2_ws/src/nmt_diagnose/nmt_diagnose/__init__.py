@@ -2,6 +2,14 @@
 
 Public names, each loaded when it is asked for: :func:`diagnose_bags` does it; :func:`nmt_report.write_diagnosis` writes
 its files.
+
+>>> from nmt_diagnose import DiagnosisSettings, diagnose_bags
+>>> few = DiagnosisSettings(withheld=OTHERS, jobs=1, allow_own_model=True)
+>>> outcome = diagnose_bags("out/demo/rig.yaml", ["out/demo"], settings=few)
+>>> outcome.diagnosis.verdict.value
+'none'
+>>> outcome.given.local_elements[0].slip_force_n
+1.0
 """
 
 from __future__ import annotations

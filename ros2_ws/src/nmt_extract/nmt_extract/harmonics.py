@@ -124,6 +124,17 @@ def harmonic_amplitudes(cycles: FloatArray, data: FloatArray, harmonics: int) ->
 
     Raises:
         BenchError: the samples do not determine the harmonics.
+
+    Examples:
+        A mean value, a cosine and a third harmonic that lags by a quarter of its period, over two and a half periods:
+
+        >>> cycles = np.linspace(0.0, 2.5, 500, endpoint=False)
+        >>> phase = 2.0 * np.pi * cycles
+        >>> signal = 0.5 + 3.0 * np.cos(phase) + 0.2 * np.sin(3.0 * phase)
+        >>> abs(harmonic_amplitudes(cycles, signal[None, :], 3)).round(9)
+        array([[0.5, 3. , 0. , 0.2]])
+        >>> round(float(np.angle(harmonic_amplitudes(cycles, signal[None, :], 3)[0, 3], deg=True)))
+        -90
     """
     bounds = np.array([0, cycles.shape[0]], dtype=np.int64)
     amplitudes: ComplexArray = solve_moments(segment_moments(cycles, data, harmonics, bounds))[0]

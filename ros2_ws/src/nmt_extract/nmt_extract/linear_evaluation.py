@@ -80,6 +80,16 @@ def evaluate_linear_test(
     Raises:
         BenchError: a setting out of its range, no whole window of random excitation, or a record that cannot be
             evaluated.
+
+    Examples:
+        >>> result = nmt.linear(nmt.Bag.open("out/random"), modes=1, near_hz=370.0)
+        >>> round(result.test.modes[0].frequency_hz)
+        370
+        >>> result.level
+        0.5
+        >>> nmt.linear(nmt.Bag.open("out/demo"))
+        Traceback (most recent call last):
+        nmt_core.errors.BenchError: The bag out/demo has no whole window of random excitation; record one with ...
     """
     if modes < 1:
         raise BenchError(f"The number of modes to keep must be at least 1, got {modes}.")

@@ -223,6 +223,14 @@ def frf_table(test: LinearTest) -> str:
     estimates (real and imaginary part, SI units of the channels) and the coherence.
 
     Columns are named ``<output>_<input>_<estimate>_real``, ``…_imag`` and ``<output>_<input>_coherence``.
+
+    Examples:
+        >>> test = nmt.linear(nmt.Bag.open("out/random"), modes=1, near_hz=370.0).test
+        >>> head, *rows = frf_table(test).splitlines()
+        >>> head.split(",")[:3]
+        ['frequency_hz', 'a1_f1_h1_real', 'a1_f1_h1_imag']
+        >>> len(rows) > 100
+        True
     """
     frequency = test.force_frf.frequency_hz
     head: list[str] = ["frequency_hz"]

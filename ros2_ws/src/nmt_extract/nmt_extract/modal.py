@@ -40,6 +40,15 @@ def estimated_mass(shapes: FloatArray) -> FloatArray:
 
     Returns:
         kg, shape ``(points, points)``; symmetric, of the rank of Φ.
+
+    Examples:
+        Two masses of 2 and 0.5 kg, whose shapes are known completely; of one mode alone the rank is one:
+
+        >>> shapes = np.array([[0.5, 0.5], [1.0, -1.0]])
+        >>> estimated_mass(shapes).diagonal().round(9)
+        array([2. , 0.5])
+        >>> int(np.linalg.matrix_rank(estimated_mass(shapes[:, :1])))
+        1
     """
     inverse = np.linalg.pinv(shapes)
     return np.asarray(inverse.T @ inverse, dtype=np.float64)

@@ -135,6 +135,11 @@ def write_results(points: Sequence[ModalPoint], folder: Path | str, inputs: Mapp
 
     Raises:
         BenchError: a file cannot be written.
+
+    Examples:
+        >>> write_results(nmt.extract("out/demo").points, "out/table")
+        >>> [point.level for point in nmt.open("out/table").points]
+        [0.1, 0.6]
     """
     write_csv(points, Path(folder) / "modal.csv")
     write_json(points, Path(folder) / "modal.json", inputs)

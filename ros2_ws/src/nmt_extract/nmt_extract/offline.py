@@ -65,6 +65,19 @@ def extract_bag(
 
     Raises:
         BenchError: no such bag, or it lacks lock events, samples or the linear description.
+
+    Examples:
+        >>> result = nmt.extract("out/demo")
+        >>> [(point.level, round(point.frequency_hz, 3)) for point in result.points]
+        [(0.1, 22.193), (0.6, 21.12)]
+
+        The same points as the run has, to the last bit, and with more harmonics:
+
+        >>> all(a.identical(b) for a, b in zip(result.points, nmt.open("out/demo").points))
+        True
+        >>> settings = dataclasses.replace(result.settings, harmonics=9)
+        >>> nmt.extract("out/demo", settings=settings).points[0].force_harmonics.shape
+        (10,)
     """
     from nmt_record.bag.bag_reader import Bag
 

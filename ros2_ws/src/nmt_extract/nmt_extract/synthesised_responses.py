@@ -95,6 +95,14 @@ def synthesise(
 
     Raises:
         BenchError: files that are missing or do not go together, no force or no frequencies.
+
+    Examples:
+        >>> result = nmt.synthesise("out/demo", forces=[0.1, 0.5], low_hz=20.5, high_hz=22.5)
+        >>> list(result.synthesised)
+        [0.1, 0.5]
+        >>> nmt.synthesise("out/demo", forces=[0.1])
+        Traceback (most recent call last):
+        nmt_core.errors.BenchError: Without a sweep (--sweep) the frequencies must be given: --from f1 --to f2 in Hz.
     """
     points, inputs = read_json(_file(Path(backbone), "modal.json"))
     description, others = _others(None if linear is None else Path(linear), inputs, _points(points))

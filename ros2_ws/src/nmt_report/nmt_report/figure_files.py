@@ -77,6 +77,14 @@ def write_figures(
 
     Raises:
         BenchError: no report, no such figure or format, or a size out of its range.
+
+    Examples:
+        >>> written = nmt.write_figures("out/demo", "out/figures", formats=["svg"], names=["backbone"])
+        >>> [figure.name for figure in written]
+        ['backbone']
+        >>> nmt.write_figures("out/demo", "out/figures", names=["portrait"])
+        Traceback (most recent call last):
+        nmt_core.errors.BenchError: The report has no figure 'portrait'; it has backbone, damping, ...
     """
     unknown = [kind for kind in formats if kind not in FORMATS]
     if unknown or not formats:

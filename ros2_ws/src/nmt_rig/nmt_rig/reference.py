@@ -121,6 +121,14 @@ def compute_reference(
 
     Raises:
         BenchError: wrong amplitudes or harmonics, or no solution.
+
+    Examples:
+        >>> from nmt_rig.rig import load_rig
+        >>> reference = compute_reference(load_rig("beam"), harmonics=3, points=5)
+        >>> (reference.omega_rad_s[[0, -1]] / 6.283185307).round(2)
+        array([22.19, 18.55])
+        >>> compute_reference(load_rig("beam"), modal_amplitudes=[1e-5], harmonics=1).damping_ratio.round(5)
+        array([0.00506])
     """
     refuse_beyond_harmonic_balance(rig, with_exciter=False)
     structure = build_structure(rig)
@@ -299,6 +307,14 @@ def write_reference_csv(reference: Backbone, path: str | Path) -> Path:
 
     Raises:
         BenchError: the file cannot be written.
+
+    Examples:
+        >>> from nmt_rig.rig import load_rig
+        >>> reference = compute_reference(load_rig("beam"), harmonics=1, modal_amplitudes=[1e-5, 1e-4])
+        >>> write_reference_csv(reference, "out/backbone/reference.csv").read_text().splitlines()[0]
+        'modal_amplitude,omega_rad_s,damping_ratio'
+        >>> len(nmt.open("out/backbone").rows())
+        2
     """
     rows = np.column_stack([getattr(reference, column) for column in REFERENCE_COLUMNS])
     lines = [",".join(REFERENCE_COLUMNS), *(",".join(f"{value:.12g}" for value in row) for row in rows)]

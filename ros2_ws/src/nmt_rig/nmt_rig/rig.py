@@ -541,6 +541,16 @@ def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:
     Raises:
         BenchError: no such rig, anything wrong in it or in an override, with the line, or a model that cannot be
             computed.
+
+    Examples:
+        >>> rig = load_rig("beam")
+        >>> rig.drive_point, rig.sample_rate_hz
+        (2, 10000.0)
+        >>> load_rig("beam", ["exciter.point=4", "local_elements.0.slip_force_n=2"]).local_elements[0].slip_force_n
+        2.0
+        >>> load_rig("wing")
+        Traceback (most recent call last):
+        nmt_core.errors.BenchError: there is no rig wing...
     """
     path = find_rig(path_or_name)
     document = read_document(path)

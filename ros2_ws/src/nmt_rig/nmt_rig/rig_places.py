@@ -20,7 +20,14 @@ def _rig_folders() -> list[Path]:
 
 
 def rig_names() -> list[str]:
-    """Names of the rigs that can be loaded without a path."""
+    """Names of the rigs that can be loaded without a path.
+
+    Examples:
+        >>> rig_names()
+        ['beam', 'clamped_beam', 'joint_resonator']
+        >>> all(find_rig(name).is_file() for name in rig_names())
+        True
+    """
     return sorted({path.stem for folder in _rig_folders() for path in folder.glob("*.yaml")})
 
 
@@ -29,6 +36,12 @@ def find_rig(path_or_name: str | Path) -> Path:
 
     Raises:
         BenchError: there is no such rig.
+
+    Examples:
+        >>> find_rig("beam").name
+        'beam.yaml'
+        >>> find_rig("out/demo/rig.yaml").name
+        'rig.yaml'
     """
     path = Path(path_or_name)
     if os.path.isfile(path):  # unlike Path.is_file it does not raise for a name that is too long

@@ -75,9 +75,19 @@ def examples_of(thing: Any, name: str, module: Any) -> doctest.DocTest:
     return found
 
 
-def test_examples_of_the_diagnosis(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("module", ["nmt_diagnose", "nmt_session.session", "nmt_bench.harness"])
+def test_examples_of_a_module(module: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if module == "nmt_bench.harness":
+        pytest.importorskip("rclpy", reason="the harness starts nodes, which need ROS 2")
     monkeypatch.chdir(folder)
-    run(examples_of(nmt_diagnose, "nmt_diagnose", nmt_diagnose))
+    thing = importlib.import_module(module)
+    run(examples_of(thing, module, thing))
+
+
+def test_no_example_of_the_sources_is_skipped() -> None:
+    sources = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
+    skipped = [path.name for path in sources.glob("*/nmt*/**/*.py") if "doctest: +SKIP" in path.read_text("utf-8")]
+    assert not skipped
 
 
 @pytest.mark.parametrize("name", [*FUNCTIONS.values(), *METHODS])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nmt_diagnose.twin.local_tables import local_tables
-from nmt_diagnose.twin.record_kernel import _step_all, _step_one, step_through
+from nmt_diagnose.twin.record_kernel import SteppedModel, _step_all, _step_one, step_through
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements.contacts import TwoSidedGap, UnilateralStop
 from nmt_rig.model.local_elements.dampers import AmplitudeDamper, PowerLawDamper
@@ -35,7 +35,7 @@ ELEMENTS: dict[str, tuple[LocalElement, ...]] = {
 }
 
 
-def oscillators() -> tuple[np.ndarray, ...]:
+def oscillators() -> SteppedModel:
     """Recursion of two modes of 50 and 180 Hz, 1 kg each, forced and observed at one point."""
     step = 1.0 / RATE
     frequencies, damping = 2.0 * np.pi * np.array([50.0, 180.0]), np.array([0.01, 0.02])
@@ -48,7 +48,7 @@ def oscillators() -> tuple[np.ndarray, ...]:
     outputs = np.array([shapes + 0j, shapes * poles, shapes * poles**2])
     velocities = outputs[1:2]
     direct = np.array([[0.0, 0.0], [0.0, 0.0], [1.49, 1.49]])
-    return np.exp(z), early, late, outputs, velocities, direct
+    return SteppedModel(np.exp(z), early, late, outputs, velocities, direct)
 
 
 @pytest.mark.parametrize("substeps", [1, 3])
@@ -57,11 +57,10 @@ def test_one_coordinate_is_the_general_case_bit_for_bit(name: str, substeps: int
     drive = 60.0 * np.random.default_rng(5).standard_normal(3000)
     tables = local_tables([ELEMENTS[name]], FourierBasis.up_to(1), 16)
     model, factor = oscillators(), np.zeros(3)
-    general = _step_all(drive, substeps, 1, *model, factor, *tables[3:10])
-    jenkins, _, contacts, _, kinds, parameters, _ = tables[3:10]
-    one = _step_one(drive, substeps, *model, jenkins, contacts, kinds, parameters)
+    general = _step_all(drive, substeps, 1, model, factor, tables.elements)
+    one = _step_one(drive, substeps, model, tables.elements)
     assert one.shape == (2, 3000 // substeps)
     np.testing.assert_array_equal(one, general)
-    np.testing.assert_array_equal(step_through(drive, substeps, 1, *model, factor, tables), one)
-    free = step_through(drive, substeps, 1, *model, factor, local_tables([()], FourierBasis.up_to(1), 16))
+    np.testing.assert_array_equal(step_through(drive, substeps, 1, model, factor, tables), one)
+    free = step_through(drive, substeps, 1, model, factor, local_tables([()], FourierBasis.up_to(1), 16))
     assert np.abs(one - free).max() > 0.05 * np.abs(free).max(), "the elements act"

@@ -40,9 +40,9 @@ def evaluate_decay(
         output: row of that output in the linear model.
     """
     model, _, factor, tables = rig
-    orders, offsets = tables[0], tables[1]
+    orders, offsets = tables.orders, tables.offsets
     count = orders.size
-    r = model[4].shape[1] - 1
+    r = model.inputs.shape[1] - 1
     size = offsets[count - 1] + 2
     local = r * size
     nz = local + 2
@@ -107,12 +107,12 @@ def closure(z: FloatArray, amplitude: float, channel: int, rig: RigTables) -> tu
         z: unknowns.
         amplitude: of the channel, as recorded.
     """
-    model, channels = rig[0], rig[1]
+    model, channels = rig.model, rig.channels
     ratio, omega = z[z.size - 1], z[z.size - 2]
     true = amplitude / abs(sensor_gain(1j * omega, channels[channel])[0])
     # Change of 1/T per relative change of s, at the nearest pole.
     s = omega * (1j - ratio)
-    r = model[4].shape[1] - 1
+    r = model.inputs.shape[1] - 1
     t, slope = transfer_at(s * (1.0 + 1e-6), model, r + 1)
     return true + 0j, 1.0 / (abs(slope[r + channel, r] / t[r + channel, r] ** 2 * s) * true)
 
@@ -139,8 +139,8 @@ def newton_step(jacobian: FloatArray, residual: FloatArray, z: FloatArray, size:
 def stepped_decays(z: FloatArray, amplitudes: FloatArray, channel: int, rig: RigTables) -> FloatArray:
     """Unknowns (levels, nz) after one Newton step from ``z``; other arguments as for :func:`closure`."""
     result = np.empty(z.shape)
-    size = rig[3][1][-1] + 2
-    output = rig[0][4].shape[1] - 1 + channel
+    size = rig.local.offsets[-1] + 2
+    output = rig.model.inputs.shape[1] - 1 + channel
     for level in range(z.shape[0]):
         own = z[level]
         true, weight = closure(own, amplitudes[level], channel, rig)
@@ -162,8 +162,8 @@ def _drive(true: complex, output: int, t: ComplexArray, g: FloatArray, offset: i
 def _pole_amounts(own: FloatArray, true: complex, output: int, rig: RigTables) -> ComplexArray:
     """Fundamental of each pole of the linear model, (k,)."""
     model, _, factor, tables = rig
-    poles, inputs = model[0], model[4]
-    offset, size = _fundamental(tables), tables[1][-1] + 2
+    poles, inputs = model.poles, model.inputs
+    offset, size = _fundamental(tables), tables.offsets[-1] + 2
     r = inputs.shape[1] - 1
     omega = own[-2]
     s = omega * (1j - own[-1])
@@ -182,7 +182,7 @@ def _pole_amounts(own: FloatArray, true: complex, output: int, rig: RigTables) -
 @njit(cache=True)
 def _fundamental(tables: LocalTables) -> int:
     """Where the fundamental is among the coefficients of one coordinate."""
-    orders, offsets = tables[0], tables[1]
+    orders, offsets = tables.orders, tables.offsets
     for n in range(orders.size):
         if orders[n] == 1:
             return int(offsets[n])
@@ -204,10 +204,10 @@ def observed_ratios(z: FloatArray, amplitudes: FloatArray, channel: int, rig: Ri
         amplitudes: (levels,) of the channel.
     """
     result = np.empty(z.shape[0])
-    model, tables = rig[0], rig[3]
-    poles, displacement, velocity, acceleration = model[0], model[1], model[2], model[3]
-    offset, size = _fundamental(tables), tables[1][-1] + 2
-    r = model[4].shape[1] - 1
+    model, tables = rig.model, rig.local
+    poles, displacement, velocity, acceleration = model.poles, model.displacement, model.velocity, model.acceleration
+    offset, size = _fundamental(tables), tables.offsets[-1] + 2
+    r = model.inputs.shape[1] - 1
     output = r + channel
     step = 1e-3
     for level in range(z.shape[0]):
@@ -255,8 +255,8 @@ def decay_shapes(
         places: numbers of the channels.
     """
     model, channels, factor, tables = rig
-    offset, size = _fundamental(tables), tables[1][-1] + 2
-    r = model[4].shape[1] - 1
+    offset, size = _fundamental(tables), tables.offsets[-1] + 2
+    r = model.inputs.shape[1] - 1
     result = np.empty((z.shape[0], places.size), dtype=np.complex128)
     for level in range(z.shape[0]):
         own = z[level]

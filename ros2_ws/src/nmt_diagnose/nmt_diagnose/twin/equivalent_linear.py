@@ -9,12 +9,13 @@ narrow-band noise (Rayleigh).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from nmt_core.arrays import FloatArray
 from nmt_core.kernels import njit
-from nmt_rig.model.aft import LocalTables
+from nmt_rig.model.aft import ElementTables, LocalTables
 from nmt_rig.model.element_kernels import response
 
 _DISPLACEMENTS, _VELOCITIES, _CYCLES = 16, 48, 32
@@ -22,8 +23,22 @@ _W, _W_SHARE = np.polynomial.hermite_e.hermegauss(_DISPLACEMENTS)
 _V, _V_SHARE = np.polynomial.hermite_e.hermegauss(_VELOCITIES)
 _W_SHARE, _V_SHARE = _W_SHARE / _W_SHARE.sum(), _V_SHARE / _V_SHARE.sum()
 _A, _A_SHARE = np.polynomial.laguerre.laggauss(_CYCLES)
-# Nodes and weights of displacement, velocity and squared amplitude, as ``equivalents_kernel`` takes them.
-NODES = (_W, _W_SHARE, _V, _V_SHARE, _A, _A_SHARE)
+
+
+class Quadrature(NamedTuple):
+    """Nodes and weights of displacement and velocity over their rms, and of half the squared amplitude of cycles over
+    the mean square.
+    """
+
+    displacements: FloatArray
+    displacement_shares: FloatArray
+    velocities: FloatArray
+    velocity_shares: FloatArray
+    cycles: FloatArray
+    cycle_shares: FloatArray
+
+
+NODES = Quadrature(_W, _W_SHARE, _V, _V_SHARE, _A, _A_SHARE)
 
 
 def equivalents(tables: LocalTables, displacement: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -33,16 +48,17 @@ def equivalents(tables: LocalTables, displacement: FloatArray, velocity: FloatAr
         tables: of the local forces.
         displacement, velocity: rms of w (m) and ẇ (m/s) of each coordinate, (r,), above zero.
     """
-    stiffness, damping = equivalents_kernel(*tables[3:10], displacement, velocity, *NODES)
+    stiffness, damping = equivalents_kernel(tables.elements, displacement, velocity, NODES)
     return stiffness, damping
 
 
 @njit(cache=True)
-def equivalents_kernel(  # type: ignore[no-untyped-def]
-    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start, displacement, velocity,
-    w_nodes, w_shares, v_nodes, v_shares, cycles, cycle_shares,
-):  # fmt: skip
+def equivalents_kernel(
+    elements: ElementTables, displacement: FloatArray, velocity: FloatArray, nodes: Quadrature
+) -> tuple[FloatArray, FloatArray]:
     """``equivalents`` for other kernels."""
+    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = elements
+    w_nodes, w_shares, v_nodes, v_shares, cycles, cycle_shares = nodes
     count = displacement.size
     stiffness, damping = np.zeros(count), np.zeros(count)
     for i in range(count):
@@ -68,7 +84,7 @@ def equivalents_kernel(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _slider(k, slip, x, y, cycles, shares):  # type: ignore[no-untyped-def]
+def _slider(k: float, slip: float, x: float, y: float, cycles: FloatArray, shares: FloatArray) -> tuple[float, float]:
     """Equivalents of a Jenkins element: secant and dissipation of cycles of amplitude A, weighed with A²."""
     limit = slip / k
     # With x = A² / 2σ² the distribution is exp(−x); below x₀ the slider sticks.

@@ -11,6 +11,8 @@ the equation is as mild as the linear one: no folds, because a curve of force ov
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nmt_core.arrays import ComplexArray, FloatArray
@@ -29,6 +31,26 @@ from nmt_diagnose.twin.periodic_kernel import (
 )
 from nmt_rig.model.aft import LocalTables
 
+
+class SolvedLine(NamedTuple):
+    """Where Newton's iteration of one line ended.
+
+    Attributes:
+        converged: whether it is a solution.
+        z: unknowns (nz,).
+        forces: of the coordinates (r, size).
+        inverse: of the Jacobian (nz, nz).
+        channels, slopes: their fundamentals (c,) and the derivatives by the unknowns (c, nz).
+    """
+
+    converged: bool
+    z: FloatArray
+    forces: FloatArray
+    inverse: FloatArray
+    channels: ComplexArray
+    slopes: ComplexArray
+
+
 _HALVINGS = 8
 _CLIMB_STEPS = 40
 _LOWEST = 0.02
@@ -40,7 +62,7 @@ def transfers(omega: float, orders: np.ndarray, wanted: np.ndarray, model: Linea
 
     All of order 1, of others what local forces do.
     """
-    outputs, columns = model[5].shape
+    outputs, columns = model.feedthrough.shape
     result = np.zeros((orders.size, outputs, columns), dtype=np.complex128)
     r = columns - 1
     for n in range(orders.size):
@@ -217,13 +239,9 @@ def newton_line(
     tables: LocalTables,
     iterations: int,
     tolerance: float,
-) -> tuple[bool, FloatArray, FloatArray, FloatArray, ComplexArray, ComplexArray]:
-    """Damped Newton iteration of one line.
-
-    Returns:
-        converged, z (nz,), local forces (r, size), inverse of the Jacobian (nz, nz), channels (c,), slopes (c, nz).
-    """
-    orders, offsets = tables[0], tables[1]
+) -> SolvedLine:
+    """Damped Newton iteration of one line."""
+    orders, offsets = tables.orders, tables.offsets
     r = transfer.shape[2] - 1
     size = offsets[orders.size - 1] + 2
     z = z.copy()
@@ -234,7 +252,7 @@ def newton_line(
     error = np.linalg.norm(residual * weights)
     inverse = np.zeros((nz, nz))
     slopes = np.zeros((channels.shape[0], nz), dtype=np.complex128)
-    converged = False
+    converged, done = False, False
     for _ in range(iterations):
         if not np.isfinite(error):
             break
@@ -247,7 +265,8 @@ def newton_line(
             for j in range(nz):
                 inverse[i, j] *= scale[i] * weights[j]
         if converged:
-            return True, z, g, inverse, measured, slopes
+            done = True
+            break
         step = -inverse @ residual
         length = np.linalg.norm(step / scale)
         fraction = 1.0
@@ -262,7 +281,7 @@ def newton_line(
         # Where no shorter step is better, the shortest is taken all the same: it may cross a kink.
         z, error = trial, after
         converged = bool(fraction == 1.0 and (length < tolerance or error < 1e-11))
-    return False, z, g, inverse, measured, slopes
+    return SolvedLine(done, z, g, inverse, measured, slopes)
 
 
 @njit(cache=True)
@@ -294,10 +313,10 @@ def solve_lines(
         (lines, c) and their slopes (lines, c, nz).
     """
     model, channels, factor, tables = rig
-    orders, offsets = tables[0], tables[1]
+    orders, offsets = tables.orders, tables.offsets
     lines, nz = start.shape
     c = channels.shape[0]
-    r = model[4].shape[1] - 1
+    r = model.inputs.shape[1] - 1
     size = offsets[orders.size - 1] + 2
     good = np.zeros(lines, dtype=np.bool_)
     solved = np.full((lines, nz), np.nan)
@@ -329,7 +348,7 @@ def solve_lines(
                 trial = newton_line(
                     guess, given, share * target[line], w, transfer, channels, factor, tables, iterations, tolerance
                 )
-                if trial[0]:
+                if trial.converged:
                     done, z, g, inverse, y, slope = trial
                     reached = share
                 elif reached == 0.0:
@@ -381,10 +400,10 @@ def step_lines(
         z (lines, nz) and channels (lines, c).
     """
     model, channels, factor, tables = rig
-    orders, offsets = tables[0], tables[1]
+    orders, offsets = tables.orders, tables.offsets
     lines = z.shape[0]
     c = channels.shape[0]
-    r = model[4].shape[1] - 1
+    r = model.inputs.shape[1] - 1
     size = offsets[orders.size - 1] + 2
     moved = np.full((lines, r * size + 2), np.nan)
     values = np.full((lines, c), np.nan + 0j)

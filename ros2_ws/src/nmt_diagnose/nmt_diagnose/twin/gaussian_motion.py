@@ -6,14 +6,16 @@ local forces (equivalent_linear.py), these give the motion; turns go on until ne
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
+from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.kernels import njit
-from nmt_diagnose.twin.equivalent_linear import NODES, equivalents_kernel
-from nmt_diagnose.twin.linear_model import LinearModel
-from nmt_rig.model.aft import LocalTables
+from nmt_diagnose.twin.equivalent_linear import NODES, Quadrature, equivalents_kernel
+from nmt_diagnose.twin.linear_model import Fractions, LinearModel
+from nmt_rig.model.aft import ElementTables, LocalTables
 
 # Frequencies about each pole at which the motion is added up, in half widths of its peak.
 _ABOUT = np.sinh(np.linspace(-6.0, 6.0, 61)) / 4.0
@@ -22,12 +24,26 @@ _FAR = 3.0  # poles beyond the band by that factor hardly move those in it
 _TURNS, _SETTLED = 40, 1e-9
 
 
+class NearPoles(NamedTuple):
+    """The poles of a linear model that move motions in a band.
+
+    Attributes:
+        poles: (k,) rad/s.
+        outputs: (r, k) displacements of the coordinates of each pole.
+        inputs: (k, r) share of each pole in the local forces.
+    """
+
+    poles: ComplexArray
+    outputs: ComplexArray
+    inputs: ComplexArray
+
+
 def forces_in_motion(
     model: LinearModel,
     tables: LocalTables,
     acting: NDArray[np.bool_],
     resting: tuple[FloatArray, FloatArray],
-    fractions: tuple[FloatArray, ...],
+    fractions: Fractions,
     omega: FloatArray,
     drive_rms: float,
 ) -> tuple[FloatArray, FloatArray]:
@@ -45,38 +61,43 @@ def forces_in_motion(
     r = resting[0].size
     low, high = float(omega.min()), float(omega.max())
     near = np.flatnonzero((np.abs(model.poles) < _FAR * high) & (np.abs(model.poles) > low / _FAR))
+    nearest = NearPoles(
+        model.poles[near],
+        np.ascontiguousarray(model.displacement[:r, near]),
+        np.ascontiguousarray(model.inputs[near, :r]),
+    )
     stiffness, damping, found = _settled(
-        np.ascontiguousarray(omega), model.poles[near], np.ascontiguousarray(model.displacement[:r, near]),
-        np.ascontiguousarray(model.inputs[near, :r]), acting, *resting, *fractions, drive_rms, *tables[3:10],
-        *NODES, _ABOUT,
-    )  # fmt: skip
+        np.ascontiguousarray(omega), nearest, acting, *resting, fractions, drive_rms, tables.elements, NODES, _ABOUT
+    )
     return (stiffness, damping) if found else resting
 
 
 @njit(cache=True)
-def _settled(  # type: ignore[no-untyped-def]
-    lines, poles, outputs, inputs, acting, rest_stiffness, rest_damping, sums, products, constants, slopes, rest,
-    drive_rms, jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start,
-    w_nodes, w_shares, v_nodes, v_shares, cycles, cycle_shares, about,
-):  # fmt: skip
+def _settled(
+    lines: FloatArray,
+    near: NearPoles,
+    acting: NDArray[np.bool_],
+    rest_stiffness: FloatArray,
+    rest_damping: FloatArray,
+    fractions: Fractions,
+    drive_rms: float,
+    elements: ElementTables,
+    nodes: Quadrature,
+    about: FloatArray,
+) -> tuple[FloatArray, FloatArray, bool]:
     """Stiffness and damping (r,) each, and whether a motion was found."""
     count, r = acting.size, rest_stiffness.size
     low, high = lines.min(), lines.max()
     stiffness, damping = rest_stiffness.copy(), rest_damping.copy()
+    poles = near.poles
     before, size = np.inf, 1.0
     omega = np.empty(lines.size + poles.size * about.size)
     moved, fast, most = np.empty(count), np.empty(count), np.empty(count)
     for _ in range(_TURNS):
-        # The poles with these forces; about each of them the lines of the test may be too far apart.
-        closed = np.diag(poles)
-        for i in range(r):
-            for k in range(poles.size):
-                turned = stiffness[i] * outputs[i, k] + damping[i] * outputs[i, k] * poles[k]
-                for row in range(poles.size):
-                    closed[row, k] -= inputs[row, i] * turned
         omega[: lines.size] = lines
         places = lines.size
-        for pole in np.linalg.eigvals(closed):
+        # About each pole the lines of the test may be too far apart.
+        for pole in _closed_poles(near, stiffness, damping):
             if pole.imag > 0.0:
                 natural = abs(pole)
                 width = max(abs(pole.real), 1e-4 * natural)
@@ -84,19 +105,14 @@ def _settled(  # type: ignore[no-untyped-def]
                 for n in range(about.size):
                     omega[places + n] = min(max(natural + width * about[n], low), high)
                 places += about.size
-        total = _powers(
-            np.sort(omega[:places]), r, stiffness, damping, sums, products, constants, slopes, rest, moved, fast, most
-        )
+        total = _powers(np.sort(omega[:places]), r, stiffness, damping, fractions, moved, fast, most)
         scale = drive_rms * drive_rms / total
         for i in range(count):
             moved[i], fast[i] = np.sqrt(scale * moved[i]), np.sqrt(scale * fast[i])
             if not np.isfinite(moved[i]) or (acting[i] and not moved[i] > 0.0):
                 return stiffness, damping, False
             moved[i], fast[i] = max(moved[i], 1e-300), max(fast[i], 1e-300)
-        k_new, d_new = equivalents_kernel(
-            jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start, moved, fast,
-            w_nodes, w_shares, v_nodes, v_shares, cycles, cycle_shares,
-        )  # fmt: skip
+        k_new, d_new = equivalents_kernel(elements, moved, fast, nodes)
         # Over what moves the coordinate as it is.
         change = 0.0
         for i in range(count):
@@ -118,20 +134,41 @@ def _settled(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _powers(  # type: ignore[no-untyped-def]
-    omega, r, stiffness, damping, sums, products, constants, slopes, rest, moved, fast, most
-):  # fmt: skip
+def _closed_poles(near: NearPoles, stiffness: FloatArray, damping: FloatArray) -> ComplexArray:
+    """The poles with springs and dampers in place of the local forces."""
+    poles = near.poles
+    closed = np.diag(poles)
+    for i in range(stiffness.size):
+        for k in range(poles.size):
+            turned = stiffness[i] * near.outputs[i, k] + damping[i] * near.outputs[i, k] * poles[k]
+            for row in range(poles.size):
+                closed[row, k] -= near.inputs[row, i] * turned
+    return np.linalg.eigvals(closed)  # type: ignore[return-value]
+
+
+@njit(cache=True)
+def _powers(
+    omega: FloatArray,
+    r: int,
+    stiffness: FloatArray,
+    damping: FloatArray,
+    fractions: Fractions,
+    moved: FloatArray,
+    fast: FloatArray,
+    most: FloatArray,
+) -> float:
     """Integrals over ω of |H|², and of ω² |H|², into ``moved`` and ``fast``, the largest |H|² into ``most``, for the
     first coordinates, (count,) each; returns that of |H|² of the last channel. H as in ``linear_responses``.
     """
+    sums, products = fractions.sums, fractions.products
     count, columns = moved.size, r + 1
     rows = columns * columns
-    last = rest.size - columns
+    last = fractions.rest.size - columns
     at = np.empty(rows, dtype=np.int64)
     for e in range(rows):
         at[e] = e if e < r * columns else last + e - r * columns
     # Only what is needed, and beside each other.
-    constants, slopes, rest = constants[:, at], slopes[:, at], rest[at]
+    constants, slopes, rest = fractions.constants[:, at], fractions.slopes[:, at], fractions.rest[at]
     re, im = np.empty(rows), np.empty(rows)
     closed = np.empty((r, columns), dtype=np.complex128)
     now, then = np.empty(count + 1), np.zeros(count + 1)

@@ -8,7 +8,8 @@ and exciter are joined exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +19,35 @@ from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.kernels import njit
 from nmt_rig.model.assembly import ElectromechanicalSystem
 
-LinearTables: TypeAlias = tuple[
-    ComplexArray,  # poles
-    ComplexArray,  # displacement
-    ComplexArray,  # velocity
-    ComplexArray,  # acceleration
-    ComplexArray,  # inputs
-    ComplexArray,  # feedthrough
-]
-"""A `LinearModel` for compiled functions."""
-
 # Part of another shape that a shape may take in while the first order will do.
 _LARGEST_MIX = 1e-3
+
+
+class LinearTables(NamedTuple):
+    """A `LinearModel` for compiled functions."""
+
+    poles: ComplexArray
+    displacement: ComplexArray
+    velocity: ComplexArray
+    acceleration: ComplexArray
+    inputs: ComplexArray
+    feedthrough: ComplexArray
+
+
+class Fractions(NamedTuple):
+    """Σ_k (c_k + s e_k) / (s² − σ_k s + π_k) + rest in real numbers, one k for each pair of poles.
+
+    Attributes:
+        sums, products: σ and π (k,).
+        constants, slopes: c and e (k, entries).
+        rest: (entries,).
+    """
+
+    sums: FloatArray
+    products: FloatArray
+    constants: FloatArray
+    slopes: FloatArray
+    rest: FloatArray
 
 
 @dataclass(frozen=True)
@@ -85,31 +103,28 @@ class LinearModel:
     feedthrough: ComplexArray
     frame: ModalFrame | None = None
 
-    @property
+    @cached_property
     def tables(self) -> LinearTables:
         """What compiled functions need of it."""
-        return self.poles, self.displacement, self.velocity, self.acceleration, self.inputs, self.feedthrough
+        return LinearTables(
+            self.poles, self.displacement, self.velocity, self.acceleration, self.inputs, self.feedthrough
+        )
 
     def at(self, s: complex) -> tuple[ComplexArray, ComplexArray]:
         """T (o, p) and dT/ds at s."""
         result: tuple[ComplexArray, ComplexArray] = transfer_at(s, self.tables, self.inputs.shape[1])
         return result
 
-    def partial_fractions(self, rows: NDArray[np.int64]) -> tuple[FloatArray, ...]:
-        """Some outputs as Σ_k (c_k + s e_k) / (s² − σ_k s + π_k) + rest, in real numbers.
-
-        Returns:
-            σ (k,), π (k,), c (k, rows · p), e (k, rows · p), rest (rows · p,); one k for each pair of poles.
-        """
-        result: tuple[FloatArray, ...] = real_fractions(rows, self.tables)
-        return result
+    def partial_fractions(self, rows: NDArray[np.int64]) -> Fractions:
+        """Some outputs as partial fractions; entries are those of (rows, p), row by row."""
+        return Fractions(*real_fractions(rows, self.tables))
 
 
 @njit(cache=True)
 def real_fractions(
     rows: NDArray[np.int64], model: LinearTables
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Compiled body of ``LinearModel.partial_fractions``."""
+    """Compiled body of ``LinearModel.partial_fractions``; a plain tuple is handed to Python sooner."""
     poles, displacement, velocity, acceleration, inputs, feedthrough = model
     columns = inputs.shape[1]
     count = 0

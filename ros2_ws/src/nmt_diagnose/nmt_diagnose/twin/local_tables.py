@@ -1,4 +1,4 @@
-"""Tables of nonlinear local elements for the compiled kernels of nmt_plant, coordinate by coordinate."""
+"""Tables of nonlinear local elements for the compiled kernels of nmt_rig, coordinate by coordinate."""
 
 from __future__ import annotations
 
@@ -31,4 +31,4 @@ def local_tables(groups: Sequence[Sequence[LocalElement]], basis: FourierBasis, 
     highest = int(basis.orders[-1])
     rows, needed = element_rows(groups, highest, 4 * highest + 4, fitted=True)
     values, slopes, slope_basis = _sampled(highest, needed if samples is None else samples)
-    return (basis.orders, basis.offsets, slope_basis, *rows, values, slopes)
+    return LocalTables(basis.orders, basis.offsets, slope_basis, *rows, values, slopes)

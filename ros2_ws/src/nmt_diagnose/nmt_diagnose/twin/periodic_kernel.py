@@ -10,7 +10,7 @@ closed by the phase between measured force and response at lock and by one ampli
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,13 +22,36 @@ from nmt_rig.model.aft import LocalTables, forces_alone, local_forces
 # What is given besides the phase: ln of the drive's amplitude, or ln of the fundamental of one channel.
 DRIVE_GIVEN = -1
 
-RigTables: TypeAlias = tuple[
-    LinearTables,
-    FloatArray,  # sensor chains of the channels (c, 4)
-    FloatArray,  # G, G b₁, G b₂
-    LocalTables,
-]
-"""What the kernels know of a rig, see `RigParts.kernel_tables`."""
+
+class RigTables(NamedTuple):
+    """What the kernels know of a rig, see `RigParts.kernel_tables`.
+
+    Attributes:
+        model: the linear part.
+        channels: sensor chains of the channels (c, 4).
+        factor: G, G b₁, G b₂.
+        local: the local elements and their basis.
+    """
+
+    model: LinearTables
+    channels: FloatArray
+    factor: FloatArray
+    local: LocalTables
+
+
+class Control(NamedTuple):
+    """What a level holds.
+
+    Attributes:
+        given: ``DRIVE_GIVEN``, or the channel whose fundamental has the given amplitude.
+        force, response: channels whose phase was controlled.
+        power: order of time derivative from that response to a velocity (1, 0, −1).
+    """
+
+    given: int
+    force: int
+    response: int
+    power: int
 
 
 @njit(cache=True)
@@ -43,6 +66,15 @@ def sensor_gain(s: complex, chain: FloatArray) -> tuple[complex, complex]:
         slope = slope * high + value * high_pass / (s + high_pass) ** 2
         value = value * high
     return value, slope
+
+
+@njit(cache=True)
+def channel_gains(s: complex, channels: FloatArray) -> ComplexArray:
+    """Complex gains (c,) of the sensors' chains (c, 4) at s."""
+    result = np.empty(channels.shape[0], dtype=np.complex128)
+    for k in range(channels.shape[0]):
+        result[k] = sensor_gain(s, channels[k])[0]
+    return result
 
 
 @njit(cache=True)
@@ -98,13 +130,13 @@ def harmonic_forces(
         displacement: (r, size) real Fourier coefficients of the coordinates.
         omega: rad/s.
         factor: G, G b₁, G b₂.
-        tables: local elements, for the kernels of nmt_plant.
+        tables: the local elements and their basis.
 
     Returns:
         Coefficients (r, size), and their derivatives by all coefficients (r, size, r · size) and by ω (r, size).
     """
     r, size = displacement.shape
-    elements = tables[4].size - 1
+    elements = tables.jenkins_start.size - 1
     g = np.zeros((r, size))
     dg = np.zeros((r, size, r * size))
     g_omega = np.zeros((r, size))
@@ -117,7 +149,7 @@ def harmonic_forces(
                 dg[i, a, i * size + b] = derivative[i, a, b]
     if r > elements:
         pair, pair_derivative, pair_frequency = factor_forces(
-            displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables[10], tables[11]
+            displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables.values, tables.slopes
         )
         for i in range(2):
             g[r - 2 + i] = pair[i]
@@ -132,12 +164,12 @@ def harmonic_forces(
 def local_amounts(displacement: FloatArray, omega: float, factor: FloatArray, tables: LocalTables) -> FloatArray:
     """The coefficients (r, size) of :func:`harmonic_forces` without their derivatives."""
     r, size = displacement.shape
-    elements = tables[4].size - 1
+    elements = tables.jenkins_start.size - 1
     g = np.empty((r, size))
     g[:elements] = forces_alone(displacement[:elements], omega, tables)
     if r > elements:
         g[elements:] = factor_forces(
-            displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables[10], tables[11]
+            displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables.values, tables.slopes
         )[0]
     return g
 
@@ -145,7 +177,7 @@ def local_amounts(displacement: FloatArray, omega: float, factor: FloatArray, ta
 @njit(cache=True)
 def any_nonlinear(factor: FloatArray, tables: LocalTables) -> bool:
     """Whether any force of the local coordinates is there at all: those that are linear are not among them."""
-    elements = tables[3].shape[0] + tables[5].shape[0] + tables[7].size
+    elements = tables.jenkins.shape[0] + tables.contacts.shape[0] + tables.kinds.size
     return bool(elements > 0 or factor[1] != 0.0 or factor[2] != 0.0)
 
 
@@ -203,13 +235,13 @@ def set_jacobian(jacobian: FloatArray, row: int, column: ComplexArray, order: in
 
 @njit(cache=True)
 def close(
-    measured: ComplexArray, drive_log: float, control: tuple[int, int, int, int], given_log: float, phase: float
+    measured: ComplexArray, drive_log: float, control: Control, given_log: float, phase: float
 ) -> tuple[float, float]:
     """What phase (rad) and given amplitude (ln) are off by, for channels (c, n_orders)."""
-    given, force_channel, response_channel, response_power = control
-    product = measured[force_channel, 1] * np.conj(measured[response_channel, 1])
+    given = control.given
+    product = measured[control.force, 1] * np.conj(measured[control.response, 1])
     # velocity = (iω)^power response: a quarter turn per derivative.
-    angle = np.angle(product) - 0.5 * np.pi * response_power - phase
+    angle = np.angle(product) - 0.5 * np.pi * control.power - phase
     angle -= 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
     own = drive_log if given == DRIVE_GIVEN else np.log(np.abs(measured[given, 1]))
     return angle, own - given_log
@@ -218,7 +250,7 @@ def close(
 @njit(cache=True)
 def evaluate(
     z: FloatArray,
-    control: tuple[int, int, int, int],
+    control: Control,
     given_log: float,
     phase: float,
     drive: ComplexArray,
@@ -229,16 +261,15 @@ def evaluate(
 
     Args:
         z: unknowns; the first order must be 0.
-        control: ``DRIVE_GIVEN``, or the channel whose fundamental has the given amplitude; channels of force and
-            response whose phase was controlled; order of time derivative from that response to a velocity (1, 0, −1).
+        control: what is held.
         given_log: ln of the given amplitude.
         phase: measured arg F₁ − arg(velocity₁), rad.
         drive: (n_orders,) harmonics of the input for unit drive amplitude.
     """
     model, channels, factor, tables = rig
-    orders, offsets = tables[0], tables[1]
+    orders, offsets = tables.orders, tables.offsets
     count = orders.size
-    r = model[4].shape[1] - 1
+    r = model.inputs.shape[1] - 1
     c = channels.shape[0]
     size = offsets[count - 1] + 2
     local = r * size
@@ -289,7 +320,7 @@ def evaluate(
                 slopes[k, n, local] += 1j * order * gain_slope * value
 
     residual[local], residual[local + 1] = close(measured, z[local + 1], control, given_log, phase)
-    given, force, response, _ = control
+    given, force, response = control.given, control.force, control.response
     for b in range(nz):
         jacobian[local, b] = (
             slopes[force, 1, b] / measured[force, 1] - slopes[response, 1, b] / measured[response, 1]
@@ -308,7 +339,7 @@ def newton(
     scale: FloatArray,
     iterations: int,
     tolerance: float,
-    control: tuple[int, int, int, int],
+    control: Control,
     given_log: float,
     phase: float,
     drive: ComplexArray,
@@ -364,7 +395,7 @@ def newton(
 @njit(cache=True)
 def residuals(
     z: FloatArray,
-    control: tuple[int, int, int, int],
+    control: Control,
     given_log: FloatArray,
     phase: FloatArray,
     drive: ComplexArray,
@@ -375,9 +406,9 @@ def residuals(
     The arguments are those of ``evaluate``; ``z``, ``given_log``, ``phase`` and ``drive`` have an entry for each level.
     """
     model, channels, factor, tables = rig
-    orders, offsets = tables[0], tables[1]
+    orders, offsets = tables.orders, tables.offsets
     count = orders.size
-    r = model[4].shape[1] - 1
+    r = model.inputs.shape[1] - 1
     c = channels.shape[0]
     size = offsets[count - 1] + 2
     local = r * size

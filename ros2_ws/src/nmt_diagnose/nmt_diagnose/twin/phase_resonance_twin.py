@@ -19,6 +19,8 @@ from nmt_diagnose.twin.converter import recorded_harmonics
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import (
     DRIVE_GIVEN,
+    Control,
+    channel_gains,
     evaluate,
     local_amounts,
     newton,
@@ -248,7 +250,7 @@ class PeriodicLevels:
         drive = self._drive(parts, level, amplitude)
         given = {DRIVE_GIVEN: DRIVE_GIVEN, FORCE_GIVEN: self._force}
         own = given[level.given] if level.given in given else self._own[level.given]
-        control = own, self._force, self._response, self.power
+        control = Control(own, self._force, self._response, self.power)
         return control, math.log(amplitude), level.phase, drive, parts.kernel_tables
 
     def _drive(self, parts: RigParts, level: LevelProblem, amplitude: float) -> ComplexArray:
@@ -327,7 +329,7 @@ class PeriodicLevels:
         tangent = resting_tangent(parts, s)
         closed = np.eye(r) + transfer[:r, :r] * tangent
         w = np.asarray(np.linalg.solve(closed, transfer[:r, r] * drive), dtype=np.complex128)
-        gains = np.array([sensor_gain(s, chain)[0] for chain in parts.channels])
+        gains = channel_gains(s, parts.channels)
         channels = gains * (transfer[r:, r] * drive - transfer[r:, :r] @ (tangent * w))
         turn = np.exp(-1j * (0.5 * np.pi * self.power + level.phase))
         return w, float(np.angle(channels[self._force] * np.conj(channels[self._response]) * turn)), channels
@@ -354,7 +356,7 @@ class PeriodicLevels:
 
     def gains(self, parts: RigParts, s: complex) -> ComplexArray:
         """Complex gains of all sensors (c,)."""
-        return np.array([sensor_gain(s, chain)[0] for chain in parts.channels])
+        return np.asarray(channel_gains(s, parts.channels))
 
     def phase_change(self, row: int, relative: complex) -> float:
         """Change of the phase condition by a relative change of one channel's fundamental."""

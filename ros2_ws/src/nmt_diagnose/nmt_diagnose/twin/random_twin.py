@@ -15,6 +15,7 @@ from nmt_core.kernels import njit
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.gaussian_motion import forces_in_motion
+from nmt_diagnose.twin.linear_model import Fractions
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import sensor_gain
 from nmt_diagnose.twin.rig_parts import RigParts
@@ -133,19 +134,21 @@ class RandomTwin:
             return result
         return np.asarray(self._folding.own * result + self._images(parts, local, self._folding, fractions))
 
-    def _local(self, parts: RigParts, fractions: tuple[FloatArray, ...]) -> tuple[FloatArray, FloatArray]:
+    def _local(self, parts: RigParts, fractions: Fractions) -> tuple[FloatArray, FloatArray]:
         """Stiffness and damping of the local forces under the motion that the drive makes, (r,) each; see
         gaussian_motion.py. A drive of unknown size is small.
         """
         test, tables = self.test, parts.tables
-        acting = np.diff(tables[4]) + np.diff(tables[6]) + np.diff(tables[9]) > 0
+        elements = tables.elements
+        starts = elements.jenkins_start, elements.contacts_start, elements.sampled_start
+        acting = np.sum([np.diff(start) for start in starts], axis=0) > 0
         if not acting.any() or not test.drive_rms > 0.0 or not test.stop_s > test.start_s or test.lines_hz.size < 2:
             return parts.resting
         omega = 2.0 * np.pi * parts.clock * test.lines_hz
         return forces_in_motion(parts.linear, tables, acting, parts.resting, fractions, omega, test.drive_rms)
 
     def _images(
-        self, parts: RigParts, local: tuple[FloatArray, FloatArray], folding: Folding, fractions: tuple[FloatArray, ...]
+        self, parts: RigParts, local: tuple[FloatArray, FloatArray], folding: Folding, fractions: Fractions
     ) -> ComplexArray:
         """What images of the drive around multiples of its rate fold onto the lines (lines, channels).
 
@@ -166,7 +169,7 @@ class RandomTwin:
         cache: PartsCache,
         parts: RigParts,
         local: tuple[FloatArray, FloatArray],
-        fractions: tuple[FloatArray, ...],
+        fractions: Fractions,
     ) -> ComplexArray:
         """Responses over the reference, as the estimator mixes neighbouring lines and moments (lines, channels).
 
@@ -187,7 +190,7 @@ class RandomTwin:
         result: ComplexArray = windowed(np.concatenate(every), index, np.outer(_SHARES, self.weights).ravel())
         return result
 
-    def _fractions(self, parts: RigParts) -> tuple[FloatArray, ...]:
+    def _fractions(self, parts: RigParts) -> Fractions:
         """Partial fractions of the local coordinates and of the test's channels."""
         return parts.linear.partial_fractions(
             np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
@@ -198,7 +201,7 @@ class RandomTwin:
         parts: RigParts,
         local: tuple[FloatArray, FloatArray],
         frequencies: FloatArray,
-        fractions: tuple[FloatArray, ...],
+        fractions: Fractions,
         chains: FloatArray | None = None,
     ) -> ComplexArray:
         """Responses to the drive at some frequencies (frequencies, channels and reference).
@@ -211,7 +214,7 @@ class RandomTwin:
             2.0 * np.pi * frequencies * parts.clock,
             r,
             *local,
-            *fractions,
+            fractions,
             parts.channels[self._own] if chains is None else chains,
         )
         h *= parts.input_per_volt
@@ -300,11 +303,7 @@ def linear_responses(
     r: int,
     stiffness: FloatArray,
     damping: FloatArray,
-    sums: FloatArray,
-    products: FloatArray,
-    constants: FloatArray,
-    slopes: FloatArray,
-    rest: FloatArray,
+    fractions: Fractions,
     channels: FloatArray,
 ) -> ComplexArray:
     """Responses (lines, c) of the channels after their sensors to the drive, local forces linear: k w + d ẇ.
@@ -313,9 +312,10 @@ def linear_responses(
         omega: (lines,) rad/s.
         r: number of local coordinates.
         stiffness, damping: (r,) k and d.
-        sums, products, constants, slopes, rest: ``LinearModel.partial_fractions`` of coordinates and channels.
+        fractions: of coordinates and channels.
         channels: sensor chains (c, 4).
     """
+    sums, products, constants, slopes, rest = fractions
     c = channels.shape[0]
     entries = rest.size
     columns = r + 1

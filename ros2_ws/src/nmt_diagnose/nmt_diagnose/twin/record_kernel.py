@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nmt_core.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.kernels import njit
-from nmt_rig.model.aft import LocalTables
+from nmt_rig.model.aft import ElementTables, LocalTables
 from nmt_rig.model.element_kernels import response
 from nmt_rig.model.local_elements.friction import Jenkins
 
@@ -14,6 +16,25 @@ _moved = njit(Jenkins.moved)
 
 ITERATIONS = 12
 TOLERANCE = 1e-7  # of the largest force so far
+
+
+class SteppedModel(NamedTuple):
+    """Recursion of the poles of a linear model over one step; one k for each pair of poles, real parts are meant.
+
+    Attributes:
+        decay: (k,) of a step.
+        early, late: (k, p) shares of the inputs at the beginning and at the end of a step.
+        outputs: (o, k) coordinates and channels.
+        velocities: (r, k) of the coordinates.
+        direct: (o, p) direct share of the inputs in the outputs.
+    """
+
+    decay: ComplexArray
+    early: ComplexArray
+    late: ComplexArray
+    outputs: ComplexArray
+    velocities: ComplexArray
+    direct: FloatArray
 
 
 @njit(cache=True)
@@ -80,22 +101,13 @@ def _step_all(
     drive: FloatArray,
     substeps: int,
     r: int,
-    decay: ComplexArray,
-    early: ComplexArray,
-    late: ComplexArray,
-    outputs: ComplexArray,
-    velocities: ComplexArray,
-    direct: FloatArray,
+    model: SteppedModel,
     factor: FloatArray,
-    jenkins: FloatArray,
-    jenkins_start: IntArray,
-    contacts: FloatArray,
-    contacts_start: IntArray,
-    kinds: IntArray,
-    parameters: FloatArray,
-    sampled_start: IntArray,
+    elements: ElementTables,
 ) -> FloatArray:
     """Channels (c, samples) of any number of coordinates."""
+    decay, early, late, outputs, velocities, direct = model
+    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = elements
     count = decay.size
     c = outputs.shape[0] - r
     samples = drive.size // substeps
@@ -185,21 +197,10 @@ def _step_all(
 
 
 @njit(cache=True)
-def _step_one(
-    drive: FloatArray,
-    substeps: int,
-    decay: ComplexArray,
-    early: ComplexArray,
-    late: ComplexArray,
-    outputs: ComplexArray,
-    velocities: ComplexArray,
-    direct: FloatArray,
-    jenkins: FloatArray,
-    contacts: FloatArray,
-    kinds: IntArray,
-    parameters: FloatArray,
-) -> FloatArray:
+def _step_one(drive: FloatArray, substeps: int, model: SteppedModel, elements: ElementTables) -> FloatArray:
     """Channels (c, samples) of one coordinate without force factor: the same steps, without arrays in the loop."""
+    decay, early, late, outputs, velocities, direct = model
+    jenkins, _, contacts, _, kinds, parameters, _ = elements
     count = decay.size
     c = outputs.shape[0] - 1
     result = np.empty((c, drive.size // substeps))
@@ -281,12 +282,7 @@ def step_through(
     drive: FloatArray,
     substeps: int,
     r: int,
-    decay: ComplexArray,
-    early: ComplexArray,
-    late: ComplexArray,
-    outputs: ComplexArray,
-    velocities: ComplexArray,
-    direct: FloatArray,
+    model: SteppedModel,
     factor: FloatArray,
     tables: LocalTables,
 ) -> FloatArray:
@@ -296,21 +292,15 @@ def step_through(
         drive: input at the steps, shape (samples · substeps,).
         substeps: steps per sample.
         r: number of coordinates.
-        decay, early, late, outputs, velocities, direct: of `stepped_model`.
+        model: recursion of the poles.
         factor: force factor and its dependence on displacement.
         tables: local elements by coordinate.
     """
-    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = tables[3:10]
-    elements = jenkins.shape[0] + contacts.shape[0] + kinds.size
+    elements = tables.elements
+    acting = elements.jenkins.shape[0] + elements.contacts.shape[0] + elements.kinds.size
     found: FloatArray
-    # A tuple of arrays that is handed on costs more than a step: each array of it is counted in and out.
-    if r == 1 and jenkins_start.size == 2 and elements:
-        found = _step_one(
-            drive, substeps, decay, early, late, outputs, velocities, direct, jenkins, contacts, kinds, parameters
-        )
+    if r == 1 and elements.jenkins_start.size == 2 and acting:
+        found = _step_one(drive, substeps, model, elements)
     else:
-        found = _step_all(
-            drive, substeps, r, decay, early, late, outputs, velocities, direct, factor, jenkins, jenkins_start,
-            contacts, contacts_start, kinds, parameters, sampled_start,
-        )  # fmt: skip
+        found = _step_all(drive, substeps, r, model, factor, elements)
     return found

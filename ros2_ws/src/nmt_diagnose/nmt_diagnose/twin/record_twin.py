@@ -14,13 +14,13 @@ from collections import OrderedDict
 import numpy as np
 from scipy.signal import resample_poly
 
-from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.arrays import FloatArray
 from nmt_core.blocks import Quantity
 from nmt_diagnose.observations.conditions import RecordTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.converter import expected_quantised
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.record_kernel import step_through
+from nmt_diagnose.twin.record_kernel import SteppedModel, step_through
 from nmt_diagnose.twin.rig_parts import RigParts
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -91,7 +91,7 @@ class RecordTwin:
         rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
         model = stepped_model(parts, rows, 1.0 / (rate * substeps))
         digest = hashlib.sha256(repr((substeps, saturation, gain)).encode())
-        for array in (*model, parts.force_factor, *parts.tables[3:10]):
+        for array in (*model, parts.force_factor, *parts.tables.elements):
             digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
         key = digest.digest()
         if key not in self._known:
@@ -99,7 +99,7 @@ class RecordTwin:
             if math.isfinite(saturation):
                 drive = saturation * np.tanh(drive / saturation)
             self._known[key] = step_through(
-                gain * drive, substeps, parts.coordinates, *model, parts.force_factor, parts.tables
+                gain * drive, substeps, parts.coordinates, model, parts.force_factor, parts.tables
             )
             if len(self._known) > REMEMBERED:
                 self._known.popitem(last=False)
@@ -135,17 +135,8 @@ def _through_sensor(values: FloatArray, rate: float, chain: FloatArray) -> Float
     return result
 
 
-SteppedModel = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray, FloatArray]
-
-
 def stepped_model(parts: RigParts, rows: np.ndarray, step: float) -> SteppedModel:
-    """Recursion of the poles over one step.
-
-    Returns:
-        decay (k,), shares of the inputs at the beginning and at the end of a step (k, p), outputs of coordinates and
-        channels (o, k), velocities of the coordinates (r, k), direct share of the inputs in the outputs (o, p). One k
-        for each pair of poles; real parts of the sums are meant.
-    """
+    """Recursion of the poles over one step, with some rows of the linear model as outputs."""
     model = parts.linear
     keep = model.poles.imag >= 0.0
     poles = model.poles[keep]
@@ -161,7 +152,7 @@ def stepped_model(parts: RigParts, rows: np.ndarray, step: float) -> SteppedMode
     outputs = model.displacement[rows] + model.velocity[rows] * p + model.acceleration[rows] * p**2
     r = parts.coordinates
     direct = (model.velocity[rows] + model.acceleration[rows] * model.poles) @ model.inputs + model.feedthrough[rows]
-    return (
+    return SteppedModel(
         decay,
         np.ascontiguousarray(step * (first - second)[:, None] * inputs),
         np.ascontiguousarray(step * second[:, None] * inputs),

@@ -112,16 +112,16 @@ class RigParts:
     bare: ElectromechanicalSystem
     rig: Rig
 
-    @property
+    @cached_property
     def kernel_tables(self) -> RigTables:
         """What the kernels know of it."""
-        return self.linear.tables, self.channels, self.force_factor, self.tables
+        return RigTables(self.linear.tables, self.channels, self.force_factor, self.tables)
 
     @cached_property
     def resting(self) -> tuple[FloatArray, FloatArray]:
         """Stiffness ∂g/∂w and damping ∂g/∂ẇ of the local forces at rest, (r,) each."""
         stiffness, damping = np.zeros(self.coordinates), np.zeros(self.coordinates)
-        jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = self.tables[3:10]
+        jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = self.tables.elements
         for i in range(jenkins_start.size - 1):
             stiffness[i] += jenkins[jenkins_start[i] : jenkins_start[i + 1], 0].sum()
             for own, gap, _side in contacts[contacts_start[i] : contacts_start[i + 1]]:

@@ -26,7 +26,6 @@ disturbance. :mod:`nmt_diagnose.twin.frequency_sweep` finds where a model itself
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -39,6 +38,7 @@ from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.rig_parts import RigParts, shared_unknowns
 from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
 
@@ -61,7 +61,7 @@ class SteppedSineState:
     """
 
     keys: tuple[str, ...]
-    tables: tuple[Any, ...]
+    tables: LocalTables
     clock: float
     z: FloatArray
     forces: FloatArray
@@ -307,9 +307,10 @@ def whitened_difference(rest: ComplexArray, growth: ComplexArray, noise: FloatAr
     return np.asarray(sizes + 1j * phases)
 
 
-def _same_tables(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
+def _same_tables(a: LocalTables, b: LocalTables) -> bool:
     """Whether two tables hold the same elements."""
     # Elements and their coordinates, and the number of samples; the rest follows from these.
     if a is b:
         return True
-    return all(x is y or (x.shape == y.shape and (x == y).all()) for x, y in zip(a[3:11], b[3:11], strict=True))
+    pairs = zip((*a.elements, a.values), (*b.elements, b.values), strict=True)
+    return all(x is y or (x.shape == y.shape and bool((x == y).all())) for x, y in pairs)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,27 +22,61 @@ from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements.element import PARAMETER_COUNT, LocalElement
 from nmt_rig.model.piecewise_forces import add_piecewise_forces
 
-ElementRows: TypeAlias = tuple[FloatArray, IntArray, FloatArray, IntArray, IntArray, FloatArray, IntArray]
-LocalTables: TypeAlias = tuple[
-    IntArray,  # orders
-    IntArray,  # offsets
-    FloatArray,  # slope_basis
-    FloatArray,  # jenkins
-    IntArray,  # jenkins_start
-    FloatArray,  # contacts
-    IntArray,  # contacts_start
-    IntArray,  # kinds
-    FloatArray,  # parameters
-    IntArray,  # sampled_start
-    FloatArray,  # values
-    FloatArray,  # slopes
-]
+
+class ElementTables(NamedTuple):
+    """Local elements of each coordinate, sorted by how their forces are computed.
+
+    Attributes:
+        jenkins: (n_j, 2) k_t (N/m), μN (N); rows jenkins_start[i] … jenkins_start[i + 1] act on coordinate i.
+        contacts: (n_c, 3) stiffness (N/m), gap (m), side; likewise.
+        kinds, parameters: (n_s,), (n_s, PARAMETER_COUNT) of the sampled elements; likewise.
+    """
+
+    jenkins: FloatArray
+    jenkins_start: IntArray
+    contacts: FloatArray
+    contacts_start: IntArray
+    kinds: IntArray
+    parameters: FloatArray
+    sampled_start: IntArray
+
+
+class LocalTables(NamedTuple):
+    """Local elements and the Fourier basis of their motion, for compiled functions.
+
+    Attributes:
+        orders, offsets: of the basis.
+        slope_basis: (·, size) brackets the turning points of w.
+        jenkins … sampled_start: as in `ElementTables`; not a tuple within, which compiled functions unpack at a price.
+        values, slopes: (samples, size) basis functions and their derivatives with respect to θ.
+    """
+
+    orders: IntArray
+    offsets: IntArray
+    slope_basis: FloatArray
+    jenkins: FloatArray
+    jenkins_start: IntArray
+    contacts: FloatArray
+    contacts_start: IntArray
+    kinds: IntArray
+    parameters: FloatArray
+    sampled_start: IntArray
+    values: FloatArray
+    slopes: FloatArray
+
+    @property
+    def elements(self) -> ElementTables:
+        """The elements without the basis."""
+        return ElementTables(
+            self.jenkins, self.jenkins_start, self.contacts, self.contacts_start, self.kinds, self.parameters,
+            self.sampled_start,
+        )  # fmt: skip
 
 
 def element_rows(
     groups: Sequence[Sequence[LocalElement]], highest: int, least: int, fitted: bool
-) -> tuple[ElementRows, int]:
-    """Elements of each coordinate, sorted by how their forces are computed.
+) -> tuple[ElementTables, int]:
+    """Tables of the elements of each coordinate.
 
     Args:
         groups: elements of each coordinate.
@@ -50,7 +85,7 @@ def element_rows(
         fitted: samples of smooth elements as a model needs them that is fitted, not a reference.
 
     Returns:
-        jenkins … sampled_start of `LocalForces`, and the samples per period that the elements need.
+        The tables, and the samples per period that the elements need.
 
     Raises:
         BenchError: an element that harmonic balance does not cover.
@@ -74,7 +109,7 @@ def element_rows(
                 )
         for start, rows in zip(starts, (len(jenkins), len(contacts), len(kinds)), strict=True):
             start.append(rows)
-    return (
+    return ElementTables(
         np.array(jenkins, dtype=np.float64).reshape(-1, 2),
         np.array(starts[0], dtype=np.int64),
         np.array(contacts, dtype=np.float64).reshape(-1, 3),
@@ -94,9 +129,7 @@ class LocalForces:
     Attributes:
         directions: (r, n) directions of the coordinates.
         basis: Fourier basis of w and g.
-        jenkins: (n_j, 2) k_t (N/m), μN (N); rows jenkins_start[i] … jenkins_start[i + 1] act on coordinate i.
-        contacts: (n_c, 3) stiffness (N/m), gap (m), side; likewise.
-        kinds, parameters: (n_s,), (n_s, PARAMETER_COUNT) of the sampled elements; likewise.
+        elements: tables of them.
         slope_basis: (·, size) brackets the turning points of w.
         samples: number of samples per period of the sampled elements.
         values, slopes: (samples, size) basis functions and their derivatives with respect to θ.
@@ -104,13 +137,7 @@ class LocalForces:
 
     directions: FloatArray
     basis: FourierBasis
-    jenkins: FloatArray
-    jenkins_start: IntArray
-    contacts: FloatArray
-    contacts_start: IntArray
-    kinds: IntArray
-    parameters: FloatArray
-    sampled_start: IntArray
+    elements: ElementTables
     slope_basis: FloatArray
     samples: int
     values: FloatArray
@@ -155,7 +182,7 @@ class LocalForces:
         return cls(
             np.array(directions),
             basis,
-            *rows,
+            rows,
             slope_basis=basis.sampled_slope(max(64, 8 * highest)),
             samples=count,
             values=basis.sampled(count),
@@ -182,22 +209,11 @@ class LocalForces:
         )
         return result
 
-    @property
+    @cached_property
     def tables(self) -> LocalTables:
-        """What the compiled kernels need to know of the elements; the basis' orders and offsets come first."""
-        return (
-            self.basis.orders,
-            self.basis.offsets,
-            self.slope_basis,
-            self.jenkins,
-            self.jenkins_start,
-            self.contacts,
-            self.contacts_start,
-            self.kinds,
-            self.parameters,
-            self.sampled_start,
-            self.values,
-            self.slopes,
+        """What the compiled kernels need to know of the elements."""
+        return LocalTables(
+            self.basis.orders, self.basis.offsets, self.slope_basis, *self.elements, self.values, self.slopes
         )
 
 
@@ -235,20 +251,13 @@ def _add_local_forces(
     frequency_derivative: FloatArray,
 ) -> None:
     """Add forces (r, size), and their derivatives where there is room for them."""
-    (
-        orders,
-        offsets,
-        slope_basis,
-        jenkins,
-        jenkins_start,
-        contacts,
-        contacts_start,
-        kinds,
-        parameters,
-        sampled_start,
-        values,
-        slopes,
-    ) = tables
+    orders, offsets, slope_basis, values, slopes = (
+        tables.orders, tables.offsets, tables.slope_basis, tables.values, tables.slopes,
+    )  # fmt: skip
+    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = (
+        tables.jenkins, tables.jenkins_start, tables.contacts, tables.contacts_start, tables.kinds, tables.parameters,
+        tables.sampled_start,
+    )  # fmt: skip
     count, size = displacement.shape
     samples = values.shape[0]
     wanted = derivative.size > 0

@@ -191,7 +191,7 @@ def _epmc_residual(
     tables: LocalTables,
 ) -> tuple[FloatArray, FloatArray, ComplexArray]:
     """Residual, Jacobian and modal fundamental η_1 / q of the EPMC problem."""
-    orders, offsets = tables[:2]
+    orders, offsets = tables.orders, tables.offsets
     r, modes = local_rows.shape
     unknowns = z.size - 1
     local = unknowns - 4

@@ -189,7 +189,7 @@ def _forced_residual(
     tables: LocalTables,
 ) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
     """Compiled body of ``ForcedProblem.evaluate``."""
-    orders, offsets = tables[:2]
+    orders, offsets = tables.orders, tables.offsets
     r = inputs.shape[1] - 1
     local = local_unknowns.size
     size = local // r
@@ -203,7 +203,7 @@ def _forced_residual(
     jacobian = np.zeros((local, local + 2))
     local_balance(displacement, forces, transfers, orders, offsets, residual, jacobian, local, -1, local + 1)
     offset = offsets[fundamental]
-    t, t_omega = transfers[0][fundamental], transfers[1][fundamental]
+    t, t_omega = transfers.transfer[fundamental], transfers.by_frequency[fundamental]
     for i in range(r):
         row = i * size + offset
         residual[row] -= t[i, r].real / compliance

@@ -15,7 +15,8 @@ there. With an exciter or dampers it is diagonal but for a few ports Q,
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeAlias
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
@@ -66,8 +67,12 @@ class OutputTables(NamedTuple):
     feedthrough: FloatArray
 
 
-Transfers: TypeAlias = tuple[ComplexArray, ComplexArray, ComplexArray]
-"""T, ∂T/∂ω, ∂T/∂ξ, each (n_orders, o, p)."""
+class Transfers(NamedTuple):
+    """T, ∂T/∂ω and ∂T/∂ξ, each (n_orders, o, p)."""
+
+    transfer: ComplexArray
+    by_frequency: ComplexArray
+    by_excitation: ComplexArray
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ class ModalImpedance:
         few = 0 < ports <= MOST_PORTS and _WORTH * ports <= len(self.mass)
         return self if few and not self.diagonal else replace(self, ports=_without_ports(len(self.mass)))
 
-    @property
+    @cached_property
     def tables(self) -> ModalTables:
         """What compiled functions need of it."""
         return ModalTables(self.mass, self.damping, self.stiffness, self.diagonal, self.ports)
@@ -282,7 +287,7 @@ def transfer_matrices(
         transfer[position] = rows @ response + out.feedthrough
         by_frequency[position] = (1j * n) * (row_slopes @ response - adjoint @ impedance_response)
         by_excitation[position] = s * (adjoint @ mass_response)
-    return transfer, by_frequency, by_excitation
+    return Transfers(transfer, by_frequency, by_excitation)
 
 
 @njit(cache=True)

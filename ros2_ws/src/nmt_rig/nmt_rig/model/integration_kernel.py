@@ -10,6 +10,8 @@ forces and slopes of all of them.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,26 @@ _SLOPE_TOLERANCE = 1e-9
 _SMALLEST = 1e-290
 
 Integers = NDArray[np.int64]
+
+
+class Memory(NamedTuple):
+    """What ports and elements carry from one sub-step to the next; arrays that the kernels update.
+
+    Attributes:
+        forces: (2 ports,) port forces (N) and slopes (N/s) at the present time.
+        kinematics: (3 own + 4 couplings,) what elements and couplings see, see `port_forces`.
+        branch: (elements,) sticking 0, slipping ±1; open 0, closed ±1.
+        slider: (elements,) m.
+        dissipated: (elements,) energy lost in sliders, J.
+        counters: [sub-steps, corners].
+    """
+
+    forces: Array
+    kinematics: Array
+    branch: Integers
+    slider: Array
+    dissipated: Array
+    counters: Integers
 
 
 @njit(cache=True)

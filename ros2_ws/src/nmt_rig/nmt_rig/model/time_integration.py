@@ -10,7 +10,7 @@ import numpy as np
 from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
 from nmt_rig.model.contact_kernel import integrate_contacts
 from nmt_rig.model.couplings import COUPLING_PARAMETERS
-from nmt_rig.model.integration_kernel import integrate, port_forces
+from nmt_rig.model.integration_kernel import Memory, integrate, port_forces
 from nmt_rig.model.local_elements.element import PARAMETER_COUNT, LocalElement
 from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.propagator import propagator, state_space
@@ -154,7 +154,7 @@ class TimeIntegrator:
         p, n = self._propagator, self._kinds.size
         ports = p.port_feedthrough.shape[1]
         self._state = np.zeros(p.to_working.shape[0])
-        self._memory = (
+        self._memory = Memory(
             np.zeros(2 * ports),
             np.zeros(p.port_rows.shape[0]),
             np.zeros(n, dtype=np.int64),
@@ -283,17 +283,17 @@ class TimeIntegrator:
     @property
     def slider_dissipation(self) -> Array:
         """(elements,) energy lost in the sliders of Jenkins elements since the start, J; 0 for others."""
-        return self._memory[4].copy()
+        return self._memory.dissipated.copy()
 
     @property
     def steps(self) -> int:
         """Sub-steps taken since the start."""
-        return int(self._memory[5][0])
+        return int(self._memory.counters[0])
 
     @property
     def corners(self) -> int:
         """Corners of local elements passed since the start."""
-        return int(self._memory[5][1])
+        return int(self._memory.counters[1])
 
 
 def _local(system: ElectromechanicalSystem) -> list[LocalElement]:

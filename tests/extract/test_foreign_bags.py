@@ -282,7 +282,7 @@ def test_lost_messages_are_marked(tmp_path: Path) -> None:
 
 def test_extraction_points_to_the_import(tmp_path: Path) -> None:
     bag = write(tmp_path / "imu", imu, "sensor_msgs/msg/Imu", seconds=0.5)
-    with pytest.raises(BenchError, match=r"not of the bench.*sensor_msgs/msg/Imu.*import --init"):
+    with pytest.raises(BenchError, match=r"none of the bench's topics.*sensor_msgs/msg/Imu.*import --init"):
         extract_bag(bag)
 
 

@@ -19,21 +19,20 @@ EVENT = LockEvent(0, 0.3, "V", 299, 22.0, 0.0, 300, 1000, 20)
 KIND_IN_LEVEL = 4 + 64  # after the time-out; the kind of test and five numbers follow
 
 
-def level(index: int, kind: int | None) -> bytes:
-    """A serialised level; None as kind: as recorded before there were kinds."""
+def level(index: int, kind: int) -> bytes:
+    """A serialised level."""
     raw = bytearray(LEVEL.write(LevelCommand(index + 1, index, 0.3, 0, 0.1)))
     assert raw[KIND_IN_LEVEL] == TestKind.PHASE_RESONANCE
-    raw[KIND_IN_LEVEL] = kind or 0
-    return bytes(raw if kind is not None else raw[:KIND_IN_LEVEL])
+    raw[KIND_IN_LEVEL] = kind
+    return bytes(raw)
 
 
-def lock(kind: int | None) -> bytes:
-    """A serialised lock event, likewise."""
-    raw = LOCK_EVENT.write(EVENT)
-    return raw[:-1] + (b"" if kind is None else struct.pack("<B", kind))
+def lock(kind: int) -> bytes:
+    """A serialised lock event."""
+    return LOCK_EVENT.write(EVENT)[:-1] + struct.pack("<B", kind)
 
 
-def points(kind: int | None) -> list[Status]:
+def points(kind: int) -> list[Status]:
     """Status of the points of a level that locks for a window without samples, and of one that does not lock."""
     extractor = Extractor(LINEAR)
     feed = MessageFeed(extractor)
@@ -48,7 +47,7 @@ def points(kind: int | None) -> list[Status]:
     return [point.status for point in extractor.finish()]
 
 
-@pytest.mark.parametrize("kind", [None, 0, 1])
+@pytest.mark.parametrize("kind", [0, 1])
 def test_phase_resonance_gives_points(kind):
     assert sorted(points(kind)) == sorted([Status.NOT_LOCKED, Status.REJECTED])
 

@@ -119,8 +119,8 @@ def _refuse_foreign(bag: Any) -> None:
     if is_foreign(bag) and bag.topics and not bag.loss:
         there = ", ".join(f"/{topic} ({kind})" for topic, (kind, _) in sorted(bag.topics.items())[:8])
         raise BenchError(
-            f"The bag {bag.path} is not of the bench: it has {there}. './nmt import --init {bag.path}' lists its "
-            "numbers and writes a sidecar to start from."
+            f"The bag {bag.path} has none of the bench's topics: it has {there}. './nmt import --init {bag.path}' "
+            "lists its numeric fields and writes a sidecar (a file that says what they are) to fill in."
         )
 
 

@@ -96,7 +96,10 @@ def judge_phase(values: Mapping[str, float]) -> list[Remark]:
     damping, omega = values["damping_ratio"], values["omega_rad_s"]
     told = f"Force and velocity at the drive point are {math.degrees(phase):.1f}° apart, at phase resonance they are 0°"
     if not damping > 0.0 or abs(phase) - sure > PHASE_REJECTED:
-        what = f"beyond {math.degrees(PHASE_REJECTED):.0f}° damping cannot be told (PBMIF {values['pbmif']:.2f})"
+        limit = math.degrees(PHASE_REJECTED)
+        what = (
+            f"beyond {limit:.0f}° the damping ratio cannot be determined (mode indicator PBMIF {values['pbmif']:.2f})"
+        )
         if abs(phase) > 0.5 * math.pi:
             what = "the structure would feed the exciter, with a negative damping ratio"
         return [Remark(f"{told}: {what}; {_likely(phase, values['frequency_hz'])}.", rejects=True)]
@@ -137,7 +140,7 @@ def _likely(phase: float, frequency_hz: float) -> str:
     if size < 60.0:
         return f"likely {causes}; measure both on one clock with equal filters, or lock again"
     return (
-        f"likely a quantity is not what is stated (a velocity called a displacement or the like: 90°), {causes}; "
+        f"likely a quantity is not what is stated (a velocity called a displacement turns it by 90°), {causes}; "
         "correct 'quantity' and 'unit' of the channel, or measure both on one clock with equal filters"
     )
 

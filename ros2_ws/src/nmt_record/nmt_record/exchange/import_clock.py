@@ -149,10 +149,15 @@ def find_clock(table: SourceTable, sidecar: Sidecar, place: str) -> Clock:
 def _header_claim(table: SourceTable, place: str) -> _Claim | None:
     step = rate = None
     if table.step is not None:
-        step = _Claim("header", f"the step {table.step:.9g} s of {table.file}", 1.0 / table.step, _digits(table.step))
+        step = _Claim(
+            "header",
+            f"the step {table.step:.9g} s in the header of {table.file}",
+            1.0 / table.step,
+            _digits(table.step),
+        )
     if table.sample_rate is not None:
         own = table.sample_rate
-        rate = _Claim("header", f"the rate {own:.9g} Hz of {table.file}", own, min(_digits(own), 1e-6))
+        rate = _Claim("header", f"the rate {own:.9g} Hz in the header of {table.file}", own, min(_digits(own), 1e-6))
     if step is not None and rate is not None and not step.agrees(rate):
         raise BenchError(
             f"{table.file} has two clocks that contradict each other: {_told(step)}, but {_told(rate)}; correct one of "

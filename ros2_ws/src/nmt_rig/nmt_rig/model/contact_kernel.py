@@ -16,7 +16,7 @@ located on a grid of step / 2^K. Four things differ, so that a place at rest cos
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -675,10 +675,10 @@ def work_space(levels: int, ports: int, state: Array, forces: Array) -> tuple[Ac
 
 @njit(cache=True)
 def integrate_contacts(
-    motion: Motion,
-    places: Places,
-    rows: OutputRows,
-    memory: Memory,
+    motion_tables: tuple[Any, ...],
+    place_tables: tuple[Any, ...],
+    output_tables: tuple[Array, Array, Array],
+    memory_tables: tuple[Any, ...],
     substeps: int,
     inputs: Array,
     state: Array,
@@ -689,8 +689,9 @@ def integrate_contacts(
     """Integrate one block; outputs are taken at the samples, before each step.
 
     Args:
-        motion, places, rows: of the system.
-        memory: updated; its kinematics are those of active ports.
+        motion_tables, place_tables, output_tables: `Motion`, `Places` and `OutputRows` of the system as plain tuples,
+            which come from Python sooner than named ones.
+        memory_tables: likewise the `Memory`, updated; its kinematics are those of active ports.
         substeps: per sample.
         inputs: (n + 1,) input at the samples and one beyond; straight between them.
         state: (Z,) working state, updated.
@@ -701,6 +702,8 @@ def integrate_contacts(
     Returns:
         False where the state stopped being finite.
     """
+    motion, places = Motion(*motion_tables), Places(*place_tables)
+    rows, memory = OutputRows(*output_tables), Memory(*memory_tables)
     levels = motion.gains.size - 1
     size = state.size
     ports = due.size

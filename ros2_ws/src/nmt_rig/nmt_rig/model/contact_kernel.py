@@ -16,11 +16,14 @@ located on a grid of step / 2^K. Four things differ, so that a place at rest cos
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_core.kernels import njit
 from nmt_rig.model.element_kernels import margin, next_branch, piece
-from nmt_rig.model.integration_kernel import _SMALLEST, JENKINS, Integers
+from nmt_rig.model.integration_kernel import _SMALLEST, JENKINS, Integers, Memory
 from nmt_rig.model.structure import Array
 
 # A bound on a motion is a sum of rounded numbers; so much earlier the element itself is looked at.
@@ -32,6 +35,118 @@ _SETTLED = 1e-14
 _SWEEPS = 14
 # Sums may be taken several terms at a time, in an order that the compiler fixes once for all.
 _IN_LANES = {"reassoc", "contract"}
+# The loop's steps are copied into it. They allocate nothing, so the arrays of their tuples need no count of references,
+# which would cost more than the arithmetic.
+_step = njit(cache=True, forceinline=True, _nrt=False)
+
+
+class Motion(NamedTuple):
+    """The linear motion between the samples.
+
+    Attributes:
+        pair, start_weights, port_rows: of the `Propagator`.
+        holds: (K+1, 4, 4, pairs) blocks that take the projected forces and slopes at the start, then at the end of a
+            step to the state.
+        projection: (ports, Z) of port forces on the working coordinates' rates.
+        answers: (K+1, 2 ports, 2 ports) the propagator's compliance of displacements and velocities, transposed.
+        reach: (Z,) largest |share| of each working coordinate in the ports' displacements.
+        gains: (K+1,) largest share of a change of the ports' forces that it causes again by the end of a step; where it
+            is small a fixed-point iteration finds the forces, else they are factorised.
+        step: of the integration, s.
+    """
+
+    pair: Array
+    start_weights: Array
+    port_rows: Array
+    holds: Array
+    projection: Array
+    answers: Array
+    reach: Array
+    gains: Array
+    step: float
+
+
+class Places(NamedTuple):
+    """Elements and the ports that they act at.
+
+    Attributes:
+        kinds, parameters: (elements,), (elements, PARAMETER_COUNT).
+        absorbed: (elements,) stiffness that is part of the linear motion, N/m.
+        element_port: (elements,) port of each element.
+        port_start, port_elements: (ports + 1,), (elements,) elements of each port.
+    """
+
+    kinds: Integers
+    parameters: Array
+    absorbed: Array
+    element_port: Integers
+    port_start: Integers
+    port_elements: Integers
+
+
+class OutputRows(NamedTuple):
+    """Outputs C (outputs, Z), D_g (outputs, ports) and D_u (outputs,)."""
+
+    state: Array
+    force: Array
+    input: Array
+
+
+class Active(NamedTuple):
+    """What follows from the branches alone.
+
+    Attributes:
+        stiffness, constant: (ports,) of the elements, N/m and N.
+        ports: (ports,) its beginning: those that have to be solved for.
+        place: (ports,) of each port among them, −1 = at rest.
+        steady: (Z,) projected forces of the ports at rest.
+        steady_step: (K+1, Z) what they do in a step of each width.
+        columns, order: (K+1, 2 ports, 2 ports), (K+1, 2 ports) factors of the equations of the active ports.
+        known: (K+1,) whether the last three are.
+    """
+
+    stiffness: Array
+    constant: Array
+    ports: Integers
+    place: Integers
+    steady: Array
+    steady_step: Array
+    columns: Array
+    order: Integers
+    known: NDArray[np.bool_]
+
+
+class Trial(NamedTuple):
+    """A sub-step that may be refused.
+
+    Attributes:
+        state: (Z,) at its end.
+        w, v: (ports,) displacement and velocity there.
+        forces: (2 ports,) forces and slopes there.
+        due: (ports,) the way from its end at which a port that was looked at is to be looked at again.
+        looked: (ports,) its beginning: resting ports that were looked at.
+        turned: (ports,) where a branch does not fit the end.
+        own, own_slope, next_own, next_slope: (Z,) projected forces and slopes at the start and at the end.
+        free, seen: (2 ports,) displacements and velocities without and with the forces at the end.
+        right: (2 ports,) forces and slopes of the active ports.
+        change: (ports,) of a sweep.
+    """
+
+    state: Array
+    w: Array
+    v: Array
+    forces: Array
+    due: Array
+    looked: Integers
+    turned: NDArray[np.bool_]
+    own: Array
+    own_slope: Array
+    next_own: Array
+    next_slope: Array
+    free: Array
+    seen: Array
+    right: Array
+    change: Array
 
 
 @njit(cache=True, fastmath=_IN_LANES)
@@ -110,38 +225,27 @@ def solve_factored(columns: Array, level: int, order: Integers, right: Array, n:
             right[r] -= columns[level, i, r] * value
 
 
-@njit(cache=True)
-def gather(
-    kinds: Integers,
-    parameters: Array,
-    absorbed: Array,
-    element_port: Integers,
-    branch: Integers,
-    slider: Array,
-    stiffness: Array,
-    constant: Array,
-    active: Integers,
-    place: Integers,
-) -> int:
+@_step
+def gather(places: Places, branch: Integers, slider: Array, now: Active) -> int:
     """Stiffness and constant of each port for the present branches, and the ports that have to be solved for.
 
     Args:
-        kinds, parameters, absorbed, element_port, branch, slider: (elements,…) description and memory.
-        stiffness, constant: (ports,) overwritten, N/m and N.
-        active: (ports,) its beginning is overwritten with the active ports.
-        place: (ports,) overwritten with each port's place among them, -1 = at rest.
+        places, branch, slider: description and memory of the elements.
+        now: its stiffness, constant, ports and place are overwritten.
 
     Returns:
         The number of active ports.
     """
+    kinds, absorbed = places.kinds, places.absorbed
+    stiffness, constant, active, place = now.stiffness, now.constant, now.ports, now.place
     ports = stiffness.size
     for q in range(ports):
         stiffness[q] = 0.0
         constant[q] = 0.0
         place[q] = -1
     for e in range(kinds.size):
-        q = element_port[e]
-        k, rest = piece(kinds[e], parameters, e, branch[e], slider[e])
+        q = places.element_port[e]
+        k, rest = piece(kinds[e], places.parameters, e, branch[e], slider[e])
         k -= absorbed[e]
         stiffness[q] += k
         constant[q] += rest
@@ -156,30 +260,20 @@ def gather(
     return count
 
 
-@njit(cache=True)
+@_step
 def quiet_ticks(
-    kinds: Integers,
-    parameters: Array,
-    branch: Integers,
-    slider: Array,
-    port_start: Integers,
-    port_elements: Integers,
-    q: int,
-    ticks: int,
-    width: float,
-    w0: float,
-    v0: float,
-    w1: float,
-    v1: float,
+    places: Places, memory: Memory, q: int, ticks: int, width: float, w0: float, v0: float, w1: float, v1: float
 ) -> int:
     """How many of the ticks of a sub-step a port's elements keep their branches, by the cubic through both ends.
 
     Args:
-        q: the port; kinds … port_elements: as for `integrate_contacts`.
+        places, memory: as for `integrate_contacts`.
+        q: the port.
         ticks: in the sub-step.
         width: of the sub-step, s.
         w0, v0, w1, v1: displacement and velocity at its ends.
     """
+    branch, slider = memory.branch, memory.slider
     low = 0
     high = ticks
     while high - low > 1:
@@ -189,9 +283,9 @@ def quiet_ticks(
         w = y * y * ((1.0 + 2.0 * x) * w0 + x * width * v0) + x * x * ((1.0 + 2.0 * y) * w1 - y * width * v1)
         v = 6.0 * x * y * (w1 - w0) / width + y * (y - 2.0 * x) * v0 + x * (x - 2.0 * y) * v1
         kept = True
-        for n in range(port_start[q], port_start[q + 1]):
-            e = port_elements[n]
-            if next_branch(kinds[e], parameters, e, branch[e], w, v, slider[e]) != branch[e]:
+        for n in range(places.port_start[q], places.port_start[q + 1]):
+            e = places.port_elements[n]
+            if next_branch(places.kinds[e], places.parameters, e, branch[e], w, v, slider[e]) != branch[e]:
                 kept = False
         if kept:
             low = middle
@@ -200,108 +294,431 @@ def quiet_ticks(
     return low
 
 
+@_step
+def follow_branches(
+    motion: Motion, places: Places, memory: Memory, due: Array, now: Active, trial: Trial
+) -> tuple[int, float]:
+    """Everything that follows from the branches; it depends on nothing else, so not on the blocks.
+
+    Returns:
+        The number of active ports, and the way of the state at which the first port at rest is to be looked at.
+    """
+    forces, ports = memory.forces, due.size
+    count = gather(places, memory.branch, memory.slider, now)
+    earliest = np.inf
+    seen = 0
+    for q in range(ports):
+        if now.place[q] < 0:
+            forces[q] = now.constant[q]
+            forces[ports + q] = 0.0
+            earliest = min(earliest, due[q])
+            if now.constant[q] != 0.0:
+                trial.looked[seen] = q
+                seen += 1
+    project(motion.projection, trial.looked, seen, forces, now.steady, trial.next_slope)
+    project(motion.projection, now.ports, count, forces, trial.own, trial.own_slope)
+    for n in range(now.known.size):
+        now.known[n] = False
+    return count, earliest
+
+
+@_step
+def follow_width(motion: Motion, now: Active, level: int, count: int, matrix: Array, row_order: Integers) -> None:
+    """What a step width adds to `follow_branches`: the motion under the steady forces, and the factors.
+
+    Args:
+        level: of the width.
+        count: of active ports; 0 where their forces are iterated for.
+        matrix, row_order: (2 ports, 2 ports), (2 ports,) work space.
+    """
+    holds, answers = motion.holds, motion.answers
+    steady, stiffness, active = now.steady, now.stiffness, now.ports
+    pairs, ports = steady.size // 2, stiffness.size
+    for i in range(pairs):
+        j = pairs + i
+        now.steady_step[level, i] = (holds[level, 0, 0, i] + holds[level, 2, 0, i]) * steady[i] + (
+            holds[level, 0, 1, i] + holds[level, 2, 1, i]
+        ) * steady[j]
+        now.steady_step[level, j] = (holds[level, 0, 2, i] + holds[level, 2, 2, i]) * steady[i] + (
+            holds[level, 0, 3, i] + holds[level, 2, 3, i]
+        ) * steady[j]
+    now.known[level] = True
+    for a in range(count):
+        q = active[a]
+        for b in range(count):
+            c = active[b]
+            matrix[a, b] = -stiffness[q] * answers[level, c, q]
+            matrix[a, count + b] = -stiffness[q] * answers[level, ports + c, q]
+            matrix[count + a, b] = -stiffness[q] * answers[level, c, ports + q]
+            matrix[count + a, count + b] = -stiffness[q] * answers[level, ports + c, ports + q]
+        matrix[a, a] += 1.0
+        matrix[count + a, count + a] += 1.0
+    factorise(matrix, row_order, 2 * count)
+    for a in range(2 * count):
+        now.order[level, a] = row_order[a]
+        for b in range(2 * count):
+            now.columns[level, a, b] = matrix[b, a]
+
+
+@_step
+def move(motion: Motion, now: Active, state: Array, level: int, u0: float, u1: float, trial: Array) -> None:
+    """The state (Z,) at the end of a sub-step without the active ports' forces, for the input at its ends."""
+    pair, start_weights, steady_step = motion.pair, motion.start_weights, now.steady_step
+    pairs = state.size // 2
+    for i in range(pairs):
+        j = pairs + i
+        x = state[i]
+        y = state[j]
+        trial[i] = (
+            (pair[level, 0, i] * x + pair[level, 1, i] * y)
+            + (start_weights[level, 0, i] * u0 + start_weights[level, 1, i] * u1)
+        ) + steady_step[level, i]
+        trial[j] = (
+            (pair[level, 2, i] * x + pair[level, 3, i] * y)
+            + (start_weights[level, 0, j] * u0 + start_weights[level, 1, j] * u1)
+        ) + steady_step[level, j]
+
+
+@_step
+def add_held(holds: Array, level: int, end: int, force: Array, slope: Array, trial: Array) -> None:
+    """Add what projected forces and slopes (Z,) at the start (`end` = 0) or the end (2) of a step do to the state."""
+    pairs = force.size // 2
+    for i in range(pairs):
+        j = pairs + i
+        trial[i] += (holds[level, end, 0, i] * force[i] + holds[level, end, 1, i] * force[j]) + (
+            holds[level, end + 1, 0, i] * slope[i] + holds[level, end + 1, 1, i] * slope[j]
+        )
+        trial[j] += (holds[level, end, 2, i] * force[i] + holds[level, end, 3, i] * force[j]) + (
+            holds[level, end + 1, 2, i] * slope[i] + holds[level, end + 1, 3, i] * slope[j]
+        )
+
+
+@_step
+def sweep_forces(
+    answers: Array, now: Active, trial: Trial, count: int, level: int, span: float, gain: float, iterated: bool
+) -> None:
+    """Forces and slopes of the active ports at the end of a sub-step into `trial.right`, what they see into
+    `trial.seen`.
+
+    Args:
+        count: of active ports.
+        span: of the sub-step, s.
+        gain: of its width, see `Motion`.
+        iterated: whether the forces are still to be found.
+    """
+    seen, right, change = trial.seen, trial.right, trial.change
+    active, stiffness, constant = now.ports, now.stiffness, now.constant
+    ports = stiffness.size
+    for _ in range(_SWEEPS):
+        for q in range(2 * ports):
+            seen[q] = trial.free[q]
+        for b in range(count):
+            c = active[b]
+            g = right[b]
+            slope = right[count + b]
+            for q in range(2 * ports):
+                seen[q] += answers[level, c, q] * g + answers[level, ports + c, q] * slope
+        largest = 0.0
+        for a in range(count if iterated else 0):
+            q = active[a]
+            g = constant[q] + stiffness[q] * seen[q]
+            slope = stiffness[q] * seen[ports + q]
+            change[a] = abs(g - right[a]) + span * abs(slope - right[count + a])
+            largest = max(largest, change[a])
+            right[a] = g
+            right[count + a] = slope
+        # The next sweep would change no force more than this. NaN counts as settled; the state tells.
+        largest *= gain
+        settled = True
+        for a in range(count if iterated else 0):
+            scale = abs(right[a]) + abs(constant[active[a]]) + span * abs(right[count + a])
+            if min(change[a], largest) > _SETTLED * scale + _SMALLEST:
+                settled = False
+        if settled:
+            break
+
+
+@_step
+def solve_active(
+    motion: Motion, now: Active, trial: Trial, count: int, level: int, span: float, iterated: bool
+) -> None:
+    """Forces of the active ports at the end of a sub-step, and the state there with them."""
+    port_rows, stiffness = motion.port_rows, now.stiffness
+    size, ports = trial.state.size, stiffness.size
+    add_held(motion.holds, level, 0, trial.own, trial.own_slope, trial.state)
+    for a in range(count):
+        q = now.ports[a]
+        w = row_product(port_rows, q, trial.state, size)
+        v = row_product(port_rows, ports + q, trial.state, size)
+        trial.free[q] = w
+        trial.free[ports + q] = v
+        trial.right[a] = now.constant[q] + stiffness[q] * w
+        trial.right[count + a] = stiffness[q] * v
+    if not iterated:
+        solve_factored(now.columns, level, now.order, trial.right, 2 * count)
+    sweep_forces(motion.answers, now, trial, count, level, span, motion.gains[level], iterated)
+    for a in range(count):
+        q = now.ports[a]
+        trial.w[q] = trial.seen[q]
+        trial.v[q] = trial.seen[ports + q]
+        trial.forces[q] = trial.right[a]
+        trial.forces[ports + q] = trial.right[count + a]
+    project(motion.projection, now.ports, count, trial.forces, trial.next_own, trial.next_slope)
+    add_held(motion.holds, level, 2, trial.next_own, trial.next_slope, trial.state)
+
+
+@_step
+def turns_of_active(places: Places, memory: Memory, now: Active, trial: Trial, count: int) -> bool:
+    """Whether an active port's element leaves its branch by the end of a sub-step; told in `trial.turned`."""
+    branch, slider = memory.branch, memory.slider
+    corner = False
+    for a in range(count):
+        q = now.ports[a]
+        for n in range(places.port_start[q], places.port_start[q + 1]):
+            e = places.port_elements[n]
+            if (
+                next_branch(places.kinds[e], places.parameters, e, branch[e], trial.w[q], trial.v[q], slider[e])
+                != branch[e]
+            ):
+                corner = True
+                trial.turned[q] = True
+    return corner
+
+
+@_step
+def way_of(reach: Array, before: Array, after: Array) -> float:
+    """Bound on the motion of any port between two states (Z,), m."""
+    pairs = before.size // 2
+    move0 = 0.0
+    move1 = 0.0
+    for i in range(pairs):
+        move0 += reach[i] * abs(after[i] - before[i])
+        move1 += reach[pairs + i] * abs(after[pairs + i] - before[pairs + i])
+    return move0 + move1
+
+
+@_step
+def look_at_resting(
+    motion: Motion, places: Places, memory: Memory, due: Array, ahead: float, now: Active, trial: Trial
+) -> tuple[int, bool]:
+    """Look at the resting ports that are due after the way `ahead`.
+
+    Returns:
+        How many were looked at (`trial.looked`), and whether one leaves its branch (`trial.turned`).
+    """
+    branch, slider = memory.branch, memory.slider
+    seen = 0
+    corner = False
+    for q in range(due.size):
+        if now.place[q] >= 0 or ahead < due[q]:
+            continue
+        trial.w[q] = row_product(motion.port_rows, q, trial.state, trial.state.size)
+        near = np.inf
+        for n in range(places.port_start[q], places.port_start[q + 1]):
+            e = places.port_elements[n]
+            kind = places.kinds[e]
+            if next_branch(kind, places.parameters, e, branch[e], trial.w[q], 0.0, slider[e]) != branch[e]:
+                corner = True
+                trial.turned[q] = True
+            near = min(near, margin(kind, places.parameters, e, branch[e], trial.w[q], slider[e]))
+        trial.due[q] = _CAUTION * near
+        trial.looked[seen] = q
+        seen += 1
+    return seen, corner
+
+
+@_step
+def ticks_before_corner(
+    motion: Motion, places: Places, memory: Memory, state: Array, now: Active, trial: Trial, width: int, span: float
+) -> int:
+    """Ticks to the tick before the first corner of a refused sub-step; `trial.turned` is cleared.
+
+    Where the corner lies is guessed, what is accepted is not.
+    """
+    port_rows, ports, size = motion.port_rows, now.place.size, state.size
+    kept = width
+    for q in range(ports):
+        if trial.turned[q]:
+            w = memory.kinematics[q]
+            v = memory.kinematics[ports + q]
+            if now.place[q] < 0:
+                w = row_product(port_rows, q, state, size)
+                v = row_product(port_rows, ports + q, state, size)
+                trial.v[q] = row_product(port_rows, ports + q, trial.state, size)
+            kept = min(kept, quiet_ticks(places, memory, q, width, span, w, v, trial.w[q], trial.v[q]))
+            trial.turned[q] = False
+    return kept
+
+
+@_step
+def accept_active(places: Places, memory: Memory, now: Active, trial: Trial, count: int) -> None:
+    """Take over forces and motion of the active ports, and move the sliders that slip with them."""
+    forces, kinematics, branch, slider, dissipated, _ = memory
+    parameters, w_trial, ports = places.parameters, trial.w, now.place.size
+    for a in range(count):
+        q = now.ports[a]
+        for n in range(places.port_start[q], places.port_start[q + 1]):
+            e = places.port_elements[n]
+            if places.kinds[e] == JENKINS and branch[e] != 0:
+                dissipated[e] += branch[e] * parameters[e, 1] * (w_trial[q] - kinematics[q])
+                slider[e] = w_trial[q] - branch[e] * parameters[e, 1] / parameters[e, 0]
+        forces[q] = trial.forces[q]
+        forces[ports + q] = trial.forces[ports + q]
+        kinematics[q] = w_trial[q]
+        kinematics[ports + q] = trial.v[q]
+    if count > 0:
+        for i in range(trial.own.size):
+            trial.own[i] = trial.next_own[i]
+            trial.own_slope[i] = trial.next_slope[i]
+
+
+@_step
+def switch_branches(
+    motion: Motion, places: Places, memory: Memory, due: Array, way: float, state: Array, now: Active, trial: Trial
+) -> None:
+    """Take the branches that fit at a corner, with the forces of the ports where one changes."""
+    forces, kinematics, branch, slider, dissipated, _ = memory
+    kinds, parameters, port_rows = places.kinds, places.parameters, motion.port_rows
+    ports, size = due.size, state.size
+    for q in range(ports):
+        changed = False
+        if now.place[q] < 0:
+            if due[q] > way:
+                continue
+            trial.w[q] = row_product(port_rows, q, state, size)
+            trial.v[q] = 0.0  # a resting element does not ask for it
+        for n in range(places.port_start[q], places.port_start[q + 1]):
+            e = places.port_elements[n]
+            new = next_branch(kinds[e], parameters, e, branch[e], trial.w[q], trial.v[q], slider[e])
+            if new != branch[e]:
+                if kinds[e] == JENKINS and branch[e] == 0:
+                    slipped = trial.w[q] - new * parameters[e, 1] / parameters[e, 0]
+                    dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
+                    slider[e] = slipped
+                branch[e] = new
+                changed = True
+        if changed:
+            kinematics[q] = trial.w[q]
+            kinematics[ports + q] = row_product(port_rows, ports + q, state, size)
+            k_sum = 0.0
+            rest = 0.0
+            near = np.inf
+            for n in range(places.port_start[q], places.port_start[q + 1]):
+                e = places.port_elements[n]
+                own_k, own_rest = piece(kinds[e], parameters, e, branch[e], slider[e])
+                k_sum += own_k - places.absorbed[e]
+                rest += own_rest
+                near = min(near, margin(kinds[e], parameters, e, branch[e], kinematics[q], slider[e]))
+            forces[q] = rest + k_sum * kinematics[q]
+            forces[ports + q] = k_sum * kinematics[ports + q]
+            due[q] = way + _CAUTION * near
+
+
+@_step
+def begin_again(due: Array, way: Array, place: Integers, looked: Integers, later: Array, seen: int) -> float:
+    """Count the way from here, lest it lose digits; returns the way at which the first resting port is due.
+
+    Args:
+        due, way, place: as for `integrate_contacts` and `Active`.
+        looked, later: resting ports that were looked at, the first `seen`, and the way (ports,) at which they are due.
+    """
+    for q in range(due.size):
+        due[q] -= way[0]
+    way[0] = 0.0
+    for n in range(seen):
+        due[looked[n]] = later[looked[n]]
+    earliest = np.inf
+    for q in range(due.size):
+        if place[q] < 0:
+            earliest = min(earliest, due[q])
+    return earliest
+
+
+@_step
+def next_level(position: int, goal: int, levels: int) -> int:
+    """Halvings of the widest sub-step that starts at a tick, stays on the dyadic grid and does not pass the goal."""
+    ticks = 1 << levels
+    level = levels
+    while level > 0 and position % (ticks >> (level - 1)) == 0:
+        level -= 1
+    if position <= goal:
+        while level < levels and position + (ticks >> level) > goal:
+            level += 1
+    return level
+
+
+@_step
+def write_outputs(rows: OutputRows, state: Array, forces: Array, ports: int, value: float, k: int, out: Array) -> None:
+    """Outputs (outputs, n) at sample k, for the input there."""
+    for o in range(out.shape[0]):
+        total = rows.input[o] * value + row_product(rows.state, o, state, state.size)
+        out[o, k] = total + row_product(rows.force, o, forces, ports)
+
+
+@njit(cache=True, inline="always")
+def work_space(levels: int, ports: int, state: Array, forces: Array) -> tuple[Active, Trial]:
+    """Room for what follows from the branches, and for a sub-step."""
+    size = state.size
+    now = Active(
+        np.zeros(ports), np.zeros(ports), np.zeros(ports, dtype=np.int64), np.zeros(ports, dtype=np.int64),
+        np.zeros(size), np.zeros((levels + 1, size)), np.zeros((levels + 1, 2 * ports, 2 * ports)),
+        np.zeros((levels + 1, 2 * ports), dtype=np.int64), np.zeros(levels + 1, dtype=np.bool_),
+    )  # fmt: skip
+    trial = Trial(
+        state.copy(), np.zeros(ports), np.zeros(ports), forces.copy(), np.zeros(ports),
+        np.zeros(ports, dtype=np.int64), np.zeros(ports, dtype=np.bool_),
+        np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(2 * ports), np.zeros(2 * ports),
+        np.zeros(2 * ports), np.zeros(ports),
+    )  # fmt: skip
+    return now, trial
+
+
 @njit(cache=True)
 def integrate_contacts(
-    pair: Array,
-    holds: Array,
-    start_weights: Array,
-    projection: Array,
-    port_rows: Array,
-    answers: Array,
-    reach: Array,
-    kinds: Integers,
-    parameters: Array,
-    absorbed: Array,
-    element_port: Integers,
-    port_start: Integers,
-    port_elements: Integers,
-    gains: Array,
-    levels: int,
-    step: float,
+    motion_tables: tuple[Any, ...],
+    place_tables: tuple[Any, ...],
+    output_tables: tuple[Array, Array, Array],
+    memory_tables: tuple[Any, ...],
     substeps: int,
     inputs: Array,
     state: Array,
-    forces: Array,
-    kinematics: Array,
-    branch: Integers,
-    slider: Array,
-    dissipated: Array,
-    counters: Integers,
     due: Array,
     way: Array,
-    outputs_state: Array,
-    outputs_force: Array,
-    outputs_input: Array,
     outputs: Array,
 ) -> bool:
     """Integrate one block; outputs are taken at the samples, before each step.
 
     Args:
-        pair, start_weights, port_rows: of the `Propagator`.
-        holds: (K+1, 4, 4, pairs) blocks that take the projected forces and slopes at the start, then at the end of a
-            step to the state.
-        projection: (ports, Z) of port forces on the working coordinates' rates.
-        answers: (K+1, 2 ports, 2 ports) the propagator's compliance of displacements and velocities, transposed.
-        reach: (Z,) largest |share| of each working coordinate in the ports' displacements.
-        absorbed: (elements,) stiffness that is part of the linear motion, N/m.
-        port_start, port_elements: (ports + 1,), (elements,) elements of each port.
-        gains: (K+1,) largest share of a change of the ports' forces that it causes again by the end of a step; where it
-            is small a fixed-point iteration finds the forces, else they are factorised.
-        step: of the integration, s.
+        motion_tables, place_tables, output_tables: `Motion`, `Places` and `OutputRows` of the system as plain tuples,
+            which come from Python sooner than named ones.
+        memory_tables: likewise the `Memory`, updated; its kinematics are those of active ports.
+        substeps: per sample.
         inputs: (n + 1,) input at the samples and one beyond; straight between them.
         state: (Z,) working state, updated.
-        forces, kinematics: (2 ports,) forces and slopes, displacements and velocities of active ports, updated.
-        branch, slider, dissipated: (elements,) memory and energy lost in sliders (J), updated.
-        counters: [sub-steps, corners], updated.
         due: (ports,) the way of the state at which a port at rest is to be looked at, updated.
         way: (1,) of the state so far, m, updated.
-        outputs_state, outputs_force, outputs_input: C (outputs, Z), D_g (outputs, ports), D_u (outputs,).
         outputs: (outputs, n) overwritten.
 
     Returns:
         False where the state stopped being finite.
     """
-    samples = inputs.size - 1
+    motion, places = Motion(*motion_tables), Places(*place_tables)
+    rows, memory = OutputRows(*output_tables), Memory(*memory_tables)
+    levels = motion.gains.size - 1
     size = state.size
-    pairs = size // 2
     ports = due.size
-    trial = state.copy()
-    stiffness = due.copy()
-    constant = due.copy()
-    due_trial = due.copy()
-    looked = np.zeros(ports, dtype=np.int64)
-    active = np.zeros(ports, dtype=np.int64)
-    place = np.zeros(ports, dtype=np.int64)
-    w_trial = due.copy()
-    v_trial = due.copy()
-    free = np.zeros(2 * ports)
-    seen_at = np.zeros(2 * ports)
-    force_trial = forces.copy()
-    steady = np.zeros(size)
-    steady_step = np.zeros((levels + 1, size))
-    own = np.zeros(size)
-    own_slope = np.zeros(size)
-    next_own = np.zeros(size)
-    next_slope = np.zeros(size)
+    now, trial = work_space(levels, ports, state, memory.forces)
+    forces, counters, known, turned = memory.forces, memory.counters, now.known, trial.turned
+    reach, step, end = motion.reach, motion.step, trial.state
     matrix = np.zeros((2 * ports, 2 * ports))
-    columns = np.zeros((levels + 1, 2 * ports, 2 * ports))
-    order = np.zeros((levels + 1, 2 * ports), dtype=np.int64)
     row_order = np.zeros(2 * ports, dtype=np.int64)
-    right = np.zeros(2 * ports)
-    change = np.zeros(ports)
-    iterated = gains < _ITERATED_BELOW
-    turned = np.zeros(ports, dtype=np.bool_)
-    known = np.zeros(levels + 1, dtype=np.bool_)
+    iterated = motion.gains < _ITERATED_BELOW
     ticks = 1 << levels
-    good = True
     count = 0
     earliest = 0.0
     fresh = False
-
-    for k in range(samples):
-        for o in range(outputs.shape[0]):
-            total = outputs_input[o] * inputs[k] + row_product(outputs_state, o, state, size)
-            outputs[o, k] = total + row_product(outputs_force, o, forces, ports)
+    for k in range(inputs.size - 1):
+        write_outputs(rows, state, forces, ports, inputs[k], k, outputs)
         increment = (inputs[k + 1] - inputs[k]) / substeps
         for s in range(substeps):
             u_start = inputs[k] + s * increment
@@ -310,183 +727,25 @@ def integrate_contacts(
             goal = 0
             while position < ticks:
                 if not fresh:
-                    # Everything that follows from the branches; it depends on nothing else, so not on the blocks.
-                    count = gather(
-                        kinds, parameters, absorbed, element_port, branch, slider, stiffness, constant, active, place
-                    )
-                    earliest = np.inf
-                    seen = 0
-                    for q in range(ports):
-                        if place[q] < 0:
-                            forces[q] = constant[q]
-                            forces[ports + q] = 0.0
-                            earliest = min(earliest, due[q])
-                            if constant[q] != 0.0:
-                                looked[seen] = q
-                                seen += 1
-                    project(projection, looked, seen, forces, steady, next_slope)
-                    project(projection, active, count, forces, own, own_slope)
-                    for n in range(levels + 1):
-                        known[n] = False
+                    count, earliest = follow_branches(motion, places, memory, due, now, trial)
                     fresh = True
                 if not known[level]:
-                    for i in range(pairs):
-                        j = pairs + i
-                        steady_step[level, i] = (holds[level, 0, 0, i] + holds[level, 2, 0, i]) * steady[i] + (
-                            holds[level, 0, 1, i] + holds[level, 2, 1, i]
-                        ) * steady[j]
-                        steady_step[level, j] = (holds[level, 0, 2, i] + holds[level, 2, 2, i]) * steady[i] + (
-                            holds[level, 0, 3, i] + holds[level, 2, 3, i]
-                        ) * steady[j]
-                    known[level] = True
-                    factored = 0 if iterated[level] else count
-                    for a in range(factored):
-                        q = active[a]
-                        for b in range(count):
-                            c = active[b]
-                            matrix[a, b] = -stiffness[q] * answers[level, c, q]
-                            matrix[a, count + b] = -stiffness[q] * answers[level, ports + c, q]
-                            matrix[count + a, b] = -stiffness[q] * answers[level, c, ports + q]
-                            matrix[count + a, count + b] = -stiffness[q] * answers[level, ports + c, ports + q]
-                        matrix[a, a] += 1.0
-                        matrix[count + a, count + a] += 1.0
-                    factorise(matrix, row_order, 2 * factored)
-                    for a in range(2 * factored):
-                        order[level, a] = row_order[a]
-                        for b in range(2 * factored):
-                            columns[level, a, b] = matrix[b, a]
-
+                    follow_width(motion, now, level, 0 if iterated[level] else count, matrix, row_order)
                 width = ticks >> level
                 span = step * width / ticks
                 u0 = u_start + increment * (position / ticks)
                 u1 = u_start + increment * ((position + width) / ticks)
-                for i in range(pairs):
-                    j = pairs + i
-                    x = state[i]
-                    y = state[j]
-                    trial[i] = (
-                        (pair[level, 0, i] * x + pair[level, 1, i] * y)
-                        + (start_weights[level, 0, i] * u0 + start_weights[level, 1, i] * u1)
-                    ) + steady_step[level, i]
-                    trial[j] = (
-                        (pair[level, 2, i] * x + pair[level, 3, i] * y)
-                        + (start_weights[level, 0, j] * u0 + start_weights[level, 1, j] * u1)
-                    ) + steady_step[level, j]
+                move(motion, now, state, level, u0, u1, end)
                 if count > 0:
-                    for i in range(pairs):
-                        j = pairs + i
-                        trial[i] += (holds[level, 0, 0, i] * own[i] + holds[level, 0, 1, i] * own[j]) + (
-                            holds[level, 1, 0, i] * own_slope[i] + holds[level, 1, 1, i] * own_slope[j]
-                        )
-                        trial[j] += (holds[level, 0, 2, i] * own[i] + holds[level, 0, 3, i] * own[j]) + (
-                            holds[level, 1, 2, i] * own_slope[i] + holds[level, 1, 3, i] * own_slope[j]
-                        )
-                    for a in range(count):
-                        q = active[a]
-                        w = row_product(port_rows, q, trial, size)
-                        v = row_product(port_rows, ports + q, trial, size)
-                        free[q] = w
-                        free[ports + q] = v
-                        right[a] = constant[q] + stiffness[q] * w
-                        right[count + a] = stiffness[q] * v
-                    if not iterated[level]:
-                        solve_factored(columns, level, order, right, 2 * count)
-                    for _ in range(_SWEEPS):
-                        for q in range(2 * ports):
-                            seen_at[q] = free[q]
-                        for b in range(count):
-                            c = active[b]
-                            g = right[b]
-                            slope = right[count + b]
-                            for q in range(2 * ports):
-                                seen_at[q] += answers[level, c, q] * g + answers[level, ports + c, q] * slope
-                        largest = 0.0
-                        for a in range(count if iterated[level] else 0):
-                            q = active[a]
-                            g = constant[q] + stiffness[q] * seen_at[q]
-                            slope = stiffness[q] * seen_at[ports + q]
-                            change[a] = abs(g - right[a]) + span * abs(slope - right[count + a])
-                            largest = max(largest, change[a])
-                            right[a] = g
-                            right[count + a] = slope
-                        # The next sweep would change no force more than this. NaN counts as settled; the state tells.
-                        largest *= gains[level]
-                        settled = True
-                        for a in range(count if iterated[level] else 0):
-                            scale = abs(right[a]) + abs(constant[active[a]]) + span * abs(right[count + a])
-                            if min(change[a], largest) > _SETTLED * scale + _SMALLEST:
-                                settled = False
-                        if settled:
-                            break
-                    for a in range(count):
-                        w_trial[active[a]] = seen_at[active[a]]
-                        v_trial[active[a]] = seen_at[ports + active[a]]
-                    for a in range(count):
-                        force_trial[active[a]] = right[a]
-                        force_trial[ports + active[a]] = right[count + a]
-                    project(projection, active, count, force_trial, next_own, next_slope)
-                    for i in range(pairs):
-                        j = pairs + i
-                        trial[i] += (holds[level, 2, 0, i] * next_own[i] + holds[level, 2, 1, i] * next_own[j]) + (
-                            holds[level, 3, 0, i] * next_slope[i] + holds[level, 3, 1, i] * next_slope[j]
-                        )
-                        trial[j] += (holds[level, 2, 2, i] * next_own[i] + holds[level, 2, 3, i] * next_own[j]) + (
-                            holds[level, 3, 2, i] * next_slope[i] + holds[level, 3, 3, i] * next_slope[j]
-                        )
-
-                corner = False
-                for a in range(count):
-                    q = active[a]
-                    for n in range(port_start[q], port_start[q + 1]):
-                        e = port_elements[n]
-                        if (
-                            next_branch(kinds[e], parameters, e, branch[e], w_trial[q], v_trial[q], slider[e])
-                            != branch[e]
-                        ):
-                            corner = True
-                            turned[q] = True
-                move0 = 0.0
-                move1 = 0.0
-                for i in range(pairs):
-                    move0 += reach[i] * abs(trial[i] - state[i])
-                    move1 += reach[pairs + i] * abs(trial[pairs + i] - state[pairs + i])
-                ahead = way[0] + (move0 + move1)
+                    solve_active(motion, now, trial, count, level, span, iterated[level])
+                corner = turns_of_active(places, memory, now, trial, count)
+                ahead = way[0] + way_of(reach, state, end)
                 seen = 0
                 if not ahead < earliest:
-                    for q in range(ports):
-                        if place[q] >= 0 or ahead < due[q]:
-                            continue
-                        w_trial[q] = row_product(port_rows, q, trial, size)
-                        near = np.inf
-                        for n in range(port_start[q], port_start[q + 1]):
-                            e = port_elements[n]
-                            if next_branch(kinds[e], parameters, e, branch[e], w_trial[q], 0.0, slider[e]) != branch[e]:
-                                corner = True
-                                turned[q] = True
-                            near = min(near, margin(kinds[e], parameters, e, branch[e], w_trial[q], slider[e]))
-                        due_trial[q] = _CAUTION * near
-                        looked[seen] = q
-                        seen += 1
+                    seen, left = look_at_resting(motion, places, memory, due, ahead, now, trial)
+                    corner = corner or left
                 if corner and level < levels:
-                    # Go on to the tick before the first corner; where it lies is guessed, what is accepted is not.
-                    kept = width
-                    for q in range(ports):
-                        if turned[q]:
-                            w = kinematics[q]
-                            v = kinematics[ports + q]
-                            if place[q] < 0:
-                                w = row_product(port_rows, q, state, size)
-                                v = row_product(port_rows, ports + q, state, size)
-                                v_trial[q] = row_product(port_rows, ports + q, trial, size)
-                            kept = min(
-                                kept,
-                                quiet_ticks(
-                                    kinds, parameters, branch, slider, port_start, port_elements, q, width,
-                                    span, w, v, w_trial[q], v_trial[q],
-                                ),
-                            )  # fmt: skip
-                            turned[q] = False
-                    goal = position + kept
+                    goal = position + ticks_before_corner(motion, places, memory, state, now, trial, width, span)
                     level += 1
                     while level < levels and position + (ticks >> level) > goal:
                         level += 1
@@ -496,79 +755,19 @@ def integrate_contacts(
 
                 # Accept the sub-step.
                 for i in range(size):
-                    state[i] = trial[i]
+                    state[i] = end[i]
                 way[0] = ahead
-                for a in range(count):
-                    q = active[a]
-                    for n in range(port_start[q], port_start[q + 1]):
-                        e = port_elements[n]
-                        if kinds[e] == JENKINS and branch[e] != 0:
-                            dissipated[e] += branch[e] * parameters[e, 1] * (w_trial[q] - kinematics[q])
-                            slider[e] = w_trial[q] - branch[e] * parameters[e, 1] / parameters[e, 0]
-                    forces[q] = force_trial[q]
-                    forces[ports + q] = force_trial[ports + q]
-                    kinematics[q] = w_trial[q]
-                    kinematics[ports + q] = v_trial[q]
-                if count > 0:
-                    for i in range(size):
-                        own[i] = next_own[i]
-                        own_slope[i] = next_slope[i]
+                accept_active(places, memory, now, trial, count)
                 if seen > 0:
-                    # The way begins again, lest it lose digits.
-                    for q in range(ports):
-                        due[q] -= ahead
-                    way[0] = 0.0
-                    for n in range(seen):
-                        due[looked[n]] = due_trial[looked[n]]
-                    earliest = np.inf
-                    for q in range(ports):
-                        if place[q] < 0:
-                            earliest = min(earliest, due[q])
+                    earliest = begin_again(due, way, now.place, trial.looked, trial.due, seen)
                 if corner:
                     counters[1] += 1
-                    for q in range(ports):
-                        changed = False
-                        if place[q] < 0:
-                            if due[q] > way[0]:
-                                continue
-                            w_trial[q] = row_product(port_rows, q, state, size)
-                            v_trial[q] = 0.0  # a resting element does not ask for it
-                        for n in range(port_start[q], port_start[q + 1]):
-                            e = port_elements[n]
-                            new = next_branch(kinds[e], parameters, e, branch[e], w_trial[q], v_trial[q], slider[e])
-                            if new != branch[e]:
-                                if kinds[e] == JENKINS and branch[e] == 0:
-                                    slipped = w_trial[q] - new * parameters[e, 1] / parameters[e, 0]
-                                    dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
-                                    slider[e] = slipped
-                                branch[e] = new
-                                changed = True
-                        if changed:
-                            kinematics[q] = w_trial[q]
-                            kinematics[ports + q] = row_product(port_rows, ports + q, state, size)
-                            k_sum = 0.0
-                            rest = 0.0
-                            near = np.inf
-                            for n in range(port_start[q], port_start[q + 1]):
-                                e = port_elements[n]
-                                own_k, own_rest = piece(kinds[e], parameters, e, branch[e], slider[e])
-                                k_sum += own_k - absorbed[e]
-                                rest += own_rest
-                                near = min(near, margin(kinds[e], parameters, e, branch[e], kinematics[q], slider[e]))
-                            forces[q] = rest + k_sum * kinematics[q]
-                            forces[ports + q] = k_sum * kinematics[ports + q]
-                            due[q] = way[0] + _CAUTION * near
+                    switch_branches(motion, places, memory, due, way[0], state, now, trial)
                     fresh = False
                 counters[0] += 1
                 position += width
-                # Widest sub-step that starts here and stays on the dyadic grid.
-                level = levels
-                while level > 0 and position % (ticks >> (level - 1)) == 0:
-                    level -= 1
-                if position <= goal:
-                    while level < levels and position + (ticks >> level) > goal:
-                        level += 1
-
+                level = next_level(position, goal, levels)
+    good = True
     for i in range(size):
         if not abs(state[i]) < 1e300:
             good = False

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
-from nmt_rig.model.contact_kernel import integrate_contacts
+from nmt_rig.model.contact_kernel import Motion, Places, integrate_contacts
 from nmt_rig.model.couplings import COUPLING_PARAMETERS
 from nmt_rig.model.integration_kernel import Memory, integrate, port_forces
 from nmt_rig.model.local_elements.element import PARAMETER_COUNT, LocalElement
@@ -106,6 +108,20 @@ class TimeIntegrator:
         self._reach = rows.max(axis=0) if ports else np.zeros(rows.shape[1])
         c, self._d_ports, self._d_input = self._space.output(self._outputs)
         self._c = np.ascontiguousarray(c @ self._propagator.from_working)
+        self.__dict__.pop("_contact_tables", None)
+
+    @cached_property
+    def _contact_tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[Array, Array, Array]]:
+        """`Motion`, `Places` and `OutputRows` of the matrices and elements taken last, as plain tuples."""
+        p, space = self._propagator, self._space
+        step = 1.0 / (self.sample_rate * self.substeps)
+        motion = Motion(
+            p.pair, p.start_weights, p.port_rows, p.holds, p.projection, self._answers, self._reach, self._gains, step
+        )
+        places = Places(
+            self._kinds, self._parameters, self._absorbed, space.element_port, self._port_start, self._port_elements
+        )
+        return tuple(motion), tuple(places), (self._c, self._d_ports, self._d_input)
 
     def _force_gains(self, step: float) -> Array:
         """(K + 1,) largest share of a change of the ports' forces that it causes again by the end of a step."""
@@ -241,12 +257,15 @@ class TimeIntegrator:
         result = np.empty((self._c.shape[0], n))
         if self._at_many_places:
             good = integrate_contacts(
-                p.pair, p.holds, p.start_weights, p.projection, p.port_rows, self._answers, self._reach,
-                self._kinds, self._parameters, self._absorbed, self._space.element_port,
-                self._port_start, self._port_elements, self._gains, self._levels,
-                1.0 / (self.sample_rate * self.substeps), self.substeps, inputs, self._state, *self._memory,
-                self._due, self._way, self._c, self._d_ports, self._d_input, result,
-            )  # fmt: skip
+                *self._contact_tables,
+                tuple(self._memory),
+                self.substeps,
+                inputs,
+                self._state,
+                self._due,
+                self._way,
+                result,
+            )
             return self._moved(n, good, result)
         try:
             good = integrate(

@@ -29,7 +29,6 @@ from nmt_diagnose.inference.candidate_starts import (
 from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, approach, fit, predicted, without_rows
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.tuned import (
-    ALARM,
     ALIKE,
     CLIMBED,
     CONTINUED,
@@ -43,8 +42,6 @@ from nmt_diagnose.inference.tuned import (
     LEAST_GAIN,
     LOST,
     OTHER_PLACES,
-    PRIOR_EFFECT,
-    PRIOR_NONE,
     SAME_OPTIMUM,
     SAME_STRAIN,
     SECOND_EFFECTS,
@@ -354,8 +351,6 @@ class Search:
     def singles(self, null: Found, scores: Sequence[Score]) -> list[Found]:
         """Explanations by one effect, the best first."""
         wanted = self.chosen(null, scores, FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN)
-        if at_rest(self.data, null) and not any(self._claims(score) for score in wanted):
-            return []
         self.tell(f"fitting {len(wanted)} explanations")
         found = self._all(null, wanted)
         # To first order on the model alone many places do the same to the rows; fitted they differ.
@@ -368,11 +363,6 @@ class Search:
                     moved = self._exchanged(best, other, likely)
                     found += [] if moved is None else [moved]
         return best_of(found)
-
-    def _claims(self, score: Score) -> bool:
-        """Whether what a candidate promises on top of the model alone could make a claim at all."""
-        effects = len({candidate.effect.name for candidate in self.candidates})
-        return 0.5 * score.gain > ALARM + math.log(PRIOR_NONE * effects / PRIOR_EFFECT)
 
     def _exchanged(self, found: Found, other: Candidate, likely: Mapping[int, Score]) -> Found | None:
         """An explanation by one effect with the effect at another place, from where it stands.

@@ -305,9 +305,14 @@ def names(laboratory: Path) -> list[str]:
 
 def _recipes(laboratory: Path) -> tuple[Any, dict[str, Recipe]]:
     """The laboratory's simulator, and all recipes."""
-    if str(laboratory) not in sys.path:
-        sys.path.insert(0, str(laboratory))
-    simulate, basic = importlib.import_module("simulate"), importlib.import_module("basic_cases")
+    # Its module "rig" must not be the folder of tests that has the same name.
+    others = {name: sys.modules.pop(name) for name in [*sys.modules] if name.partition(".")[0] == "rig"}
+    sys.path.insert(0, str(laboratory))
+    try:
+        simulate, basic = importlib.import_module("simulate"), importlib.import_module("basic_cases")
+    finally:
+        sys.path.remove(str(laboratory))
+        sys.modules.update(others)
     return simulate, own_recipes(simulate, basic) | more_recipes(laboratory / "rigs")
 
 

@@ -43,7 +43,7 @@ def data(worst: float = 0.0199, **fields) -> RunReportData:
 def test_the_table_has_a_row_for_each_level_with_values():
     table = _harmonics_table(data())
     cells = [row.cells for row in table.rows]
-    assert [row[2] for row in cells] == ["none", "2 to 9", "all that can be"]
+    assert [row[2] for row in cells] == ["none", "2 to 9", "auto"]
     assert cells[1][3:5] == ["0.100", "5.000"]
     assert cells[1][8] == "+11.111"
     assert cells[0][7:] == cells[2][7:] == ["—", "—"]

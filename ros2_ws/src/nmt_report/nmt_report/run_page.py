@@ -347,7 +347,7 @@ def _harmonics_table(data: RunReportData) -> Table | None:
     for point, told in zip(data.points, indicators(data.points), strict=True):
         if point.status != Status.OK:
             continue
-        controlled = {0: "none", 1: "all that can be"}.get(told.harmonics_control, f"2 to {told.harmonics_control}")
+        controlled = {0: "none", 1: "auto"}.get(told.harmonics_control, f"2 to {told.harmonics_control}")
         rows.append(
             Row(
                 [

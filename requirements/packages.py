@@ -17,7 +17,7 @@ from functools import cache, partial
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE = ROOT / "ros2_ws" / "src"
+SOURCES = (ROOT / "ros2_ws" / "src", ROOT / "campaigns")
 INSTALL_PAGE = ROOT / "docs" / "how-to" / "install.md"
 
 
@@ -112,9 +112,15 @@ rich came later, with pull request 43386."""
 
 
 @cache
+def folders() -> dict[str, Path]:
+    """Folder of each Python package of the workspace and of the campaigns beside it."""
+    return {path.parent.name: path.parent for source in SOURCES for path in source.glob("*/setup.py")}
+
+
+@cache
 def packages() -> tuple[str, ...]:
-    """The Python packages of the workspace."""
-    return tuple(sorted(path.parent.name for path in SOURCE.glob("*/setup.py")))
+    """Their names."""
+    return tuple(sorted(folders()))
 
 
 def imports_of(folder: Path) -> set[str]:
@@ -145,7 +151,7 @@ def needs(package: str) -> tuple[str, ...]:
     Raises:
         SystemExit: an import is in no table.
     """
-    found = imports_of(SOURCE / package / package) | imports_of(SOURCE / package / "launch")
+    found = imports_of(folders()[package] / package) | imports_of(folders()[package] / "launch")
     names = {WITH_ANOTHER.get(name, name) for name in found} - {package}
     unknown = names - set(LIBRARIES) - ROS - set(packages())
     if unknown:
@@ -223,8 +229,8 @@ def outdated() -> dict[Path, str]:
         (INSTALL_PAGE, with_install_lines),
     ]
     for package in packages():
-        files.append((SOURCE / package / "package.xml", partial(with_exec_depends, package=package)))
-        files.append((SOURCE / package / "setup.py", partial(with_install_requires, package=package)))
+        files.append((folders()[package] / "package.xml", partial(with_exec_depends, package=package)))
+        files.append((folders()[package] / "setup.py", partial(with_install_requires, package=package)))
     found = {}
     for path, put_right in files:
         text = path.read_text()

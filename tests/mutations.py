@@ -40,7 +40,7 @@ class Mutation:
     """One changed line.
 
     Attributes:
-        file: below ``ros2_ws/src``.
+        file: below ``ros2_ws/src`` or ``campaigns``.
         old, new: text before and after; the first stands exactly once in the file.
         breaks: what is wrong then.
     """
@@ -333,11 +333,16 @@ MUTATIONS = [
 ]
 
 
+def mutated_file(root: Path, mutation: Mutation) -> Path:
+    """The file of a mutation in a clone."""
+    return next(path for source in ("ros2_ws/src", "campaigns") if (path := root / source / mutation.file).is_file())
+
+
 def copy_sources() -> None:
     """The sources and tests as they are now, and links to what is built from them."""
     shutil.rmtree(COPY, ignore_errors=True)
     unwanted = shutil.ignore_patterns("__pycache__", "build", "install", "log", ".*_cache", "out")
-    for name in ("ros2_ws", "tests", "requirements", "docs", "examples"):
+    for name in ("ros2_ws", "campaigns", "tests", "requirements", "docs", "examples"):
         shutil.copytree(ROOT / name, COPY / name, ignore=unwanted, symlinks=True)
     for path in (*ROOT.glob("*.toml"), *ROOT.glob("*.md"), *ROOT.glob("*.yml"), ROOT / "nmt", ROOT / ".importlinter"):
         shutil.copy2(path, COPY / path.name)
@@ -348,7 +353,7 @@ def copy_sources() -> None:
 
 def first_failure(arguments: list[str], workers: int) -> str:
     """Name of the first test that fails in the copy; empty if none does."""
-    sources = [str(path) for path in sorted((COPY / "ros2_ws" / "src").iterdir())]
+    sources = [str(path) for source in ("ros2_ws/src", "campaigns") for path in sorted((COPY / source).iterdir())]
     environment = {
         **{name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"},
         "PYTHONPATH": os.pathsep.join([*sources, os.environ.get("PYTHONPATH", "")]),
@@ -368,7 +373,7 @@ def first_failure(arguments: list[str], workers: int) -> str:
 
 def key_of(mutation: Mutation) -> str:
     """Digest of the mutated file and of the package's own tests."""
-    digest = hashlib.sha256(f"{mutation}".encode() + (ROOT / "ros2_ws/src" / mutation.file).read_bytes())
+    digest = hashlib.sha256(f"{mutation}".encode() + mutated_file(ROOT, mutation).read_bytes())
     for folder in folders_of(mutation.package):
         for path in sorted((ROOT / folder).rglob("*.py")) or [ROOT / folder]:
             digest.update(path.read_bytes())
@@ -408,7 +413,7 @@ def main() -> int:
     for number, mutation in enumerate(chosen, start=1):
         key, begun = key_of(mutation), time.monotonic()
         if arguments.again or not kept.get(key):
-            path = COPY / "ros2_ws" / "src" / mutation.file
+            path = mutated_file(COPY, mutation)
             text, times = path.read_text(encoding="utf-8"), path.stat()
             if text.count(mutation.old) != 1:
                 sys.exit(f"{mutation.file} holds '{mutation.old}' {text.count(mutation.old)} times, not once.")

@@ -5,7 +5,7 @@ four steps:
 
     environment    .venv, with the Python that runs ``./nmt`` (or NMT_PYTHON, or one found on the PATH)
     requirements   the lock file requirements/lock/<source>-<version>.txt, every file checked by its hash
-    workspace      colcon build of ros2_ws/src into ros2_ws/install, by links: Python edits are live
+    workspace      colcon build of ros2_ws/src and campaigns into ros2_ws/install, by links: Python edits are live
     kernels        the compiled numerical kernels are cached
 
 Each finished step leaves a stamp in .nmt/setup.json: the digest of what it was made from. A later call

@@ -6,11 +6,23 @@ import contextlib
 import errno
 import glob
 import os
+import re
 import signal
 import sys
 from typing import Any
 
-from .places import FAILED, INSTALL, INTERRUPTED, MISUSED, ROOT, SOURCE, STATE_FOLDER, VENV_PYTHON, SetupError
+from .places import (
+    CAMPAIGNS,
+    FAILED,
+    INSTALL,
+    INTERRUPTED,
+    MISUSED,
+    ROOT,
+    SOURCE,
+    STATE_FOLDER,
+    VENV_PYTHON,
+    SetupError,
+)
 
 USAGE = """usage: ./nmt [--wheels | --system] COMMAND [ARGUMENTS]
 
@@ -103,6 +115,17 @@ def show_version() -> int:
     return 0
 
 
+def _campaigns() -> dict[str, str]:
+    """Line of help of each command of the campaigns, read from their sources: they may not be built yet."""
+    found = {}
+    for path in sorted(glob.glob(os.path.join(CAMPAIGNS, "*", "*", "*_command.py"))):
+        with open(path, encoding="utf-8") as file:
+            summary = re.search(r'^SUMMARY = "(.*)"$', file.read(), re.M)
+        if summary:
+            found[os.path.basename(path)[: -len("_command.py")]] = summary[1]
+    return dict(sorted(found.items()))
+
+
 def show_help() -> int:
     """``--help``: the launcher's own commands, then the bench's; returns the exit code."""
     sys.stdout.write(USAGE)
@@ -111,7 +134,7 @@ def show_help() -> int:
         from nmt_bench import cli
 
         cli.PROGRAM = "./nmt"
-        sys.stdout.write("\n" + cli.build_parser().format_help())
+        sys.stdout.write("\n" + cli.build_parser(further=_campaigns()).format_help())
     return 0
 
 

@@ -13,7 +13,7 @@ import sys
 from typing import Any
 
 from .environment import command_environment, prepend
-from .places import ROOT, SOURCE, VENV_PYTHON, WARM_UP, WORKSPACE
+from .places import CAMPAIGNS, ROOT, SOURCE, VENV_PYTHON, WARM_UP, WORKSPACE
 from .programs import StepRunner, end_group
 from .progress import Progress
 from .stamps import packages
@@ -30,13 +30,14 @@ class KernelCompilation:
     """
 
     def __init__(self, state: dict[str, Any], guard: int) -> None:
-        for folder in glob.glob(os.path.join(SOURCE, "**", "__pycache__", "kernels-*"), recursive=True):
-            shutil.rmtree(folder, ignore_errors=True)
+        for source in (SOURCE, CAMPAIGNS):
+            for folder in glob.glob(os.path.join(source, "**", "__pycache__", "kernels-*"), recursive=True):
+                shutil.rmtree(folder, ignore_errors=True)
         self._runner = StepRunner("kernels", None, guard)
         self._process = None
         if os.path.isfile(WARM_UP):
             environment = command_environment(state)
-            prepend(environment, "PYTHONPATH", [os.path.join(SOURCE, name) for name in packages()])
+            prepend(environment, "PYTHONPATH", list(packages().values()))
             command = [VENV_PYTHON, "-m", "nmt_bench.warm_up"]
             self._process = self._runner.start(command, environment, WORKSPACE)
 

@@ -13,6 +13,8 @@ INSTALLED_LOCK = os.path.join(STATE_FOLDER, "installed.txt")
 LOCKS = os.path.join(ROOT, "requirements", "lock")
 WORKSPACE = os.path.join(ROOT, "ros2_ws")
 SOURCE = os.path.join(WORKSPACE, "src")
+CAMPAIGNS = os.path.join(ROOT, "campaigns")
+"""Packages beside the workspace: studies, blind checks, benchmarks, stand-ins."""
 BUILD = os.path.join(WORKSPACE, "build")
 INSTALL = os.path.join(WORKSPACE, "install")
 WARM_UP = os.path.join(SOURCE, "nmt_bench", "nmt_bench", "warm_up.py")

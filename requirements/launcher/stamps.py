@@ -9,11 +9,12 @@ from __future__ import annotations
 import contextlib
 import glob
 import hashlib
+import itertools
 import json
 import os
 from typing import Any
 
-from .places import INSTALL, LOCKS, ROOT, SOURCE, STATE_FILE, VENV_PYTHON, WARM_UP
+from .places import CAMPAIGNS, INSTALL, LOCKS, ROOT, SOURCE, STATE_FILE, VENV_PYTHON, WARM_UP
 
 STEPS = ("environment", "requirements", "workspace", "kernels")
 
@@ -51,17 +52,18 @@ def digest(*paths: str) -> str:
     return total.hexdigest()
 
 
-def packages() -> list[str]:
-    """Names of the packages of the workspace."""
-    return sorted(name for name in os.listdir(SOURCE) if os.path.isfile(os.path.join(SOURCE, name, "package.xml")))
+def packages() -> dict[str, str]:
+    """Folder of each package of the workspace and of the campaigns beside it, by its name."""
+    files = glob.glob(os.path.join(SOURCE, "*", "package.xml")) + glob.glob(os.path.join(CAMPAIGNS, "*", "package.xml"))
+    folders = [os.path.dirname(file) for file in files]
+    return {os.path.basename(folder): folder for folder in sorted(folders, key=os.path.basename)}
 
 
-def package_digest(name: str) -> str:
+def package_digest(folder: str) -> str:
     """Digest of what decides a package's build: its lists of files and entry points, and its interfaces.
 
     Python modules are not part of it: they are installed as links.
     """
-    folder = os.path.join(SOURCE, name)
     files = [os.path.join(folder, file) for file in ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt")]
     for subfolder in ("msg", "srv", "action", "resource"):
         files += sorted(glob.glob(os.path.join(folder, subfolder, "*")))
@@ -75,7 +77,8 @@ def kernel_sources() -> list[str]:
     of these files the set-up compiles beforehand what a run would otherwise wait for, and discards what is old.
     """
     sources = []
-    for path in sorted(glob.glob(os.path.join(SOURCE, "*", "*", "**", "*.py"), recursive=True)):
+    found = [glob.iglob(f"{source}/*/*/**/*.py", recursive=True) for source in (SOURCE, CAMPAIGNS)]
+    for path in sorted(itertools.chain(*found)):
         with contextlib.suppress(OSError), open(path, "rb") as file:
             content = file.read()
             if b"njit" in content or b"numba" in content or "local_elements" in path:
@@ -95,7 +98,7 @@ def expected_stamps(state: dict[str, Any]) -> dict[str, Any]:
     return {
         "environment": environment,
         "requirements": requirements,
-        "workspace": {name: package_digest(name) + " " + environment for name in packages()},
+        "workspace": {name: package_digest(folder) + " " + environment for name, folder in packages().items()},
         "kernels": digest(WARM_UP, *kernel_sources()) + " " + requirements,
     }
 

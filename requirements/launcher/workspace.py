@@ -1,4 +1,4 @@
-"""Step 3: colcon build of ros2_ws/src into ros2_ws/install, by links: Python edits are live."""
+"""Step 3: colcon build of ros2_ws/src and campaigns into ros2_ws/install, by links: Python edits are live."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import shutil
 from typing import Any
 
 from .environment import build_environment
-from .places import BUILD, INSTALL, SOURCE, STATE_FOLDER, VENV, VENV_PYTHON, WORKSPACE, SetupError
+from .places import BUILD, CAMPAIGNS, INSTALL, SOURCE, STATE_FOLDER, VENV, VENV_PYTHON, WORKSPACE, SetupError
 from .programs import StepRunner
 from .stamps import expected_stamps, is_built, packages_to_build, write_state
 
@@ -37,6 +37,7 @@ def build_workspace(state: dict[str, Any], runner: StepRunner) -> None:
         "build",
         "--base-paths",
         SOURCE,
+        CAMPAIGNS,
         "--build-base",
         BUILD,
         "--install-base",

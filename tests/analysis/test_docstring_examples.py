@@ -85,8 +85,9 @@ def test_examples_of_a_module(module: str, folder: Path, monkeypatch: pytest.Mon
 
 
 def test_no_example_of_the_sources_is_skipped() -> None:
-    sources = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
-    skipped = [path.name for path in sources.glob("*/nmt*/**/*.py") if "doctest: +SKIP" in path.read_text("utf-8")]
+    root = Path(__file__).resolve().parents[2]
+    paths = [path for source in ("ros2_ws/src", "campaigns") for path in (root / source).glob("*/nmt*/**/*.py")]
+    skipped = [path.name for path in paths if "doctest: +SKIP" in path.read_text("utf-8")]
     assert not skipped
 
 

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nmt_bench import benchmark_figures, cli
-from nmt_bench.benchmark_figures import Figure
+from nmt_bench import cli
+from nmt_benchmark import benchmark_figures
+from nmt_benchmark.benchmark_figures import Figure
+from nmt_benchmark.plant_speed import channel_speed, contact_speed
 from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag
-from nmt_plant.benchmark import channel_speed, contact_speed
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from nmt_bench import channel_figures
+from nmt_benchmark import channel_figures
 from nmt_core.errors import BenchError
 
 

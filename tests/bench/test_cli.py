@@ -32,7 +32,7 @@ def one_sentence(text: str) -> bool:
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "--help")
     assert status == 0
-    for name in cli.COMMANDS:
+    for name in cli.all_commands():
         assert re.search(rf"^ +{name}\b", out, flags=re.M)
 
 
@@ -179,7 +179,7 @@ def test_tables_become_rows_of_numbers(tmp_path: Path) -> None:
 def test_completion_knows_every_command_and_its_options(capsys: pytest.CaptureFixture[str], shell: str) -> None:
     status, out, _ = run(capsys, "completion", shell)
     assert status == 0
-    for word in (*cli.COMMANDS, "--stop-on-lost-lock", "--harmonics"):
+    for word in (*cli.all_commands(), "--stop-on-lost-lock", "--harmonics"):
         assert word in out
     if shell == "bash":
         subprocess.run(["bash", "-n"], input=out, text=True, check=True)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmt_bench import scheduler_figures
-from nmt_bench.scheduler_figures import waiting_times
+from nmt_benchmark import scheduler_figures
+from nmt_benchmark.scheduler_figures import waiting_times
 from nmt_core.errors import BenchError
 
 

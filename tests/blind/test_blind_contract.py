@@ -10,8 +10,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SOURCES = ROOT / "ros2_ws" / "src"
-PACKAGES = tuple(sorted(path.name for path in SOURCES.glob("nmt*") if (path / path.name / "__init__.py").is_file()))
+FOLDERS = {
+    path.name: path / path.name
+    for path in (*(ROOT / "ros2_ws" / "src").glob("nmt*"), *(ROOT / "campaigns").glob("nmt*"))
+    if (path / path.name / "__init__.py").is_file()
+}
+PACKAGES = tuple(sorted(FOLDERS))
 
 pytest.importorskip("importlinter", reason="import-linter is not installed")
 
@@ -45,9 +49,9 @@ def test_a_forbidden_import_is_caught(tmp_path: Path, contract: str, module: str
         package = tmp_path / name / name
         package.parent.mkdir()
         if name == changed:
-            shutil.copytree(SOURCES / name / name, package)
+            shutil.copytree(FOLDERS[name], package)
         else:
-            package.symlink_to(SOURCES / name / name)
+            package.symlink_to(FOLDERS[name])
     kept = check(tmp_path, contract)
     assert kept.returncode == 0, kept.stdout + kept.stderr
     (tmp_path / changed / module).write_text(f"{line}\n")

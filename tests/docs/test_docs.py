@@ -13,7 +13,7 @@ from typing import get_args
 
 import pytest
 
-from nmt_bench.cli import COMMANDS, build_parser
+from nmt_bench.cli import all_commands, build_parser
 from nmt_rig.model import local_elements
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -136,7 +136,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     assert len(files) > 5
     wanted = {("message", name) for name in files}
     wanted |= {("parameters", name) for name in ("common", *make_reference.NODE_MODULES)}
-    wanted |= {("options", name) for name in COMMANDS}
+    wanted |= {("options", name) for name in all_commands()}
     sections = {name for name, kind in vars(rig).items() if isinstance(kind, type) and issubclass(kind, rig.Section)}
     sections -= {"AttachmentSection"}
     files = (name for _, name, _ in pkgutil.iter_modules(local_elements.__path__))
@@ -162,7 +162,7 @@ def test_every_rig_key_has_a_meaning_and_no_other() -> None:
 def test_every_command_and_option_is_on_the_page() -> None:
     text = (DOCS / "reference" / "commands.md").read_text(encoding="utf-8")
     launcher = ("test", "doctor", "setup", "shell", "ros")
-    for name in COMMANDS:
+    for name in all_commands():
         assert f"`./nmt {name}`" in text, name
     for name in launcher:
         assert f"`./nmt {name}" in text, name

@@ -5,14 +5,17 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-SOURCES = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
+ROOT = Path(__file__).resolve().parents[2]
 # Names that tuples of tables go by, in the kernels and where they are made.
 TABLES = {"tables", "kernel_tables", "rig", "model", "elements", "transfers", "fractions", "memory"}
 
 
 def compiled_modules() -> list[Path]:
     """Modules with compiled functions, and those that make tables for them."""
-    texts = {path: path.read_text(encoding="utf-8") for path in SOURCES.glob("nmt_*/nmt_*/**/*.py")}
+    texts = {
+        path: path.read_text(encoding="utf-8")
+        for path in (*ROOT.glob("ros2_ws/src/nmt_*/nmt_*/**/*.py"), *ROOT.glob("campaigns/nmt_*/nmt_*/**/*.py"))
+    }
     return [path for path, text in texts.items() if "njit" in text or path.parent.name in ("twin", "model")]
 
 

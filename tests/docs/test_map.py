@@ -19,7 +19,8 @@ def test_map_is_that_of_the_import_contract() -> None:
 
 
 def test_every_package_is_described() -> None:
-    packages = sorted(path.parent.name for path in (ROOT / "ros2_ws" / "src").glob("*/package.xml"))
+    packages = sorted(path.parent.name for path in ROOT.glob("ros2_ws/src/*/package.xml"))
+    packages = sorted([*packages, *(path.parent.name for path in ROOT.glob("campaigns/*/package.xml"))])
     assert packages
     described = re.findall(r"^\| (nmt(?:_\w+)?) \| \S", PAGE, re.M)
     assert sorted(described) == packages

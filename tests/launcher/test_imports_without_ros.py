@@ -8,7 +8,9 @@ import sys
 
 from .conftest import ROOT
 
-SOURCES = sorted((ROOT / "ros2_ws" / "src").glob("nmt_*/nmt_*/__init__.py"))
+SOURCES = sorted(
+    init for source in ("ros2_ws/src", "campaigns") for init in (ROOT / source).glob("nmt_*/nmt_*/__init__.py")
+)
 SCRIPT = """
 import importlib, sys
 BLOCKED = ("rclpy", "nmt_msgs", "std_msgs", "std_srvs", "diagnostic_msgs", "builtin_interfaces",

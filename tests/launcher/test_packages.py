@@ -21,8 +21,9 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-SOURCE = ROOT / "ros2_ws" / "src"
-PACKAGES = sorted(path.parent.name for path in SOURCE.glob("*/setup.py"))
+SOURCES = ("ros2_ws/src", "campaigns")
+FOLDERS = {path.parent.name: path.parent for source in SOURCES for path in (ROOT / source).glob("*/setup.py")}
+PACKAGES = sorted(FOLDERS)
 LOCKS = sorted((ROOT / "requirements" / "lock").glob("*.txt"))
 
 
@@ -38,12 +39,13 @@ def tables() -> ModuleType:
 
 
 def manifest(package: str) -> ElementTree.Element:
-    return ElementTree.parse(SOURCE / package / "package.xml").getroot()
+    folder = FOLDERS.get(package, ROOT / "ros2_ws" / "src" / package)
+    return ElementTree.parse(folder / "package.xml").getroot()
 
 
 def setup_arguments(package: str) -> dict[str, object]:
     """Arguments of ``setup`` in a setup.py that are written out."""
-    tree = ast.parse((SOURCE / package / "setup.py").read_text())
+    tree = ast.parse((FOLDERS[package] / "setup.py").read_text())
     call = next(node for node in ast.walk(tree) if isinstance(node, ast.Call) and ast.unparse(node.func) == "setup")
     literal = {}
     for keyword in call.keywords:
@@ -84,7 +86,7 @@ def test_an_import_that_no_table_names_is_refused(
 ) -> None:
     (tmp_path / "nmt_new" / "nmt_new").mkdir(parents=True)
     (tmp_path / "nmt_new" / "nmt_new" / "module.py").write_text("import polars\n")
-    monkeypatch.setattr(tables, "SOURCE", tmp_path)
+    monkeypatch.setattr(tables, "folders", lambda: {"nmt_new": tmp_path / "nmt_new"})
     with pytest.raises(SystemExit, match="nmt_new imports polars"):
         tables.needs("nmt_new")
 
@@ -119,7 +121,7 @@ def test_manifest_and_setup_say_the_same(package: str) -> None:
     assert root.findtext("version") == arguments["version"] == project["version"]
     assert root.findtext("description") == arguments["description"]
     assert root.findtext("license") == arguments["license"] == "Apache-2.0"
-    configuration = (SOURCE / package / "setup.cfg").read_text()
+    configuration = (FOLDERS[package] / "setup.cfg").read_text()
     assert configuration.count(f"$base/lib/{package}\n") == 2
 
 
@@ -140,14 +142,14 @@ def test_a_release_is_told_on_one_page() -> None:
         headings = re.findall(r"^### (.+)$", page, re.M)
         assert headings == [heading for heading in ("Added", "Changed", "Fixed") if heading in headings], name
         assert len(page.split()) <= 750, name
-    assert not list(SOURCE.rglob("CHANGELOG*"))
+    assert not [path for source in SOURCES for path in (ROOT / source).rglob("CHANGELOG*")]
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_data_files_are_installed(package: str) -> None:
     patterns = setup_arguments(package)["package_data"]
     assert isinstance(patterns, dict)
-    folder = SOURCE / package / package
+    folder = FOLDERS[package] / package
     for path in folder.rglob("*"):
         if path.is_dir() or path.suffix == ".py" or "__pycache__" in path.parts:
             continue
@@ -163,14 +165,27 @@ def test_data_files_are_installed(package: str) -> None:
 @pytest.mark.parametrize("package", PACKAGES)
 def test_colcon_test_imports_every_module(package: str) -> None:
     assert setup_arguments(package)["extras_require"] == {"test": ["pytest"]}  # what makes colcon run pytest
-    first = (SOURCE / PACKAGES[0] / "test" / "test_imports.py").read_text()
-    assert (SOURCE / package / "test" / "test_imports.py").read_text() == first
+    first = (FOLDERS[PACKAGES[0]] / "test" / "test_imports.py").read_text()
+    assert (FOLDERS[package] / "test" / "test_imports.py").read_text() == first
 
 
 def test_wheel_holds_every_package_but_campaigns() -> None:
     wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
-    assert sorted(wheel["packages"]) == sorted(f"ros2_ws/src/{name}/{name}" for name in PACKAGES if name != "nmt_blind")
+    wanted = {str((folder / name).relative_to(ROOT)) for name, folder in FOLDERS.items() if name != "nmt_blind"}
+    assert sorted(wheel["packages"]) == sorted(wanted)
     assert set(wheel["force-include"]) == {"ros2_ws/src/nmt_msgs/msg"}
+
+
+def test_commands_of_the_wheel_are_those_of_the_packages() -> None:
+    """Commands of packages beside the bench are found by entry points, in a clone and in the wheel."""
+    commands = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["nmt.commands"]
+    declared = {}
+    for package in PACKAGES:
+        points = setup_arguments(package).get("entry_points", {})
+        assert isinstance(points, dict)
+        declared |= dict(line.split(" = ") for line in points.get("nmt.commands", []))
+    assert declared.pop("blind") == "nmt_blind.blind_command"
+    assert declared == commands
 
 
 @pytest.mark.parametrize("lock", LOCKS, ids=lambda p: p.stem)

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from rclpy.node import Node
 
-from nmt_bench.channel_figures import large_rig
 from nmt_bench.harness import Bench
+from nmt_benchmark.channel_figures import large_rig
 from nmt_core.base_node import SAMPLES_QOS
 from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.bundle import read_bundle

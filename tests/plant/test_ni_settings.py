@@ -15,10 +15,10 @@ from plant.turned_clock import TurnedClock
 from nmt_core.errors import BenchError
 from nmt_plant import nidaqmx_converter
 from nmt_plant.hardware_rig import device_of
-from nmt_plant.ni_specimen import Hardware
 from nmt_plant.nidaqmx_converter import NiDaqmxConverter
 from nmt_plant.specimen import Specimen
 from nmt_rig.rig import load_rig
+from nmt_specimen.ni_specimen import Hardware
 
 NAMES = "cDAQ1, cDAQ1Mod1, cDAQ1Mod2, cDAQ1Mod3, Dev1"
 RATE = 10_240.0

@@ -15,6 +15,7 @@ import pytest
 from plant.converter_chain import OwnerThread
 from plant.turned_clock import TurnedClock
 
+from nmt_benchmark.output_faults import measure
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.errors import BenchError
@@ -23,7 +24,6 @@ from nmt_core.vocabulary import OutputState, StopCause, Waveform
 from nmt_plant.converter import SteadyClockConverter, read_log
 from nmt_plant.device import DeviceFault
 from nmt_plant.loopback_device import LoopbackDevice
-from nmt_plant.output_faults import measure
 from nmt_plant.output_link import OutputLink
 from nmt_plant.output_owner import OwnerSettings
 from nmt_plant.simulated_rig import SimulatedRig

@@ -9,7 +9,7 @@ import pytest
 from rig.energies import stored_energy
 from scipy.integrate import simpson, solve_ivp
 
-from nmt_plant.benchmark import solve_ivp_peer
+from nmt_benchmark.plant_speed import solve_ivp_peer
 from nmt_rig.model.assembly import (
     OutputRow,
     acceleration_output,

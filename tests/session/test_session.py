@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmt_bench.channel_figures import large_rig
 from nmt_bench.page.server import steering_request
 from nmt_bench.page.start_goal import goal_of, start_request
+from nmt_benchmark.channel_figures import large_rig
 from nmt_core.arrays import FloatArray
 from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError

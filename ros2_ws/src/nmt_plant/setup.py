@@ -11,7 +11,6 @@ setup(
     ],
     install_requires=[
         "grpcio>=1.49",
-        "JACK-Client>=0.5.4",
         "nidaqmx>=1.0",
         "numpy>=1.26",
         "scipy>=1.11",

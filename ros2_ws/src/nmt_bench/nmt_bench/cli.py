@@ -2,7 +2,8 @@
 
 Each command is a module with ``USAGE``, its description and options, and ``run(arguments) -> int``. Nothing but the
 chosen command's module is imported, so help and refusals come at once; what few ends need is imported where they need
-it.
+it. Further commands come from whatever is installed with entry points in the group ``nmt.commands``, as are the
+campaigns; their modules have a ``SUMMARY``, too.
 
 Exit codes: 0 done, 1 unexpected error (its traceback is in a log file), 2 a mistake that the user can fix,
 130 interrupted.
@@ -15,11 +16,13 @@ import contextlib
 import errno
 import gc
 import importlib
+import importlib.util
 import os
 import re
 import resource
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from types import ModuleType
 from typing import TYPE_CHECKING, NoReturn
 
@@ -49,7 +52,6 @@ COMMANDS = {
     "extract": "modal properties from a recorded bag; equal to the live ones",
     "linear": "linear modal test: random drive, frequency responses, fitted modes",
     "check": "low-level check of every channel and of the loop before a test on hardware",
-    "specimen": "the simulated rig behind a converter's ports, in real time: hardware to try without hardware",
     "sweep": "sine sweep or stepped sine with a held force; frequency responses",
     "synthesis": "frequency response from a backbone alone, beside measured sweeps",
     "diagnose": "where model and real rig part, which effect causes it, how far the gap shrinks",
@@ -58,17 +60,17 @@ COMMANDS = {
     "export": "a recording as UFF58, CSV, NPZ, HDF5 or MATLAB; modes as UFF55",
     "figures": "figures of a report as SVG, PDF and PNG for a paper, each with its table",
     "reference": "computed backbone of a rig's model (EPMC, harmonic balance)",
-    "study": "the paper's studies, all cases, compared with references",
-    "blind": "blind check of the diagnosis: make sealed cases, diagnose, score",
     "stop": "emergency stop of the benches of this host",
     "rigs": "the rigs that can be given by name",
     "params": "parameter file of a rig for starting the nodes with 'ros2 run'",
-    "benchmark": "speed of this machine beside limits and peers",
     "completion": "completion of commands and options for bash or zsh",
     "help": "the commands, or the options of one",
 }
-"""Line of help of each command; its module is ``nmt_bench.commands.<name>_command``. ``test``, ``doctor`` and ``setup``
-belong to the launcher."""
+"""Line of help of each command of the bench; its module is ``nmt_bench.commands.<name>_command``. ``test``, ``doctor``
+and ``setup`` belong to the launcher."""
+
+GROUP = "nmt.commands"
+"""Entry points of further commands: name = module."""
 
 _LAUNCHER_COMMANDS = """\
 also, from the launcher:
@@ -77,7 +79,7 @@ also, from the launcher:
   setup                 only the set-up
 """
 
-_CLONE_MODULE = "nmt_blind"
+_CLONE_COMMANDS = ("blind",)
 """Campaigns are made where the program is developed; the wheel leaves them out."""
 
 _ROS_MODULES = frozenset(
@@ -108,11 +110,36 @@ _REASONS = {
 """What the user can fix where the operating system refuses."""
 
 
-def build_parser(*wanted: str | None) -> argparse.ArgumentParser:
+@cache
+def further_commands() -> dict[str, str]:
+    """Module of each command that an installed package adds, by its name."""
+    from importlib.metadata import entry_points
+
+    found = {entry.name: entry.value for entry in sorted(entry_points(group=GROUP)) if entry.name not in COMMANDS}
+    return {name: path for name, path in found.items() if _is_importable(path.partition(".")[0])}
+
+
+def _is_importable(package: str) -> bool:
+    """Whether a package is there; an entry point may outlive what it names."""
+    try:
+        return importlib.util.find_spec(package) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+@cache
+def all_commands() -> dict[str, str]:
+    """Line of help of each command, the bench's before the others."""
+    return COMMANDS | {name: str(importlib.import_module(path).SUMMARY) for name, path in further_commands().items()}
+
+
+def build_parser(*wanted: str | None, further: Mapping[str, str] | None = None) -> argparse.ArgumentParser:
     """The parser of the whole command line.
 
     Args:
-        *wanted: the commands whose options are wanted; the others get their line of help only.
+        *wanted: the commands whose options are wanted; the others get their line of help only. Where all are the
+            bench's own the others are not looked for.
+        further: lines of help of the other packages' commands; None = as installed.
 
     Raises:
         BenchError: the command's module is not installed.
@@ -125,12 +152,16 @@ def build_parser(*wanted: str | None) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"nmt {_version()}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
-    for name, summary in COMMANDS.items():
-        own = subparsers.add_parser(name, help=summary, add_help=name in wanted)
+    if wanted and COMMANDS.keys() >= set(wanted):
+        listed = COMMANDS
+    else:
+        listed = all_commands() if further is None else {**COMMANDS, **further}
+    for name, summary in listed.items():
+        options = subparsers.add_parser(name, help=summary, add_help=name in wanted)
         if name in wanted:
             from nmt_bench.commands.bench_options import add_options
 
-            add_options(own, _load(name))
+            add_options(options, _load(name))
     return parser
 
 
@@ -197,6 +228,8 @@ def _command_of(words: Sequence[str]) -> str | None:
 def _run(words: list[str], end: _End) -> int:
     command = _command_of(words)
     try:
+        if command in _CLONE_COMMANDS and command not in further_commands():
+            raise BenchError(f"Campaigns are not in what pip installs; use './nmt {command}' of a clone.")
         parser = build_parser(command)
         if not words:
             parser.print_help()
@@ -218,7 +251,7 @@ def _run(words: list[str], end: _End) -> int:
         return EXIT_USER
     except ModuleNotFoundError as error:
         library = (error.name or "nmt_").partition(".")[0]
-        if library.startswith("nmt_") and library not in _ROS_MODULES | {_CLONE_MODULE}:
+        if library.startswith("nmt_") and library not in _ROS_MODULES:
             return _unexpected(command, error, words, end)
         end.sentence = _complain(command, _missing_module(library))
         return EXIT_USER
@@ -275,7 +308,9 @@ def write_error_log(words: Sequence[str]) -> Path:
 
 def _load(name: str) -> ModuleType:
     try:
-        return importlib.import_module(f"nmt_bench.commands.{name}_command")
+        return importlib.import_module(
+            f"nmt_bench.commands.{name}_command" if name in COMMANDS else further_commands()[name]
+        )
     except ModuleNotFoundError as error:
         if error.name is None:
             raise
@@ -292,8 +327,6 @@ def _missing_module(name: str) -> str:
             f"This starts ROS 2 nodes and '{library}' is not installed; use './nmt' of a clone, which brings ROS 2, or "
             "a workspace built and sourced beside ROS 2 Jazzy."
         )
-    if library == _CLONE_MODULE:
-        return "Campaigns are not in what pip installs; use './nmt blind' of a clone."
     if library == "distributed":
         return "'distributed' is not installed; type: pip install 'nmt[dask]'."
     return f"'{library}' is not installed, although nmt needs it; type: pip install --force-reinstall nmt."
@@ -326,7 +359,8 @@ def _unexpected(command: str | None, error: Exception, words: Sequence[str], end
 def _complain(command: str | None, sentence: str) -> str:
     """Write a sentence to standard error; returns it."""
     sys.stdout.flush()
-    name = f"{PROGRAM} {command}" if command in COMMANDS else PROGRAM
+    known = command in COMMANDS or command in _CLONE_COMMANDS or command in further_commands()
+    name = f"{PROGRAM} {command}" if known else PROGRAM
     sys.stderr.write(f"{name}: {sentence}\n")
     return sentence
 

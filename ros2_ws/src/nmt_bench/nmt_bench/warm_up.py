@@ -8,13 +8,18 @@ from __future__ import annotations
 import compileall
 from pathlib import Path
 
+import numpy as np
+
 from nmt_diagnose.twin.warm_up import warm_up_twin
 from nmt_extract.offline import extract_bag
-from nmt_plant.benchmark import contact_speed
 from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings
 from nmt_rig.linear_description import linear_description
+from nmt_rig.model.assembly import assemble, displacement_output
+from nmt_rig.model.beam import euler_bernoulli_beam
+from nmt_rig.model.local_elements.friction import Jenkins
+from nmt_rig.model.time_integration import TimeIntegrator
 from nmt_rig.reference import compute_reference, single_point_reference
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
@@ -45,13 +50,22 @@ def warm_up() -> None:
     single_point_reference(rig, levels=[0.1, 0.6], harmonics=3)
     PaperLoop(linear_description(rig), PaperSettings(), rig.sample_rate_hz, rig.block_samples)
     # Forces of two arguments have a time loop of their own, as have joints at several places; slow channels a filter.
-    contact_speed(2, 1, 0.02)
+    _slide_at_two_places()
     further = SimulatedRig(load_rig("beam", ["exciter.force_factor_linear_per_m=1.0", "sensors.0.delay_s=1e-5"]))
     further.configure()
     further.start()
     further.read()
     further.close()
     warm_up_twin(rig)
+
+
+def _slide_at_two_places() -> None:
+    """A block of a beam's motion with two sliders to the ground."""
+    beam = euler_bernoulli_beam(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 50, 1e-4)
+    sliders = [Jenkins(beam.selector(point), 4000.0, limit) for point, limit in ((2, 0.25), (50, 25.0))]
+    system = assemble(beam, sliders, 14)
+    integrator = TimeIntegrator(system, 10_000.0, [displacement_output(system, 50)])
+    integrator.advance(2.0 * np.sin(2 * np.pi * 20.0 * np.arange(201) / 10_000.0))
 
 
 if __name__ == "__main__":

@@ -21,13 +21,13 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: the library that writes it is not installed.
     """
-    from nmt_bench.cli import COMMANDS, build_parser
+    from nmt_bench.cli import all_commands, build_parser
 
     try:
         import shtab
     except ModuleNotFoundError as error:
         raise BenchError("'shtab' is not installed; type: pip install 'nmt[completion]'.") from error
-    parser = build_parser(*COMMANDS)
+    parser = build_parser(*all_commands())
     parser.prog = "nmt"
     sys.stdout.write(shtab.complete(parser, arguments.shell) + "\n")
     if arguments.shell == "bash":  # the launcher is called by its path

@@ -13,10 +13,12 @@ from nmt_core.errors import BenchError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from nmt_bench.benchmark_figures import Figure
+    from nmt_benchmark.benchmark_figures import Figure
 
 PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "ramp", "command", "bench", "channels", "scheduler")
 
+
+SUMMARY = "speed of this machine beside limits and peers"
 
 USAGE = f"""\
 Measures the plant's time integration, the harmonic-balance reference, the work per block of each node, reading and
@@ -46,8 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None and not arguments.json.absolute().parent.is_dir():
         raise BenchError(f"The folder of {arguments.json} does not exist; make it or give another --json file.")
 
-    from nmt_bench import benchmark_figures, channel_figures, scheduler_figures
     from nmt_bench.commands.console import make_console
+    from nmt_benchmark import benchmark_figures, channel_figures, scheduler_figures
 
     console = make_console()
     parts: dict[str, Callable[[float], list[Figure]]] = {

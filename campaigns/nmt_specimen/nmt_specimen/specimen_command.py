@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from nmt_plant.specimen_options import PORTS
+from nmt_specimen.specimen_options import PORTS
+
+SUMMARY = "the simulated rig behind a converter's ports, in real time: hardware to try without hardware"
 
 USAGE = f"""\
 Stands in for amplifier, exciter, structure, sensors and cables: a JACK client that answers in real time (with a JACK
@@ -22,7 +24,7 @@ def run(arguments: argparse.Namespace) -> int:
         BenchError: rig or option are refused, or JACK or NI's package is missing.
     """
     if arguments.device == "portaudio":
-        from nmt_plant.jack_specimen import run as serve
+        from nmt_specimen.jack_specimen import run as serve
     else:
-        from nmt_plant.ni_specimen import run as serve
+        from nmt_specimen.ni_specimen import run as serve
     return serve(arguments)

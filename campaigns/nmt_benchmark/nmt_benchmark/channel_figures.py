@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from nmt_bench.benchmark_figures import AT_MOST, Figure, window_periods
+from nmt_benchmark.benchmark_figures import AT_MOST, Figure, window_periods
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import ResultCode
 from nmt_rig.rig import Rig, SensorSection, load_rig
@@ -107,7 +107,7 @@ def bench_figures(seconds: float) -> list[Figure]:
     Args:
         seconds: bench time of a run.
     """
-    from nmt_plant.benchmark import run_benchmark
+    from nmt_benchmark.plant_speed import run_benchmark
 
     plan = plan_test("beam")
     periods = window_periods(seconds)

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 _LISTED = "\n".join(f"  {name:<18}{summary}" for name, (_, summary) in STUDIES.items())
 
+SUMMARY = "the paper's studies, all cases, compared with references"
+
 USAGE = f"""\
 Runs the cases of a study through the bench's nodes in lockstep, in parallel over the cores, and compares every level
 with two references: EPMC (error of the method) and the single-point phase-resonant test (error of the test). A

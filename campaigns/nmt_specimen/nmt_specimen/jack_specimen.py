@@ -1,6 +1,6 @@
 """The simulated specimen on the other side of JACK's ports, in real time, in a process of its own.
 
-    python -m nmt_plant.jack_specimen RIG [options]
+    python -m nmt_specimen.jack_specimen RIG [options]
 
 It registers as a JACK client with one input port for the drive and one output port for every channel; PortAudio lists
 it among its devices under that name. Without a running JACK server it starts one with the dummy driver at the rig's
@@ -26,8 +26,8 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_plant.specimen import Specimen, write_port
-from nmt_plant.specimen_process import answer, hurry, main_of, specimen_of
 from nmt_rig.device_sections import SPECIMEN
+from nmt_specimen.specimen_process import answer, hurry, main_of, specimen_of
 
 _PRIORITY = 20
 _START_TIME = 15.0

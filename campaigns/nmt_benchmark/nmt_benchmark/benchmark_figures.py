@@ -79,7 +79,7 @@ class Figure:
 
 def plant_figures(seconds: float) -> list[Figure]:
     """Time integration of the beam beside its limit and scipy's solve_ivp; friction at many places; many channels."""
-    from nmt_plant.benchmark import channel_speed, contact_speed, owned_output_cost, run_benchmark
+    from nmt_benchmark.plant_speed import channel_speed, contact_speed, owned_output_cost, run_benchmark
     from nmt_rig.rig import load_rig
 
     rig = load_rig("beam")

@@ -1,6 +1,6 @@
 """The simulated specimen inside a stand-in for NI's gRPC device server: NI's own client library drives it.
 
-    python -m nmt_plant.ni_specimen RIG [options]
+    python -m nmt_specimen.ni_specimen RIG [options]
 
 It implements what a continuous measurement with one analog output needs (tasks, channels, timing, start, read, write,
 stop), and answers every other call with an empty response. It is as strict as a device: modules of a CompactDAQ
@@ -30,8 +30,8 @@ from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_plant.specimen import Specimen, write_port
-from nmt_plant.specimen_process import answer, hurry, main_of, specimen_of
 from nmt_rig.device_sections import StopInputSection
+from nmt_specimen.specimen_process import answer, hurry, main_of, specimen_of
 
 _MOST_AT_ONCE = 200  # samples
 _HELD = 10.0  # s of input samples that are kept unread

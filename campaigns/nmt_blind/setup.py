@@ -15,6 +15,7 @@ setup(
         "matplotlib>=3.6",
         "numpy>=1.26",
         "PyYAML>=6.0",
+        "rich>=13.7",
         "scipy>=1.11",
     ],
     extras_require={"test": ["pytest"]},
@@ -23,4 +24,5 @@ setup(
     maintainer_email="nmt@example.org",
     description="The blind check of the diagnosis: sealed cases, campaigns, scores, baselines, calibration",
     license="Apache-2.0",
+    entry_points={"nmt.commands": ["blind = nmt_blind.blind_command"]},
 )

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_bench.benchmark_figures import Figure
+from nmt_benchmark.benchmark_figures import Figure
 from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
 from nmt_core.workers import worked

@@ -13,6 +13,7 @@ setup(
         "jinja2>=3.1",
         "matplotlib>=3.6",
         "numpy>=1.26",
+        "rich>=13.7",
     ],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
@@ -20,4 +21,5 @@ setup(
     maintainer_email="nmt@example.org",
     description="The paper's studies: cases, references, figures and findings",
     license="Apache-2.0",
+    entry_points={"nmt.commands": ["study = nmt_study.study_command"]},
 )

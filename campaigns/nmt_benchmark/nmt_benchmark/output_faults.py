@@ -1,6 +1,6 @@
 """How long an output that a process of its own owns takes to zero when the process that feeds it fails.
 
-    python -m nmt_plant.output_faults --repeats 5
+    python -m nmt_benchmark.output_faults --repeats 5
 
 Each time a process with a loopback device feeds a sine to an output, and then hangs in its read, is stopped, holds its
 interpreter in one call, or is killed. The owner's log says when the last sample that is not zero was put out.
@@ -119,7 +119,7 @@ def feed(fault: str, log: str, lead_blocks: int, deadline_blocks: float) -> None
 @contextmanager
 def _feeder(fault: str, log: Path, lead_blocks: int, deadline_blocks: float) -> Iterator[subprocess.Popen[str]]:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
-    command = [sys.executable, "-m", "nmt_plant.output_faults", "--feed", fault, "--log", str(log)]
+    command = [sys.executable, "-m", "nmt_benchmark.output_faults", "--feed", fault, "--log", str(log)]
     command += ["--lead", str(lead_blocks), "--deadline", str(deadline_blocks)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
     try:

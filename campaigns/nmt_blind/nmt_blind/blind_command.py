@@ -21,6 +21,8 @@ RIGS = ("beam", "joint_resonator", "modal_beam")
 TOLERANCES = ("laboratory", "none")
 
 
+SUMMARY = "blind check of the diagnosis: make sealed cases, diagnose, score"
+
 USAGE = """\
 Checks the diagnosis on simulated tests whose truth it cannot know. 'make' seals the truth and writes bags, 'run'
 diagnoses them, 'score' opens the seal and compares; 'laboratory' does all of it with cases that others have made. All

@@ -17,9 +17,9 @@ from nmt_core.option_table import declare
 from nmt_plant.hardware_rig import device_of
 from nmt_plant.specimen import Specimen
 from nmt_plant.specimen_faults import parse_fault
-from nmt_plant.specimen_options import PORTS
 from nmt_rig.device_sections import AnyDevice
 from nmt_rig.rig import Rig, load_rig
+from nmt_specimen.specimen_options import PORTS
 
 _PRIORITY = 5
 

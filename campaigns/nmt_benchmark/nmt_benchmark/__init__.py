@@ -1,0 +1,1 @@
+"""Benchmarks: speed of this machine beside limits and peers, and trials of a failing output."""

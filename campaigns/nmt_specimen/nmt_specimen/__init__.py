@@ -1,0 +1,1 @@
+"""The simulated rig behind a converter's ports: stand-ins of sound card and NI device server."""

@@ -60,19 +60,19 @@ MUTATIONS = [
     Mutation(*row)
     for row in [
         (
-            "nmt_core/nmt_core/ramp.py",
+            "nmt_core/nmt_core/numerics/ramp.py",
             "0.5 - 0.5 * np.cos(np.pi * np.clip",
             "0.5 - 0.5 * np.cos(0.5 * np.pi * np.clip",
             "a ramp ends at half of its target, with a step",
         ),
         (
-            "nmt_core/nmt_core/command_judge.py",
+            "nmt_core/nmt_core/messages/command_judge.py",
             "based_on >= next_sample",
             "based_on > next_sample",
             "a command may claim to know the sample that comes next",
         ),
         (
-            "nmt_core/nmt_core/command_judge.py",
+            "nmt_core/nmt_core/messages/command_judge.py",
             "if isinstance(source, CommandSource) and not source.alone:",
             "if isinstance(source, CommandSource) and source.alone:",
             "commands are taken from a topic with two publishers",

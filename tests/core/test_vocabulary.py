@@ -237,7 +237,7 @@ def test_drive_commands_are_made_from_a_loops_output_in_one_place():
             if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("DriveCommand"):
                 makers.add(str(path.relative_to(SOURCES)))
     assert makers == {
-        "nmt_core/nmt_core/wire.py",
+        "nmt_core/nmt_core/messages/wire.py",
         "nmt_plant/nmt_plant/benchmark.py",
         "nmt_plant/nmt_plant/hardware_check.py",
         "nmt_plant/nmt_plant/output_faults.py",

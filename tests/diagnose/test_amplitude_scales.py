@@ -13,7 +13,7 @@ from diagnose.twin_tests import chain
 from scipy.integrate import solve_ivp
 from tiers import with_quick
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.inference.chain import linear_chain, scale_columns
 from nmt_diagnose.inference.diagnose import diagnose_observations

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from diagnose.observation_bags import record, rig_with_noise, with_sensor
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.observations.clipping import clipping_level

@@ -9,7 +9,7 @@ import pytest
 from diagnose.twin_observations import chain, observations_of_twin, real
 from scipy.integrate import quad
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.placement import Placement

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.signal import TransferFunction, cont2discrete, lfilter, lsim
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from diagnose.observation_bags import record, rig_with_noise, with_sensor
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.observations.repeated_samples import repeated_share

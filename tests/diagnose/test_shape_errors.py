@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.chain_tests import ChainTests
 from nmt_diagnose.inference.shape_errors import ShapeErrors
 from nmt_diagnose.observations.measuring_chain import MeasuringChain

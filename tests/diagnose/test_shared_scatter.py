@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import f as fisher
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations

@@ -10,7 +10,7 @@ from diagnose.observation_bags import record, rig_with_noise
 from numpy.typing import NDArray
 from tiers import with_quick
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations

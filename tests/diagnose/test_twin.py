@@ -11,9 +11,9 @@ import pytest
 from diagnose.twin_tests import SHAKER, chain, channels_of, level, locked, noise_test, rows_of
 from rig.effect_rigs import oscillator, rig_of, run
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, effect_named, library

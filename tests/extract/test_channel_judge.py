@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmt_core.blocks import SampleBlock
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import PointStatus
 from nmt_extract.channel_judge import flat_top, unrepeated_rms
 from nmt_plant.simulated_rig import SimulatedRig

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract import channel_judge
 from nmt_extract.channel_judge import ChannelHistory, DriveState, force_gain
 from nmt_extract.extractor import Extractor

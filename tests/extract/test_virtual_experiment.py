@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from nmt_core.records import DriveCommand, LockEvent
+from nmt_core.messages.records import DriveCommand, LockEvent
 from nmt_core.vocabulary import Waveform
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor

@@ -14,10 +14,10 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 
 from nmt_bench.harness import Bench, Progress
-from nmt_core.arrays import FloatArray
 from nmt_core.base_node import BenchNode
-from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
+from nmt_core.messages.command_judge import CommandSource
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_extract.modal_point import Status
 from nmt_msgs.msg import Drive

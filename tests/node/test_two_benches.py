@@ -16,7 +16,7 @@ from tiers import with_quick
 
 from nmt_bench.harness import Bench, Progress
 from nmt_core.errors import BenchError
-from nmt_core.liveness import HUNG
+from nmt_core.nodes.liveness import HUNG
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_msgs.action import RunLevels
 from nmt_pll.pll_node import PllNode

@@ -20,7 +20,7 @@ import pytest
 from node.converter_bench import Port
 from plant.turned_clock import TurnedClock
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_plant import nidaqmx_converter, portaudio_converter
 from nmt_plant.converter import load_converter
 from nmt_plant.hardware_rig import HardwareRig, device_of

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import BlockFlag, Quantity, SampleBlock
+from nmt_core.messages.records import DriveCommand
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import Waveform
 from nmt_plant.guarded_device import GuardedDevice
 from nmt_plant.loopback_device import LoopbackDevice

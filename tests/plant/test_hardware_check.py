@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nmt_blind.cases.blind_rigs import BLIND_RIGS
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_plant.hardware_check import check
 from nmt_plant.hardware_rig import HardwareRig, device_of
 from nmt_plant.specimen import Specimen

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_plant.device import check_drive
 from nmt_plant.oscillator import BandNoise, Oscillator

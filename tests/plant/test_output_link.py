@@ -15,10 +15,10 @@ import pytest
 from plant.converter_chain import OwnerThread
 from plant.turned_clock import TurnedClock
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import BlockFlag, Quantity, SampleBlock
+from nmt_core.messages.records import DriveCommand
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import OutputState, StopCause, Waveform
 from nmt_plant.converter import SteadyClockConverter, read_log
 from nmt_plant.device import DeviceFault

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.output_record import read_output
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.processes.output_record import read_output
 from nmt_core.vocabulary import OutputState, StopCause
 from nmt_plant.converter import Converter, Taken, load_converter
 from nmt_plant.output_owner import (

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import BlockFlag, Quantity
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_plant.benchmark import owned_output_cost, run_benchmark
 from nmt_plant.simulated_rig import TICK_ORDER, SimulatedRig

@@ -31,17 +31,17 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_msgs.msg import UInt64
 
-from nmt_core.command_judge import CommandSource
 from nmt_core.dds_profile import check_ports, seal_transport
 from nmt_core.errors import BenchError
-from nmt_core.launcher_watch import LauncherWatch
-from nmt_core.link import TAKEN_BY, Link, serve, serve_late
-from nmt_core.liveness import BUSY, HANG_LIMIT, HUNG, READY, Liveness
-from nmt_core.parameters import Parameter, ParameterValue, check_values, parameter_table
-from nmt_core.process_watch import ProcessWatch
-from nmt_core.run_announcement import TAKEN_TOPICS, TELL_EVERY
-from nmt_core.shared_memory import remove_dead_segments
-from nmt_core.wire import NodeStatus, read_diagnostics, write_diagnostics
+from nmt_core.messages.command_judge import CommandSource
+from nmt_core.messages.run_announcement import TAKEN_TOPICS, TELL_EVERY
+from nmt_core.messages.wire import NodeStatus, read_diagnostics, write_diagnostics
+from nmt_core.nodes.launcher_watch import LauncherWatch
+from nmt_core.nodes.link import TAKEN_BY, Link, serve, serve_late
+from nmt_core.nodes.liveness import BUSY, HANG_LIMIT, HUNG, READY, Liveness
+from nmt_core.nodes.parameters import Parameter, ParameterValue, check_values, parameter_table
+from nmt_core.nodes.shared_memory import remove_dead_segments
+from nmt_core.processes.process_watch import ProcessWatch
 
 RCLError = rclpy_implementation.RCLError
 
@@ -376,7 +376,7 @@ class BenchNode(Node):  # type: ignore[misc]
         return self.liveness.unready(time.monotonic())
 
     def lost_nodes(self) -> dict[str, str]:
-        """Watched nodes that were heard once and are lost, each with why: see :class:`nmt_core.liveness.Liveness`."""
+        """Watched nodes that were heard once and are lost, each with why: see `nmt_core.nodes.liveness.Liveness`."""
         return self.liveness.lost(time.monotonic())
 
     def lost_node(self) -> str:
@@ -447,7 +447,7 @@ class BenchNode(Node):  # type: ignore[misc]
         """Have a thread beside the working one that says on ``/diagnostics`` how long the work takes, if it is long.
 
         The node is ``busy`` then and stays alive to others; beyond ``hang_timeout``, and in lockstep when it could have
-        worked for `nmt_core.liveness.HANG_LIMIT`, it is ``hung``, which is an error.
+        worked for `nmt_core.nodes.liveness.HANG_LIMIT`, it is ``hung``, which is an error.
         """
         over = threading.Event()
         limit: Any = HANG_LIMIT if self.in_lockstep else self.values["hang_timeout"]
@@ -523,7 +523,7 @@ class ReaderProgress:
 
     Args:
         node: the node.
-        reader: which of `nmt_core.run_announcement.TAKEN_TOPICS` it is.
+        reader: which of `nmt_core.messages.run_announcement.TAKEN_TOPICS` it is.
     """
 
     def __init__(self, node: BenchNode, reader: str) -> None:

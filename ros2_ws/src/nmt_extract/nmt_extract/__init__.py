@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from nmt_core.public_names import loaded
 
 if TYPE_CHECKING:
-    from nmt_core.records import LockEvent
+    from nmt_core.messages.records import LockEvent
     from nmt_extract.extraction_settings import ExtractionSettings
     from nmt_extract.extractor import Extractor
     from nmt_extract.harmonics import harmonic_amplitudes

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal_point import ModalPoint
 from nmt_extract.uncertainty_budget import BudgetInputs, MethodError, PointBudget, uncertainty_budget

@@ -25,9 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract.swept_response import FrequencyResponseTable
 
 _DERIVATIVES = {"x": 0, "v": 1, "a": 2}

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 
 _CHUNK = 4096  # samples whose rotations are held at a time: they fit in the cache
 _LEAST_PIVOT = 1e-9  # of the normal matrix beside the number of samples; below it the fit is not determined

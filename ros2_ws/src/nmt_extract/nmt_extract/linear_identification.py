@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import BlockFlag, Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract.frf import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate
 from nmt_extract.linear_residuals import Residuals, fit_residuals, modal_receptance
 from nmt_extract.rational_fit import MOST_LINES, RationalFit, StructureMode, fit_rational, structure_mode

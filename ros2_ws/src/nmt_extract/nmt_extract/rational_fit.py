@@ -21,8 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 
 MOST_LINES = 3000
 """Lines beyond which only every second, third … one is used: they are plenty."""

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 from nmt_extract.harmonics import (
     harmonic_amplitudes,
     resolvable_harmonics,

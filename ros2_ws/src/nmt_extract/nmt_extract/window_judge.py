@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray, IntArray
-from nmt_core.modal_point import EVALUATED
+from nmt_core.messages.modal_point import EVALUATED
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_extract.harmonics import segment_moments, solve_moments, synthesise
 from nmt_extract.uncertainty import slope_uncertainty
 

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
 
 _CHUNK_TIME = 0.004  # s of a turn
 _MOST_SLIP = 0.002  # s; a clock that is more behind goes on from the present

@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 LARGEST_CLOCK_ERROR = 30.0
 """Millionths; beyond them it is said. The computer's clock itself is held within some ten by its time service."""

@@ -16,9 +16,9 @@ import math
 from abc import ABC, abstractmethod
 from enum import Enum
 
-from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import OutputState, StopCause, Waveform
 
 

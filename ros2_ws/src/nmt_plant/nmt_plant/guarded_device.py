@@ -16,12 +16,12 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock, rounded
 from nmt_core.errors import BenchError
-from nmt_core.excitation import PEAK_FACTOR
-from nmt_core.ramp import half_cosine
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock, rounded
+from nmt_core.messages.excitation import PEAK_FACTOR
+from nmt_core.messages.records import DriveCommand
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.ramp import half_cosine
 from nmt_core.vocabulary import OutputState, StopCause, Waveform
 from nmt_plant.device import Device, DeviceFault, DeviceState
 from nmt_plant.limits import ChannelLimit, LimitGuard, OpenLoop, watch_rows
@@ -141,7 +141,7 @@ def owned_output(
         lead_blocks: blocks that wait at the output, so that one may be late.
         deadline_blocks: blocks without a new one after which the output goes to zero; None = as many as wait.
         inputs: channels that the converter measures.
-        record: file for what the output does, see `nmt_core.output_record`; empty = none.
+        record: file for what the output does, see `nmt_core.processes.output_record`; empty = none.
         probe: the settings of `output_owner.OwnerSettings` whose names begin with probe; None = no probe.
         **link: converter, arguments and stop_input of `output_link.OutputLink`.
     """

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
-from nmt_core.plain_json import plain_json
-from nmt_core.records import DriveCommand
+from nmt_core.files.plain_json import plain_json
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.records import DriveCommand
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import Waveform
 from nmt_plant.device import DeviceFault
 from nmt_plant.hardware_rig import HardwareRig

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_plant.converter_watch import ClockWatch, DelayWatch
 from nmt_plant.guarded_device import GuardedDevice, owned_output
 from nmt_plant.oscillator import OscillatorBlock

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity, SampleBlock
-from nmt_core.kernels import njit
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.kernels import njit
 
 # A prediction trips when it lies this much beyond the level: between the two, the measurement decides.
 PREDICTION_FACTOR = 1.25

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_plant.guarded_device import ChannelGroup, GuardedDevice, GuardSettings, owned_output
 from nmt_plant.oscillator import OscillatorBlock
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_plant.simulated_rig import rig_sensors, sensor_row
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.rig import Rig

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_plant.converter import Converter, Taken
 
 _CONNECT_TIME = 5.0  # s

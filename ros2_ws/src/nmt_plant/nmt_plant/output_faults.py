@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nmt_core.records import DriveCommand
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_plant.converter import read_log
 from nmt_plant.guarded_device import LEAST_LEAD

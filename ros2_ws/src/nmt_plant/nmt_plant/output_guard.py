@@ -11,9 +11,9 @@ import sys
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.ramp import half_cosine
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.ramp import half_cosine
 
 # Sines below this share of the sample rate pass the default slew limit at the full voltage limit.
 _FREE_SHARE = 0.1

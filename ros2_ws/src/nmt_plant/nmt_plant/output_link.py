@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_core.vocabulary import OutputState, StopCause
 from nmt_plant.device import DeviceFault
 from nmt_plant.output_owner import (

@@ -35,11 +35,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.output_record import BEAT as RECORD_BEAT
-from nmt_core.output_record import OutputRecord
-from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.processes.output_record import BEAT as RECORD_BEAT
+from nmt_core.processes.output_record import OutputRecord
+from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_core.vocabulary import OutputState, StopCause
 from nmt_plant.converter import Converter, Taken, load_converter
 from nmt_plant.delay_probe import Delay, DelayProbe
@@ -80,7 +80,7 @@ class OwnerSettings:
         slew: V/s, largest rate of change; None = none.
         outputs: channels that are put out.
         inputs: channels that are measured.
-        record: file for what the output does, see `nmt_core.output_record`; empty = none.
+        record: file for what the output does, see `nmt_core.processes.output_record`; empty = none.
         probe: V, amplitude of the signal that finds the delay before the first block; 0 = the converter's own figure.
         probe_input: row of the inputs that measures the output.
         probe_settling: s of zeros before that signal.

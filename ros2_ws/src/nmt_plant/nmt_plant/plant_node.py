@@ -18,14 +18,14 @@ from std_msgs.msg import Bool, UInt64
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import READY, SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
-from nmt_core.blocks import SampleBlock
-from nmt_core.bundle import LOOP_INPUT, PLANT_BUNDLE, BundleWriter
-from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
-from nmt_core.parameters import parameter_table
-from nmt_core.run_announcement import TAKEN_TOPICS
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.bundle import LOOP_INPUT, PLANT_BUNDLE, BundleWriter
+from nmt_core.messages.command_judge import CommandSource
+from nmt_core.messages.run_announcement import TAKEN_TOPICS
+from nmt_core.messages.wire import DRIVE_STOP, MONITOR, RUN_STATE, BlockWriter, read_drive
+from nmt_core.nodes.parameters import parameter_table
 from nmt_core.vocabulary import OutputState, RunPhase, StopCause
-from nmt_core.wire import DRIVE_STOP, MONITOR, RUN_STATE, BlockWriter, read_drive
 from nmt_msgs.msg import Bundle, Drive, DriveStop, Monitor, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_plant.device import Device, DeviceFault, DeviceState

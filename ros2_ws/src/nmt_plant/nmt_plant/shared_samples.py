@@ -12,7 +12,7 @@ import os
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 
 class SampleLine:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import OscillatorPhase, Quantity
+from nmt_core.messages.blocks import OscillatorPhase, Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_plant.device import DeviceFault
 from nmt_plant.guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings, owned_output
 from nmt_plant.limits import ChannelLimit, OpenLoop

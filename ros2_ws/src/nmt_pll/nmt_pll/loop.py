@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LevelCommand
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import AUTOMATIC, ControlKind, HarmonicsTarget, LoopState, TestKind
 from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.gains import LoopPlant

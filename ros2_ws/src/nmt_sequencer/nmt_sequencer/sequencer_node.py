@@ -13,14 +13,23 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
-from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
-from nmt_core.launcher_watch import LauncherWatch
-from nmt_core.output_record import drive_sentence
-from nmt_core.process_watch import ProcessWatch
-from nmt_core.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, BagState, RunAnnouncement
+from nmt_core.messages.command_judge import CommandSource
+from nmt_core.messages.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, BagState, RunAnnouncement
+from nmt_core.messages.wire import (
+    DRIVE_STOP,
+    LEVEL,
+    LOCK_EVENT,
+    MODAL_POINT,
+    RUN_STATE,
+    STEERING,
+    NodeStatus,
+    read_status,
+)
+from nmt_core.nodes.launcher_watch import LauncherWatch
+from nmt_core.processes.output_record import drive_sentence
+from nmt_core.processes.process_watch import ProcessWatch
 from nmt_core.vocabulary import LoopState, ResultCode, RunPhase, SteeringAct
-from nmt_core.wire import DRIVE_STOP, LEVEL, LOCK_EVENT, MODAL_POINT, RUN_STATE, STEERING, NodeStatus, read_status
 from nmt_msgs import msg
 from nmt_msgs.action import RunLevels
 from nmt_msgs.srv import Steer

@@ -16,13 +16,13 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from nmt_core.blocks import SAMPLE_TOPICS, Quantity
-from nmt_core.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.errors import BenchError
-from nmt_core.excitation import Excitation
-from nmt_core.linear_description import LinearDescription
+from nmt_core.files.yaml_text import yaml_text
+from nmt_core.messages.blocks import SAMPLE_TOPICS, Quantity
+from nmt_core.messages.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
+from nmt_core.messages.excitation import Excitation
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.vocabulary import AUTOMATIC, ControlKind, HarmonicsTarget, TestKind
-from nmt_core.yaml_text import yaml_text
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_plant.guarded_device import LEAST_LEAD

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_extract.harmonics import harmonic_amplitudes, synthesise
 
 

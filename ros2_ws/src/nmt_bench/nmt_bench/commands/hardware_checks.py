@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.whole_file import write_whole
+from nmt_core.files.whole_file import write_whole
 from nmt_rig.device_sections import AnyDevice
 from nmt_rig.rig import Rig
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_bench.page.channels import TopicSignals
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import Quantity
 
 PERIODS = 3

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_extract.harmonics import segment_moments, solve_moments
 from nmt_record.bag.bag_reader import Bag

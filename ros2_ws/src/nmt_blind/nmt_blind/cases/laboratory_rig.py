@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_plant.device import DeviceFault
 from nmt_plant.oscillator import OscillatorBlock
 from nmt_plant.simulated_rig import SimulatedRig, sensor_row

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_diagnose.observations.conditions import (
     MeasuredChannel,
     PhaseResonanceTest,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray, IntArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_diagnose.inference.chain_tests import FUNDAMENTAL, ChainTests
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest, Test
 from nmt_diagnose.observations.model_view import ORDER, ModelView

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Segment, Signals, needed_topics, read_stretches

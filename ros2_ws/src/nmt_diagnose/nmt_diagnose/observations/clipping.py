@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 # Fewest samples at the level, and fewest times that the signal came to it.
 _FEWEST, _VISITS = 6, 3

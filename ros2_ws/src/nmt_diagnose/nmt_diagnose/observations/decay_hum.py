@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.decay_nodes import span
 from nmt_diagnose.observations.decay_signal import Ridge, SlowAmplitude, slow_amplitude
 from nmt_diagnose.observations.spectral_lines import MAINS_HZ

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import toeplitz
 
-from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.decay_signal import SlowAmplitude
 
 _DEGREES = (1, 3, 5)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray, IntArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RingDownTest
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 

@@ -12,8 +12,8 @@ import math
 import numpy as np
 from scipy.signal import savgol_filter
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.decay_nodes import Node
 
 _SMOOTHED, _FITTED = 0.2, 0.1  # of a period: smoothing before turning points are looked for; either side of one

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray, IntArray
+from nmt_core.numerics.arrays import FloatArray, IntArray
 
 _NEAR = np.array([-2, -1, 1, 2])
 

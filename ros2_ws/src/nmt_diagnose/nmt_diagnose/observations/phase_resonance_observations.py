@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.bag_samples import SampleStretch
 from nmt_diagnose.observations.clipping import clipping_level

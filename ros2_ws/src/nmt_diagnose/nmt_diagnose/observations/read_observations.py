@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.bag_samples import SampleStretch, read_windows
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 # Fewest repeated samples and their least share; steps of the signal, over the typical one, from which a repeat is none
 # of the signal's own.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 # Sub-windows from which a transient is told, and how fast it may fall, over the window.
 _FEWEST, _RATES = 6, np.geomspace(0.5, 8.0, 25)

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RandomTest
 from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
 from nmt_diagnose.observations.neighbour_cubics import neighbour_cubics

@@ -9,8 +9,8 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.linalg import eigh
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.observations.conditions import (
     BackboneTable,

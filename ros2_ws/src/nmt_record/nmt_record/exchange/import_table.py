@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.hardened import LARGEST_TABLE, open_regular, read_arrays
-from nmt_core.mat_file import MAT5, is_hdf5, read_mat
+from nmt_core.files.hardened import LARGEST_TABLE, open_regular, read_arrays
+from nmt_core.files.mat_file import MAT5, is_hdf5, read_mat
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_record.exchange import uff
 from nmt_record.exchange.unit_table import plain_unit, quantity_of_unit
 

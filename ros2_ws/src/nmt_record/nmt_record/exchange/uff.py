@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import LARGEST_TABLE, open_regular
+from nmt_core.files.hardened import LARGEST_TABLE, open_regular
+from nmt_core.files.whole_file import writing
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import Quantity
-from nmt_core.whole_file import writing
 
 TIME_RESPONSE = 1
 FREQUENCY_RESPONSE = 4

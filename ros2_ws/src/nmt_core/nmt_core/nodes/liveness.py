@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from nmt_core.process_watch import ProcessWatch, process_of
+from nmt_core.processes.process_watch import ProcessWatch, process_of
 
 READY = "ready"
 HUNG = "hung"

@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from nmt_core.errors import BenchError
-from nmt_core.hardened import LARGEST_DOCUMENT, YAML_FAULTS, BoundedYaml, check_number, read_text
+from nmt_core.files.hardened import LARGEST_DOCUMENT, YAML_FAULTS, BoundedYaml, check_number, read_text
 
 KeyPath = tuple[str | int, ...]
 _MOST_NODES = 20_000

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 _GAP = 1.75  # steps: a sample is missing, or stamps scatter by three quarters of a step
 

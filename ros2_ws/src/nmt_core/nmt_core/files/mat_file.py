@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.errors import BenchError
-from nmt_core.hardened import LARGEST_ARRAYS, open_regular
+from nmt_core.files.hardened import LARGEST_ARRAYS, open_regular
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
 MAT5 = b"MATLAB 5.0"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 
-from nmt_core.process_watch import state_of
+from nmt_core.processes.process_watch import state_of
 
 LAUNCHER = "NMT_LAUNCHER"
 """Environment variable in which the program that starts nodes gives them its process id."""

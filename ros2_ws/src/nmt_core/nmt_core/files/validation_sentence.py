@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from nmt_core.yaml_document import KeyPath, YamlDocument
+from nmt_core.files.yaml_document import KeyPath, YamlDocument
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

@@ -24,7 +24,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from nmt_core.text_table import entries
+from nmt_core.text.text_table import entries
 
 _PATHS = ("FILE", "DIR", "BAG", "SIDECAR", "RUN_OUT", "SWEEP_OUT")
 _NUMBERS = ("S", "V", "HZ", "PT", "PPM", "f1", "f2", "r")

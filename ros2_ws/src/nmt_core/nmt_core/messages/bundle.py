@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 
-from nmt_core.cdr import COUNT, ENCAPSULATION, aligned, check_encapsulation, read_string, string_bytes
+from nmt_core.messages.cdr import COUNT, ENCAPSULATION, aligned, check_encapsulation, read_string, string_bytes
 
 PLANT_BUNDLE = "plant_bundle"
 """Topic of the plant's samples."""

@@ -9,7 +9,7 @@ from sys import intern
 from nmt_core.errors import BenchError
 
 _HERE = Path(__file__).resolve()
-_OWN = (_HERE.parents[2], _HERE.with_name("definitions"))  # the source tree; a wheel
+_OWN = (_HERE.parents[3], _HERE.parents[1] / "definitions")  # the source tree; a wheel
 
 
 def find_message_file(message_type: str) -> Path:

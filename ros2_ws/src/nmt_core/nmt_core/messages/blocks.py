@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import SAMPLE_TOPICS, BlockFlag, Quantity
 
 __all__ = [

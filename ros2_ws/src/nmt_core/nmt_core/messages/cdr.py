@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from nmt_core.message_files import find_message_file, message_fields
+from nmt_core.messages.message_files import find_message_file, message_fields
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 BASE = len(ENCAPSULATION)

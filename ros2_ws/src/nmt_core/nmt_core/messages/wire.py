@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import OscillatorPhase, SampleBlock
-from nmt_core.cdr import (
+from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import OscillatorPhase, SampleBlock
+from nmt_core.messages.cdr import (
     BASE,
     ENCAPSULATION,
     STAMP,
@@ -37,9 +37,8 @@ from nmt_core.cdr import (
     string_bytes,
     take,
 )
-from nmt_core.errors import BenchError
-from nmt_core.modal_point import COMPLEX, ModalPoint
-from nmt_core.records import (
+from nmt_core.messages.modal_point import COMPLEX, ModalPoint
+from nmt_core.messages.records import (
     DriveCommand,
     DriveStop,
     LevelCommand,
@@ -50,6 +49,7 @@ from nmt_core.records import (
     SignalLevels,
     Steering,
 )
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import (
     OutputState,
     PointStatus,
@@ -82,7 +82,7 @@ class _BlockLayout:
 
 
 class BlockHead(NamedTuple):
-    """A block without its samples; fields as in :class:`nmt_core.blocks.SampleBlock`."""
+    """A block without its samples; fields as in :class:`nmt_core.messages.blocks.SampleBlock`."""
 
     first_sample: int
     samples: int

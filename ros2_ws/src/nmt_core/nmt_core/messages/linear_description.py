@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import json_value
+from nmt_core.files.hardened import json_value
+from nmt_core.numerics.arrays import FloatArray
 
 TEST_KEYS = frozenset(
     (

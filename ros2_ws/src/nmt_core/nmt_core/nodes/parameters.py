@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.text_table import entries
+from nmt_core.text.text_table import entries
 
 ParameterValue = bool | int | float | str | list[float] | list[int] | list[str]
 

@@ -19,7 +19,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from nmt_core.bundle import LOOP_INPUT, PLANT_BUNDLE, PLL_BUNDLE
+from nmt_core.messages.bundle import LOOP_INPUT, PLANT_BUNDLE, PLL_BUNDLE
 
 TAKEN_BY: dict[str, tuple[str, ...]] = {
     LOOP_INPUT: ("pll",),

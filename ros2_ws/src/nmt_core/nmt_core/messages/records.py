@@ -1,6 +1,6 @@
 """One record for each small message of the bench; fields, units and the meaning of NaN as in ``nmt_msgs``.
 
-Blocks of samples are in :mod:`nmt_core.blocks`, modal points in :mod:`nmt_core.modal_point`.
+Blocks of samples are in :mod:`nmt_core.messages.blocks`, modal points in :mod:`nmt_core.messages.modal_point`.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ class SignalLevels:
         channels: names of all channels, separated by commas, in the order of the quantities.
         peak: largest magnitude of each channel in its unit.
         rms: of each channel in its unit.
-        flags: of all blocks that the numbers are about, see :class:`nmt_core.blocks.BlockFlag`.
+        flags: of all blocks that the numbers are about, see :class:`nmt_core.messages.blocks.BlockFlag`.
         time_ns: bench time of ``last_sample``, ns.
     """
 

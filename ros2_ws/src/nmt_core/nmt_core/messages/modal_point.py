@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray
+from nmt_core.numerics.arrays import ComplexArray
 from nmt_core.vocabulary import PointStatus
 
 EVALUATED = (

@@ -18,7 +18,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.run_announcement import RunAnnouncement
 from nmt_core.nodes.parameters import check_values
 from nmt_diagnose.observations.origin import origin_of
-from nmt_plant.hardware_rig import HARDWARE_LEAD, device_of
+from nmt_plant.devices.hardware_rig import HARDWARE_LEAD, device_of
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.run_recorder import PARAMETERS, RunRecorder, described_run
 from nmt_rig.rig import load_rig

@@ -239,7 +239,7 @@ def test_drive_commands_are_made_from_a_loops_output_in_one_place():
     assert makers == {
         "nmt_core/nmt_core/messages/wire.py",
         "nmt_plant/nmt_plant/benchmark.py",
-        "nmt_plant/nmt_plant/hardware_check.py",
+        "nmt_plant/nmt_plant/check/hardware_check.py",
         "nmt_plant/nmt_plant/output_faults.py",
         "nmt_pll/nmt_pll/loop_core.py",
     }

@@ -23,7 +23,7 @@ from nmt_core.vocabulary import Waveform
 from nmt_extract.linear_evaluation import evaluate_linear_test
 from nmt_extract.linear_file import Linearity, description, frf_table, linear_mapping, linearity
 from nmt_extract.linear_identification import LinearTest, LinearTestSettings, _target_of, linear_test
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Signals
 from nmt_report.linear_report import exact_modes, linear_page

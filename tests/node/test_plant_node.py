@@ -21,8 +21,8 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_extract.modal_point import Status
 from nmt_msgs.msg import Drive
-from nmt_plant.device import DeviceFault
-from nmt_plant.loopback_device import LoopbackDevice
+from nmt_plant.devices.device import DeviceFault
+from nmt_plant.devices.loopback_device import LoopbackDevice
 from nmt_plant.plant_node import PlantNode
 from nmt_sequencer.sequencer_node import SequencerNode
 

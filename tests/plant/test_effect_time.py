@@ -9,7 +9,7 @@ from rig.effect_rigs import DAMPER, MASS, RATE, SPRING, beam, harmonic, oscillat
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 
 
 def decay_frequency(rig, strike=2.0):

@@ -25,9 +25,9 @@ from nmt_core.nodes.parameters import check_values
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState, PointStatus, Quantity, ResultCode, RunPhase, SteeringAct, Waveform
 from nmt_extract.offline import extract_bag
-from nmt_plant.device import DeviceFault
+from nmt_plant.devices.device import DeviceFault
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.oscillator import OscillatorBlock
-from nmt_plant.simulated_rig import SimulatedRig
 from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import load_rig
 from nmt_sequencer.run_core import PARAMETERS as SEQUENCER

@@ -10,7 +10,7 @@ from nmt_core.messages.command_judge import LONGEST_AHEAD, CommandJudge
 from nmt_core.messages.records import DriveCommand, DriveStop, RunState, SignalLevels
 from nmt_core.messages.run_announcement import TAKEN_TOPICS
 from nmt_core.vocabulary import OutputState, Quantity, RunPhase, StopCause
-from nmt_plant.device import Device, DeviceState, check_drive
+from nmt_plant.devices.device import Device, DeviceState, check_drive
 from nmt_plant.lockstep import LockstepGate
 from nmt_plant.signal_levels import LevelMeter
 

@@ -28,12 +28,12 @@ from nmt_core.nodes.parameters import parameter_table
 from nmt_core.vocabulary import OutputState, RunPhase, StopCause
 from nmt_msgs.msg import Bundle, Drive, DriveStop, Monitor, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
-from nmt_plant.device import Device, DeviceFault, DeviceState
-from nmt_plant.guarded_device import LEAST_LEAD, GuardedDevice
-from nmt_plant.hardware_rig import HardwareRig, device_of
+from nmt_plant.devices.device import Device, DeviceFault, DeviceState
+from nmt_plant.devices.guarded_device import LEAST_LEAD, GuardedDevice
+from nmt_plant.devices.hardware_rig import HardwareRig, device_of
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.plant_core import PlantCore
 from nmt_plant.real_time import LatenessHistogram, computer_settings, priority_of, real_time_priority
-from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS
 from nmt_rig.rig import Rig, load_rig
 

@@ -25,9 +25,9 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.vocabulary import AUTOMATIC, ControlKind, HarmonicsTarget, TestKind
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout
-from nmt_plant.guarded_device import LEAST_LEAD
-from nmt_plant.hardware_rig import HARDWARE_LEAD
-from nmt_plant.output_guard import default_slew
+from nmt_plant.devices.guarded_device import LEAST_LEAD
+from nmt_plant.devices.hardware_rig import HARDWARE_LEAD
+from nmt_plant.safety.output_guard import default_slew
 from nmt_pll.harmonics_control import MOST_HARMONICS
 from nmt_pll.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from

@@ -44,9 +44,9 @@ from nmt_core.nodes.parameters import Parameter, check_values
 from nmt_core.vocabulary import Quantity, ResultCode, RunPhase, SteeringAct
 from nmt_extract.extraction_core import PARAMETERS as EXTRACT_PARAMETERS
 from nmt_extract.extraction_core import ExtractionCore
-from nmt_plant.device import Device, DeviceFault
+from nmt_plant.devices.device import Device, DeviceFault
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.plant_core import PlantCore
-from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.loop_core import PARAMETERS as PLL_PARAMETERS
 from nmt_pll.loop_core import LoopCore
 from nmt_record.bag.bag_keys import SIMULATED_RIG

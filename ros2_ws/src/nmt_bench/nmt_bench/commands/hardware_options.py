@@ -53,7 +53,7 @@ def device_settings(arguments: argparse.Namespace) -> dict[str, Any]:
     own = getattr(arguments, "latency_blocks", 0)
     if kind not in DEVICE_KINDS:
         return {"pacing": arguments.pacing, "latency_blocks": own}
-    from nmt_plant.hardware_rig import device_of
+    from nmt_plant.devices.hardware_rig import device_of
 
     look_for_device(device_of(rig, kind, address), rig)
     command = check_command(arguments.rig, arguments.device, rig_changes(arguments))
@@ -76,7 +76,7 @@ def checked_device(rig: Rig, device: str, command: str) -> dict[str, Any]:
     if kind not in DEVICE_KINDS:
         return {"device": kind}
     from nmt_bench.commands.hardware_checks import require_check
-    from nmt_plant.hardware_rig import HARDWARE_LEAD, device_of
+    from nmt_plant.devices.hardware_rig import HARDWARE_LEAD, device_of
 
     checked = require_check(rig, device_of(rig, kind, address), command)
     # As much delay as the check has found, and the usual blocks that may be late.
@@ -101,7 +101,7 @@ def look_for_device(section: AnyDevice, rig: Rig) -> None:
         BenchError: driver, library or device is missing, with what fixes it.
     """
     if section.kind == "portaudio":
-        from nmt_plant.portaudio_converter import find_device, list_devices
+        from nmt_plant.converters.portaudio_converter import find_device, list_devices
 
         ports = [
             max(int(entry.port) for entry in section.inputs),
@@ -115,6 +115,6 @@ def look_for_device(section: AnyDevice, rig: Rig) -> None:
                 f"--set sample_rate_hz={found['rate']:g}, or start the server at the rig's rate."
             )
         return
-    from nmt_plant.nidaqmx_converter import find_channels
+    from nmt_plant.converters.nidaqmx_converter import find_channels
 
     find_channels(section.address, [str(entry.port) for entry in section.ports])

@@ -43,11 +43,11 @@ PREPARED = (
     "nmt_core.nodes.link",
     "nmt_core.nodes.liveness",
     "nmt_core.nodes.shared_memory",
-    "nmt_plant.guarded_device",
-    "nmt_plant.hardware_rig",
+    "nmt_plant.devices.guarded_device",
+    "nmt_plant.devices.hardware_rig",
     "nmt_plant.plant_core",
     "nmt_plant.real_time",
-    "nmt_plant.simulated_rig",
+    "nmt_plant.devices.simulated_rig",
     "nmt_pll.loop_core",
     "nmt_sequencer.run_core",
     "nmt_sequencer.steering",
@@ -125,7 +125,7 @@ def _read_definitions() -> None:
 
 def _load_kernels() -> None:
     """The time loop of a simulated rig, for the plant."""
-    from nmt_plant.simulated_rig import SimulatedRig
+    from nmt_plant.devices.simulated_rig import SimulatedRig
     from nmt_rig.rig import load_rig
 
     rig = SimulatedRig(load_rig("beam"))

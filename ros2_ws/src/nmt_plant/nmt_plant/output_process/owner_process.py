@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from nmt_plant.output_owner import OwnerSettings
-from nmt_plant.shared_samples import SharedSamples
+from nmt_plant.output_process.output_owner import OwnerSettings
+from nmt_plant.output_process.shared_samples import SharedSamples
 
 _EXCEPTION = re.compile(r"^(?:\w+\.)*\w*(?:Error|Exception): ")
 
@@ -43,7 +43,12 @@ class OwnerProcess:
         stop_input: int | None,
     ) -> None:
         descriptors = [channel.fileno(), samples.descriptor, *([] if stop_input is None else [stop_input])]
-        command = [sys.executable, "-m", "nmt_plant.output_owner", *(str(number) for number in descriptors[:2])]
+        command = [
+            sys.executable,
+            "-m",
+            "nmt_plant.output_process.output_owner",
+            *(str(number) for number in descriptors[:2]),
+        ]
         command += [json.dumps(asdict(settings)), converter, json.dumps(arguments)]
         command += [str(number) for number in descriptors[2:]]
         self._process = subprocess.Popen(

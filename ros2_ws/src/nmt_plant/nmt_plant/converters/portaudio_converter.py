@@ -3,7 +3,7 @@
 Full duplex in one stream: inputs and output share PortAudio's clock. The callback runs in PortAudio's own thread of the
 process that owns the output. PortAudio is reached by the package sounddevice, which needs the system's library.
 
-    python -m nmt_plant.portaudio_converter
+    python -m nmt_plant.converters.portaudio_converter
 
 prints the devices as JSON; the command line asks so, since libraries of sound systems write to the terminal.
 """
@@ -23,7 +23,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
-from nmt_plant.converter import Converter, Taken, Turn
+from nmt_plant.converters.converter import Converter, Taken, Turn
 
 _MISSING = (
     "PortAudio is not installed (libportaudio.so.2); type 'sudo apt install libportaudio2', and 'jackd2' for JACK, "
@@ -81,7 +81,7 @@ def list_devices() -> list[dict[str, Any]]:
         BenchError: PortAudio is missing.
     """
     asked = subprocess.run(
-        [sys.executable, "-m", "nmt_plant.portaudio_converter"], capture_output=True, text=True, timeout=30
+        [sys.executable, "-m", "nmt_plant.converters.portaudio_converter"], capture_output=True, text=True, timeout=30
     )
     if asked.returncode == 2:
         raise BenchError(asked.stdout.strip())

@@ -12,7 +12,7 @@ late finds that its samples' time has passed: zeros were put out in their place.
 What it cannot do: if the owner itself is killed or stopped, the converter keeps what its hardware does without it. The
 feeding side says then that the state of the output is unknown (see `output_link`).
 
-    python -m nmt_plant.output_owner SOCKET MEMORY SETTINGS CONVERTER ARGUMENTS [STOP_DESCRIPTOR]
+    python -m nmt_plant.output_process.output_owner SOCKET MEMORY SETTINGS CONVERTER ARGUMENTS [STOP_DESCRIPTOR]
 
 is how `output_link.OutputLink` starts it. No named shared memory; the only file is the record, where one is asked for.
 """
@@ -41,10 +41,10 @@ from nmt_core.processes.output_record import BEAT as RECORD_BEAT
 from nmt_core.processes.output_record import OutputRecord
 from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_core.vocabulary import OutputState, StopCause
-from nmt_plant.converter import Converter, Taken, load_converter
-from nmt_plant.delay_probe import Delay, DelayProbe
-from nmt_plant.output_guard import OutputGuard
-from nmt_plant.shared_samples import SharedSamples
+from nmt_plant.converters.converter import Converter, Taken, load_converter
+from nmt_plant.converters.delay_probe import Delay, DelayProbe
+from nmt_plant.output_process.shared_samples import SharedSamples
+from nmt_plant.safety.output_guard import OutputGuard
 
 MESSAGE_BYTES = 4096
 _MOST_LEAD = 128

@@ -10,10 +10,10 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_plant.converter_watch import ClockWatch, DelayWatch
-from nmt_plant.guarded_device import GuardedDevice, owned_output
+from nmt_plant.converters.converter_watch import ClockWatch, DelayWatch
+from nmt_plant.devices.guarded_device import GuardedDevice, owned_output
+from nmt_plant.devices.simulated_rig import channel_groups, guard_settings, rig_sensors
 from nmt_plant.oscillator import OscillatorBlock
-from nmt_plant.simulated_rig import channel_groups, guard_settings, rig_sensors
 from nmt_plant.specimen import Specimen
 from nmt_rig.device_sections import AnyDevice, NiDaqmxSection, PortAudioSection, specimen_device
 from nmt_rig.rig import Rig
@@ -24,8 +24,8 @@ HARDWARE_LEAD = 8
 """Blocks that wait at the output of hardware unless a test says otherwise."""
 _END_STOP = 0.999  # of the range, from which a sample counts as overload
 _CONVERTERS = {
-    "portaudio": "nmt_plant.portaudio_converter:PortAudioConverter",
-    "nidaqmx": "nmt_plant.nidaqmx_converter:NiDaqmxConverter",
+    "portaudio": "nmt_plant.converters.portaudio_converter:PortAudioConverter",
+    "nidaqmx": "nmt_plant.converters.nidaqmx_converter:NiDaqmxConverter",
 }
 
 

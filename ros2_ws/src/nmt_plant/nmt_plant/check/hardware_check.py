@@ -19,9 +19,9 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.records import DriveCommand
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import Waveform
-from nmt_plant.device import DeviceFault
-from nmt_plant.hardware_rig import HardwareRig
-from nmt_plant.model_fit import ModelFit, MovedModes, fit_model, scan_modes
+from nmt_plant.check.model_fit import ModelFit, MovedModes, fit_model, scan_modes
+from nmt_plant.devices.device import DeviceFault
+from nmt_plant.devices.hardware_rig import HardwareRig
 from nmt_plant.specimen import Specimen
 from nmt_rig.linear_description import linear_description
 

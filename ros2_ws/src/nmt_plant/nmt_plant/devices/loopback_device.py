@@ -13,7 +13,7 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_plant.guarded_device import ChannelGroup, GuardedDevice, GuardSettings, owned_output
+from nmt_plant.devices.guarded_device import ChannelGroup, GuardedDevice, GuardSettings, owned_output
 from nmt_plant.oscillator import OscillatorBlock
 
 
@@ -55,7 +55,7 @@ class LoopbackDevice(GuardedDevice):
         )
         settings = GuardSettings({Quantity.VOLTAGE: voltage_limit}, quiet_ramp, watchdog_blocks, quiet_ramp)
         output = {
-            "converter": "nmt_plant.converter:LoopbackConverter",
+            "converter": "nmt_plant.converters.converter:LoopbackConverter",
             "arguments": {"sample_rate": sample_rate, **(arguments or {})},
             "inputs": 1,
             **output,

@@ -23,13 +23,13 @@ from nmt_core.messages.records import DriveCommand
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.ramp import half_cosine
 from nmt_core.vocabulary import OutputState, StopCause, Waveform
-from nmt_plant.device import Device, DeviceFault, DeviceState
-from nmt_plant.limits import ChannelLimit, LimitGuard, OpenLoop, watch_rows
+from nmt_plant.devices.device import Device, DeviceFault, DeviceState
 from nmt_plant.oscillator import Oscillator, OscillatorBlock, check_command, load_filters
-from nmt_plant.output_guard import OutputGuard, default_slew
-from nmt_plant.output_link import OutputLink
-from nmt_plant.output_owner import OwnerSettings
-from nmt_plant.watchdog import DriveWatchdog
+from nmt_plant.output_process.output_link import OutputLink
+from nmt_plant.output_process.output_owner import OwnerSettings
+from nmt_plant.safety.limits import ChannelLimit, LimitGuard, OpenLoop, watch_rows
+from nmt_plant.safety.output_guard import OutputGuard, default_slew
+from nmt_plant.safety.watchdog import DriveWatchdog
 
 # The order in which `tick` works; tests hold it to this.
 TICK_ORDER = ("commands", "drive", "measure", "compute", "safety", "actuate", "publish")

@@ -13,8 +13,8 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_core.vocabulary import OutputState, StopCause
-from nmt_plant.device import DeviceFault
-from nmt_plant.output_owner import (
+from nmt_plant.devices.device import DeviceFault
+from nmt_plant.output_process.output_owner import (
     MESSAGE_BYTES,
     OwnerMessage,
     OwnerReport,
@@ -23,8 +23,8 @@ from nmt_plant.output_owner import (
     quiet_message,
     read_report,
 )
-from nmt_plant.owner_process import OwnerProcess
-from nmt_plant.shared_samples import SharedSamples
+from nmt_plant.output_process.owner_process import OwnerProcess
+from nmt_plant.output_process.shared_samples import SharedSamples
 
 _SILENT = 0.5  # s without a report after which the state of the output is unknown
 _START_TIME = 90.0  # s; drivers load for long on a busy computer
@@ -62,7 +62,7 @@ class OutputLink:
     def __init__(
         self,
         settings: OwnerSettings,
-        converter: str = "nmt_plant.converter:SteadyClockConverter",
+        converter: str = "nmt_plant.converters.converter:SteadyClockConverter",
         arguments: Mapping[str, Any] | None = None,
         stop_input: int | None = None,
         clock: SteadyClock = STEADY_CLOCK,

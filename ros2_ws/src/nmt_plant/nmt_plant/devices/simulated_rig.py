@@ -11,10 +11,10 @@ import numpy as np
 
 from nmt_core.messages.blocks import OscillatorPhase, Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_plant.device import DeviceFault
-from nmt_plant.guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings, owned_output
-from nmt_plant.limits import ChannelLimit, OpenLoop
+from nmt_plant.devices.device import DeviceFault
+from nmt_plant.devices.guarded_device import TICK_ORDER, ChannelGroup, GuardedDevice, GuardSettings, owned_output
 from nmt_plant.oscillator import OscillatorBlock
+from nmt_plant.safety.limits import ChannelLimit, OpenLoop
 from nmt_rig.drift import Drift
 from nmt_rig.model.assembly import (
     ElectromechanicalSystem,

@@ -4,7 +4,7 @@ The pattern is that of shaker controllers: continuous input and output on one sa
 input's start trigger, no regeneration, an output buffer of a few blocks; the end writes zeros and waits until they are
 out. Source: NI-DAQmx Help, "Synchronization" and "Regeneration".
 
-    python -m nmt_plant.nidaqmx_converter ADDRESS PORT...
+    python -m nmt_plant.converters.nidaqmx_converter ADDRESS PORT...
 
 looks for the devices of physical channels; the command line asks so, since a process that has used gRPC cannot start
 others safely: its threads do not survive the fork.
@@ -25,7 +25,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
-from nmt_plant.converter import Converter, Taken
+from nmt_plant.converters.converter import Converter, Taken
 
 _CONNECT_TIME = 5.0  # s
 _ASK_TIME = 60.0  # s
@@ -83,7 +83,7 @@ def find_channels(address: str, ports: Sequence[str]) -> None:
     Raises:
         BenchError: driver, server or device is missing.
     """
-    command = [sys.executable, "-m", "nmt_plant.nidaqmx_converter", address, *ports]
+    command = [sys.executable, "-m", "nmt_plant.converters.nidaqmx_converter", address, *ports]
     try:
         asked = subprocess.run(command, capture_output=True, text=True, timeout=_ASK_TIME)
     except subprocess.TimeoutExpired:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_plant.simulated_rig import rig_sensors, sensor_row
+from nmt_plant.devices.simulated_rig import rig_sensors, sensor_row
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_resting_elements, build_structure, build_system, input_per_volt

@@ -210,13 +210,13 @@ MUTATIONS = [
             "blocks that lengthen the test are chosen",
         ),
         (
-            "nmt_diagnose/nmt_diagnose/observations/floors.py",
+            "nmt_diagnose/nmt_diagnose/observations/noise/floors.py",
             "return self.phase_error * math.sqrt(levels)",
             "return self.phase_error",
             "the floor of the phase is averaged away by many levels",
         ),
         (
-            "nmt_diagnose/nmt_diagnose/observations/floors.py",
+            "nmt_diagnose/nmt_diagnose/observations/noise/floors.py",
             "excess = float(np.mean(0.5 * difference[mine] ** 2) - np.mean(stated[mine]))",
             "excess = float(np.mean(difference[mine] ** 2) - np.mean(stated[mine]))",
             "the floor from repeats is √2 too large",

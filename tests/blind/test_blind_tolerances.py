@@ -26,7 +26,7 @@ from nmt_blind.cases.tolerances import (
 )
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import OscillatorPhase
-from nmt_diagnose.observations.measuring_chain import measuring_chain
+from nmt_diagnose.observations.channels.measuring_chain import measuring_chain
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.oscillator import OscillatorBlock
 from nmt_record.bag.bag_reader import Bag

@@ -12,8 +12,8 @@ from diagnose.test_stepped_sine import DAMPER, OMEGA, observations_of, oscillato
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.chain import linear_chain
+from nmt_diagnose.observations.channels.measuring_chain import table_chain
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
-from nmt_diagnose.observations.measuring_chain import table_chain
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import ResidualSection, Rig
 

@@ -31,6 +31,7 @@ from nmt_diagnose.inference.tuned import (
     SCALE_STD,
     SWEEP_SHIFT_STD,
 )
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import (
     BackboneTable,
     LockedLevel,
@@ -41,7 +42,6 @@ from nmt_diagnose.observations.conditions import (
     SteppedSineTest,
     Test,
 )
-from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ORDER, ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction

@@ -14,24 +14,24 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.bag_samples import SampleStretch, read_windows
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch, read_windows
+from nmt_diagnose.observations.channels.measuring_chain import measuring_chain, table_chain
+from nmt_diagnose.observations.channels.plausibility import check_frequency, clipping_notes, out_of_scale, repeats_notes
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
-from nmt_diagnose.observations.floors import repeatability, with_stated_repeatability
-from nmt_diagnose.observations.measuring_chain import measuring_chain, table_chain
+from nmt_diagnose.observations.kinds.phase_resonance_observations import phase_resonance_observations
+from nmt_diagnose.observations.kinds.random_observations import random_observations
+from nmt_diagnose.observations.kinds.record_observations import record_observations
+from nmt_diagnose.observations.kinds.ring_down_observations import ring_down_observations
+from nmt_diagnose.observations.kinds.stepped_sine_observations import is_response, stepped_sine_observations
+from nmt_diagnose.observations.kinds.stepped_table_observations import measured_together
+from nmt_diagnose.observations.kinds.table_observations import table_observations
 from nmt_diagnose.observations.model_view import ORDER, ModelView, matched
+from nmt_diagnose.observations.noise.floors import repeatability, with_stated_repeatability
+from nmt_diagnose.observations.noise.shared_scatter import with_shared_scatter
 from nmt_diagnose.observations.observables import Observations, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, strangers
-from nmt_diagnose.observations.phase_resonance_observations import phase_resonance_observations
-from nmt_diagnose.observations.plausibility import check_frequency, clipping_notes, out_of_scale, repeats_notes
-from nmt_diagnose.observations.random_observations import random_observations
-from nmt_diagnose.observations.record_observations import record_observations
-from nmt_diagnose.observations.ring_down_observations import ring_down_observations
 from nmt_diagnose.observations.row_table import empty
-from nmt_diagnose.observations.shared_scatter import with_shared_scatter
-from nmt_diagnose.observations.stepped_sine_observations import is_response, stepped_sine_observations
-from nmt_diagnose.observations.stepped_table_observations import measured_together
-from nmt_diagnose.observations.table_observations import table_observations
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.observables import observable_tables
 from nmt_record.windows.segments import Segment, segments

@@ -13,7 +13,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.model_view import ORDER, ModelView
-from nmt_diagnose.observations.neighbour_cubics import neighbour_cubics
+from nmt_diagnose.observations.noise.neighbour_cubics import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty

@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RandomTest
+from nmt_diagnose.observations.kinds.stepped_table_observations import (
+    has_levels,
+    spread_lines,
+    stepped_table_observations,
+)
 from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
-from nmt_diagnose.observations.neighbour_cubics import neighbour_cubics
+from nmt_diagnose.observations.noise.neighbour_cubics import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
-from nmt_diagnose.observations.stepped_table_observations import has_levels, spread_lines, stepped_table_observations
 from nmt_record.exchange.observables import ObservableTable
 from nmt_rig.rig import Rig
 

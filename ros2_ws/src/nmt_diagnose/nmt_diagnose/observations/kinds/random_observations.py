@@ -19,11 +19,11 @@ from scipy.signal import csd, welch
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from nmt_diagnose.observations.bag_samples import SampleStretch
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.model_view import ORDER as DERIVATIVES
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.moderated_variance import moderated
+from nmt_diagnose.observations.noise.moderated_variance import moderated
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty

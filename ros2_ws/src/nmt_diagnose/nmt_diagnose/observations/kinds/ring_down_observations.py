@@ -16,7 +16,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.observations.bag_samples import SampleStretch
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
 from nmt_diagnose.observations.decay_hum import Hum, without_hum
 from nmt_diagnose.observations.decay_nodes import Node, nodes, ratio_at

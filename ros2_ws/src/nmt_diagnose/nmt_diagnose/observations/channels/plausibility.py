@@ -10,7 +10,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.observations.bag_samples import SampleStretch
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.clipping import clipping_level
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio

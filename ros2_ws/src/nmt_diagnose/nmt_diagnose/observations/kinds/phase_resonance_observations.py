@@ -12,19 +12,19 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.bag_samples import SampleStretch
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
+from nmt_diagnose.observations.channels.drive_hold import hold_factor, image_responses
 from nmt_diagnose.observations.clipping import clipping_level
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.converter_step import converter_step
-from nmt_diagnose.observations.drive_hold import hold_factor, image_responses
-from nmt_diagnose.observations.floors import Floors
 from nmt_diagnose.observations.model_view import ORDER, ModelView
-from nmt_diagnose.observations.moderated_variance import moderated
+from nmt_diagnose.observations.noise.floors import Floors
+from nmt_diagnose.observations.noise.moderated_variance import moderated
+from nmt_diagnose.observations.noise.settling import Settling, settling
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.repeated_samples import repeated_share
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
-from nmt_diagnose.observations.settling import Settling, settling
 from nmt_diagnose.observations.spectral_lines import MAINS_HZ, Line, mains_line
 from nmt_extract.harmonics import (
     resolvable_harmonics,

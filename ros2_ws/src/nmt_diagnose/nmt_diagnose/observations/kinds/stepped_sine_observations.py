@@ -10,14 +10,14 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_diagnose.observations.bag_samples import SampleStretch
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
+from nmt_diagnose.observations.kinds.phase_resonance_observations import LockedWindow, analyse_window
+from nmt_diagnose.observations.kinds.stepped_table_observations import jumps_of
 from nmt_diagnose.observations.model_view import ORDER, ModelView
 from nmt_diagnose.observations.observables import Observations, Part, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.phase_resonance_observations import LockedWindow, analyse_window
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
-from nmt_diagnose.observations.stepped_table_observations import jumps_of
 from nmt_record.windows.segments import Segment
 
 FEWEST_LINES = 5

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from nmt_bench.cli import main
-from nmt_bench.commands.hardware_checks import keep_check
+from nmt_bench.hardware.hardware_checks import keep_check
 from nmt_bench.orchestration.bench_files import write_bench_files
 from nmt_core.errors import BenchError
 from nmt_core.messages.run_announcement import RunAnnouncement

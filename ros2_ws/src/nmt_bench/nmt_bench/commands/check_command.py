@@ -45,9 +45,10 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
     from nmt_bench.commands.console import make_console
-    from nmt_bench.commands.hardware_checks import fingerprint, keep_check
-    from nmt_bench.commands.hardware_options import chosen_rig, look_for_device, parsed_device
+    from nmt_bench.commands.hardware_options import chosen_rig
     from nmt_bench.commands.linear_input import read_linear
+    from nmt_bench.hardware.chosen_device import look_for_device, parsed_device
+    from nmt_bench.hardware.hardware_checks import fingerprint, keep_check
     from nmt_plant.check.hardware_check import evaluate_check, record_check
     from nmt_plant.devices.device import DeviceFault
     from nmt_plant.devices.hardware_rig import HardwareRig, device_of

@@ -15,7 +15,7 @@ import numpy as np
 
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_extract.harmonics import Moments
+from nmt_signals.harmonics import Moments
 
 _FLAT, _EDGE = 3e-3, 3e-2  # of half the peak to peak: depth of a flat top, and of its edge
 _FLAT_SHARE = 0.04  # of a period; a sine has 0.025 there

@@ -21,8 +21,8 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_extract.ring_down import DecaySettings, decay_of
-from nmt_extract.sine_fit import strongest_line
 from nmt_extract.window_judge import CONVERTER_BITS, resolution
+from nmt_signals.sine_fit import strongest_line
 
 COLUMNS = (
     "segment", "channel", "time_s", "amplitude", "unit", "frequency_hz", "frequency_hz_std", "damping_ratio",

@@ -1,8 +1,8 @@
 """Linear modal test: from one record of random excitation to modes, residuals and the plant with its exciter.
 
-Averaged spectra (:mod:`nmt_extract.frf`) give the frequency responses, the coherence and, through the stabilisation
-diagram (:mod:`nmt_extract.stabilisation`), the modes to look for. Every mode is then fitted to the whole record without
-window (:mod:`nmt_extract.rational_fit`) and scaled by the drive point. No model of the structure enters.
+Averaged spectra (:mod:`nmt_signals.frequency_responses`) give the frequency responses, the coherence and, through the
+stabilisation diagram (:mod:`nmt_extract.stabilisation`), the modes to look for. Every mode is then fitted to the whole
+record without window (:mod:`nmt_signals.rational_fit`) and scaled by the drive point. No model of the structure enters.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_extract.frf import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate
 from nmt_extract.linear_residuals import Residuals, fit_residuals, modal_receptance
-from nmt_extract.rational_fit import MOST_LINES, RationalFit, StructureMode, fit_rational, structure_mode
 from nmt_extract.stabilisation import OrderPoles, StablePole, order_poles, stable_poles
 from nmt_record.windows.segments import Signals
+from nmt_signals.frequency_responses import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate
+from nmt_signals.rational_fit import MOST_LINES, RationalFit, StructureMode, fit_rational, structure_mode
 
 _POWERS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 

@@ -15,14 +15,14 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract import channel_judge, window_judge
 from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_extract.harmonics import Moments, resolvable_harmonics, segment_moments, solve_moments, whole_period_bounds
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
 from nmt_extract.modal_point import EVALUATED, ModalPoint, Status, bench_time_ns, rejected_point
 from nmt_extract.power_balance import BalancedMode, balance, part_count
-from nmt_extract.sine_fit import fit_frequency, strongest_line
 from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
 from nmt_extract.window import Window
 from nmt_extract.window_judge import Remark
+from nmt_signals.harmonics import Moments, resolvable_harmonics, segment_moments, solve_moments, whole_period_bounds
+from nmt_signals.sine_fit import fit_frequency, strongest_line
 
 _RESPONSES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 _SINE = 0.005  # harmonics over the fundamental of a force that is held to a sine

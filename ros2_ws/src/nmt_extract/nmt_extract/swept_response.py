@@ -30,14 +30,14 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_extract.harmonics import (
+from nmt_extract.uncertainty import sub_window_count
+from nmt_signals.harmonics import (
     harmonic_amplitudes,
     resolvable_harmonics,
     segment_moments,
     solve_moments,
     whole_period_bounds,
 )
-from nmt_extract.uncertainty import sub_window_count
 
 if TYPE_CHECKING:
     from nmt_record.windows.segments import Signals

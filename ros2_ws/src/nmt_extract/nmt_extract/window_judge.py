@@ -20,8 +20,8 @@ import numpy as np
 
 from nmt_core.messages.modal_point import EVALUATED
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
-from nmt_extract.harmonics import segment_moments, solve_moments, synthesise
 from nmt_extract.uncertainty import slope_uncertainty
+from nmt_signals.harmonics import segment_moments, solve_moments, synthesise
 
 PHASE_LIMIT = math.radians(5.0)
 """Phase between force and velocity at the drive point beyond which a point is flagged, rad."""

@@ -11,11 +11,11 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.clipping import clipping_level
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
-from nmt_diagnose.observations.repeated_samples import repeated_share
-from nmt_extract.harmonics import harmonic_amplitudes
+from nmt_signals.channel_faults.clipping import clipping_level
+from nmt_signals.channel_faults.repeated_samples import repeated_share
+from nmt_signals.harmonics import harmonic_amplitudes
 
 # No sensor's error makes a channel this many times too large beside the others; a wrong unit does.
 _OUT_OF_SCALE = 5.0

@@ -14,27 +14,27 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.channels.drive_hold import hold_factor, image_responses
-from nmt_diagnose.observations.clipping import clipping_level
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
-from nmt_diagnose.observations.converter_step import converter_step
 from nmt_diagnose.observations.model_view import ORDER, ModelView
 from nmt_diagnose.observations.noise.floors import Floors
 from nmt_diagnose.observations.noise.moderated_variance import moderated
 from nmt_diagnose.observations.noise.settling import Settling, settling
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.repeated_samples import repeated_share
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
-from nmt_diagnose.observations.spectral_lines import MAINS_HZ, Line, mains_line
-from nmt_extract.harmonics import (
+from nmt_extract.uncertainty import sub_window_count
+from nmt_record.windows.segments import Segment
+from nmt_signals.channel_faults.clipping import clipping_level
+from nmt_signals.channel_faults.converter_step import converter_step
+from nmt_signals.channel_faults.mains_lines import MAINS_HZ, Line, mains_line
+from nmt_signals.channel_faults.repeated_samples import repeated_share
+from nmt_signals.harmonics import (
     resolvable_harmonics,
     segment_moments,
     solve_moments,
     whole_period_bounds,
 )
-from nmt_extract.sine_fit import fit_frequency
-from nmt_extract.uncertainty import sub_window_count
-from nmt_record.windows.segments import Segment
+from nmt_signals.sine_fit import fit_frequency
 
 VELOCITY_LEAD = {Quantity.DISPLACEMENT: 0.5 * math.pi, Quantity.VELOCITY: 0.0, Quantity.ACCELERATION: -0.5 * math.pi}
 _RESPONSES = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)

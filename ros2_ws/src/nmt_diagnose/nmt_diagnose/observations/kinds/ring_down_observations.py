@@ -18,9 +18,13 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
-from nmt_diagnose.observations.decay_hum import Hum, without_hum
-from nmt_diagnose.observations.decay_nodes import Node, nodes, ratio_at
-from nmt_diagnose.observations.decay_signal import (
+from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_signals.decays.decay_hum import Hum, without_hum
+from nmt_signals.decays.decay_nodes import Node, nodes, ratio_at
+from nmt_signals.decays.decay_signal import (
     FEWEST_PERIODS,
     Ridge,
     SlowAmplitude,
@@ -28,11 +32,7 @@ from nmt_diagnose.observations.decay_signal import (
     ridges,
     slow_amplitude,
 )
-from nmt_diagnose.observations.half_cycles import half_cycle_nodes
-from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
-from nmt_diagnose.observations.observables import Observations, Part
-from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_signals.decays.half_cycles import half_cycle_nodes
 
 _SWITCH_OFF = 1  # periods within which the drive goes to zero
 _WRONG_FREQUENCY = 1.6

@@ -81,7 +81,7 @@ def averaged_spectra(
     """Welch's average over Hann-windowed segments.
 
     The window widens resonances that are narrower than a few lines; damping is therefore never read from these
-    spectra but from the fit of the whole record (see :mod:`nmt_extract.rational_fit`).
+    spectra but from the fit of the whole record (see :mod:`nmt_signals.rational_fit`).
 
     Args:
         signals: samples by channel, all of one length.

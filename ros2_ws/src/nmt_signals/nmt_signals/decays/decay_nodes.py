@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline
 from scipy.linalg import toeplitz
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_diagnose.observations.decay_signal import SlowAmplitude
+from nmt_signals.decays.decay_signal import SlowAmplitude
 
 _DEGREES = (1, 3, 5)
 _SHORTEST, _LONG_ENOUGH = 4, 7  # periods of a segment: where the decay is fast, and elsewhere

@@ -15,9 +15,9 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.observations.decay_nodes import span
-from nmt_diagnose.observations.decay_signal import Ridge, SlowAmplitude, slow_amplitude
-from nmt_diagnose.observations.spectral_lines import MAINS_HZ
+from nmt_signals.channel_faults.mains_lines import MAINS_HZ
+from nmt_signals.decays.decay_nodes import span
+from nmt_signals.decays.decay_signal import Ridge, SlowAmplitude, slow_amplitude
 
 _ORDERS = (1, 2, 3)
 _PASSED = (0.5, 1.5)  # of the mode's frequency: the widest band of the demodulation

@@ -12,7 +12,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
-from nmt_extract.harmonics import (
+from nmt_signals.harmonics import (
     harmonic_amplitudes,
     resolvable_harmonics,
     segment_moments,

@@ -14,7 +14,7 @@ from scipy.signal import savgol_filter
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.observations.decay_nodes import Node
+from nmt_signals.decays.decay_nodes import Node
 
 _SMOOTHED, _FITTED = 0.2, 0.1  # of a period: smoothing before turning points are looked for; either side of one
 _FEWEST_SAMPLES = 20  # a period

@@ -15,13 +15,12 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_extract.linear_residuals import Residuals, fit_residuals, modal_receptance
 from nmt_extract.stabilisation import OrderPoles, StablePole, order_poles, stable_poles
 from nmt_record.windows.segments import Signals
 from nmt_signals.frequency_responses import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate
 from nmt_signals.rational_fit import MOST_LINES, RationalFit, StructureMode, fit_rational, structure_mode
-
-_POWERS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 
 LOWEST_COHERENCE = 0.8
 """Share of a response's power around a mode that the fit must explain, in the best channel."""
@@ -226,7 +225,7 @@ def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
         )
     whole = _Record(signals, channels, settings)
     found, remarks = _refine(whole, stable, force_frf, rows)
-    suspension = _has_mass_line(force_frf, channels.drive, _POWERS[signals.quantities[channels.drive]], found)
+    suspension = _has_mass_line(force_frf, channels.drive, MOTIONS[signals.quantities[channels.drive]], found)
     target = _target_of(found, settings, suspension)
     kept = _kept(found, target, min(settings.modes, len(channels.points)))
     further = tuple(mode for mode in found if mode not in kept)
@@ -358,7 +357,7 @@ def _s(frequency_hz: FloatArray | float) -> ComplexArray:
 
 
 def _receptance(frf: FrfEstimate, quantity: Quantity) -> ComplexArray:
-    return np.asarray(frf.best / _s(frf.frequency_hz) ** _POWERS[quantity])
+    return np.asarray(frf.best / _s(frf.frequency_hz) ** MOTIONS[quantity])
 
 
 def _variance(frf: FrfEstimate, quantity: Quantity) -> FloatArray:
@@ -370,7 +369,7 @@ def _variance(frf: FrfEstimate, quantity: Quantity) -> FloatArray:
 
 def _diagrams(frf: FrfEstimate, settings: LinearTestSettings, rows: slice) -> list[list[OrderPoles]]:
     """Of the whole band and of its lower parts, where few lines hold low modes."""
-    factor = _s(frf.frequency_hz) ** (2 - _POWERS[settings.quantity])
+    factor = _s(frf.frequency_hz) ** (2 - MOTIONS[settings.quantity])
     accelerance = frf.best[rows] * factor
     low, high = settings.band_hz
     diagrams = [order_poles(accelerance, frf.frequency_hz, settings.band_hz)]
@@ -481,7 +480,7 @@ def _scaled(
     eigenvalue = mode.eigenvalue
     omega = abs(eigenvalue)
     damped = eigenvalue.imag
-    powers = np.array([_POWERS[record.quantities[name]] for name in outputs])
+    powers = np.array([MOTIONS[record.quantities[name]] for name in outputs])
     factor = 2j * damped / eigenvalue**powers
     products = factor * mode.residues
     drive = outputs.index(record.channels.drive)
@@ -606,7 +605,7 @@ def _plant(record: _Record, target: LinearMode, voltage_frf: FrfEstimate | None)
     scale = 2.0 * math.pi * fit.half_width_hz
     std = scale * math.sqrt(max(fit.covariance[chosen, chosen].real, 0.0) / 2.0)
     omega = abs(eigenvalue)
-    power = _POWERS[record.quantities[record.channels.drive]]
+    power = MOTIONS[record.quantities[record.channels.drive]]
     return PlantEstimate(
         frequency_hz=omega / (2.0 * math.pi),
         damping_ratio=-eigenvalue.real / omega,

@@ -19,6 +19,7 @@ from scipy.signal import savgol_filter, stft
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 
 FEWEST_PERIODS = 12
 FEWEST_SAMPLES_PER_PERIOD = 3.0
@@ -99,7 +100,7 @@ def _power(
     frequency, time, spectrum = stft(
         samples, sample_rate, nperseg=size, noverlap=size - size // 4, boundary=None, padded=False
     )
-    orders = {Quantity.DISPLACEMENT: 1, Quantity.ACCELERATION: -1}.get(quantity, 0)
+    orders = 1 - MOTIONS.get(quantity, 1)
     power = np.abs(spectrum) ** 2
     power[0] = 0.0
     power[1:] *= frequency[1:, np.newaxis] ** (2 * orders)

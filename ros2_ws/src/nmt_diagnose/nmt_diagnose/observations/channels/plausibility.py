@@ -10,9 +10,10 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel
-from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
+from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
 from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.channel_faults.repeated_samples import repeated_share
 from nmt_signals.harmonics import harmonic_amplitudes
@@ -100,7 +101,7 @@ def out_of_scale(
                 f"{name}: channel {recorded} ({kind.name.lower()}) is {factor:.3g} times as large as the others "
                 f"let expect ({_guess(factor)}) and is left out; correct its unit or scale."
             )
-    trusted = [recorded for recorded in ratios if recorded not in off and channels[recorded].quantity in ORDER]
+    trusted = [recorded for recorded in ratios if recorded not in off and channels[recorded].quantity in MOTIONS]
     if not trusted or len({channels[recorded].quantity for recorded in off}) > 0.5 * len(by_quantity):
         raise BenchError(
             f"{name}: the channels do not agree on their scale with the model {view.rig.name} "

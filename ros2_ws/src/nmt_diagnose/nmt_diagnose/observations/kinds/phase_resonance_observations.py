@@ -11,11 +11,11 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import TestKind
+from nmt_core.vocabulary import MOTIONS, VELOCITY_LEAD, TestKind
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.channels.drive_hold import hold_factor, image_responses
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
-from nmt_diagnose.observations.model_view import ORDER, ModelView
+from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.floors import Floors
 from nmt_diagnose.observations.noise.moderated_variance import moderated
 from nmt_diagnose.observations.noise.settling import Settling, settling
@@ -36,7 +36,6 @@ from nmt_signals.harmonics import (
 )
 from nmt_signals.sine_fit import fit_frequency
 
-VELOCITY_LEAD = {Quantity.DISPLACEMENT: 0.5 * math.pi, Quantity.VELOCITY: 0.0, Quantity.ACCELERATION: -0.5 * math.pi}
 _RESPONSES = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
 # A drift over the window that its noise makes once in 16 000 windows.
 _SIGNIFICANT_DRIFT = 4.0
@@ -695,6 +694,6 @@ def _frequency_per_phase(window: LockedWindow, view: ModelView, response: Measur
     if force is None or response is None or response.name not in window.rows:
         return 0.05
     omega = 2.0 * math.pi * window.frequency_hz
-    displacement = abs(window.amplitudes[window.row(response.name), 1]) / omega ** ORDER[response.quantity]
+    displacement = abs(window.amplitudes[window.row(response.name), 1]) / omega ** MOTIONS[response.quantity]
     amplitude = abs(window.amplitudes[window.row(force.name), 1])
     return float(np.clip(amplitude * view.shape**2 / (2.0 * omega**2 * displacement), 1e-4, 0.5))

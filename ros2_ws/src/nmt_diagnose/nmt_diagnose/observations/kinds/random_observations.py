@@ -19,9 +19,9 @@ from scipy.signal import csd, welch
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
-from nmt_diagnose.observations.model_view import ORDER as DERIVATIVES
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.moderated_variance import moderated
 from nmt_diagnose.observations.observables import Observations, Part
@@ -294,7 +294,7 @@ def random_observations(
     if input_samples.size < _FEWEST_LINES * 2:
         return empty((*notes, f"{name}: the random test is left out: {input_samples.size} samples are too few."))
     drive_point = view.rig.drive_point
-    guide = next((row for row, c in enumerate(present) if c.point == drive_point and c.quantity in DERIVATIVES), 0)
+    guide = next((row for row, c in enumerate(present) if c.point == drive_point and c.quantity in MOTIONS), 0)
     bins = choose_bins(input_samples, outputs[guide], stretch.sample_rate, settings.lines)
     if bins.size == 0:
         return empty((*notes, f"{name}: the random test is left out: it has no driven band."))

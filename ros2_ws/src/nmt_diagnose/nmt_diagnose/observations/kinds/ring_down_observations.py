@@ -16,9 +16,10 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
-from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
+from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
@@ -84,7 +85,7 @@ def ring_down_observations(
     """
     notes: list[str] = []
     usable = [
-        c for c in stretch.channels if c.name in channels and c.name not in stretch.faults and c.quantity in ORDER
+        c for c in stretch.channels if c.name in channels and c.name not in stretch.faults and c.quantity in MOTIONS
     ]
     if not usable:
         return empty((f"{name}: the ring-down is left out: there is no usable response.",))

@@ -10,11 +10,12 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.kinds.phase_resonance_observations import LockedWindow, analyse_window
 from nmt_diagnose.observations.kinds.stepped_table_observations import jumps_of
-from nmt_diagnose.observations.model_view import ORDER, ModelView
+from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
@@ -106,7 +107,7 @@ def _one(
     force = group[0].stretch.find(Quantity.FORCE)
     assert force is not None
     order = sorted(group, key=lambda window: window.frequency_hz)
-    common = [k for k, c in channels.items() if c.quantity in ORDER and all(k in window.rows for window in order)]
+    common = [k for k, c in channels.items() if c.quantity in MOTIONS and all(k in window.rows for window in order)]
     if not common:
         return empty((f"{name}: no response channel is usable in all windows; left out.",))
     # The channel that moves most in its own noise says how large the motion was.

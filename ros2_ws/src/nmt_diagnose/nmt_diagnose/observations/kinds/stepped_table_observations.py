@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
-from nmt_diagnose.observations.model_view import ORDER, ModelView
+from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.neighbour_cubics import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -121,10 +122,12 @@ def stepped_table_observations(
     if held == "response":
         # The held motion may be given as another derivative than the responses.
         given = quantity_of_unit(table.level_unit or table.quantity.unit)
-        amplitude = amplitude * omega ** (ORDER[table.quantity] - ORDER[given])
+        amplitude = amplitude * omega ** (MOTIONS[table.quantity] - MOTIONS[given])
     elif held == "base" and table.level_unit:
         moved = quantity_of_unit(table.level_unit)
-        amplitude = amplitude * omega ** (ORDER[Quantity.ACCELERATION] - ORDER.get(moved, ORDER[Quantity.ACCELERATION]))
+        amplitude = amplitude * omega ** (
+            MOTIONS[Quantity.ACCELERATION] - MOTIONS.get(moved, MOTIONS[Quantity.ACCELERATION])
+        )
     responses = np.column_stack([each.responses for each in tables])
     usable = np.all(np.isfinite(responses) & (np.abs(responses) > 0.0), axis=1) & (frequency > 0.0)
     usable &= np.isfinite(amplitude) & (amplitude > 0.0)

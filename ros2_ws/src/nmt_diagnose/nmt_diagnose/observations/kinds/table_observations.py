@@ -9,15 +9,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RandomTest
 from nmt_diagnose.observations.kinds.stepped_table_observations import (
     has_levels,
     spread_lines,
     stepped_table_observations,
 )
-from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
+from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
 from nmt_diagnose.observations.noise.neighbour_cubics import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -47,7 +47,7 @@ def table_observations(
         return empty(notes)
     table = tables[0]
     view = ModelView.of(model, drive_point)
-    if any(each.quantity not in ORDER for each in tables):
+    if any(each.quantity not in MOTIONS for each in tables):
         return empty(
             (
                 f"{name}: left out: its amplitude is modal ({table.units.get('amplitude', 'no unit')}); the model "
@@ -64,10 +64,9 @@ def table_observations(
 
 
 def _channel(table: ObservableTable, view: ModelView, point: int) -> MeasuredChannel:
-    letter = {Quantity.DISPLACEMENT: "x", Quantity.VELOCITY: "v", Quantity.ACCELERATION: "a"}[table.quantity]
     return next(
         (c for c in view.channels if (c.quantity, c.point) == (table.quantity, point)),
-        MeasuredChannel(f"{letter}{point}", table.quantity, point),
+        MeasuredChannel(f"{table.quantity.letter}{point}", table.quantity, point),
     )
 
 

@@ -19,6 +19,7 @@ from nmt_core.vocabulary import MOTIONS
 from nmt_extract.linear_residuals import Residuals, fit_residuals, modal_receptance
 from nmt_extract.stabilisation import OrderPoles, StablePole, order_poles, stable_poles
 from nmt_record.windows.segments import Signals
+from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.frequency_responses import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate
 from nmt_signals.rational_fit import MOST_LINES, RationalFit, StructureMode, fit_rational, structure_mode
 
@@ -317,26 +318,9 @@ def _check_samples(signals: Signals, channels: _Channels) -> None:
         peak = float(np.max(np.abs(values)))
         if peak == 0.0 or float(np.ptp(values)) == 0.0:
             raise BenchError(f"Channel {name} shows no signal; check its sensor and the drive.")
-        clipped = _clipped(values)
-        if clipped:
-            raise BenchError(
-                f"Channel {name} is clipped: {clipped} samples lie at its extreme {peak:.4g}; lower the level."
-            )
-
-
-def _clipped(values: FloatArray) -> int:
-    """Number of samples at the extreme if they are too many for a random signal, else 0.
-
-    A random signal, converted finely or coarsely, takes its largest value more rarely than the one below.
-    """
-    magnitude = np.abs(values)
-    at_end = magnitude >= magnitude.max() * (1.0 - 1e-9)
-    below = magnitude[~at_end]
-    if not below.size:
-        return 0
-    next_lower = int(np.count_nonzero(below >= below.max() * (1.0 - 1e-9)))
-    count = int(np.count_nonzero(at_end))
-    return count if count > max(8, 3 * next_lower) else 0
+        clipped_at = clipping_level(values)
+        if clipped_at:
+            raise BenchError(f"Channel {name} is clipped at {clipped_at:.4g} {signals.quantities[name].unit}; lower the level.")
 
 
 def _averages(signals: Signals, channels: _Channels, settings: LinearTestSettings) -> AveragedSpectra:

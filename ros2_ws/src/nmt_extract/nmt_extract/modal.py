@@ -22,6 +22,7 @@ from nmt_extract.power_balance import BalancedMode, balance, part_count
 from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
 from nmt_extract.window import Window
 from nmt_extract.window_judge import Remark
+from nmt_signals.channel_faults import clipping
 from nmt_signals.harmonics import Moments, resolvable_harmonics, segment_moments, solve_moments, whole_period_bounds
 from nmt_signals.sine_fit import fit_frequency, strongest_line
 
@@ -374,7 +375,7 @@ class _WindowEvaluation:
                 continue
             if row == self.force_row and self._is_held_to_a_sine:
                 continue
-            flat = channel_judge.flat_top(window.data[row], window.samples / self.advance)
+            flat = clipping.flat_top(window.data[row], window.samples / self.advance)
             if flat is not None:
                 faults[row] = f"is flat-topped at {flat:.4g} {window.channels[row].quantity.unit}"
         noise = self.noise

@@ -1,6 +1,12 @@
-"""Level at which a limiter or the end of a converter's range holds the samples of a channel."""
+"""Where a limiter, a stop or the end of a converter's range cuts the samples of a channel.
+
+Two things show it. Behind the last thing that adds noise, the cut samples have one and the same value: of any signal.
+Before it, the top is flat within the noise, and its edges are those of a sine cut so: of a periodic signal.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -12,6 +18,8 @@ _FEWEST, _VISITS = 6, 3
 # 2.4 times as many as the one before: the arc sine of a step against that of two.
 _CROWDED = 5.0
 _NEXT = 8
+_FLAT, _EDGE = 3e-3, 3e-2  # of half the peak to peak: depth of a flat top, and of its edge
+_FLAT_SHARE = 0.04  # of a period; a sine has 0.025 there
 
 
 def clipping_level(samples: FloatArray) -> float:
@@ -37,3 +45,36 @@ def _holds(samples: FloatArray, end: float) -> bool:
     wanted = min(away.size, max(_NEXT, 2 * count))
     _, numbers = np.unique(np.partition(away, wanted - 1)[:wanted], return_counts=True)
     return count >= _CROWDED * int(numbers[:_NEXT].max())
+
+
+def flat_top(values: FloatArray, samples_per_period: float) -> float | None:
+    """Where a signal is cut off.
+
+    A cut leaves more samples within a small depth of the extreme than a sine has there, and fewer just below: its edges
+    are as steep as those of a sine cut so. A body that comes to rest against friction approaches its rest slowly.
+
+    Args:
+        values: shape ``(samples,)``, whole periods.
+        samples_per_period: of the fundamental.
+
+    Returns:
+        The value of the flat top, or None.
+    """
+    top, bottom = float(values.max()), float(values.min())
+    half = 0.5 * (top - bottom)
+    for extreme, depth in ((top, top - values), (bottom, values - bottom)):
+        below = depth[depth > 1e-6 * half]
+        if below.size == 0 or below.min() > _FLAT * half:
+            continue  # steps of a converter, or always the same few samples of a period: nothing is seen of the edge
+        share = np.count_nonzero(depth <= _FLAT * half) / values.size
+        # A period of few samples, always the same ones, may hold its extreme twice.
+        if share - 2.0 / samples_per_period <= _FLAT_SHARE:
+            continue
+        edge = np.count_nonzero(depth <= _EDGE * half) / values.size - share
+        cut = math.cos(math.pi * min(share, 0.5))
+        steep = math.acos(cut * (1.0 - _EDGE) / (1.0 - _FLAT)) / math.pi - min(share, 0.5)
+        # Where the samples of all periods fall on the same places, both edges may hold one of each period.
+        repeats = abs(samples_per_period - round(samples_per_period)) < 1e-4 * samples_per_period
+        if edge <= 1.5 * steep + (2.0 if repeats else 0.5) / samples_per_period:
+            return extreme
+    return None

@@ -24,6 +24,8 @@ from nmt_plant.devices.device import DeviceFault
 from nmt_plant.devices.hardware_rig import HardwareRig
 from nmt_plant.specimen import Specimen
 from nmt_rig.linear_description import linear_description
+from nmt_signals.channel_faults.mains_lines import MAINS_HZ, mains_line
+from nmt_signals.frequency_responses import averaged_spectra
 
 DRIVE_SHARE = 0.01
 """Of the drive's limit: largest sample put out."""
@@ -46,7 +48,6 @@ _SURE = 5.0  # standard deviations
 _MOST_DAMPING, _MOST_FREQUENCY, _MOST_TURN = 0.01, 1e-4, 5.0  # errors of a test: of δ̃, of ω̃; degrees of a shape
 _HEADROOM = 0.9  # of the range that planned levels may reach
 _CLOCK_PPM = 200.0  # a short record knows no better
-_MAINS_HZ = (50.0, 60.0)
 _MOST_LOST = 0.02  # of the blocks; fewer are marked and cost a window each
 
 _REMEDIES = {
@@ -294,17 +295,18 @@ class _Responses:
 
 
 def _responses(drive: FloatArray, measured: FloatArray, rate: float, band: tuple[float, float]) -> _Responses:
-    from scipy import signal  # takes a second: what is refused before a record is refused at once
-
     length = min(round(_SEGMENT * rate), drive.size // 4)
-    settings = {"fs": rate, "nperseg": length, "detrend": "constant"}
-    lines, power = signal.welch(drive, **settings)
-    _, cross = signal.csd(drive, measured, **settings)
-    _, own = signal.welch(measured, **settings)
-    inside = (lines >= 1.1 * band[0]) & (lines <= 0.9 * band[1])
-    power, cross, own = power[inside], cross[:, inside], own[:, inside]
-    coherence = np.abs(cross) ** 2 / np.maximum(power * own, 1e-300)
-    return _Responses(lines[inside], cross / power, np.where(own > 0.0, coherence, 0.0))
+    inside = (1.1 * band[0], 0.9 * band[1])
+    values, coherence = [], []
+    lines: FloatArray = np.empty(0)
+    for row in measured:
+        spectra = averaged_spectra({"drive": drive, "channel": row}, rate, length, inside, overlap=0.5)
+        lines = spectra.frequency_hz
+        power, own = spectra.cross("drive", "drive").real, spectra.cross("channel", "channel").real
+        cross = spectra.cross("channel", "drive")
+        values.append(cross / power)
+        coherence.append(np.where(own > 0.0, np.abs(cross) ** 2 / np.maximum(power * own, 1e-300), 0.0))
+    return _Responses(lines, np.array(values), np.array(coherence))
 
 
 class _Evaluation:
@@ -347,15 +349,13 @@ class _Evaluation:
         """Noise (V rms), mains (V) and mean (V) of every channel in silence."""
         silent = self.record.silent
         offset = silent.mean(axis=1)
-        rest = silent - offset[:, None]
-        time = np.arange(silent.shape[1]) / self.rate
-        mains = np.zeros(len(self.names))
-        for frequency in _MAINS_HZ:
-            basis = np.stack([np.cos(2 * np.pi * frequency * time), np.sin(2 * np.pi * frequency * time)])
-            parts = 2.0 * rest @ basis.T / max(time.size, 1)
-            rest = rest - parts @ basis
-            mains = np.maximum(mains, np.hypot(parts[:, 0], parts[:, 1]))
-        return rest.std(axis=1), mains, offset
+        lines = np.zeros((len(MAINS_HZ), len(self.names)))
+        for row, frequency in enumerate(MAINS_HZ):
+            line = mains_line(None, silent, self.rate, 0, frequency)
+            if line is not None:
+                lines[row] = np.maximum(line.amplitudes, 0.0)
+        noise = np.sqrt(np.maximum(silent.var(axis=1) - 0.5 * np.sum(lines**2, axis=0), 0.0))
+        return noise, lines.max(axis=0), offset
 
     # -- questions -----------------------------------------------------------------------------------------------
 

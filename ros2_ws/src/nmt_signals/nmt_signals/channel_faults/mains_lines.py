@@ -1,4 +1,4 @@
-"""Spectral lines that follow no excitation: the mains, found beside the harmonics of a locked window."""
+"""Spectral lines that follow no excitation: the mains, beside the harmonics of a steady oscillation or in silence."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 
 MAINS_HZ = (50.0, 60.0)
-"""Lines that are looked for, Hz."""
+"""Frequencies of the mains, the one of most countries first, Hz."""
 # The mains wanders by 0.05 Hz: over longer pieces a line of fixed frequency would lose it.
 _LONGEST_S = 4.0
 # Distance from a harmonic, and of the frequencies that tell the noise, in lines of the spectrum.
@@ -33,15 +33,17 @@ class Line:
     std: FloatArray
 
 
-def mains_line(cycles: FloatArray, data: FloatArray, sample_rate: float, harmonics: int, line_hz: float) -> Line | None:
-    """Amplitude of a line of the mains in a window of steady oscillation.
+def mains_line(
+    cycles: FloatArray | None, data: FloatArray, sample_rate: float, harmonics: int, line_hz: float
+) -> Line | None:
+    """Amplitude of a line of the mains in a window of steady oscillation, or in silence.
 
     The line is fitted beside the harmonics, in pieces short enough for a mains that wanders; its phase is free. The
     power that the noise of the neighbouring frequencies has is taken off: the amplitude is sign(P) √|P| of what is
     left, P, so that windows without a line scatter about zero.
 
     Args:
-        cycles: phase of the excitation, cycles, shape (samples,).
+        cycles: phase of the excitation, cycles, shape (samples,); None = there is none.
         data: samples, shape (channels, samples).
         sample_rate: Hz.
         harmonics: orders that are taken out.
@@ -52,16 +54,20 @@ def mains_line(cycles: FloatArray, data: FloatArray, sample_rate: float, harmoni
         cannot be told.
     """
     samples = data.shape[1]
+    if samples == 0:
+        return None
     pieces = max(1, math.ceil(samples / sample_rate / _LONGEST_S))
     length = samples // pieces
     resolution = sample_rate / length
-    fundamental = float(cycles[-1] - cycles[0]) / (samples - 1) * sample_rate
-    orders = np.arange(math.ceil(line_hz / fundamental) + len(_NEIGHBOURS)) * fundamental
+    orders = np.zeros(1)
     if line_hz > 0.5 * sample_rate - _APART * resolution:
         return None
-    # High orders of a joint that slips are folded at the sampling rate, and may come down beside the line.
-    high = np.arange(math.floor(0.5 * sample_rate / fundamental) + 1, _HIGHEST_ORDER + 1) * fundamental
-    orders = np.concatenate((orders, np.abs(high - np.round(high / sample_rate) * sample_rate)))
+    if cycles is not None:
+        fundamental = float(cycles[-1] - cycles[0]) / (samples - 1) * sample_rate
+        orders = np.arange(math.ceil(line_hz / fundamental) + len(_NEIGHBOURS)) * fundamental
+        # High orders of a joint that slips are folded at the sampling rate, and may come down beside the line.
+        high = np.arange(math.floor(0.5 * sample_rate / fundamental) + 1, _HIGHEST_ORDER + 1) * fundamental
+        orders = np.concatenate((orders, np.abs(high - np.round(high / sample_rate) * sample_rate)))
     if np.abs(orders - line_hz).min() < _APART * resolution:
         return None
     near = line_hz + _NEIGHBOURS * resolution
@@ -74,9 +80,9 @@ def mains_line(cycles: FloatArray, data: FloatArray, sample_rate: float, harmoni
     powers, noises = np.zeros(data.shape[0]), np.zeros(data.shape[0])
     for piece in range(pieces):
         part = slice(piece * length, (piece + 1) * length)
-        found = _beside_harmonics(
-            cycles[part], data[:, part], harmonics, np.concatenate(([line_hz], near)) / sample_rate
-        )
+        turns = np.zeros(length) if cycles is None else cycles[part]
+        taken_out = 0 if cycles is None else harmonics
+        found = _beside_harmonics(turns, data[:, part], taken_out, np.concatenate(([line_hz], near)) / sample_rate)
         power = np.abs(found) ** 2
         noise = power[:, 1:].mean(axis=1)
         powers += power[:, 0] - noise

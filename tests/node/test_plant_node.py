@@ -92,7 +92,7 @@ def test_a_failed_device_is_an_error_at_once_and_ends_the_run(bench: Bench, monk
     def fail(_: Any) -> FloatArray:
         # Any later heartbeat would be another one: the error must be published with the failure.
         monkeypatch.setattr(plant, "_beat", lambda: None)
-        plant._heartbeat.cancel()
+        plant._beat_timer.cancel()
         raise DeviceFault("the amplifier is on fire")
 
     def break_it(progress: Progress) -> None:

@@ -55,7 +55,7 @@ def test_a_node_that_hangs_ends_its_own_bench_only(name: str, tmp_path: Path) ->
             if progress.state == LoopState.LOCKED and not hung:
                 hung.append(progress.sample)
                 node = bench.nodes[name]
-                node._heartbeat.cancel()
+                node._beat_timer.cancel()
                 node.publish_diagnostics(DiagnosticStatus.ERROR, f"{HUNG}: nothing has been done for 61 s")
 
         first = bench.run(hang)

@@ -320,7 +320,7 @@ class PlantNode(BenchNode):
         second = self.second_publisher()
         if second:
             self._end_for_second_source(second)
-        lost = self.lost_node()
+        lost = self.liveness.first_lost(time.monotonic())
         starved = self.core.starved
         if lost:
             self._quiet_down(lost)

@@ -75,7 +75,7 @@ class PllNode(BenchNode):
 
     def _guard(self) -> None:
         """Quiet the drive if the node that commands the levels has gone, or if another one commands them, too."""
-        lost = self.lost_node()
+        lost = self.liveness.first_lost(time.monotonic())
         if lost:
             self.core.loop.quiet(lost)
         self._report(self.second_publisher() or (self.core.second_source if self.core.at_work else ""))

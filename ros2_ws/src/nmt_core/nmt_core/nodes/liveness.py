@@ -223,6 +223,15 @@ class Liveness:
             and now - heard.twice > self._silence
         ]
 
+    def forget_failures(self, now: float) -> None:
+        """Start over: what a watched node reported before a run (which begins at ``now``, s) does not end it."""
+        self.failures.clear()
+        self.meet_again(now)
+
+    def first_failure(self) -> tuple[str, str]:
+        """A watched node that reports an error, and its words; empty if none does."""
+        return next(iter(self.failures.items()), ("", ""))
+
     def unheard_since(self, time: float) -> list[str]:
         """Watched nodes of which no heartbeat has come since a time, s."""
         return [name for name in self.watched if name not in self._heard or self._heard[name].time < time]

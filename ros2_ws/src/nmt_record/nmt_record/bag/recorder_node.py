@@ -154,7 +154,7 @@ class RecorderNode(BenchNode):
         self._refusal = ""  # why no bag was opened for it
         self.core = RunRecorder(values)
         self._state_publisher = self.create_publisher(String, BAG_TOPIC, STATE_QOS)
-        self.claim(BAG_TOPIC)
+        self.identity.claim(BAG_TOPIC)
         self._progress = ReaderProgress(self, "recorder")
         self._bundled = {topic: self._recording(topic) for topic in values["bundled"] if topic}
         for topic in self.core.topics:

@@ -378,7 +378,7 @@ def _message_part(text: str) -> str:
 
 def parameters_table(name: str) -> str:
     """Parameters of a node, or ``common`` for those that all nodes have. Needs ROS 2."""
-    from nmt_core.parameters import markdown_table
+    from nmt_core.nodes.parameters import markdown_table
 
     if name == "common":
         return markdown_table(importlib.import_module("nmt_core.base_node").COMMON_PARAMETERS)

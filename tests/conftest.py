@@ -17,7 +17,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from nmt_bench.orchestration.bench_domain import BenchDomain
-from nmt_core.shared_memory import remove_dead_segments
+from nmt_core.nodes.shared_memory import remove_dead_segments
 
 pytest_plugins = ("tiers",)
 TESTS = Path(__file__).resolve().parent

@@ -60,19 +60,19 @@ MUTATIONS = [
     Mutation(*row)
     for row in [
         (
-            "nmt_core/nmt_core/ramp.py",
+            "nmt_core/nmt_core/numerics/ramp.py",
             "0.5 - 0.5 * np.cos(np.pi * np.clip",
             "0.5 - 0.5 * np.cos(0.5 * np.pi * np.clip",
             "a ramp ends at half of its target, with a step",
         ),
         (
-            "nmt_core/nmt_core/command_judge.py",
+            "nmt_core/nmt_core/messages/command_judge.py",
             "based_on >= next_sample",
             "based_on > next_sample",
             "a command may claim to know the sample that comes next",
         ),
         (
-            "nmt_core/nmt_core/command_judge.py",
+            "nmt_core/nmt_core/messages/command_judge.py",
             "if isinstance(source, CommandSource) and not source.alone:",
             "if isinstance(source, CommandSource) and source.alone:",
             "commands are taken from a topic with two publishers",
@@ -96,25 +96,25 @@ MUTATIONS = [
             "friction creates energy",
         ),
         (
-            "nmt_plant/nmt_plant/limits.py",
+            "nmt_plant/nmt_plant/safety/limits.py",
             "        if peak > levels[0, row]:",
             "        if peak > 2.0 * levels[0, row]:",
             "a limit trips at twice its level",
         ),
         (
-            "nmt_plant/nmt_plant/limits.py",
+            "nmt_plant/nmt_plant/safety/limits.py",
             "peak = magnitude if magnitude == magnitude else np.inf",
             "peak = magnitude if magnitude == magnitude else 0.0",
             "a channel that delivers no numbers trips no limit",
         ),
         (
-            "nmt_plant/nmt_plant/watchdog.py",
+            "nmt_plant/nmt_plant/safety/watchdog.py",
             "return 0 < self.blocks <= self.missed",
             "return 0 < self.blocks < self.missed",
             "the watchdog is a block late",
         ),
         (
-            "nmt_plant/nmt_plant/output_guard.py",
+            "nmt_plant/nmt_plant/safety/output_guard.py",
             "length = round(min(ramp * self._sample_rate, 1e9))",
             "length = round(min(10.0 * ramp * self._sample_rate, 1e9))",
             "the output goes to zero ten times as slowly",
@@ -210,13 +210,13 @@ MUTATIONS = [
             "blocks that lengthen the test are chosen",
         ),
         (
-            "nmt_diagnose/nmt_diagnose/observations/floors.py",
+            "nmt_diagnose/nmt_diagnose/observations/noise/floors.py",
             "return self.phase_error * math.sqrt(levels)",
             "return self.phase_error",
             "the floor of the phase is averaged away by many levels",
         ),
         (
-            "nmt_diagnose/nmt_diagnose/observations/floors.py",
+            "nmt_diagnose/nmt_diagnose/observations/noise/floors.py",
             "excess = float(np.mean(0.5 * difference[mine] ** 2) - np.mean(stated[mine]))",
             "excess = float(np.mean(difference[mine] ** 2) - np.mean(stated[mine]))",
             "the floor from repeats is √2 too large",

@@ -73,8 +73,9 @@ def package_digest(folder: str) -> str:
 def kernel_sources() -> list[str]:
     """Python files with compiled kernels or with formulas for them, or that only name their compiler.
 
-    The cache is keyed by the formulas (``nmt_core.kernels``), so that nobody computes an old one. After a change of any
-    of these files the set-up compiles beforehand what a run would otherwise wait for, and discards what is old.
+    The cache is keyed by the formulas (``nmt_core.numerics.kernels``), so that nobody computes an old one. After a
+    change of any of these files the set-up compiles beforehand what a run would otherwise wait for, and discards what
+    is old.
     """
     sources = []
     found = [glob.iglob(f"{source}/*/*/**/*.py", recursive=True) for source in (SOURCE, CAMPAIGNS)]

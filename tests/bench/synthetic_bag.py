@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import parse_topic
 from nmt_record.bag.message_definitions import local_definitions

@@ -12,13 +12,13 @@ import pytest
 import yaml
 
 from nmt_bench.cli import main
-from nmt_bench.commands.hardware_checks import keep_check
+from nmt_bench.hardware.hardware_checks import keep_check
 from nmt_bench.orchestration.bench_files import write_bench_files
 from nmt_core.errors import BenchError
-from nmt_core.parameters import check_values
-from nmt_core.run_announcement import RunAnnouncement
+from nmt_core.messages.run_announcement import RunAnnouncement
+from nmt_core.nodes.parameters import check_values
 from nmt_diagnose.observations.origin import origin_of
-from nmt_plant.hardware_rig import HARDWARE_LEAD, device_of
+from nmt_plant.devices.hardware_rig import HARDWARE_LEAD, device_of
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.run_recorder import PARAMETERS, RunRecorder, described_run
 from nmt_rig.rig import load_rig

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from nmt_bench.commands.extract_command import _comparison
-from nmt_core.modal_point import ModalPoint
-from nmt_core.records import LockEvent
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_core.messages.records import LockEvent
 from nmt_extract.modal_point import rejected_point
 
 

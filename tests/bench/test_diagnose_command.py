@@ -14,8 +14,8 @@ import pytest
 from diagnose.observation_bags import altered, record, rig_with_noise, with_data
 
 from nmt_bench.cli import build_parser, main
-from nmt_core.blocks import Quantity, SampleBlock
-from nmt_core.records import LockEvent
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_core.messages.records import LockEvent
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.inference.look_ahead import proposals
 from nmt_diagnose.observations.read_observations import read_observations

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from nmt_bench.commands.hardware_checks import check_file, fingerprint, keep_check, require_check
-from nmt_bench.commands.hardware_options import parsed_device
+from nmt_bench.hardware.chosen_device import parsed_device
+from nmt_bench.hardware.hardware_checks import check_file, fingerprint, keep_check, require_check
 from nmt_core.errors import BenchError
-from nmt_plant.hardware_rig import device_of
+from nmt_plant.devices.hardware_rig import device_of
 from nmt_rig.rig import load_rig
 
 HOUR = 3600.0

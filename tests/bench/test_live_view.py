@@ -15,9 +15,9 @@ from bench.frame_reader import read_frame
 from nmt_bench.page.bag_player import BagPlayer
 from nmt_bench.page.live_view import LiveView
 from nmt_bench.page.signal_views import deflection
-from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveStop, LoopStatus, RunState
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.records import DriveStop, LoopStatus, RunState
 from nmt_core.vocabulary import OutputState, PointStatus, ResultCode, RunPhase, SteeringAct, StopCause
 from nmt_record.bag.bag_reader import Bag
 from nmt_report.quantity_format import uncertain

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from nmt_bench.cli import main
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_rig.rig import load_rig
 from nmt_session.node_plan import NODES
 

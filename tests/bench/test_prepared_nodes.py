@@ -26,7 +26,7 @@ from nmt_bench.orchestration.bench_domain import BenchDomain, domains_in_use
 from nmt_bench.orchestration.node_processes import NodeProcesses
 from nmt_bench.orchestration.prepared_nodes import NodeCommand, NodeLoader, nodes_ahead, take_loader
 from nmt_core.errors import BenchError
-from nmt_core.process_watch import state_of
+from nmt_core.processes.process_watch import state_of
 
 pytestmark = pytest.mark.skipif(not can_adopt(), reason="no orphans are adopted here")
 PATIENCE = 60.0  # s

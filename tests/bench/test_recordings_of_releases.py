@@ -19,8 +19,8 @@ import pytest
 import nmt
 from nmt_bench.cli import main
 from nmt_core.bench_version import bench_version
-from nmt_core.modal_point import MEASURED
-from nmt_core.wire import MODAL_POINT
+from nmt_core.messages.modal_point import MEASURED
+from nmt_core.messages.wire import MODAL_POINT
 from nmt_diagnose.effects.library import library
 from nmt_extract.modal_table import read_csv, read_json
 from nmt_record import Bag

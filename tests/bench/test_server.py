@@ -18,8 +18,8 @@ from nmt_bench.page.bench_link import ServiceAnswer, StartRequest
 from nmt_bench.page.door import Door
 from nmt_bench.page.live_view import LiveView
 from nmt_bench.page.server import PageServer
-from nmt_core.blocks import OscillatorPhase, SampleBlock
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import OscillatorPhase, SampleBlock
 from nmt_core.vocabulary import Quantity, SteeringAct
 from nmt_sequencer.steering import SteeringRequest
 

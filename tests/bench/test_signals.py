@@ -21,7 +21,7 @@ from nmt_bench.page.signal_views import (
     velocity_of,
     whole_periods,
 )
-from nmt_core.blocks import OscillatorPhase, SampleBlock
+from nmt_core.messages.blocks import OscillatorPhase, SampleBlock
 from nmt_core.vocabulary import Quantity
 
 RATE = 1000.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nmt_bench import cli
-from nmt_core.records import DriveStop
+from nmt_core.messages.records import DriveStop
 from nmt_core.vocabulary import OutputState, StopCause
 
 bench_domain = pytest.importorskip("nmt_bench.orchestration.bench_domain")

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from nmt_bench.commands import work_display
 from nmt_bench.commands.work_display import WorkDisplay
-from nmt_core.work_progress import counted, tell
+from nmt_core.processes.work_progress import counted, tell
 from nmt_report.quantity_format import duration
 
 

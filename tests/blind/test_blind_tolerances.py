@@ -24,11 +24,11 @@ from nmt_blind.cases.tolerances import (
     check_tolerances,
     draw_chain,
 )
-from nmt_core.blocks import OscillatorPhase
 from nmt_core.errors import BenchError
-from nmt_diagnose.observations.measuring_chain import measuring_chain
+from nmt_core.messages.blocks import OscillatorPhase
+from nmt_diagnose.observations.channels.measuring_chain import measuring_chain
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.oscillator import OscillatorBlock
-from nmt_plant.simulated_rig import SimulatedRig
 from nmt_record.bag.bag_reader import Bag
 
 MODAL = blind_rig("modal_beam").model()

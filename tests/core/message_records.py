@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from nmt_core.blocks import OscillatorPhase, SampleBlock
-from nmt_core.cdr import bench_time_ns
-from nmt_core.modal_point import COMPLEX, MEASURED, ModalPoint
-from nmt_core.records import (
+from nmt_core.messages.blocks import OscillatorPhase, SampleBlock
+from nmt_core.messages.cdr import bench_time_ns
+from nmt_core.messages.modal_point import COMPLEX, MEASURED, ModalPoint
+from nmt_core.messages.records import (
     DriveCommand,
     DriveStop,
     LevelCommand,

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nmt_core.blocks import SAMPLE_TOPICS, UNKNOWN_PHASE, BlockFlag, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.blocks import SAMPLE_TOPICS, UNKNOWN_PHASE, BlockFlag, OscillatorPhase, Quantity, SampleBlock
 
 
 def block(first: int = 400, samples: int = 200) -> SampleBlock:

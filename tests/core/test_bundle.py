@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nmt_core.bundle import MOST_BYTES, BundleWriter, read_bundle
+from nmt_core.messages.bundle import MOST_BYTES, BundleWriter, read_bundle
 from nmt_record.bag.message_definitions import local_definitions
 
 TOPICS = ("force", "acceleration", "voltage")

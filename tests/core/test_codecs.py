@@ -29,12 +29,12 @@ from core.message_records import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nmt_core.blocks import SampleBlock
-from nmt_core.cdr import bench_time_ns
 from nmt_core.errors import BenchError
-from nmt_core.message_files import message_fields
-from nmt_core.modal_point import COMPLEX, ModalPoint
-from nmt_core.records import (
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.cdr import bench_time_ns
+from nmt_core.messages.message_files import message_fields
+from nmt_core.messages.modal_point import COMPLEX, ModalPoint
+from nmt_core.messages.records import (
     DriveCommand,
     DriveStop,
     LevelCommand,
@@ -45,17 +45,7 @@ from nmt_core.records import (
     SignalLevels,
     Steering,
 )
-from nmt_core.vocabulary import (
-    ControlKind,
-    PointStatus,
-    Quantity,
-    RecordKind,
-    ResultCode,
-    RunPhase,
-    TestKind,
-    Waveform,
-)
-from nmt_core.wire import (
+from nmt_core.messages.wire import (
     DRIVE_STOP,
     LEVEL,
     LOCK_EVENT,
@@ -70,6 +60,16 @@ from nmt_core.wire import (
     read_status,
     write_drive,
     write_status,
+)
+from nmt_core.vocabulary import (
+    ControlKind,
+    PointStatus,
+    Quantity,
+    RecordKind,
+    ResultCode,
+    RunPhase,
+    TestKind,
+    Waveform,
 )
 from nmt_record.bag.message_definitions import local_definitions
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from nmt_core.command_judge import CommandJudge, CommandSource, Refusal
 from nmt_core.errors import BenchError
+from nmt_core.messages.command_judge import CommandJudge, CommandSource, Refusal
 
 BLOCK, HORIZON = 200, 100_000
 

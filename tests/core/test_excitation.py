@@ -5,7 +5,7 @@ import math
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.excitation import Excitation
+from nmt_core.messages.excitation import Excitation
 from nmt_core.vocabulary import TestKind
 
 RANDOM = {"test": TestKind.RANDOM, "band_low_hz": 10.0, "band_high_hz": 2000.0, "duration": 20.0}

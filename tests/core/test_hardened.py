@@ -13,8 +13,8 @@ import yaml
 from numpy.lib import format as npy
 
 from nmt_core.errors import BenchError
-from nmt_core.hardened import json_value, open_regular, read_arrays, read_json, read_text, yaml_value
-from nmt_core.yaml_document import parse_document
+from nmt_core.files.hardened import json_value, open_regular, read_arrays, read_json, read_text, yaml_value
+from nmt_core.files.yaml_document import parse_document
 
 
 def test_only_regular_files_are_read(tmp_path: Path) -> None:

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from nmt_core.kernels import formula_modules
+from nmt_core.numerics.kernels import formula_modules
 
 SOURCE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
 ELEMENTS = SOURCE / "nmt_rig" / "nmt_rig" / "model" / "local_elements"
-OWN = SOURCE / "nmt_core" / "nmt_core" / "kernels.py"
+OWN = SOURCE / "nmt_core" / "nmt_core" / "numerics" / "kernels.py"
 KERNEL = """\
 import sys
-from nmt_core.kernels import cache_folder, njit
+from nmt_core.numerics.kernels import cache_folder, njit
 from nmt_sample.middle import middle
 
 @njit(cache=True)
@@ -30,7 +30,7 @@ if __name__ == "__main__":
     print(own.kernel(2.0), sum(own.kernel.stats.cache_hits.values()), cache_folder(own.kernel.py_func))
 """
 MIDDLE = """\
-from nmt_core.kernels import njit
+from nmt_core.numerics.kernels import njit
 from nmt_sample.constants import (
     FACTOR,
 )

@@ -10,8 +10,8 @@ import time
 
 import pytest
 
-from nmt_core.launcher_watch import LAUNCHER, LauncherWatch
-from nmt_core.process_watch import state_of
+from nmt_core.nodes.launcher_watch import LAUNCHER, LauncherWatch
+from nmt_core.processes.process_watch import state_of
 
 
 def wait_for(process: int, state: str) -> None:

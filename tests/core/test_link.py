@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from nmt_core.link import Link, serve, serve_late
+from nmt_core.nodes.link import Link, serve, serve_late
 
 BENCH = f"test {os.getpid()}"
 MANY = 500  # more than the kernel keeps

@@ -10,7 +10,7 @@ import sys
 import time
 from typing import Any
 
-from nmt_core.liveness import HANG_LIMIT, READY, Liveness
+from nmt_core.nodes.liveness import HANG_LIMIT, READY, Liveness
 
 A, B = "lab process 1 node 1", "lab process 2 node 1"
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from nmt_core.errors import BenchError
-from nmt_core.mat_file import read_mat
+from nmt_core.files.mat_file import read_mat
 
 DRAW = np.random.default_rng(3)
 CONTENT = {

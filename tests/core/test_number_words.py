@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from nmt_core.number_words import share_with_interval, significant, value_text
+from nmt_core.text.number_words import share_with_interval, significant, value_text
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from nmt_core.option_table import declare
+from nmt_core.text.option_table import declare
 
 TABLE = """\
 RIG  name of a rig

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from nmt_core.output_record import OutputRecord, drive_sentence, output_sentence, read_output
+from nmt_core.processes.output_record import OutputRecord, drive_sentence, output_sentence, read_output
 from nmt_core.vocabulary import OutputState
 
 

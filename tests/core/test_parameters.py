@@ -7,7 +7,7 @@ import math
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.parameters import Parameter, check_values, markdown_table
+from nmt_core.nodes.parameters import Parameter, check_values, markdown_table
 
 TABLE = (
     Parameter("rate", 10.0, "Hz", "A rate.", low=1.0, high=100.0),

@@ -9,7 +9,7 @@ import pytest
 
 _PROGRAM = """
 import atexit, sys, threading, time
-from nmt_core.process_end import end_process
+from nmt_core.processes.process_end import end_process
 atexit.register(lambda: print("registered"))
 {thread}
 print("printed")
@@ -28,12 +28,13 @@ def test_nothing_is_lost_and_the_exit_code_is_the_one_given(thread: str, printed
 
 def test_modules_are_not_taken_apart() -> None:
     program = "class Last:\n def __del__(self): print('apart')\nlast = Last()\n"
-    program += "from nmt_core.process_end import end_process\nend_process(0)"
+    program += "from nmt_core.processes.process_end import end_process\nend_process(0)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "")
 
 
 def test_a_reader_that_has_gone_makes_no_complaint() -> None:
-    program = "import os, sys\nfrom nmt_core.process_end import end_process\nprint('lost')\nos.close(1)\nend_process(5)"
+    program = "import os, sys\nfrom nmt_core.processes.process_end import end_process\n"
+    program += "print('lost')\nos.close(1)\nend_process(5)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (5, "")

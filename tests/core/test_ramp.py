@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nmt_core.ramp import half_cosine
+from nmt_core.numerics.ramp import half_cosine
 
 
 def test_ends_middle_and_quarter():

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from nmt_core.run_announcement import BagState, RunAnnouncement
+from nmt_core.messages.run_announcement import BagState, RunAnnouncement
 
 
 def test_both_texts_come_back_as_they_went() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nmt_core.parameters import Parameter, parameter_table
+from nmt_core.nodes.parameters import Parameter, parameter_table
 
 TABLE = """\
 ramp =0.5 (s) 0.0..  Half-cosine

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from nmt_core.validation_sentence import validation_sentence
-from nmt_core.yaml_document import parse_document
+from nmt_core.files.validation_sentence import validation_sentence
+from nmt_core.files.yaml_document import parse_document
 
 
 class _Section(BaseModel):

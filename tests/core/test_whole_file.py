@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from nmt_core.whole_file import write_whole
+from nmt_core.files.whole_file import write_whole
 
 
 def test_a_file_is_written_and_replaced(tmp_path: Path) -> None:

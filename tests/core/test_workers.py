@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.workers import worked
+from nmt_core.processes.workers import worked
 
 
 def fragile(folder: str, number: int) -> int:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 import yaml
 
-from nmt_core import yaml_text as module
+from nmt_core.files import yaml_text as module
 from nmt_rig.rig import load_rig
 
 SHARED = [1, 2]

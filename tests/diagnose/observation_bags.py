@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import Quantity, SampleBlock
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_core.messages.records import LevelCommand
+from nmt_core.messages.wire import LOCK_EVENT, BlockReader, BlockWriter
 from nmt_core.vocabulary import LoopState, TestKind
-from nmt_core.wire import LOCK_EVENT, BlockReader, BlockWriter
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.loop_core import drive_command, lock_event
 from nmt_pll.loop_settings import settings_from

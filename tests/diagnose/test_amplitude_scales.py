@@ -13,17 +13,17 @@ from diagnose.twin_tests import chain
 from scipy.integrate import solve_ivp
 from tiers import with_quick
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.inference.chain import linear_chain, scale_columns
 from nmt_diagnose.inference.diagnose import diagnose_observations
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RandomTest, RingDownTest
-from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.kinds.table_observations import table_observations
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.table_observations import table_observations
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_record.exchange.observables import ObservableTable

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from diagnose.observation_bags import record, rig_with_noise, with_sensor
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.observations.clipping import clipping_level
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
+from nmt_signals.channel_faults.clipping import clipping_level
 
 
 def sine(noise: float, count: int = 20_000, seed: int = 1) -> FloatArray:

@@ -9,13 +9,13 @@ import pytest
 from diagnose.observation_bags import record, rig_with_noise, with_sensor
 
 from nmt_diagnose.effects.library import candidates
-from nmt_diagnose.observations.converter_step import converter_step
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.converter import expected_clipped
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
+from nmt_signals.channel_faults.converter_step import converter_step
 
 
 @pytest.mark.parametrize(("step", "offset", "kind"), [

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
-from nmt_diagnose.observations.decay_hum import Hum, without_hum
-from nmt_diagnose.observations.decay_signal import ridges
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
+from nmt_signals.decays.decay_hum import Hum, without_hum
+from nmt_signals.decays.decay_signal import ridges
 
 RATE = 2048.0
 TIME = np.arange(int(4.0 * RATE)) / RATE

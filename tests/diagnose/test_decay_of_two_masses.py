@@ -12,10 +12,10 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 
-from nmt_core.blocks import Quantity
-from nmt_diagnose.observations import ring_down_observations
-from nmt_diagnose.observations.bag_samples import SampleStretch
+from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
+from nmt_diagnose.observations.kinds import ring_down_observations
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.equivalent_linear import equivalents

@@ -9,7 +9,7 @@ import pytest
 from diagnose.twin_observations import chain, observations_of_twin, real
 from scipy.integrate import quad
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.placement import Placement
@@ -22,8 +22,8 @@ from nmt_diagnose.inference.fitting import best_errors, data_about, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups, groups_of
 from nmt_diagnose.inference.search import Found, Score, Search
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest
-from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.row_table import Place, RowTable
 from nmt_diagnose.twin.forward import Forward

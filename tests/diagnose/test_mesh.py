@@ -13,7 +13,7 @@ from nmt_diagnose.inference.diagnose import diagnose_observations
 from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.inference.fitting import Metric
-from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig, load_rig
 

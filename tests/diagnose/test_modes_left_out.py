@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from diagnose.test_stepped_sine import DAMPER, OMEGA, observations_of, oscillator, swept
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.chain import linear_chain
+from nmt_diagnose.observations.channels.measuring_chain import table_chain
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
-from nmt_diagnose.observations.measuring_chain import table_chain
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import ResidualSection, Rig
 

@@ -12,8 +12,8 @@ import pytest
 from diagnose.observation_bags import LEVELS, altered, record, rig_with_noise, with_data
 from tiers import with_quick
 
-from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_diagnose.observations.observables import Observations, Part

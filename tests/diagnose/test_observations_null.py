@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from diagnose.observation_bags import record, rig_with_noise
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.read_observations import read_observations

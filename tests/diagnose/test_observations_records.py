@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from scipy.signal import TransferFunction, cont2discrete, lfilter, lsim
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, RecordTest
+from nmt_diagnose.observations.kinds.record_observations import interpolated, spread_samples, white_noise
+from nmt_diagnose.observations.kinds.table_observations import noise_of_weak_lines
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.observations.record_observations import interpolated, spread_samples, white_noise
-from nmt_diagnose.observations.table_observations import noise_of_weak_lines
 from nmt_record.exchange.imported_run import read_import, write_import
 from nmt_rig.rig import Rig, load_rig
 

@@ -13,19 +13,19 @@ import pytest
 from diagnose.observation_bags import altered, record, rig_with_noise, with_data
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.bag_samples import SampleStretch
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest, RandomTest, RingDownTest
+from nmt_diagnose.observations.kinds.phase_resonance_observations import analyse_window
+from nmt_diagnose.observations.kinds.random_observations import REACH, choose_bins, local_responses
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.moderated_variance import moderated
+from nmt_diagnose.observations.noise.moderated_variance import moderated
+from nmt_diagnose.observations.noise.settling import settling
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.phase_resonance_observations import analyse_window
-from nmt_diagnose.observations.random_observations import REACH, choose_bins, local_responses
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.observations.settling import settling
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.model.linear_modes import damped_modes
 from nmt_rig.rig import Rig, load_rig
@@ -423,7 +423,7 @@ def test_the_shipped_rigs_make_views() -> None:
 
 
 def test_a_loop_that_still_settles_leans_and_a_steady_offset_does_not() -> None:
-    from nmt_diagnose.observations.phase_resonance_observations import _lean
+    from nmt_diagnose.observations.kinds.phase_resonance_observations import _lean
 
     time = np.arange(10) / 10.0
     noise = 1e-5 * np.random.default_rng(3).standard_normal(10)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pickle
+from dataclasses import replace
+
 import pytest
 from diagnose.twin_tests import chain, level, locked
 
-from nmt_diagnose.effects.library import candidates
+from nmt_diagnose.effects.library import candidates, effect_named, library
 from nmt_diagnose.effects.placement import Cause, Explanation, Placement
 from nmt_diagnose.twin.operating_range import operating_range
 
@@ -56,3 +59,11 @@ def test_a_channel_of_force_lies_at_the_force_sensor_and_no_two_candidates_are_o
         if channel:
             kind = "force_sensor" if channel in force else "response_sensor"
             assert candidate.site.placement.kind == kind, candidate.label
+
+
+def test_an_effect_that_went_to_another_process_is_that_of_the_library() -> None:
+    for effect in library():
+        assert pickle.loads(pickle.dumps(effect)) is effect
+    other = replace(effect_named("response_gain"), name="no effect of the library")
+    with pytest.raises((AttributeError, pickle.PicklingError)):  # by value, which its functions do not allow
+        pickle.dumps(other)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from diagnose.observation_bags import record, rig_with_noise, with_sensor
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.observations.repeated_samples import repeated_share
 from nmt_diagnose.twin.forward import Forward
+from nmt_signals.channel_faults.repeated_samples import repeated_share
 
 SIZE = 20_000
 

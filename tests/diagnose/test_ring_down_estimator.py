@@ -10,20 +10,20 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
-from nmt_diagnose.observations.bag_samples import SampleStretch
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
-from nmt_diagnose.observations.decay_nodes import nodes
-from nmt_diagnose.observations.decay_signal import demodulated, middles, ridges, slow_amplitude, window
-from nmt_diagnose.observations.half_cycles import half_cycle_nodes
+from nmt_diagnose.observations.kinds.ring_down_observations import ring_down_observations
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.ring_down_observations import ring_down_observations
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
+from nmt_signals.decays.decay_nodes import nodes
+from nmt_signals.decays.decay_signal import demodulated, middles, ridges, slow_amplitude, window
+from nmt_signals.decays.half_cycles import half_cycle_nodes
 
 HZ, RATIO, TOP = 50.0, 0.004, 1e-3
 OMEGA = 2.0 * math.pi * HZ

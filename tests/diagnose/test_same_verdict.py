@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from diagnose.observation_bags import record, rig_with_noise
 
-from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
-from nmt_core.records import LoopStatus
+from nmt_core.messages.blocks import BlockFlag, Quantity, SampleBlock
+from nmt_core.messages.records import LoopStatus
+from nmt_core.messages.wire import BlockReader, BlockWriter, write_status
 from nmt_core.vocabulary import LoopState
-from nmt_core.wire import BlockReader, BlockWriter, write_status
 from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.read_observations import read_observations

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.chain_tests import ChainTests
 from nmt_diagnose.inference.shape_errors import ShapeErrors
-from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.kinds.table_observations import table_observations
 from nmt_diagnose.observations.observables import Part, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.table_observations import table_observations
 from nmt_record.exchange.observables import ObservableTable
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.stats import f as fisher
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
+from nmt_diagnose.observations.kinds.stepped_table_observations import MEDIAN_STD, scatter_of_lines
+from nmt_diagnose.observations.noise.shared_scatter import shrunk, with_shared_scatter
 from nmt_diagnose.observations.observables import Observations
-from nmt_diagnose.observations.shared_scatter import shrunk, with_shared_scatter
-from nmt_diagnose.observations.stepped_table_observations import MEDIAN_STD, scatter_of_lines
 
 LINES = 60
 

@@ -10,14 +10,14 @@ from diagnose.observation_bags import record, rig_with_noise
 from numpy.typing import NDArray
 from tiers import with_quick
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.observations.spectral_lines import mains_line
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
+from nmt_signals.channel_faults.mains_lines import mains_line
 
 RATE = 2000.0
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.diagnose import diagnose_observations
@@ -20,9 +20,9 @@ from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
+from nmt_diagnose.observations.kinds.stepped_table_observations import jumps_of, scatter_of_lines
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.observations.stepped_table_observations import jumps_of, scatter_of_lines
 from nmt_diagnose.twin.forward import Forward, traced
 from nmt_diagnose.twin.frequency_sweep import frequency_sweep
 from nmt_diagnose.twin.operating_range import operating_range

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.observations.kinds.stepped_table_observations import measured_together
+from nmt_diagnose.observations.kinds.table_observations import table_observations
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.stepped_table_observations import measured_together
-from nmt_diagnose.observations.table_observations import table_observations
 from nmt_record.exchange.observables import ObservableTable
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument

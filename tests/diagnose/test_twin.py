@@ -11,9 +11,9 @@ import pytest
 from diagnose.twin_tests import SHAKER, chain, channels_of, level, locked, noise_test, rows_of
 from rig.effect_rigs import oscillator, rig_of, run
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, effect_named, library
@@ -28,7 +28,7 @@ from nmt_diagnose.twin.operating_range import operating_range
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.rig_parts import rig_parts
 from nmt_diagnose.twin.twin_settings import TwinSettings
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes

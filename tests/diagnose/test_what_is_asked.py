@@ -15,7 +15,7 @@ from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.search import Found, Search
 from nmt_diagnose.inference.size import differs, disbelieved
 from nmt_diagnose.inference.tuned import CREDIBLE, INCREDIBLE
-from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig
 

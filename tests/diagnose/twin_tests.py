@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_rig.rig import Rig, validate_rig

@@ -9,8 +9,8 @@ from extract.synthetic import lock_event
 from numpy.random import Generator
 from scipy.optimize import brentq
 
-from nmt_core.blocks import Quantity
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import ModalPoint
 from nmt_extract.window import Channel, Window

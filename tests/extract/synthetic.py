@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LockEvent
+from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LockEvent
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.modal_point import ModalPoint

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmt_core.blocks import SampleBlock
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.channel_judge import flat_top, unrepeated_rms
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_extract.channel_judge import unrepeated_rms
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_session import Session, plan_test
+from nmt_signals.channel_faults.clipping import flat_top
 
 LEVELS = [0.15, 0.35, 0.8]
 RANDOM = np.random.default_rng(3)

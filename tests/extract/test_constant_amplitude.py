@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract.constant_amplitude import SolvedPoints, fit_at_amplitudes, half_power, modal_amplitudes, solve_points
 from nmt_extract.swept_response import FrequencyResponseTable
 from nmt_report.response_analysis import model_responses

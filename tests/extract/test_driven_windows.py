@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nmt_core.linear_description import LinearDescription
-from nmt_extract import channel_judge
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract.channel_judge import ChannelHistory, DriveState, force_gain
 from nmt_extract.extractor import Extractor
 from nmt_session import Session, plan_test
+from nmt_signals.channel_faults import clipping
 
 LINEAR = LinearDescription(
     "test", 2, 0, (2, 4), (139.0,), (0.005,), ((0.4,), (1.4,)), 0.4, 140.0, 0.04, 0.043, 0.3, 2e-4
@@ -45,13 +45,13 @@ def test_extraction_knows_the_levels_with_control():
 def test_the_crest_of_a_force_that_is_held_to_a_sine_is_not_judged(monkeypatch):
     """Little harmonics beyond the controlled ones may fill the crest up; of a sine nothing can have been cut off."""
     judged: list[float] = []
-    true = channel_judge.flat_top
+    true = clipping.flat_top
 
     def watched(values, samples_per_period):
         judged.append(float(np.ptp(values)) / 2.0)
         return true(values, samples_per_period)
 
-    monkeypatch.setattr(channel_judge, "flat_top", watched)
+    monkeypatch.setattr(clipping, "flat_top", watched)
     forces = {}
     for control in (0, 9):
         judged.clear()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_extract.frf import averaged_spectra, frf_estimate
+from nmt_signals.frequency_responses import averaged_spectra, frf_estimate
 
 RATE = 1000.0
 

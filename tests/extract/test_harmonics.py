@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nmt_core.errors import BenchError
-from nmt_extract.harmonics import (
+from nmt_signals.harmonics import (
     harmonic_amplitudes,
     resolvable_harmonics,
     segment_moments,

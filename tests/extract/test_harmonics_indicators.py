@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.modal_point import ModalPoint
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
 from nmt_extract.harmonics_indicators import HARMONICS_COLUMNS, any_control, comparison_of, force_content, indicators
 from nmt_extract.modal_table import COLUMNS, read_csv, read_json, write_csv, write_json

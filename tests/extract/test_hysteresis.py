@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from extract.synthetic import Stream, extract, linear_description, lock_event
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
 

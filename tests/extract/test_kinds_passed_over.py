@@ -6,10 +6,10 @@ import struct
 
 import pytest
 
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.messages.wire import LEVEL, LOCK_EVENT, write_status
 from nmt_core.vocabulary import LoopState, TestKind
-from nmt_core.wire import LEVEL, LOCK_EVENT, write_status
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import MessageFeed
 from nmt_extract.modal_point import Status

@@ -15,15 +15,15 @@ import pytest
 import yaml
 
 from nmt_bench import import_data
-from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import BlockFlag, Quantity
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_extract.linear_evaluation import evaluate_linear_test
 from nmt_extract.linear_file import Linearity, description, frf_table, linear_mapping, linearity
 from nmt_extract.linear_identification import LinearTest, LinearTestSettings, _target_of, linear_test
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Signals
 from nmt_report.linear_report import exact_modes, linear_page

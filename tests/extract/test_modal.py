@@ -19,7 +19,7 @@ from extract.synthetic import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal import estimated_mass
 from nmt_extract.modal_point import Status

@@ -18,9 +18,9 @@ from extract.synthetic import (
 )
 
 from nmt_core.errors import BenchError
-from nmt_core.records import LevelCommand, LoopStatus
+from nmt_core.messages.records import LevelCommand, LoopStatus
+from nmt_core.messages.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
 from nmt_core.vocabulary import LoopState
-from nmt_core.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.modal_point import Status

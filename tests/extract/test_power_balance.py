@@ -7,8 +7,8 @@ import pytest
 from extract.synthetic import OMEGA, RATE, linear_description, lock_event
 from scipy.integrate import solve_ivp
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import Status

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_extract.rational_fit import fit_rational, structure_mode
+from nmt_signals.rational_fit import fit_rational, structure_mode
 
 RATE, SAMPLES = 500.0, 10_000
 STRUCTURE = (2 * np.pi * 30.0, 0.005)

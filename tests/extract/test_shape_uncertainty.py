@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_extract.linear_identification import _scaled
-from nmt_extract.rational_fit import StructureMode
+from nmt_signals.rational_fit import StructureMode
 
 SHAPE = np.array([1.3, -0.7, 0.4])  # 1/√kg, the first is the drive point
 KINDS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}

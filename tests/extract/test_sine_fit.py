@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nmt_core.errors import BenchError
-from nmt_extract.sine_fit import fit_frequency
+from nmt_signals.sine_fit import fit_frequency
 
 RATE = 10_000.0
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter, ss2tf
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_extract.response_table import read_response_csv, write_response_csv
 from nmt_extract.swept_response import (
     OrderKernel,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.synthesis import OtherModes, Synthesis, SynthesisedBackbone, peak, resonance_error
 from nmt_report.response_analysis import interpolate_curve, model_responses

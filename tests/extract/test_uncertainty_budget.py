@@ -13,9 +13,9 @@ from extract.nonlinear_rigs import IDEAL, NonlinearRig
 from extract.nonlinear_rigs import measured as nonlinear_point
 from extract.sensor_errors import CHANNELS, Rig, Sensors, measured, true_point
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.uncertainty_budget import (
     Budget,

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from nmt_core.records import DriveCommand, LockEvent
+from nmt_core.messages.records import DriveCommand, LockEvent
 from nmt_core.vocabulary import Waveform
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.modal_point import Status
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.linear_description import linear_description
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig

@@ -10,7 +10,7 @@ from extract.synthetic import FREQUENCY, POINTS, RATE, Stream, lock_event
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity
+from nmt_core.messages.blocks import BlockFlag, OscillatorPhase, Quantity
 from nmt_core.vocabulary import LoopState
 from nmt_extract.window import SpoiledWindow, Window, WindowAssembler
 from nmt_record.windows.sample_table import SampleTable

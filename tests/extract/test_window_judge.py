@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from extract.synthetic import linear_description, lock_event
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import Status

@@ -115,7 +115,7 @@ def test_extraction_without_report_loads_nothing_large(tmp_path: Path) -> None:
 
 def test_a_reference_and_a_plant_load_the_part_of_scipy_they_use() -> None:
     code = (
-        "import sys, nmt_rig.reference, nmt_plant.simulated_rig\n"
+        "import sys, nmt_rig.reference, nmt_plant.devices.simulated_rig\n"
         "parts = {'scipy.io', 'scipy.optimize', 'scipy.signal', 'scipy.sparse'}\n"
         "sys.exit(', '.join(sorted(parts & set(sys.modules))) or 0)"
     )

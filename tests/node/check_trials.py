@@ -23,8 +23,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from node.converter_bench import KINDS, converter_bench
 
-from nmt_plant.hardware_check import check
-from nmt_plant.hardware_rig import HardwareRig, device_of
+from nmt_plant.check.hardware_check import check
+from nmt_plant.devices.hardware_rig import HardwareRig, device_of
 from nmt_plant.specimen import Specimen
 from nmt_plant.specimen_faults import FAULTS, Fault
 from nmt_rig.rig import load_rig

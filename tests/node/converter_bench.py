@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_bench.commands.hardware_checks import keep_check
-from nmt_plant.hardware_rig import HARDWARE_LEAD, device_of
+from nmt_bench.hardware.hardware_checks import keep_check
+from nmt_plant.devices.hardware_rig import HARDWARE_LEAD, device_of
 from nmt_rig.rig import load_rig
 
 KINDS = ("portaudio", "nidaqmx")

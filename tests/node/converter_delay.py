@@ -19,9 +19,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from node.converter_bench import KINDS, RATES, converter_bench, environment
 
-from nmt_core.records import DriveCommand
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.hardware_rig import HardwareRig, device_of
+from nmt_plant.devices.hardware_rig import HardwareRig, device_of
 from nmt_rig.rig import load_rig
 
 LEAD = 40

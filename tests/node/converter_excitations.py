@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from node.converter_bench import KINDS, RATES, ConverterBench, converter_bench, environment, simulated
 
 from nmt_bench.harness import Bench
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import ResultCode
 from nmt_extract.ring_down import ring_down
 from nmt_record.bag.bag_reader import Bag

@@ -29,7 +29,7 @@ from node.converter_bench import KINDS, RATES, ConverterBench, converter_bench
 FAULTS = ("SIGKILL", "SIGSTOP", "blocked")
 PROCESSES = ("owner", "plant", "pll", "sequencer", "extract", "recorder", "command")
 _WORDS = {
-    "owner": "nmt_plant.output_owner",
+    "owner": "nmt_plant.output_process.output_owner",
     "plant": "nmt_plant/plant",
     "pll": "nmt_pll/pll",
     "sequencer": "nmt_sequencer/sequencer",

@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from node.converter_bench import KINDS, RATES, converter_bench, environment
 from node.converter_delay import open_device
 
-from nmt_core.records import DriveCommand
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_plant.real_time import real_time_priority
 

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from node.signal_trials import PATIENCE, hear_signals, runs, shared_memory, stays
 
-from nmt_core.shared_memory import remove_dead_segments
+from nmt_core.nodes.shared_memory import remove_dead_segments
 from nmt_session.node_plan import NODES
 
 LAUNCHER, LOADER = "launcher", "loader"

@@ -37,8 +37,8 @@ from node.kill_trials import MARK, marked
 from node.signal_trials import hear_signals
 
 from nmt_core.errors import BenchError
-from nmt_core.shared_memory import remove_dead_segments
-from nmt_core.wire import MODAL_POINT
+from nmt_core.messages.wire import MODAL_POINT
+from nmt_core.nodes.shared_memory import remove_dead_segments
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES

@@ -27,7 +27,7 @@ import numpy as np
 
 from nmt_bench.orchestration.bench_domain import BenchDomain
 from nmt_core.errors import BenchError
-from nmt_core.shared_memory import remove_dead_segments
+from nmt_core.nodes.shared_memory import remove_dead_segments
 from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES
 

@@ -18,8 +18,8 @@ from node import lockstep_trials
 
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.errors import BenchError
+from nmt_core.messages.wire import MODAL_POINT
 from nmt_core.vocabulary import LoopState, ResultCode
-from nmt_core.wire import MODAL_POINT
 from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import write_csv
 from nmt_extract.offline import extract_bag

@@ -13,8 +13,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from nmt_bench.harness import Bench, Progress, RunResult
-from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import BlockFlag, Quantity
 from nmt_core.vocabulary import LoopState, ResultCode, TestKind
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag

@@ -18,9 +18,9 @@ from rclpy.node import Node
 
 from nmt_core.base_node import SAMPLES_QOS
 from nmt_core.errors import BenchError
-from nmt_core.records import LevelCommand, LoopStatus
+from nmt_core.messages.records import LevelCommand, LoopStatus
+from nmt_core.messages.wire import LEVEL, LOCK_EVENT, MODAL_POINT, BlockReader, BlockWriter, write_status
 from nmt_core.vocabulary import LoopState
-from nmt_core.wire import LEVEL, LOCK_EVENT, MODAL_POINT, BlockReader, BlockWriter, write_status
 from nmt_extract.extract_node import ExtractNode
 from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag

@@ -13,9 +13,9 @@ from tiers import with_quick
 
 from nmt_bench.harness import Bench, Progress
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS
-from nmt_core.blocks import SampleBlock
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.wire import BlockReader
 from nmt_core.vocabulary import LoopState
-from nmt_core.wire import BlockReader
 from nmt_msgs import msg
 from nmt_plant.plant_node import PlantNode
 from nmt_record.bag.bag_reader import Bag

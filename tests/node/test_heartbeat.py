@@ -27,9 +27,9 @@ def node(domain_id: int) -> Iterator[BenchNode]:
 
 def test_work_that_takes_long_is_busy_and_then_hung(node: BenchNode, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[DiagnosticStatus] = []
-    monkeypatch.setattr(node, "_publish_status", said.append)
+    monkeypatch.setattr(node.heartbeat, "_publish", said.append)
     node._beat()  # the working thread
-    with node.watched_work():
+    with node.heartbeat.watched_work():
         end = time.monotonic() + 30.0
         while not said[-1].message.startswith("hung") and time.monotonic() < end:
             time.sleep(0.05)  # a piece of work
@@ -49,9 +49,9 @@ def test_work_that_takes_long_is_busy_and_then_hung(node: BenchNode, monkeypatch
 
 def test_a_node_at_work_speaks_for_itself(node: BenchNode, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[DiagnosticStatus] = []
-    monkeypatch.setattr(node, "_publish_status", said.append)
-    with node.watched_work():
-        node._worked = time.monotonic() + 1.0e6  # never long ago
+    monkeypatch.setattr(node.heartbeat, "_publish", said.append)
+    with node.heartbeat.watched_work():
+        node.heartbeat.worked = time.monotonic() + 1.0e6  # never long ago
         time.sleep(0.6)
     assert said == []
 

@@ -20,8 +20,8 @@ from std_srvs.srv import Trigger
 
 from nmt_bench.harness import Bench
 from nmt_bench.page.page_process import ServedPage, page_process
+from nmt_core.messages.wire import DRIVE_STOP, STEERING
 from nmt_core.vocabulary import ResultCode, SteeringAct, StopCause
-from nmt_core.wire import DRIVE_STOP, STEERING
 from nmt_record.bag.bag_reader import Bag
 from nmt_session import Session, plan_test
 

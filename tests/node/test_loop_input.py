@@ -10,9 +10,9 @@ from rclpy.node import Node
 from nmt_bench.harness import Bench
 from nmt_benchmark.channel_figures import large_rig
 from nmt_core.base_node import SAMPLES_QOS
-from nmt_core.blocks import Quantity, SampleBlock
-from nmt_core.bundle import read_bundle
-from nmt_core.wire import BlockReader
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_core.messages.bundle import read_bundle
+from nmt_core.messages.wire import BlockReader
 from nmt_msgs import msg
 from nmt_record.bag.bag_reader import Bag
 

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from nmt_bench.harness import Bench
-from nmt_core.command_judge import LONGEST_AHEAD
 from nmt_core.errors import BenchError
+from nmt_core.messages.command_judge import LONGEST_AHEAD
+from nmt_core.messages.wire import MODAL_POINT
 from nmt_core.vocabulary import ResultCode
-from nmt_core.wire import MODAL_POINT
 from nmt_extract.offline import extract_bag
 from nmt_msgs.action import RunLevels
 from nmt_record.bag.bag_reader import Bag

@@ -135,7 +135,7 @@ def test_a_run_does_not_begin_under_two_publishers() -> None:
 
 def test_blocks_of_another_source_do_not_reach_the_loop_unnoticed(tmp_path: Path) -> None:
     with Bench("beam", [0.3], out=tmp_path / "out", window_periods=300, linked=False) as bench:
-        bench.nodes["plant"]._own_topics.clear()  # as if it had not noticed the second publisher
+        bench.nodes["plant"].identity._topics.clear()  # as if it had not noticed the second publisher
         publisher = stranger(bench).create_publisher(SampleBlockMessage, "force", SAMPLES_QOS)
         sent: list[int] = []
 
@@ -162,7 +162,7 @@ def test_blocks_of_another_source_do_not_reach_the_loop_unnoticed(tmp_path: Path
 
 def test_lock_events_of_strangers_do_not_stop_the_nodes(tmp_path: Path) -> None:
     with Bench("beam", [0.3], out=tmp_path / "out", window_periods=300) as bench:
-        bench.nodes["pll"]._own_topics.clear()  # as if it had not noticed the second publisher
+        bench.nodes["pll"].identity._topics.clear()  # as if it had not noticed the second publisher
         lock = stranger(bench).create_publisher(LockEvent, "lock", SAMPLES_QOS)
         sent: list[int] = []
 

@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 
 from nmt_bench.harness import Bench, Progress
-from nmt_core.output_record import OutputLine, output_sentence, read_output
+from nmt_core.processes.output_record import OutputLine, output_sentence, read_output
 from nmt_core.vocabulary import ResultCode
-from nmt_plant.guarded_device import LEAST_LEAD
+from nmt_plant.devices.guarded_device import LEAST_LEAD
 from nmt_record.bag.bag_reader import Bag
 
 RATE, BLOCK = 10_000.0, 200

@@ -14,15 +14,15 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 
 from nmt_bench.harness import Bench, Progress
-from nmt_core.arrays import FloatArray
 from nmt_core.base_node import BenchNode
-from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
+from nmt_core.messages.command_judge import CommandSource
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_extract.modal_point import Status
 from nmt_msgs.msg import Drive
-from nmt_plant.device import DeviceFault
-from nmt_plant.loopback_device import LoopbackDevice
+from nmt_plant.devices.device import DeviceFault
+from nmt_plant.devices.loopback_device import LoopbackDevice
 from nmt_plant.plant_node import PlantNode
 from nmt_sequencer.sequencer_node import SequencerNode
 
@@ -92,7 +92,7 @@ def test_a_failed_device_is_an_error_at_once_and_ends_the_run(bench: Bench, monk
     def fail(_: Any) -> FloatArray:
         # Any later heartbeat would be another one: the error must be published with the failure.
         monkeypatch.setattr(plant, "_beat", lambda: None)
-        plant._heartbeat.cancel()
+        plant._beat_timer.cancel()
         raise DeviceFault("the amplifier is on fire")
 
     def break_it(progress: Progress) -> None:

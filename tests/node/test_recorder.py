@@ -22,11 +22,11 @@ from rclpy.node import Node
 from std_msgs.msg import Float64, String, UInt64
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS
-from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.liveness import HANG_LIMIT
-from nmt_core.run_announcement import RunAnnouncement
-from nmt_core.wire import BlockReader, BlockWriter
+from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.run_announcement import RunAnnouncement
+from nmt_core.messages.wire import BlockReader, BlockWriter
+from nmt_core.nodes.liveness import HANG_LIMIT
 from nmt_msgs.msg import Drive, LockEvent, ModalPoint, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_record import Bag

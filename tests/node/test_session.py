@@ -11,8 +11,8 @@ import pytest
 from tiers import with_quick
 
 from nmt_bench.harness import Bench
+from nmt_core.messages.wire import RUN_RECORD, STEERING
 from nmt_core.vocabulary import RecordKind, ResultCode, RunPhase, SteeringAct
-from nmt_core.wire import RUN_RECORD, STEERING
 from nmt_record.bag.bag_reader import Bag
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session import Session, plan_test

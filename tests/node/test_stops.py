@@ -20,9 +20,9 @@ from tiers import with_quick
 
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.base_node import STATE_QOS
-from nmt_core.records import DriveStop
+from nmt_core.messages.records import DriveStop
+from nmt_core.messages.wire import DRIVE_STOP
 from nmt_core.vocabulary import BlockFlag, LoopState, OutputState, ResultCode, StopCause
-from nmt_core.wire import DRIVE_STOP
 from nmt_record.bag.bag_reader import Bag
 
 QUALITIES = {

@@ -24,7 +24,7 @@ from sensor_msgs.msg import Imu
 
 from nmt_core.base_node import SAMPLES_QOS
 from nmt_core.errors import BenchError
-from nmt_core.wire import LOCK_EVENT
+from nmt_core.messages.wire import LOCK_EVENT
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag

@@ -18,7 +18,7 @@ import pytest
 
 from nmt_bench.orchestration.bench_domain import bench_environment
 from nmt_core.dds_profile import PROFILE, two_host_profile
-from nmt_core.output_record import read_output
+from nmt_core.processes.output_record import read_output
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES, OUTPUT_RECORD, plan_nodes

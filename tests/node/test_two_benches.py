@@ -16,7 +16,7 @@ from tiers import with_quick
 
 from nmt_bench.harness import Bench, Progress
 from nmt_core.errors import BenchError
-from nmt_core.liveness import HUNG
+from nmt_core.nodes.liveness import HUNG
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_msgs.action import RunLevels
 from nmt_pll.pll_node import PllNode
@@ -55,7 +55,7 @@ def test_a_node_that_hangs_ends_its_own_bench_only(name: str, tmp_path: Path) ->
             if progress.state == LoopState.LOCKED and not hung:
                 hung.append(progress.sample)
                 node = bench.nodes[name]
-                node._heartbeat.cancel()
+                node._beat_timer.cancel()
                 node.publish_diagnostics(DiagnosticStatus.ERROR, f"{HUNG}: nothing has been done for 61 s")
 
         first = bench.run(hang)

@@ -30,11 +30,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
-from nmt_core.blocks import SampleBlock
-from nmt_core.cdr import bench_stamp
-from nmt_core.modal_point import COMPLEX
-from nmt_core.records import LoopStatus
-from nmt_core.wire import (
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.cdr import bench_stamp
+from nmt_core.messages.modal_point import COMPLEX
+from nmt_core.messages.records import LoopStatus
+from nmt_core.messages.wire import (
     DRIVE_STOP,
     LEVEL,
     LOCK_EVENT,

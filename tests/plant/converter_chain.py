@@ -20,13 +20,13 @@ import pytest
 from node.converter_bench import Port
 from plant.turned_clock import TurnedClock
 
-from nmt_core.arrays import FloatArray
-from nmt_plant import nidaqmx_converter, portaudio_converter
-from nmt_plant.converter import load_converter
-from nmt_plant.hardware_rig import HardwareRig, device_of
-from nmt_plant.output_owner import OutputOwner, OwnerSettings
-from nmt_plant.owner_process import OwnerProcess
-from nmt_plant.shared_samples import SharedSamples
+from nmt_core.numerics.arrays import FloatArray
+from nmt_plant.converters import nidaqmx_converter, portaudio_converter
+from nmt_plant.converters.converter import load_converter
+from nmt_plant.devices.hardware_rig import HardwareRig, device_of
+from nmt_plant.output_process.output_owner import OutputOwner, OwnerSettings
+from nmt_plant.output_process.owner_process import OwnerProcess
+from nmt_plant.output_process.shared_samples import SharedSamples
 from nmt_plant.specimen import Specimen
 from nmt_rig.device_sections import SPECIMEN
 from nmt_rig.rig import load_rig

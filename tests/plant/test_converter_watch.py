@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from nmt_plant.converter_watch import ClockWatch, DelayWatch
+from nmt_plant.converters.converter_watch import ClockWatch, DelayWatch
 from nmt_plant.real_time import LatenessHistogram, computer_settings, read_histogram
 
 RATE, BLOCK = 10_000.0, 200

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from plant.converter_chain import BLOCK, KINDS, OWNER, PERIOD, RATE, chain
 
-from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import BlockFlag, Quantity
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import OutputState, StopCause, Waveform
-from nmt_plant.device import DeviceFault, DeviceState, DeviceStateError
+from nmt_plant.devices.device import DeviceFault, DeviceState, DeviceStateError
 from nmt_plant.specimen_faults import Fault
 from nmt_rig.device_sections import StopInputSection
 

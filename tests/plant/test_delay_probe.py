@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from nmt_plant.delay_probe import DelayProbe
+from nmt_plant.converters.delay_probe import DelayProbe
 
 RATE = 10_000.0
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import BlockFlag, Quantity
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.device import Device, DeviceState, DeviceStateError
-from nmt_plant.loopback_device import LoopbackDevice
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.device import Device, DeviceState, DeviceStateError
+from nmt_plant.devices.loopback_device import LoopbackDevice
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.rig import load_rig
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from rig.effect_rigs import DAMPER, MASS, RATE, SPRING, beam, harmonic, oscillator, run
 
-from nmt_core.blocks import Quantity
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 
 
 def decay_frequency(rig, strike=2.0):

@@ -7,16 +7,16 @@ import math
 import numpy as np
 import pytest
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import BlockFlag, Quantity, SampleBlock
+from nmt_core.messages.records import DriveCommand
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import Waveform
-from nmt_plant.guarded_device import GuardedDevice
-from nmt_plant.loopback_device import LoopbackDevice
+from nmt_plant.devices.guarded_device import GuardedDevice
+from nmt_plant.devices.loopback_device import LoopbackDevice
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.oscillator import OscillatorBlock
-from nmt_plant.output_guard import default_slew
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.safety.output_guard import default_slew
 from nmt_rig.rig import load_rig
 
 

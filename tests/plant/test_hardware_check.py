@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from nmt_blind.cases.blind_rigs import BLIND_RIGS
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_plant.hardware_check import check
-from nmt_plant.hardware_rig import HardwareRig, device_of
+from nmt_core.messages.blocks import Quantity
+from nmt_plant.check.hardware_check import check
+from nmt_plant.devices.hardware_rig import HardwareRig, device_of
 from nmt_plant.specimen import Specimen
 from nmt_plant.specimen_faults import FAULTS, Fault, parse_fault
 from nmt_report.check_report import check_page

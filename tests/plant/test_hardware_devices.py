@@ -12,10 +12,10 @@ import pytest
 import yaml
 
 from nmt_core.errors import BenchError
-from nmt_plant.device import DeviceFault
-from nmt_plant.hardware_rig import HardwareRig, device_of
-from nmt_plant.nidaqmx_converter import find_channels
-from nmt_plant.portaudio_converter import MissedTurns, find_device, list_devices
+from nmt_plant.converters.nidaqmx_converter import find_channels
+from nmt_plant.converters.portaudio_converter import MissedTurns, find_device, list_devices
+from nmt_plant.devices.device import DeviceFault
+from nmt_plant.devices.hardware_rig import HardwareRig, device_of
 from nmt_rig.rig import load_rig
 
 
@@ -51,7 +51,7 @@ def test_looking_for_channels_leaves_no_grpc_in_the_process_that_asks():
     code = (
         "import sys\n"
         "from nmt_core.errors import BenchError\n"
-        "from nmt_plant.nidaqmx_converter import find_channels\n"
+        "from nmt_plant.converters.nidaqmx_converter import find_channels\n"
         "try:\n"
         "    find_channels('127.0.0.1:9', ['Dev1/ai0'])\n"
         "except BenchError:\n"

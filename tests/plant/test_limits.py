@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_core.blocks import Quantity, SampleBlock
-from nmt_plant.limits import PREDICTION_FACTOR, ChannelLimit, LimitGuard, OpenLoop
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_plant.safety.limits import PREDICTION_FACTOR, ChannelLimit, LimitGuard, OpenLoop
 
 RATE = 1000.0
 NAMES = ("a1", "a2")

@@ -13,9 +13,9 @@ from plant.converter_chain import NiChannel
 from plant.turned_clock import TurnedClock
 
 from nmt_core.errors import BenchError
-from nmt_plant import nidaqmx_converter
-from nmt_plant.hardware_rig import device_of
-from nmt_plant.nidaqmx_converter import NiDaqmxConverter
+from nmt_plant.converters import nidaqmx_converter
+from nmt_plant.converters.nidaqmx_converter import NiDaqmxConverter
+from nmt_plant.devices.hardware_rig import device_of
 from nmt_plant.specimen import Specimen
 from nmt_rig.rig import load_rig
 from nmt_specimen.ni_specimen import Hardware

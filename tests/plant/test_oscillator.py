@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.device import check_drive
+from nmt_plant.devices.device import check_drive
 from nmt_plant.oscillator import BandNoise, Oscillator
 
 RATE = 10_000.0

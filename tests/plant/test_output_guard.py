@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_plant.output_guard import OutputGuard, default_slew
+from nmt_plant.safety.output_guard import OutputGuard, default_slew
 
 RATE = 10_000.0
 

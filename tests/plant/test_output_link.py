@@ -16,17 +16,17 @@ from plant.converter_chain import OwnerThread
 from plant.turned_clock import TurnedClock
 
 from nmt_benchmark.output_faults import measure
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import BlockFlag, Quantity, SampleBlock
+from nmt_core.messages.records import DriveCommand
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import OutputState, StopCause, Waveform
-from nmt_plant.converter import SteadyClockConverter, read_log
-from nmt_plant.device import DeviceFault
-from nmt_plant.loopback_device import LoopbackDevice
-from nmt_plant.output_link import OutputLink
-from nmt_plant.output_owner import OwnerSettings
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.converters.converter import SteadyClockConverter, read_log
+from nmt_plant.devices.device import DeviceFault
+from nmt_plant.devices.loopback_device import LoopbackDevice
+from nmt_plant.devices.simulated_rig import SimulatedRig
+from nmt_plant.output_process.output_link import OutputLink
+from nmt_plant.output_process.output_owner import OwnerSettings
 from nmt_rig.rig import load_rig
 
 RATE, BLOCK = 10_000.0, 200

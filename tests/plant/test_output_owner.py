@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.output_record import read_output
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.processes.output_record import read_output
 from nmt_core.vocabulary import OutputState, StopCause
-from nmt_plant.converter import Converter, Taken, load_converter
-from nmt_plant.output_owner import (
+from nmt_plant.converters.converter import Converter, Taken, load_converter
+from nmt_plant.output_process.output_owner import (
     OutputOwner,
     OwnerMessage,
     OwnerReport,
@@ -26,7 +26,7 @@ from nmt_plant.output_owner import (
     quiet_message,
     read_report,
 )
-from nmt_plant.shared_samples import SharedSamples
+from nmt_plant.output_process.shared_samples import SharedSamples
 
 RATE, BLOCK, CHUNK = 10_000.0, 200, 40
 SETTINGS = OwnerSettings(RATE, BLOCK, lead_blocks=2, deadline=0.06, ramp=0.02, limit=5.0)
@@ -461,7 +461,9 @@ def test_settings_are_checked(wrong: dict[str, float]) -> None:
         OwnerSettings(**{"sample_rate": RATE, "block_samples": BLOCK, **wrong})  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["nowhere:Converter", "nmt_plant.converter:Nothing", "nmt_plant.converter"])
+@pytest.mark.parametrize(
+    "name", ["nowhere:Converter", "nmt_plant.converters.converter:Nothing", "nmt_plant.converters.converter"]
+)
 def test_a_converter_that_is_none_is_named(name: str) -> None:
     with pytest.raises(BenchError, match="there is no converter"):
         load_converter(name, {})

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nmt_core.command_judge import CommandSource, Refusal
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand, RunState
+from nmt_core.messages.command_judge import CommandSource, Refusal
+from nmt_core.messages.records import DriveCommand, RunState
 from nmt_core.vocabulary import BlockFlag, OutputState, Quantity, ResultCode, RunPhase, StopCause, Waveform
-from nmt_plant.loopback_device import LoopbackDevice
+from nmt_plant.devices.loopback_device import LoopbackDevice
 from nmt_plant.plant_core import PlantCore
 
 BLOCK, RATE = 100, 1000.0

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.blocks import BlockFlag, Quantity
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import BlockFlag, Quantity
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.rig import load_rig
 
 

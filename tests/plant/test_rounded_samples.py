@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nmt_core.blocks import rounded
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import rounded
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import load_rig

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from nmt_core.blocks import OscillatorPhase, SampleBlock
+from nmt_core.messages.blocks import OscillatorPhase, SampleBlock
 from nmt_core.vocabulary import Quantity
 from nmt_plant.signal_levels import LevelMeter
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from nmt_benchmark.plant_speed import owned_output_cost, run_benchmark
-from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import BlockFlag, Quantity
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.simulated_rig import TICK_ORDER, SimulatedRig
+from nmt_plant.devices.simulated_rig import TICK_ORDER, SimulatedRig
 from nmt_rig.rig import load_rig
 
 NOISY = ["sensors.0.noise_psd=2e-9", "sensors.0.noise_correlation_time_s=1e-5"]

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_plant.topic_bridge import BridgeTable, TopicBridge, read_channel_table
 
 TABLE = """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nmt_plant.watchdog import DriveWatchdog
+from nmt_plant.safety.watchdog import DriveWatchdog
 
 
 @pytest.mark.parametrize("blocks", [1, 3, 10])

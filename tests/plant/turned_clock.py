@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from nmt_core.steady_clock import SteadyClock
+from nmt_core.processes.steady_clock import SteadyClock
 
 
 class Killed(BaseException):

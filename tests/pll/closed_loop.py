@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from pll.stepped_loop import SteppedLoop
 
-from nmt_core.blocks import Quantity, SampleBlock
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import LoopState
 from nmt_pll.lock import Transition
 from nmt_pll.loop import LockWindow, LoopOutput, PhaseLockedLoop

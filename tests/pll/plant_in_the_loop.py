@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from pll.stepped_loop import SteppedLoop
 
-from nmt_core.blocks import Quantity
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.records import LevelCommand
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings
 from nmt_rig.linear_description import linear_description

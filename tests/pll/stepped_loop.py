@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from nmt_core.blocks import Quantity, SampleBlock
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_pll.level_loop import LevelLoop, LoopOutput
 from nmt_pll.loop_core import drive_command
 from nmt_rig.rig import Rig

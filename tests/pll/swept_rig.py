@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from pll.stepped_loop import SteppedLoop
 
-from nmt_core.blocks import Quantity, SampleBlock
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
 from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop

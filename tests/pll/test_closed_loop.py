@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pll.closed_loop import ClosedLoop
 
-from nmt_core.blocks import BlockFlag, Quantity
+from nmt_core.messages.blocks import BlockFlag, Quantity
 from nmt_core.vocabulary import ControlKind, LoopState
 from nmt_pll.loop_settings import LoopSettings
 from nmt_rig.linear_description import linear_description

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_pll.gains import LoopPlant, closed_form_gains
 
 TWO_PI = 2.0 * math.pi

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_pll.harmonics_target import LARGEST_RATIO, ModalPowerRatio, check_modes
 
 POINTS = (2, 4, 5, 6)

@@ -10,8 +10,8 @@ import pytest
 from pll.closed_loop import ClosedLoop
 from pll.plant_in_the_loop import LoopOnRig
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.paper_settings import PaperSettings, paper_settings_from
 from nmt_rig.rig_model import build_system

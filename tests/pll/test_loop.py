@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nmt_core.blocks import UNKNOWN_PHASE, BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import UNKNOWN_PHASE, BlockFlag, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState
 from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.loop_settings import LoopSettings

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
-from nmt_core.command_judge import CommandSource
-from nmt_core.parameters import check_values
-from nmt_core.records import LevelCommand, LoopStatus
+from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.command_judge import CommandSource
+from nmt_core.messages.records import LevelCommand, LoopStatus
+from nmt_core.nodes.parameters import check_values
 from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, TestKind, Waveform
 from nmt_pll.level_loop import LockWindow, LoopOutput
 from nmt_pll.loop_core import PARAMETERS, LoopAnswer, LoopCore, drive_command, lock_event, loop_status

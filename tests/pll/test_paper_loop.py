@@ -9,10 +9,10 @@ import pytest
 from pll.plant_in_the_loop import LoopOnRig
 from scipy.signal import lsim
 
-from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import LoopState
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings, paper_parameters, paper_settings_from

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nmt_core.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import BlockFlag, Quantity, SampleBlock
+from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
 from nmt_pll.random_drive import RandomDrive
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pll.closed_loop import ClosedLoop
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import LoopState, TestKind
 from nmt_pll.loop_settings import LoopSettings
 

@@ -8,8 +8,8 @@ from dataclasses import fields
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.parameters import check_values
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.nodes.parameters import check_values
 from nmt_pll.loop_settings import SIGNED_SETTINGS, LoopSettings, setting_parameters, settings_from
 
 LINEAR = LinearDescription("test", 2, 1, (2,), (100.0, 700.0), (0.01, 0.02), ((1.0, 2.0),), 2.0, 690.0, 0.05, 0.04)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pll.swept_rig import SweptRig
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
 
 

@@ -14,8 +14,8 @@ from rosbags.interfaces import Nodetype, QosDurability, QosHistory, QosReliabili
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_record import Bag, BagWriter
 from nmt_record.bag.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK
 from nmt_record.bag.mcap_file import McapFile

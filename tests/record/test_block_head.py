@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nmt_core.cdr import read_stamp
-from nmt_core.wire import BlockReader
+from nmt_core.messages.cdr import read_stamp
+from nmt_core.messages.wire import BlockReader
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK
 
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)

@@ -17,7 +17,7 @@ else:
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
-from nmt_core.wire import LEVEL
+from nmt_core.messages.wire import LEVEL
 from nmt_record.bag.message_definitions import local_definitions
 print(local_definitions().definition("nmt_msgs/msg/SampleBlock").text, LEVEL.fields)
 """

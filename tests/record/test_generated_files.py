@@ -18,8 +18,8 @@ import pytest
 import scipy.io
 import yaml
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_record.exchange.imported_run import read_import
 from nmt_record.exchange.sidecar_template import sidecar_templates
 

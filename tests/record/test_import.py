@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from record.foreign_data import FREQUENCY_HZ, RATE, SHAPES, recording, sidecar, write, write_csv, write_sidecar
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import TestKind
 from nmt_record import Bag
 from nmt_record.exchange.imported_run import ImportedRun, read_import, write_import

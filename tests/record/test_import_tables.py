@@ -13,8 +13,8 @@ import yaml
 from record.foreign_data import RATE, recording, sidecar, write, write_sidecar
 from scipy.io import savemat
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_record.exchange.imported_run import ImportedRun, read_import
 from nmt_record.exchange.observables import ObservableTable
 from nmt_record.exchange.sidecar_template import sidecar_templates

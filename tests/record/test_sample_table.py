@@ -11,7 +11,7 @@ from extract.synthetic import RATE, Stream
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.vocabulary import LoopState, TestKind
 from nmt_record.windows.sample_table import SampleTable
 from nmt_record.windows.topic_blocks import ExcitationPhase, TopicBlocks, TopicStretch, phase_reference

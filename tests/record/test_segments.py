@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nmt_core.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import LoopStatus
+from nmt_core.messages.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.records import LoopStatus
+from nmt_core.messages.wire import BlockWriter, write_status
 from nmt_core.vocabulary import TestKind
-from nmt_core.wire import BlockWriter, write_status
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK

@@ -16,9 +16,9 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from nmt_core.errors import BenchError
-from nmt_core.modal_point import COMPLEX, EVALUATED, ModalPoint
+from nmt_core.messages.modal_point import COMPLEX, EVALUATED, ModalPoint
+from nmt_core.messages.wire import MODAL_POINT, BlockReader, record_defaults
 from nmt_core.vocabulary import PointStatus
-from nmt_core.wire import MODAL_POINT, BlockReader, record_defaults
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK

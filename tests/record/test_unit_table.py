@@ -7,8 +7,8 @@ import math
 import pytest
 from scipy import constants
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_record.exchange.unit_table import factor_to_si, other_factor
 
 _PREFIXES = {

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.diagnosis import (
     Diagnosis,
     Gap,

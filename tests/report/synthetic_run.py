@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract.modal_point import MEASURED, ModalPoint, Status
 from nmt_report.run_data import (
     Excerpt,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.modal_point import ModalPoint
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
 from nmt_report.run_data import ReferenceCurve, RunReportData
 from nmt_report.run_page import _harmonics_notes, _harmonics_table, worst_deviation

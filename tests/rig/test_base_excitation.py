@@ -8,9 +8,9 @@ from rig.energies import stored_energy
 from scipy.integrate import solve_ivp
 
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import acceleration_output, assemble, displacement_output, velocity_output
 from nmt_rig.model.beam import element_matrices, euler_bernoulli_beam

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from rig.effect_rigs import RATE, beam, harmonic, oscillator, run
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_rig.analogue_chain import AnalogueChain
 from nmt_rig.rig import load_rig
 from nmt_rig.sensors import Sensor, SensorChannel

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import find_rig, load_rig
 

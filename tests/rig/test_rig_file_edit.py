@@ -14,7 +14,7 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.twin.operating_range import operating_range
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_report.diagnosis_model import assumptions, model_text
 from nmt_rig.rig import Rig, find_rig, load_rig
 from nmt_rig.rig_file_edit import changed_keys, edited_rig_text

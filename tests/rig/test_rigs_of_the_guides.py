@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nmt_core.blocks import Quantity
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import assemble
 from nmt_rig.model.shaking_table import ShakingTable

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from nmt_core.records import LevelCommand, LoopStatus
+from nmt_core.messages.records import LevelCommand, LoopStatus
 from nmt_core.vocabulary import BlockFlag, LoopState, RunPhase
 from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
 

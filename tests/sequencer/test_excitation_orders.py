@@ -8,7 +8,7 @@ import pytest
 from sequencer.bench import Bench, Fate
 
 from nmt_core.errors import BenchError
-from nmt_core.excitation import Excitation
+from nmt_core.messages.excitation import Excitation
 from nmt_core.vocabulary import ResultCode, TestKind
 from nmt_sequencer.run_machine import RunPlan
 

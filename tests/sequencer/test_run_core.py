@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from sequencer.bench import status
 
-from nmt_core.command_judge import CommandSource
-from nmt_core.parameters import check_values
-from nmt_core.records import DriveStop, LoopStatus
+from nmt_core.messages.command_judge import CommandSource
+from nmt_core.messages.records import DriveStop, LoopStatus
+from nmt_core.nodes.parameters import check_values
 from nmt_core.vocabulary import BlockFlag, LoopState, OutputState, ResultCode, RunPhase, StopCause
 from nmt_sequencer.run_core import PARAMETERS, RunCore
 from nmt_sequencer.run_machine import RunPlan

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from sequencer.bench import BLOCK, PACING, Bench, Fate
 
 from nmt_core.errors import BenchError
-from nmt_core.excitation import Excitation
-from nmt_core.records import Steering
+from nmt_core.messages.excitation import Excitation
+from nmt_core.messages.records import Steering
 from nmt_core.vocabulary import LoopState, ResultCode, RunPhase, SteeringAct, TestKind
 from nmt_sequencer.run_machine import RunMachine, RunPlan
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.records import DriveCommand, LoopStatus
+from nmt_core.messages.records import DriveCommand, LoopStatus
 from nmt_core.vocabulary import PointStatus
 from nmt_rig.reference import compute_reference
 from nmt_session import Session, plan_nodes, plan_test

@@ -17,17 +17,17 @@ import pytest
 from nmt_bench.page.server import steering_request
 from nmt_bench.page.start_goal import goal_of, start_request
 from nmt_benchmark.channel_figures import large_rig
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.parameters import check_values
-from nmt_core.records import DriveCommand, LockEvent, LoopStatus, RunState
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.records import DriveCommand, LockEvent, LoopStatus, RunState
+from nmt_core.messages.wire import LOCK_EVENT
+from nmt_core.nodes.parameters import check_values
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState, PointStatus, Quantity, ResultCode, RunPhase, SteeringAct, Waveform
-from nmt_core.wire import LOCK_EVENT
 from nmt_extract.offline import extract_bag
-from nmt_plant.device import DeviceFault
+from nmt_plant.devices.device import DeviceFault
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.oscillator import OscillatorBlock
-from nmt_plant.simulated_rig import SimulatedRig
 from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import load_rig
 from nmt_sequencer.run_core import PARAMETERS as SEQUENCER

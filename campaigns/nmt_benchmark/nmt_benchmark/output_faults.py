@@ -26,11 +26,11 @@ from pathlib import Path
 
 import numpy as np
 
-from nmt_core.records import DriveCommand
+from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_plant.converter import read_log
-from nmt_plant.guarded_device import LEAST_LEAD
-from nmt_plant.loopback_device import LoopbackDevice
+from nmt_plant.converters.converter import read_log
+from nmt_plant.devices.guarded_device import LEAST_LEAD
+from nmt_plant.devices.loopback_device import LoopbackDevice
 
 FAULTS = ("hung read", "SIGSTOP", "blocked interpreter", "SIGKILL")
 """What the process that feeds suffers: a call that never returns, a stop, a call that locks the interpreter, a kill."""

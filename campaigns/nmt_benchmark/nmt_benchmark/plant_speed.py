@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from nmt_core.arrays import FloatArray
-from nmt_core.records import DriveCommand
+from nmt_core.messages.records import DriveCommand
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import Waveform
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import ElectromechanicalSystem, assemble, displacement_output
 from nmt_rig.model.beam import euler_bernoulli_beam

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from nmt_benchmark.benchmark_figures import Figure
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.workers import worked
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.processes.workers import worked
 
 LIMIT_EFFICIENCY = 85.0
 _FEW, _MANY = 2, 8

@@ -26,9 +26,9 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.steady_clock import STEADY_CLOCK, SteadyClock
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_plant.specimen import Specimen, write_port
 from nmt_rig.device_sections import StopInputSection
 from nmt_specimen.specimen_process import answer, hurry, main_of, specimen_of

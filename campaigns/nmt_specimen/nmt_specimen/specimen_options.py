@@ -17,4 +17,4 @@ RIG  name of a rig, or path of a rig file
 --stop-file FILE  nidaqmx: file whose existence is the external stop line (device.stop_input) asking for zero
 --log FILE  log of the JACK server
 """
-"""Of ``./nmt specimen`` and of the processes behind it; see `nmt_core.option_table`."""
+"""Of ``./nmt specimen`` and of the processes behind it; see `nmt_core.text.option_table`."""

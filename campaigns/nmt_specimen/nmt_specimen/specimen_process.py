@@ -13,8 +13,8 @@ import threading
 from collections.abc import Callable, Sequence
 
 from nmt_core.errors import BenchError
-from nmt_core.option_table import declare
-from nmt_plant.hardware_rig import device_of
+from nmt_core.text.option_table import declare
+from nmt_plant.devices.hardware_rig import device_of
 from nmt_plant.specimen import Specimen
 from nmt_plant.specimen_faults import parse_fault
 from nmt_rig.device_sections import AnyDevice

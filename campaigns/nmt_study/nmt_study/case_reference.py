@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.reference import SinglePointReference, compute_reference, single_point_reference
 from nmt_rig.rig import Rig, load_rig

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.plain_json import plain_json
+from nmt_core.files.plain_json import plain_json
 from nmt_core.vocabulary import ResultCode
 from nmt_extract.modal_point import MEASURED, ModalPoint, Status
 from nmt_study.case import PLANNED, StudyCase

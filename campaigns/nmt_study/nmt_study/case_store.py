@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_json
-from nmt_core.whole_file import write_whole
+from nmt_core.files.hardened import read_json
+from nmt_core.files.whole_file import write_whole
 from nmt_study.case import StudyCase
 
 FORMAT = "nmt study case 1"

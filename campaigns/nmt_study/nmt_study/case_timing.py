@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.records import LoopStatus
-from nmt_core.wire import read_status
+from nmt_core.messages.records import LoopStatus
+from nmt_core.messages.wire import read_status
+from nmt_core.numerics.arrays import FloatArray
 
 
 def level_timings(bag: Path, sample_rate: float, block_samples: int) -> dict[int, dict[str, float]]:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_extract.constant_amplitude import SolvedPoints, fit_at_amplitudes, half_power, solve_points
 from nmt_extract.modal_point import Status

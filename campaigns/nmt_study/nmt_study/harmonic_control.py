@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.svg import INK, ReportFigure
 from nmt_study.case import JOINT_KEY, StudyCase

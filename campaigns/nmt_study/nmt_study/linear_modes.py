@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_extract.modal_point import Status
 from nmt_report.figure_parts import report_figure
 from nmt_report.svg import INK, ReportFigure

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_extract.harmonics import harmonic_amplitudes, synthesise
+from nmt_core.numerics.arrays import FloatArray
+from nmt_signals.harmonics import harmonic_amplitudes, synthesise
 
 
 def window_signal_to_noise(bag: Path, point: int, harmonics: int, periods: int = 50) -> dict[str, dict[str, float]]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED
 from nmt_bench.commands.worker_count import worker_count
 from nmt_core.errors import BenchError
-from nmt_core.whole_file import write_whole
+from nmt_core.files.whole_file import write_whole
 from nmt_study import STUDIES
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_extract.modal_point import Status
 from nmt_report.backbone_figures import decade_ticks
 from nmt_report.figure_parts import plot_panels, report_figure

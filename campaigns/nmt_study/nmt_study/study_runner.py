@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.workers import worked
+from nmt_core.processes.workers import worked
 from nmt_study import STUDIES
 from nmt_study.case import StudyCase
 from nmt_study.case_store import CaseStore

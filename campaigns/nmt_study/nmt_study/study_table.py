@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.whole_file import csv_text
+from nmt_core.files.whole_file import csv_text
 from nmt_extract.modal_point import Status
 from nmt_report.columns import status_text
 

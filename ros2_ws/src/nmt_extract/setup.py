@@ -19,7 +19,7 @@ setup(
     zip_safe=False,
     maintainer="nmt developers",
     maintainer_email="nmt@example.org",
-    description="Harmonics and modal properties from locked windows, live and from bags; extraction node",
+    description="Modal properties from locked windows, live and from bags; extraction node",
     license="Apache-2.0",
     entry_points={"console_scripts": ["extract = nmt_extract.extract_node:main"]},
 )

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from nmt_blind.campaign.scored_case import Answer, EffectSet, ScoredCase, effect_set
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 _UNKNOWN: EffectSet = frozenset({"unknown"})
 _NONE: EffectSet = frozenset()

@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import TestKind
-from nmt_extract.harmonics import segment_moments, solve_moments
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Signals, read_stretches, segments
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_model import build_elements, build_resting_elements, build_structure
+from nmt_signals.harmonics import segment_moments, solve_moments
 
 HARMONICS = 7
 SAMPLES = 64

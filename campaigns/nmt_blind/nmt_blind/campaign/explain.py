@@ -24,11 +24,11 @@ from nmt_blind.campaign.foreign_run import child
 from nmt_blind.campaign.frozen import diagnosis_digest
 from nmt_blind.campaign.run import read_public
 from nmt_blind.campaign.score import opened_truth
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_json
-from nmt_core.whole_file import write_whole
-from nmt_core.workers import worked
+from nmt_core.files.hardened import read_json
+from nmt_core.files.whole_file import write_whole
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.processes.workers import worked
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation

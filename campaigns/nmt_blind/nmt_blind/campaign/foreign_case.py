@@ -15,7 +15,7 @@ from typing import Any
 
 from nmt_blind.campaign.scored_case import ALARMS, EffectSet, effect_set
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_text, yaml_value
+from nmt_core.files.hardened import read_text, yaml_value
 
 MODEL_FILE, TRUTH_FILE = "model.yaml", "truth.yaml"
 KINDS = ("healthy", "effect", "unknown")

@@ -30,9 +30,9 @@ from nmt_blind.campaign.foreign_case import (
 from nmt_blind.campaign.frozen import diagnosis_digest
 from nmt_blind.campaign.scored_case import ALARMS
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_json
-from nmt_core.whole_file import csv_text, write_result
-from nmt_core.workers import worked
+from nmt_core.files.hardened import read_json
+from nmt_core.files.whole_file import csv_text, write_result
+from nmt_core.processes.workers import worked
 
 RESULT_FORMAT = "nmt foreign result 1"
 _RESULT, _DIAGNOSIS = "result.json", "diagnosis"

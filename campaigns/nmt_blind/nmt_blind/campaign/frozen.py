@@ -8,11 +8,11 @@ import json
 from pathlib import Path
 
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_json
-from nmt_core.whole_file import write_whole
+from nmt_core.files.hardened import read_json
+from nmt_core.files.whole_file import write_whole
 
 FROZEN_FILE = "frozen.json"
-PACKAGES = ("nmt_core", "nmt_rig", "nmt_record", "nmt_extract", "nmt_diagnose")
+PACKAGES = ("nmt_core", "nmt_signals", "nmt_rig", "nmt_record", "nmt_extract", "nmt_diagnose")
 """What a diagnosis is made of."""
 _ENDINGS = (".py", ".json", ".yaml", ".msg")
 

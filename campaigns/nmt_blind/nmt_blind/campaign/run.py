@@ -16,9 +16,9 @@ import numpy as np
 from nmt_blind.campaign.frozen import check_frozen
 from nmt_blind.cases.make import bag_hash
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_json
-from nmt_core.whole_file import write_whole
-from nmt_core.workers import worked
+from nmt_core.files.hardened import read_json
+from nmt_core.files.whole_file import write_whole
+from nmt_core.processes.workers import worked
 
 RESULT_FORMAT = "nmt blind result 1"
 _PUBLIC_FILE = "public.json"

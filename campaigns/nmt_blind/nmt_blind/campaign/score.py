@@ -25,8 +25,8 @@ from nmt_blind.campaign.statistics import (
     threshold_for,
 )
 from nmt_core.errors import BenchError
-from nmt_core.hardened import json_value, read_json
-from nmt_core.whole_file import write_whole
+from nmt_core.files.hardened import json_value, read_json
+from nmt_core.files.whole_file import write_whole
 
 SCORE_FORMAT = "nmt blind score 1"
 STRONG = 8.0

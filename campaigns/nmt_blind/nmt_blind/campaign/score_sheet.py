@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 
 from nmt_blind.campaign.score import MethodScore, Scores
 from nmt_blind.campaign.statistics import Proportion
-from nmt_core.whole_file import write_whole
+from nmt_core.files.whole_file import write_whole
 from nmt_report.html_page import render
 
 TARGETS: dict[str, tuple[str, str]] = {

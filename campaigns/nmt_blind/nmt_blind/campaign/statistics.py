@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 Z_95 = 1.959963984540054
 

@@ -13,10 +13,10 @@ from typing import Any
 from nmt_blind.cases.laboratory_rig import Converters, LaboratoryRig
 from nmt_blind.cases.rig_edits import rig_yaml
 from nmt_core.bench_version import bench_version
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import ResultCode, TestKind
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.model.time_integration import IntegrationError
 from nmt_rig.rig import BeamSection, Rig
 from nmt_session import RunResult, Session, TestPlan

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from nmt_core.arrays import FloatArray
-from nmt_plant.device import DeviceFault
+from nmt_core.numerics.arrays import FloatArray
+from nmt_plant.devices.device import DeviceFault
+from nmt_plant.devices.simulated_rig import SimulatedRig, sensor_row
 from nmt_plant.oscillator import OscillatorBlock
-from nmt_plant.simulated_rig import SimulatedRig, sensor_row
 from nmt_rig.analogue_chain import AnalogueChain
 from nmt_rig.drift import Drift
 from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator

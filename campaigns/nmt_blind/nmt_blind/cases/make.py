@@ -17,10 +17,10 @@ from nmt_blind.cases.operating import operating_point
 from nmt_blind.cases.reduced_tests import record_ring_down, record_tables
 from nmt_blind.cases.rig_edits import with_edits
 from nmt_blind.cases.strength_table import StrengthTable, load_table
-from nmt_core import hardened
 from nmt_core.errors import BenchError
-from nmt_core.whole_file import write_whole
-from nmt_core.workers import worked
+from nmt_core.files import hardened
+from nmt_core.files.whole_file import write_whole
+from nmt_core.processes.workers import worked
 from nmt_rig.rig import Rig
 
 TRUTH_FILE = "truth.sealed"

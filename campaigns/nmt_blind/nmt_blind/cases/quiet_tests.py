@@ -19,9 +19,9 @@ from nmt_blind.cases.laboratory import (
     play,
     random_test,
 )
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
-from nmt_core.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import LoopState
 from nmt_rig.rig import Rig
 

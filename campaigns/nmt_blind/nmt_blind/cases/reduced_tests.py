@@ -20,11 +20,11 @@ import yaml
 from nmt_blind.cases.laboratory import BenchSettings, RecordingOutcome, as_built, sidecar_of
 from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.rig_edits import rig_yaml
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.bench_version import bench_version
-from nmt_core.blocks import OscillatorPhase
 from nmt_core.errors import BenchError
-from nmt_plant.simulated_rig import rig_sensors, sensor_row
+from nmt_core.messages.blocks import OscillatorPhase
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_plant.devices.simulated_rig import rig_sensors, sensor_row
 from nmt_record.exchange.imported_run import read_import, write_import
 from nmt_rig.drift import Drift
 from nmt_rig.linear_description import linear_description

@@ -36,8 +36,8 @@ from nmt_blind.cases.tolerances import (
     check_tolerances,
     has_lead,
 )
-from nmt_core.arrays import BoolArray, FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig
 

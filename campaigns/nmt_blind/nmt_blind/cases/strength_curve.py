@@ -18,7 +18,7 @@ import numpy as np
 from nmt_blind.cases.injected_effects import InjectedEffect, Spot
 from nmt_blind.cases.laboratory import TrialError
 from nmt_blind.cases.strength import Observed, Sensitivity, Shifted
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 WEAK, MIDDLE, STRONGEST = 8.0, 64.0, 4096.0
 """Standard deviations from which to which a curve goes, and those of a strength that a search may start from."""

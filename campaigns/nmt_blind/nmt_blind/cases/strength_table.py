@@ -36,10 +36,10 @@ from nmt_blind.cases.tolerances import (
     SHARED_DELAY_S,
     check_tolerances,
 )
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_json
-from nmt_core.whole_file import write_whole
+from nmt_core.files.hardened import read_json
+from nmt_core.files.whole_file import write_whole
+from nmt_core.numerics.arrays import FloatArray
 from nmt_rig.rig import Rig
 
 FORMAT = "nmt blind strengths 1"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.errors import BenchError
-from nmt_core.whole_file import writing
+from nmt_core.files.whole_file import writing
 
 
 def write_dataset(data: Any, path: Path, ending: str = "") -> Path:

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt.dataset_files import write_dataset
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_json, read_text
-from nmt_core.linear_description import LinearDescription
-from nmt_core.whole_file import writing
+from nmt_core.files.hardened import read_json, read_text
+from nmt_core.files.whole_file import writing
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import FloatArray
 from nmt_extract.modal_point import COMPLEX, MEASURED, ModalPoint, Status
 from nmt_report.html_page import Column, Row, Table, part
 from nmt_report.quantity_format import significant, uncertain
@@ -245,7 +245,7 @@ class RunResults(Results):
         """One property over the levels with values, shape ``(levels,)``.
 
             Args:
-                name: field of :class:`nmt_core.modal_point.ModalPoint`, or ``<name>_std``.
+                name: field of :class:`nmt_core.messages.modal_point.ModalPoint`, or ``<name>_std``.
 
             Raises:
                 BenchError: there is no such property.

@@ -35,7 +35,7 @@ from nmt_bench.command_parser import (
 )
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
-from nmt_core.process_end import end_process
+from nmt_core.processes.process_end import end_process
 
 if TYPE_CHECKING:
     from pathlib import Path

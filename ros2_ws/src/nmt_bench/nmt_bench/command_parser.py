@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn, TypeAlias
 
-from nmt_core.proposal import did_you_mean
+from nmt_core.text.proposal import did_you_mean
 
 EXIT_DONE, EXIT_FAILED, EXIT_USER, EXIT_INTERRUPTED = 0, 1, 2, 130
 Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"

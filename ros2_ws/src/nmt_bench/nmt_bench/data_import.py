@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_record.exchange.import_sidecar import Sidecar
 from nmt_record.exchange.imported_run import ImportedRun, read_import, write_import

@@ -49,19 +49,21 @@ from nmt_bench.orchestration.interrupts import deferred_interrupts, unbroken
 from nmt_bench.orchestration.node_processes import NodeProcesses
 from nmt_bench.orchestration.prepared_nodes import NodeLoader, take_loader
 from nmt_bench.orchestration.surroundings import check_surroundings
-from nmt_core.base_node import LINK_PERIOD, STATE_QOS, calm_collector
+from nmt_core.base_node import STATE_QOS
 from nmt_core.dds_profile import PROFILE_VARIABLE, lockstep_profile
 from nmt_core.errors import BenchError
-from nmt_core.link import Link, serve
-from nmt_core.liveness import HANG_LIMIT, Liveness
-from nmt_core.modal_point import ModalPoint
-from nmt_core.number_words import level_list
-from nmt_core.output_record import drive_sentence
-from nmt_core.run_announcement import BAG_TOPIC, BagState
-from nmt_core.shared_memory import remove_dead_segments
+from nmt_core.files.whole_file import write_whole
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_core.messages.run_announcement import BAG_TOPIC, BagState
+from nmt_core.messages.wire import MODAL_POINT, RUN_STATE, read_diagnostics
+from nmt_core.nodes.link import Link, serve
+from nmt_core.nodes.liveness import HANG_LIMIT, Liveness
+from nmt_core.nodes.shared_memory import remove_dead_segments
+from nmt_core.nodes.transport import LINK_PERIOD
+from nmt_core.processes.memory import calm_collector
+from nmt_core.processes.output_record import drive_sentence
+from nmt_core.text.number_words import level_list
 from nmt_core.vocabulary import ResultCode, RunPhase
-from nmt_core.whole_file import write_whole
-from nmt_core.wire import MODAL_POINT, RUN_STATE, read_diagnostics
 from nmt_msgs.action import RunLevels
 from nmt_msgs.msg import RunState
 from nmt_msgs.srv import Steer

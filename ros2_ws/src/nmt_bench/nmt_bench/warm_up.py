@@ -12,7 +12,7 @@ import numpy as np
 
 from nmt_diagnose.twin.warm_up import warm_up_twin
 from nmt_extract.offline import extract_bag
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.paper_settings import PaperSettings
 from nmt_rig.linear_description import linear_description

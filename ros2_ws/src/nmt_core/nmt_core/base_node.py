@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import gc
 import itertools
 import os
 import signal
 import socket
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
@@ -31,17 +27,20 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_msgs.msg import UInt64
 
-from nmt_core.command_judge import CommandSource
 from nmt_core.dds_profile import check_ports, seal_transport
 from nmt_core.errors import BenchError
-from nmt_core.launcher_watch import LauncherWatch
-from nmt_core.link import TAKEN_BY, Link, serve, serve_late
-from nmt_core.liveness import BUSY, HANG_LIMIT, HUNG, READY, Liveness
-from nmt_core.parameters import Parameter, ParameterValue, check_values, parameter_table
-from nmt_core.process_watch import ProcessWatch
-from nmt_core.run_announcement import TAKEN_TOPICS, TELL_EVERY
-from nmt_core.shared_memory import remove_dead_segments
-from nmt_core.wire import NodeStatus, read_diagnostics, write_diagnostics
+from nmt_core.messages.command_judge import CommandSource
+from nmt_core.messages.run_announcement import TAKEN_TOPICS, TELL_EVERY
+from nmt_core.messages.wire import NodeStatus, read_diagnostics, write_diagnostics
+from nmt_core.nodes.heartbeat import HEARTBEAT_PERIOD, Heartbeat
+from nmt_core.nodes.identity import Identity
+from nmt_core.nodes.launcher_watch import LauncherWatch
+from nmt_core.nodes.link import Link, serve, serve_late
+from nmt_core.nodes.liveness import READY, Liveness
+from nmt_core.nodes.parameters import Parameter, ParameterValue, check_values, parameter_table
+from nmt_core.nodes.shared_memory import remove_dead_segments
+from nmt_core.nodes.transport import LINK_PERIOD, Outlet, Transport
+from nmt_core.processes.memory import calm_collector, return_large_memory
 
 RCLError = rclpy_implementation.RCLError
 
@@ -58,15 +57,9 @@ STATE_QOS = QoSProfile(
 
 
 _SPIN_LIMIT = 0.1  # s; a request to end waits so long
-LINK_PERIOD = 0.01  # s between two looks at the middleware of a node that takes the sample path past it
-HEARTBEAT_PERIOD = 0.25  # s of wall time
-_LATE = 2.5 * HEARTBEAT_PERIOD  # s without a heartbeat of the working thread after which another one speaks for it
 _END_GRACE = 4.0  # s that a node gets to take its part of a run to an end
 _LONGEST_WORK = 10.0  # s that a node gets in real time while it still works off what it was sent
-_LAST_WORDS = 3.0  # s
 _LAST_MEMORY = 1.5  # s that shared memory of killed nodes is waited for, to be cleared away
-# Options of mallopt of glibc, and the size from which a piece of memory is one of its own.
-_TRIM_THRESHOLD, _MMAP_THRESHOLD, _LARGE_BYTES = -1, -3, 256 * 1024
 _HURRY = 1.0  # s after which a second request to end is not the echo of the first
 _INSTANCES = itertools.count(1)
 _LOOK_BEATS = 4  # heartbeats between two looks of a node at work for publishers that do not belong here
@@ -88,33 +81,6 @@ hang_timeout =10.0 (s) 1.0..  Real time: wall time that the node may be at one p
     itself hung.
 linked =False  Lockstep: the nodes, all on this host, hand on the sample path past the middleware.
 """))  # fmt: skip
-
-
-class Outlet:
-    """A publisher of serialised messages.
-
-    A message that nobody takes is not handed to the middleware, unless it is kept for those who come later.
-
-    Args:
-        publisher: of rclpy.
-        send: hands a message to the nodes that take it past the middleware; None = there are none.
-        takers: how many these are.
-    """
-
-    def __init__(self, publisher: Any, send: Callable[[bytes], None] | None = None, takers: int = 0) -> None:
-        self.publisher, self._send, self._takers = publisher, send, takers
-        self._keeps = publisher.qos_profile.durability != DurabilityPolicy.VOLATILE
-
-    def publish(self, raw: bytes) -> None:
-        """Publish a serialised message."""
-        if self._send is not None:
-            self._send(raw)
-        if self._keeps or self.publisher.get_subscription_count():
-            self.publisher.publish(raw)
-
-    def peers(self) -> int:
-        """How many take what is published."""
-        return int(self.publisher.get_subscription_count()) + self._takers
 
 
 class BenchNode(Node):  # type: ignore[misc]
@@ -152,14 +118,11 @@ class BenchNode(Node):  # type: ignore[misc]
         self.values = self._declare((*table, *common), dict(values or {}))
         self.counters: dict[str, int | float | str] = {}
         self.received = 0
-        self._expected = _parse_peers(self.values["expected_peers"], self.get_name())
-        self._endpoints: dict[str, list[Any]] = {}
-        self._sources: dict[str, tuple[int, CommandSource]] = {}
-        self._command_types: dict[str, str] = {}
-        self._own_topics: list[str] = []
-        self._own_services: list[str] = []
-        self._bench_publishers: list[Any] = []
-        self.link = self._make_link()
+        self.expected_peers = _parse_peers(self.values["expected_peers"], self.get_name())
+        linked = self.values["linked"] and self.values["pacing"] == "lockstep"
+        self.link = _link_of(self) if linked else None
+        self.transport = Transport(self.get_name(), self.link)
+        self.identity = Identity(_NodeGraph(self), self.transport.peers)
         if self.link is not None:
             self._tell_failure = self.link.sender("diagnostics")
         # Guard, heartbeat and tick must go on whatever becomes of ROS time.
@@ -172,15 +135,15 @@ class BenchNode(Node):  # type: ignore[misc]
         self.liveness = Liveness(
             self.watched_nodes, float(silence), self.heartbeat_name, self.instance, lockstep=self.in_lockstep
         )
-        self._intruder = ""
         self._told = ""
         if self.watched_nodes:
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50, raw=True)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._newest = NodeStatus(self.heartbeat_name, self.instance, message="starting")
-        self._worked = time.monotonic()
+        hang: Any = self.values["hang_timeout"]
+        starting = NodeStatus(self.heartbeat_name, self.instance, message="starting")
+        self.heartbeat = Heartbeat(starting, self._publish_status, float(hang), self.in_lockstep, RCLError)
         self._beats = 0
-        self._heartbeat = self.steady_timer(HEARTBEAT_PERIOD, self._beat)
+        self._beat_timer = self.steady_timer(HEARTBEAT_PERIOD, self._beat)
 
     def _declare(self, table: Sequence[Parameter], values: dict[str, Any]) -> dict[str, ParameterValue]:
         known = {parameter.name for parameter in table}
@@ -206,30 +169,16 @@ class BenchNode(Node):  # type: ignore[misc]
         given.update(values)
         return check_values(table, given, self.get_name())
 
-    def _make_link(self) -> Link | None:
-        """The node's socket for what it takes past the middleware; None where it takes nothing so.
-
-        Raises:
-            BenchError: another node of its name is there.
-        """
-        if not self.values["linked"] or self.values["pacing"] != "lockstep":
-            return None
-        bench = f"{self.context.get_domain_id()} {self.get_namespace()}"
-        try:
-            return Link(bench, self.get_name())
-        except OSError as error:
-            raise BenchError(f"Node {self.get_fully_qualified_name()} is there already; end it first.") from error
-
     def bench_publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Outlet:
         """A publisher of serialised messages that counts among the node's endpoints."""
         publisher = self.create_publisher(kind, topic, qos)
-        self._bench_publishers.append(publisher)
-        self.claim(topic)
-        outlet = Outlet(publisher)
-        if self.link is not None and topic in TAKEN_BY:
-            outlet = Outlet(publisher, self.link.sender(topic), len(TAKEN_BY[topic]))
-        self._endpoints.setdefault(topic, []).append(outlet.peers)
-        return outlet
+        self.identity.claim(topic)
+
+        def finish(patience: float) -> None:
+            with contextlib.suppress(RCLError):
+                publisher.wait_for_all_acked(Duration(seconds=patience))
+
+        return self.transport.outlet(topic, publisher, qos.durability != DurabilityPolicy.VOLATILE, finish)
 
     def bench_subscription(
         self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile, raw: bool = False
@@ -240,18 +189,14 @@ class BenchNode(Node):  # type: ignore[misc]
             self.received += 1
             callback(message)
 
-        if self.takes_past_middleware(topic):
+        if self.transport.takes(topic):
             assert self.link is not None
             self.link.take(topic, counted)
-            self._endpoints.setdefault(topic, []).append(lambda: self.count_publishers(self.resolve_topic_name(topic)))
+            self.transport.endpoint(topic, lambda: self.count_publishers(self.resolve_topic_name(topic)))
             return None
         subscription = self.create_subscription(kind, topic, counted, qos, raw=raw)
-        self._endpoints.setdefault(topic, []).append(subscription.get_publisher_count)
+        self.transport.endpoint(topic, subscription.get_publisher_count)
         return subscription
-
-    def takes_past_middleware(self, topic: str) -> bool:
-        """Whether the messages of a topic come over the node's link."""
-        return self.link is not None and self.get_name() in TAKEN_BY.get(topic, ())
 
     def command_subscription(
         self, kind: Any, topic: str, callback: Callable[[bytes, CommandSource], None], qos: QoSProfile
@@ -262,73 +207,15 @@ class BenchNode(Node):  # type: ignore[misc]
         of matched publishers only, and names those: while there is one, it is the sender; while there are several,
         nobody can tell.
         """
-        self._command_types[topic] = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+        self.identity.watch_commands(topic, f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}")
         # Over a link only the node's own bench speaks, and who else publishes is looked for by the guard.
-        asked = self._known_source if self.takes_past_middleware(topic) else self.source
+        asked = self.identity.known_source if self.transport.takes(topic) else self.identity.source
         return self.bench_subscription(kind, topic, lambda raw: callback(raw, asked(topic)), qos, raw=True)
-
-    def _known_source(self, topic: str) -> CommandSource:
-        known = self._sources.get(topic)
-        return self.source(topic) if known is None else known[1]
-
-    def source(self, topic: str) -> CommandSource:
-        """Who publishes on a topic of `command_subscription` now."""
-        count = max(connected() for connected in self._endpoints[topic])
-        known = self._sources.get(topic)
-        if known is not None and known[0] == count:
-            return known[1]
-        return self._look_for_publishers(topic, count)
-
-    def _look_for_publishers(self, topic: str, count: int) -> CommandSource:
-        found = {
-            bytes(info.endpoint_gid).hex(): _full_name(info.node_namespace, info.node_name)
-            for info in self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
-            if info.topic_type == self._command_types[topic]
-            and info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT  # those do not match
-        }
-        known = self._sources.get(topic)
-        if not found and known is not None and known[1].alone:
-            source = known[1]  # what it sent before it left
-        else:
-            names = " and ".join(sorted(found.values())) or "a publisher that is not known yet"
-            source = CommandSource(" ".join(sorted(found)), names, alone=len(found) == 1 and count <= 1)
-        self._sources[topic] = (count, source)
-        return source
-
-    def claim(self, topic: str) -> None:
-        """Watch that nobody else publishes on a topic that is this node's own."""
-        self._own_topics.append(topic)
 
     def bench_service(self, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
         """A service that nobody else may serve on this bench."""
-        self._own_services.append(name)
+        self.identity.claim_service(name)
         return self.create_service(kind, name, callback)
-
-    def look_for_intruders(self) -> None:
-        """Look whether somebody else does the work of this node; `second_publisher` says so then."""
-        self._intruder = self._found_intruders()
-
-    def _found_intruders(self) -> str:
-        for service in self._own_services:
-            name = self.resolve_service_name(service)
-            if self.count_services(name) < 2:
-                continue
-            # The servers of a service are the publishers of its answers.
-            servers = self.get_publishers_info_by_topic(f"rr{name}Reply", no_mangle=True)
-            names = sorted({_full_name(info.node_namespace, info.node_name) for info in servers})
-            return f"service {service} has several servers: {' and '.join(names)}"
-        for topic in self._own_topics:
-            name = self.resolve_topic_name(topic)
-            if self.count_publishers(name) < 2:
-                continue
-            found = {
-                bytes(info.endpoint_gid): _full_name(info.node_namespace, info.node_name)
-                for info in self.get_publishers_info_by_topic(name)
-                if info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT  # those do not match
-            }
-            if len(found) > 1:
-                return f"topic {topic} has several publishers: {' and '.join(sorted(found.values()))}"
-        return ""
 
     def second_publisher(self) -> str:
         """A sentence that names who does the same work on this bench; empty if nobody does.
@@ -336,26 +223,12 @@ class BenchNode(Node):  # type: ignore[misc]
         Another publisher of a commanded topic or of a topic of this node, or a node with the name of this one or of
         one that it watches.
         """
-        second = self._intruder or self.liveness.twice(time.monotonic())
-        if second:
-            return second
-        for topic in self._command_types:
-            source = self.source(topic)
-            if not source.alone and self._sources[topic][0] > 1:
-                return f"topic {topic} has several publishers: {source}"
-        return ""
+        twice = self.liveness.twice(time.monotonic())
+        return self.identity.intruder or twice or self.identity.second_command()
 
     def steady_timer(self, period: float, callback: Callable[[], None]) -> Any:
         """A timer (s) on the steady clock, which goes on when ROS time stands still."""
         return self.create_timer(period, callback, clock=self._steady_clock)
-
-    def missing_peers(self) -> list[str]:
-        """Topics whose expected peers are not connected yet."""
-        return [
-            topic
-            for topic, count in self._expected.items()
-            if max((connected() for connected in self._endpoints.get(topic, [])), default=0) < count
-        ]
 
     def _on_diagnostics(self, raw: bytes) -> None:
         try:
@@ -371,35 +244,12 @@ class BenchNode(Node):  # type: ignore[misc]
         failed = status.level == DiagnosticStatus.ERROR
         self.liveness.hear(status.name, status.hardware_id, status.message, failed, time.monotonic())
 
-    def unready_nodes(self) -> dict[str, str]:
-        """Watched nodes that have not called themselves ready, each with what it waits for."""
-        return self.liveness.unready(time.monotonic())
-
-    def lost_nodes(self) -> dict[str, str]:
-        """Watched nodes that were heard once and are lost, each with why: see :class:`nmt_core.liveness.Liveness`."""
-        return self.liveness.lost(time.monotonic())
-
-    def lost_node(self) -> str:
-        """A sentence on the first of `lost_nodes`, without a full stop; empty if none is lost."""
-        return self.liveness.first_lost(time.monotonic())
-
-    def forget_failures(self) -> None:
-        """Start over: what a watched node reported before a run, or its new start, does not end it."""
-        self.liveness.failures.clear()
-        self.liveness.meet_again(time.monotonic())
-
-    def failed_node(self) -> tuple[str, str]:
-        """A watched node that reports an error, and its words; empty if none does."""
-        return next(iter(self.liveness.failures.items()), ("", ""))
-
     def _beat(self) -> None:
         self.liveness.listened(time.monotonic())
-        missing = self.missing_peers()
+        missing = self.transport.missing(self.expected_peers)
         self._beats += 1
         if not self.is_at_work or self._beats % _LOOK_BEATS == 0:  # the middleware takes long to answer
-            for topic in self._command_types:
-                self._look_for_publishers(topic, max(connected() for connected in self._endpoints[topic]))
-            self.look_for_intruders()
+            self.identity.look_around()
         second = self.second_publisher()
         self.update_counters()
         waiting = f"waiting for {', '.join(missing)}" if missing else ""
@@ -432,54 +282,14 @@ class BenchNode(Node):  # type: ignore[misc]
 
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
         """Publish the counters under the node's name."""
-        waiting = {} if self.link is None else self.link.counters
-        status = NodeStatus(self.heartbeat_name, self.instance, level, message, {**self.counters, **waiting})
-        self._newest, self._worked = status, time.monotonic()
-        self._publish_status(status)
+        counters = {**self.counters, **self.transport.counters}
+        status = NodeStatus(self.heartbeat_name, self.instance, level, message, counters)
+        self.heartbeat.say(status)
         if self.link is not None and level == DiagnosticStatus.ERROR:
             self._tell_failure(write_diagnostics(status, 0))
 
     def _publish_status(self, status: NodeStatus) -> None:
         self._diagnostics.publish(write_diagnostics(status, self.get_clock().now().nanoseconds))
-
-    @contextlib.contextmanager
-    def watched_work(self) -> Iterator[None]:
-        """Have a thread beside the working one that says on ``/diagnostics`` how long the work takes, if it is long.
-
-        The node is ``busy`` then and stays alive to others; beyond ``hang_timeout``, and in lockstep when it could have
-        worked for `nmt_core.liveness.HANG_LIMIT`, it is ``hung``, which is an error.
-        """
-        over = threading.Event()
-        limit: Any = HANG_LIMIT if self.in_lockstep else self.values["hang_timeout"]
-        process = ProcessWatch(os.getpid()) if self.in_lockstep else None
-
-        def watch() -> None:
-            worked, free = 0.0, 0.0
-            while not over.wait(HEARTBEAT_PERIOD):
-                since = time.monotonic() - self._worked
-                if since < _LATE:
-                    continue
-                if process is None:
-                    free = since
-                elif worked != self._worked:  # begin to count what it could have worked since
-                    worked, free = self._worked, 0.0
-                    process.begin()
-                else:
-                    free += process.looked()[0]
-                status = replace(self._newest, message=f"{BUSY} for {since:.1f} s")
-                if free > limit:
-                    status.level = DiagnosticStatus.ERROR
-                    status.message = f"{HUNG}: nothing has been done for {since:.1f} s"
-                with contextlib.suppress(RCLError):
-                    self._publish_status(status)
-
-        thread = threading.Thread(target=watch, name="heartbeat", daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            over.set()
-            thread.join()
 
     def told_to_end(self) -> None:
         """Called once when the process is told to end; the node goes on until :meth:`may_end`, for some seconds."""
@@ -495,26 +305,12 @@ class BenchNode(Node):  # type: ignore[misc]
         """Whether a node that was told to end ``since`` s ago has done its part, such as the ramp to zero."""
         return True
 
-    def deliver(self, patience: float = _LAST_WORDS) -> None:
-        """Wait until all that was published has arrived, since what is on its way goes with its node.
-
-        Args:
-            patience: s, the longest wait; a stopped receiver takes nothing.
-        """
-        end = time.monotonic() + patience
-        while self.link is not None and not self.link.flush() and time.monotonic() < end:
-            time.sleep(LINK_PERIOD)
-        for publisher in self._bench_publishers:
-            with contextlib.suppress(RCLError):
-                publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
-
     def shut_down(self) -> None:
         """Called once before the node is destroyed, whatever ended it; nodes quiet the drive and close files here."""
 
     def destroy_node(self) -> None:
         """Release the node and its link."""
-        if self.link is not None:
-            self.link.close()
+        self.transport.close()
         super().destroy_node()
 
 
@@ -523,13 +319,13 @@ class ReaderProgress:
 
     Args:
         node: the node.
-        reader: which of `nmt_core.run_announcement.TAKEN_TOPICS` it is.
+        reader: which of `nmt_core.messages.run_announcement.TAKEN_TOPICS` it is.
     """
 
     def __init__(self, node: BenchNode, reader: str) -> None:
         topic = TAKEN_TOPICS[reader]
         self._publisher = node.create_publisher(UInt64, topic, STATE_QOS)
-        node.claim(topic)
+        node.identity.claim(topic)
         self._told = 0
 
     def tell(self, sample: int, rate: float) -> None:
@@ -542,6 +338,45 @@ class ReaderProgress:
         if sample != self._told:
             self._told = sample
             self._publisher.publish(UInt64(data=sample))
+
+
+class _NodeGraph:
+    """The graph of the middleware as a node sees it; see `nmt_core.nodes.identity.Graph`."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+
+    def publishers(self, topic: str, message_type: str = "") -> dict[str, str]:
+        return {
+            bytes(info.endpoint_gid).hex(): _full_name(info.node_namespace, info.node_name)
+            for info in self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(topic))
+            if info.topic_type == (message_type or info.topic_type)
+            and info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT  # those do not match
+        }
+
+    def count_publishers(self, topic: str) -> int:
+        return int(self._node.count_publishers(self._node.resolve_topic_name(topic)))
+
+    def servers(self, service: str) -> list[str]:
+        name = self._node.resolve_service_name(service)
+        if self._node.count_services(name) < 2:
+            return []
+        # The servers of a service are the publishers of its answers.
+        found = self._node.get_publishers_info_by_topic(f"rr{name}Reply", no_mangle=True)
+        return [_full_name(info.node_namespace, info.node_name) for info in found]
+
+
+def _link_of(node: Node) -> Link:
+    """The node's socket for what it takes past the middleware.
+
+    Raises:
+        BenchError: another node of its name is there.
+    """
+    bench = f"{node.context.get_domain_id()} {node.get_namespace()}"
+    try:
+        return Link(bench, node.get_name())
+    except OSError as error:
+        raise BenchError(f"Node {node.get_fully_qualified_name()} is there already; end it first.") from error
 
 
 def _full_name(namespace: str, name: str) -> str:
@@ -572,34 +407,6 @@ def _descriptor(item: Parameter) -> ParameterDescriptor:
         elif isinstance(item.default, int) and not isinstance(item.default, bool):
             descriptor.integer_range = [IntegerRange(from_value=int(item.low), to_value=int(item.high), step=1)]
     return descriptor
-
-
-def calm_collector(collect: bool = True) -> None:
-    """Keep the cyclic collector off what lives as long as the node, and from looking often.
-
-    Blocks and messages are freed by reference counting; a collection over everything that was imported would stop the
-    sample path for tens of milliseconds.
-
-    Args:
-        collect: free what is garbage first; that looks at all that the program holds.
-    """
-    if collect:
-        gc.collect()
-    gc.freeze()
-    gc.set_threshold(50_000, 50, 100)
-
-
-def return_large_memory() -> None:
-    """Large messages go back to the system as they are freed.
-
-    The C library keeps freed memory of up to 32 MB a piece once a piece of that size has been freed. Between messages
-    of many channels it stays in pieces that hardly anything fits: 30 MB in each node with 64 channels. Other libraries
-    than glibc are left as they are.
-    """
-    with contextlib.suppress(OSError, AttributeError):
-        library = ctypes.CDLL(None)
-        library.mallopt(_MMAP_THRESHOLD, _LARGE_BYTES)
-        library.mallopt(_TRIM_THRESHOLD, _LARGE_BYTES)
 
 
 class EndRequest:
@@ -711,7 +518,7 @@ def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -
             if node.link is None or node.BURST_PERIOD <= 0.0:  # bundles are small
                 return_large_memory()
             node.get_logger().info(f"Started in ROS domain {node.context.get_domain_id()} as {node.instance}")
-            with contextlib.suppress(ExternalShutdownException), node.watched_work():
+            with contextlib.suppress(ExternalShutdownException), node.heartbeat.watched_work():
                 spin_for_ever(executor, node, request)
             return 0
         except BenchError as error:
@@ -720,7 +527,7 @@ def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -
         finally:
             if node is not None:
                 node.shut_down()
-                node.deliver()
+                node.transport.deliver()
                 if executor is not None:
                     # An executor that goes while it has a node aborts the process.
                     executor.remove_node(node)

@@ -5,6 +5,7 @@ The values are those of ``nmt_msgs``; a test compares every member with the cons
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum, IntFlag
 
 from nmt_core.errors import BenchError
@@ -41,6 +42,8 @@ QUANTITIES = {quantity.letter: quantity for quantity in Quantity if quantity is 
 """Quantities by the letter that names of their channels begin with."""
 MOTIONS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 """Motions, and how many times each is the displacement differentiated by time."""
+VELOCITY_LEAD = {motion: (1 - order) * 0.5 * math.pi for motion, order in MOTIONS.items()}
+"""Phase by which the velocity of a harmonic vibration leads each motion, rad."""
 
 _TOPICS = {quantity: quantity.name.lower() for quantity in Quantity}
 _UNITS = {

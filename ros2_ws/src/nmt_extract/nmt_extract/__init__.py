@@ -1,4 +1,4 @@
-"""Harmonics and modal properties from locked windows, linear modal tests and synthesis; extraction node.
+"""Modal properties from locked windows, linear modal tests and synthesis; extraction node.
 
 Public names, each loaded when it is asked for. From a recording: :func:`extract_bag`, :func:`evaluate_linear_test`;
 from its results: :func:`synthesise`, :func:`write_results`, :func:`frf_table`; the rest are their parts.
@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 from nmt_core.public_names import loaded
 
 if TYPE_CHECKING:
-    from nmt_core.records import LockEvent
+    from nmt_core.messages.records import LockEvent
     from nmt_extract.extraction_settings import ExtractionSettings
     from nmt_extract.extractor import Extractor
-    from nmt_extract.harmonics import harmonic_amplitudes
     from nmt_extract.linear_evaluation import LinearTestResult, evaluate_linear_test
     from nmt_extract.linear_file import frf_table
     from nmt_extract.modal import estimated_mass
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from nmt_extract.offline import ExtractionResult, extract_bag
     from nmt_extract.synthesised_responses import SynthesisResult, synthesise
     from nmt_extract.window import SpoiledWindow, Window, WindowAssembler
+    from nmt_signals.harmonics import harmonic_amplitudes
 
 __all__ = [
     "ExtractionResult",

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.vocabulary import MOTIONS
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal_point import ModalPoint
 from nmt_extract.uncertainty_budget import BudgetInputs, MethodError, PointBudget, uncertainty_budget
@@ -16,8 +17,6 @@ from nmt_record.exchange.channel_tolerances import is_simulated, tolerances
 if TYPE_CHECKING:
     from nmt_record.bag.bag_reader import Bag
     from nmt_record.exchange.calibration_file import CalibrationSheet
-
-_RESPONSES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 
 
 def bag_budget(
@@ -59,7 +58,7 @@ def bag_budget(
 
 def _response(bag: Bag, linear: LinearDescription) -> Quantity:
     """The kind of sensor that gave the shape: the first that covers all points, as in the extraction."""
-    for quantity in _RESPONSES:
+    for quantity in MOTIONS:
         if quantity.topic in bag.topics:
             block = next(iter(bag.blocks(quantity.topic)), None)
             if block is not None and set(linear.points) <= set(block.points):

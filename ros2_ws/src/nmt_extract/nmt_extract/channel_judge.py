@@ -13,12 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.linear_description import LinearDescription
-from nmt_extract.harmonics import Moments
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_signals.harmonics import Moments
 
-_FLAT, _EDGE = 3e-3, 3e-2  # of half the peak to peak: depth of a flat top, and of its edge
-_FLAT_SHARE = 0.04  # of a period; a sine has 0.025 there
 _ISOLATED, _ISOLATED_LINEAR = 10.0, 15.0  # a channel's deviation over that of all others together
 _OFF_OWN = 0.05  # of a channel's own value
 _OFF_LINEAR = 0.35  # of the largest value of the shape: linear modes have errors of their own
@@ -107,39 +105,6 @@ def noise_rms(data: FloatArray, moments: Moments, amplitudes: ComplexArray) -> F
     total = np.einsum("ij,ij->i", data, data)
     explained = (amplitudes * moments.projections).real.sum(axis=(0, 2))
     return np.asarray(np.sqrt(np.maximum(total - explained, 0.0) / data.shape[1]))
-
-
-def flat_top(values: FloatArray, samples_per_period: float) -> float | None:
-    """Where a signal is cut off.
-
-    A cut leaves more samples within a small depth of the extreme than a sine has there, and fewer just below: its edges
-    are as steep as those of a sine cut so. A body that comes to rest against friction approaches its rest slowly.
-
-    Args:
-        values: shape ``(samples,)``, whole periods.
-        samples_per_period: of the fundamental.
-
-    Returns:
-        The value of the flat top, or None.
-    """
-    top, bottom = float(values.max()), float(values.min())
-    half = 0.5 * (top - bottom)
-    for extreme, depth in ((top, top - values), (bottom, values - bottom)):
-        below = depth[depth > 1e-6 * half]
-        if below.size == 0 or below.min() > _FLAT * half:
-            continue  # steps of a converter, or always the same few samples of a period: nothing is seen of the edge
-        share = np.count_nonzero(depth <= _FLAT * half) / values.size
-        # A period of few samples, always the same ones, may hold its extreme twice.
-        if share - 2.0 / samples_per_period <= _FLAT_SHARE:
-            continue
-        edge = np.count_nonzero(depth <= _EDGE * half) / values.size - share
-        cut = math.cos(math.pi * min(share, 0.5))
-        steep = math.acos(cut * (1.0 - _EDGE) / (1.0 - _FLAT)) / math.pi - min(share, 0.5)
-        # Where the samples of all periods fall on the same places, both edges may hold one of each period.
-        repeats = abs(samples_per_period - round(samples_per_period)) < 1e-4 * samples_per_period
-        if edge <= 1.5 * steep + (2.0 if repeats else 0.5) / samples_per_period:
-            return extreme
-    return None
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_extract.swept_response import FrequencyResponseTable
 
-_DERIVATIVES = {"x": 0, "v": 1, "a": 2}
+_DERIVATIVES = {motion.letter: order for motion, order in MOTIONS.items()}
 MOST_DETUNED = 2.0
 """Largest |Re D / Im D| of points that are used: twice the half-power band, beyond it other modes gain weight."""
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, ReaderProgress, spin_node
-from nmt_core.bundle import PLANT_BUNDLE, PLL_BUNDLE, read_bundle
-from nmt_core.wire import MODAL_POINT
+from nmt_core.messages.bundle import PLANT_BUNDLE, PLL_BUNDLE, read_bundle
+from nmt_core.messages.wire import MODAL_POINT
 from nmt_extract.extraction_core import PARAMETERS, ExtractionCore
 from nmt_msgs.msg import Bundle, Frequency, Level, LockEvent, ModalPoint, SampleBlock
 

@@ -10,10 +10,10 @@ from functools import partial
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.modal_point import ModalPoint
-from nmt_core.parameters import parameter_table
-from nmt_core.wire import BlockReader
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_core.messages.wire import BlockReader
+from nmt_core.nodes.parameters import parameter_table
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import STATE_TOPICS, MessageFeed

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_extract.hysteresis import HysteresisLayout
 
 _TOPICS = tuple(quantity.topic for quantity in Quantity if quantity is not Quantity.UNKNOWN)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from nmt_core.blocks import SampleBlock
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LockEvent
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LockEvent
 from nmt_core.vocabulary import LoopState
 from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
@@ -74,7 +74,7 @@ class Extractor:
         """Take a level of the plan; the unit of controlled responses may be empty.
 
         ``harmonics_control``: up to which the force's harmonics are controlled in it, see
-        :class:`~nmt_core.records.LevelCommand`.
+        :class:`~nmt_core.messages.records.LevelCommand`.
 
         A level of amplitude zero ends the excitation and is no level of the plan.
         """

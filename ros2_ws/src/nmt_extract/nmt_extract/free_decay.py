@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.files.whole_file import csv_text, write_result
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_core.whole_file import csv_text, write_result
 from nmt_extract.ring_down import DecaySettings, decay_of
-from nmt_extract.sine_fit import strongest_line
 from nmt_extract.window_judge import CONVERTER_BITS, resolution
+from nmt_signals.sine_fit import strongest_line
 
 COLUMNS = (
     "segment", "channel", "time_s", "amplitude", "unit", "frequency_hz", "frequency_hz_std", "damping_ratio",

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.modal_point import ModalPoint
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
 
 HARMONICS_COLUMNS = (

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract.modal_point import ModalPoint, Status
 
 _SAMPLES = 4096

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.wire import LEVEL
+from nmt_core.processes.work_progress import tell
 from nmt_core.vocabulary import TestKind
-from nmt_core.wire import LEVEL
-from nmt_core.work_progress import tell
 from nmt_extract.linear_file import Linearity, linear_mapping, linearity
 from nmt_extract.linear_identification import LinearTest, LinearTestSettings, linear_test
 from nmt_record.bag.bag_reader import Bag

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.linear_description import LinearDescription
-from nmt_core.number_words import significant
-from nmt_core.plain_json import plain_json
-from nmt_core.whole_file import csv_text
+from nmt_core.files.plain_json import plain_json
+from nmt_core.files.whole_file import csv_text
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.text.number_words import significant
 from nmt_extract.linear_identification import LinearTest
 from nmt_extract.linear_residuals import Residuals
 from nmt_extract.modal import estimated_mass

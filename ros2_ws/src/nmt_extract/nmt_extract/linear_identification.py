@@ -1,8 +1,8 @@
 """Linear modal test: from one record of random excitation to modes, residuals and the plant with its exciter.
 
-Averaged spectra (:mod:`nmt_extract.frf`) give the frequency responses, the coherence and, through the stabilisation
-diagram (:mod:`nmt_extract.stabilisation`), the modes to look for. Every mode is then fitted to the whole record without
-window (:mod:`nmt_extract.rational_fit`) and scaled by the drive point. No model of the structure enters.
+Averaged spectra (:mod:`nmt_signals.frequency_responses`) give the frequency responses, the coherence and, through the
+stabilisation diagram (:mod:`nmt_extract.stabilisation`), the modes to look for. Every mode is then fitted to the whole
+record without window (:mod:`nmt_signals.rational_fit`) and scaled by the drive point. No model of the structure enters.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import BlockFlag, Quantity
 from nmt_core.errors import BenchError
-from nmt_extract.frf import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate
+from nmt_core.messages.blocks import BlockFlag, Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_extract.linear_residuals import Residuals, fit_residuals, modal_receptance
-from nmt_extract.rational_fit import MOST_LINES, RationalFit, StructureMode, fit_rational, structure_mode
 from nmt_extract.stabilisation import OrderPoles, StablePole, order_poles, stable_poles
 from nmt_record.windows.segments import Signals
-
-_POWERS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
+from nmt_signals.channel_faults.clipping import clipping_level
+from nmt_signals.frequency_responses import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate
+from nmt_signals.rational_fit import MOST_LINES, RationalFit, StructureMode, fit_rational, structure_mode
 
 LOWEST_COHERENCE = 0.8
 """Share of a response's power around a mode that the fit must explain, in the best channel."""
@@ -226,7 +226,7 @@ def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
         )
     whole = _Record(signals, channels, settings)
     found, remarks = _refine(whole, stable, force_frf, rows)
-    suspension = _has_mass_line(force_frf, channels.drive, _POWERS[signals.quantities[channels.drive]], found)
+    suspension = _has_mass_line(force_frf, channels.drive, MOTIONS[signals.quantities[channels.drive]], found)
     target = _target_of(found, settings, suspension)
     kept = _kept(found, target, min(settings.modes, len(channels.points)))
     further = tuple(mode for mode in found if mode not in kept)
@@ -318,26 +318,11 @@ def _check_samples(signals: Signals, channels: _Channels) -> None:
         peak = float(np.max(np.abs(values)))
         if peak == 0.0 or float(np.ptp(values)) == 0.0:
             raise BenchError(f"Channel {name} shows no signal; check its sensor and the drive.")
-        clipped = _clipped(values)
-        if clipped:
+        clipped_at = clipping_level(values)
+        if clipped_at:
             raise BenchError(
-                f"Channel {name} is clipped: {clipped} samples lie at its extreme {peak:.4g}; lower the level."
+                f"Channel {name} is clipped at {clipped_at:.4g} {signals.quantities[name].unit}; lower the level."
             )
-
-
-def _clipped(values: FloatArray) -> int:
-    """Number of samples at the extreme if they are too many for a random signal, else 0.
-
-    A random signal, converted finely or coarsely, takes its largest value more rarely than the one below.
-    """
-    magnitude = np.abs(values)
-    at_end = magnitude >= magnitude.max() * (1.0 - 1e-9)
-    below = magnitude[~at_end]
-    if not below.size:
-        return 0
-    next_lower = int(np.count_nonzero(below >= below.max() * (1.0 - 1e-9)))
-    count = int(np.count_nonzero(at_end))
-    return count if count > max(8, 3 * next_lower) else 0
 
 
 def _averages(signals: Signals, channels: _Channels, settings: LinearTestSettings) -> AveragedSpectra:
@@ -358,7 +343,7 @@ def _s(frequency_hz: FloatArray | float) -> ComplexArray:
 
 
 def _receptance(frf: FrfEstimate, quantity: Quantity) -> ComplexArray:
-    return np.asarray(frf.best / _s(frf.frequency_hz) ** _POWERS[quantity])
+    return np.asarray(frf.best / _s(frf.frequency_hz) ** MOTIONS[quantity])
 
 
 def _variance(frf: FrfEstimate, quantity: Quantity) -> FloatArray:
@@ -370,7 +355,7 @@ def _variance(frf: FrfEstimate, quantity: Quantity) -> FloatArray:
 
 def _diagrams(frf: FrfEstimate, settings: LinearTestSettings, rows: slice) -> list[list[OrderPoles]]:
     """Of the whole band and of its lower parts, where few lines hold low modes."""
-    factor = _s(frf.frequency_hz) ** (2 - _POWERS[settings.quantity])
+    factor = _s(frf.frequency_hz) ** (2 - MOTIONS[settings.quantity])
     accelerance = frf.best[rows] * factor
     low, high = settings.band_hz
     diagrams = [order_poles(accelerance, frf.frequency_hz, settings.band_hz)]
@@ -481,7 +466,7 @@ def _scaled(
     eigenvalue = mode.eigenvalue
     omega = abs(eigenvalue)
     damped = eigenvalue.imag
-    powers = np.array([_POWERS[record.quantities[name]] for name in outputs])
+    powers = np.array([MOTIONS[record.quantities[name]] for name in outputs])
     factor = 2j * damped / eigenvalue**powers
     products = factor * mode.residues
     drive = outputs.index(record.channels.drive)
@@ -606,7 +591,7 @@ def _plant(record: _Record, target: LinearMode, voltage_frf: FrfEstimate | None)
     scale = 2.0 * math.pi * fit.half_width_hz
     std = scale * math.sqrt(max(fit.covariance[chosen, chosen].real, 0.0) / 2.0)
     omega = abs(eigenvalue)
-    power = _POWERS[record.quantities[record.channels.drive]]
+    power = MOTIONS[record.quantities[record.channels.drive]]
     return PlantEstimate(
         frequency_hz=omega / (2.0 * math.pi),
         damping_ratio=-eigenvalue.real / omega,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)

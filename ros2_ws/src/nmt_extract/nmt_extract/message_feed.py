@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from nmt_core.errors import BenchError
-from nmt_core.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.messages.wire import LEVEL, LOCK_EVENT, BlockReader, read_status
 from nmt_core.vocabulary import ControlKind
-from nmt_core.wire import LEVEL, LOCK_EVENT, BlockReader, read_status
 from nmt_extract.extractor import Extractor
 
 STATE_TOPICS = ("frequency", "lock", "level")

@@ -8,25 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_extract import channel_judge, window_judge
 from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_extract.harmonics import Moments, resolvable_harmonics, segment_moments, solve_moments, whole_period_bounds
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
 from nmt_extract.modal_point import EVALUATED, ModalPoint, Status, bench_time_ns, rejected_point
 from nmt_extract.power_balance import BalancedMode, balance, part_count
-from nmt_extract.sine_fit import fit_frequency, strongest_line
 from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
 from nmt_extract.window import Window
 from nmt_extract.window_judge import Remark
+from nmt_signals.channel_faults import clipping
+from nmt_signals.harmonics import Moments, resolvable_harmonics, segment_moments, solve_moments, whole_period_bounds
+from nmt_signals.sine_fit import fit_frequency, strongest_line
 
-_RESPONSES = (Quantity.DISPLACEMENT, Quantity.VELOCITY, Quantity.ACCELERATION)
 _SINE = 0.005  # harmonics over the fundamental of a force that is held to a sine
-_INTEGRATIONS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 
 
 __all__ = ["ModalPoint", "ModalQuantities", "Status", "estimated_mass", "modal_point", "modal_quantities"]
@@ -215,7 +215,7 @@ class _WindowEvaluation:
                     f"description names point {self.linear.drive_point} as drive point."
                 )
             self.force_row = forces[0]
-        for quantity in _RESPONSES:
+        for quantity in MOTIONS:
             rows = [self._row(quantity, point) for point in self.linear.points]
             if all(row is not None for row in rows):
                 self.shape_rows = [row for row in rows if row is not None]
@@ -229,7 +229,7 @@ class _WindowEvaluation:
         self._find_drive_rows()
 
     def _find_drive_rows(self) -> None:
-        candidates = (self.shape_quantity, *_RESPONSES)
+        candidates = (self.shape_quantity, *MOTIONS)
         self.drive_row, self.drive_quantity = self._first_row(candidates)
         self.gamma_row, self.gamma_quantity = self._first_row((Quantity.ACCELERATION, *candidates))
 
@@ -375,7 +375,7 @@ class _WindowEvaluation:
                 continue
             if row == self.force_row and self._is_held_to_a_sine:
                 continue
-            flat = channel_judge.flat_top(window.data[row], window.samples / self.advance)
+            flat = clipping.flat_top(window.data[row], window.samples / self.advance)
             if flat is not None:
                 faults[row] = f"is flat-topped at {flat:.4g} {window.channels[row].quantity.unit}"
         noise = self.noise
@@ -515,7 +515,7 @@ class _WindowEvaluation:
         fields = {name: float(value[0]) for name, value in measured.items()}
         fields.update({f"{name}_std": self._uncertainty(name, value) for name, value in measured.items()})
         for other in self.other_shapes:
-            changed = self._values(omega, other * (1j * omega[:, np.newaxis]) ** -_INTEGRATIONS[self.shape_quantity])
+            changed = self._values(omega, other * (1j * omega[:, np.newaxis]) ** -MOTIONS[self.shape_quantity])
             for name in EVALUATED:
                 change = float(getattr(changed, name)[0]) - fields[name]
                 fields[f"{name}_std"] = math.hypot(fields[f"{name}_std"], change)
@@ -575,7 +575,7 @@ class _WindowEvaluation:
             middle: FloatArray = np.asarray(
                 0.5 * (self.part_bounds[1:] + self.part_bounds[:-1]) / rate, dtype=np.float64
             )
-            turned = parts[:, 1] * (1j * omega[0]) ** (1 - _INTEGRATIONS[self.drive_quantity])
+            turned = parts[:, 1] * (1j * omega[0]) ** (1 - MOTIONS[self.drive_quantity])
             if not self.settings.power_balance:
                 seconds = window.samples / rate
                 remarks += window_judge.judge_steadiness(middle, parts[:, 0], turned, fields, seconds)
@@ -690,7 +690,7 @@ class _WindowEvaluation:
     @staticmethod
     def _integrated(amplitudes: ComplexArray, quantity: Quantity, omega: FloatArray, derivative: int) -> ComplexArray:
         """The ``derivative``-th time derivative of the displacement; n = 0 is NaN where unknown."""
-        power = derivative - _INTEGRATIONS[quantity]
+        power = derivative - MOTIONS[quantity]
         if power == 0:
             return amplitudes
         orders = np.arange(amplitudes.shape[-1])

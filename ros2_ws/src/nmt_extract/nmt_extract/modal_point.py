@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from nmt_core.cdr import bench_time_ns
-from nmt_core.modal_point import COMPLEX, EVALUATED, MEASURED, ModalPoint
-from nmt_core.records import LockEvent
+from nmt_core.messages.cdr import bench_time_ns
+from nmt_core.messages.modal_point import COMPLEX, EVALUATED, MEASURED, ModalPoint
+from nmt_core.messages.records import LockEvent
 from nmt_core.vocabulary import PointStatus as Status
 
 __all__ = ["COMPLEX", "EVALUATED", "MEASURED", "ModalPoint", "Status", "bench_time_ns", "rejected_point"]

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import json_value, read_rows, read_text
-from nmt_core.plain_json import plain_json
-from nmt_core.whole_file import csv_text, write_result
+from nmt_core.files.hardened import json_value, read_rows, read_text
+from nmt_core.files.plain_json import plain_json
+from nmt_core.files.whole_file import csv_text, write_result
+from nmt_core.numerics.arrays import ComplexArray
 from nmt_extract.harmonics_indicators import HARMONICS_COLUMNS, any_control, indicators
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
 from nmt_extract.modal_point import COMPLEX, ModalPoint, Status

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.modal_point import ModalPoint
+from nmt_core.files.whole_file import writing
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
-from nmt_core.whole_file import writing
 
 _DISPLACEMENT = 8
 _STRUCTURAL, _THREE_TRANSLATIONS = 1, 2

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.vocabulary import TestKind
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor

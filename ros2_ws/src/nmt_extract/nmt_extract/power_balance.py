@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 
 MINIMUM_PARTS = 5
 

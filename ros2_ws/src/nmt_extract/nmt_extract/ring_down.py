@@ -32,10 +32,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 
 FREQUENCY_TOLERANCE = 0.005
 """Relative change of a stable pole's frequency from one order to the next."""

@@ -27,17 +27,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_extract.harmonics import (
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
+from nmt_extract.uncertainty import sub_window_count
+from nmt_signals.harmonics import (
     harmonic_amplitudes,
     resolvable_harmonics,
     segment_moments,
     solve_moments,
     whole_period_bounds,
 )
-from nmt_extract.uncertainty import sub_window_count
 
 if TYPE_CHECKING:
     from nmt_record.windows.segments import Signals
@@ -389,8 +390,7 @@ def _roles(signals: Signals) -> tuple[str, tuple[str, ...], str]:
     """Channel names of the force, of the motions and of the voltage (empty if there is none)."""
     kinds = signals.quantities
     force = [name for name in signals.channels if kinds[name] == Quantity.FORCE]
-    motions = (Quantity.ACCELERATION, Quantity.VELOCITY, Quantity.DISPLACEMENT)
-    responses = tuple(name for name in signals.channels if kinds[name] in motions)
+    responses = tuple(name for name in signals.channels if kinds[name] in MOTIONS)
     voltage = [name for name in signals.channels if kinds[name] == Quantity.VOLTAGE]
     if not force or not responses:
         raise BenchError("A response per force needs a force channel and a response; the recording has not both.")

@@ -30,9 +30,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract.modal_point import ModalPoint, Status
 
 _SAME = 2.0e-3  # relative distance of modal amplitudes below which two points of a backbone are averaged

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_json as read_json_file
-from nmt_core.linear_description import LinearDescription
-from nmt_core.whole_file import csv_text
+from nmt_core.files.hardened import read_json as read_json_file
+from nmt_core.files.whole_file import csv_text
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract.modal_table import read_json
 from nmt_extract.response_table import read_response_csv
 from nmt_extract.swept_response import FrequencyResponseTable

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 
 def sub_window_count(periods: int, wanted: int = 10) -> int:

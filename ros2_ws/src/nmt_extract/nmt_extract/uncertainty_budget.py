@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
-from nmt_core.linear_description import LinearDescription
-from nmt_core.whole_file import csv_text, write_result
+from nmt_core.files.whole_file import csv_text, write_result
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import FloatArray
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.student import two_sided_quantile
 from nmt_extract.window_judge import phase_part

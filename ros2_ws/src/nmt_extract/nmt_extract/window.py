@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity, SampleBlock
-from nmt_core.records import LockEvent
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_core.messages.records import LockEvent
+from nmt_core.numerics.arrays import FloatArray
 from nmt_record.windows.sample_table import HISTORY_SAMPLES, PATIENCE_SAMPLES, CutWindow, SampleTable
 from nmt_record.windows.topic_blocks import ExcitationPhase, phase_reference
 from nmt_record.windows.window_policy import MINIMUM_PERIODS, NamedWindow

@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray, IntArray
-from nmt_core.modal_point import EVALUATED
-from nmt_extract.harmonics import segment_moments, solve_moments, synthesise
+from nmt_core.messages.modal_point import EVALUATED
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_extract.uncertainty import slope_uncertainty
+from nmt_signals.harmonics import segment_moments, solve_moments, synthesise
 
 PHASE_LIMIT = math.radians(5.0)
 """Phase between force and velocity at the drive point beyond which a point is flagged, rad."""

@@ -13,13 +13,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import OscillatorPhase
 from nmt_core.errors import BenchError
-from nmt_core.excitation import PEAK_FACTOR
-from nmt_core.kernels import njit
-from nmt_core.ramp import half_cosine
-from nmt_core.records import DriveCommand
+from nmt_core.messages.blocks import OscillatorPhase
+from nmt_core.messages.excitation import PEAK_FACTOR
+from nmt_core.messages.records import DriveCommand
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.kernels import njit
+from nmt_core.numerics.ramp import half_cosine
 from nmt_core.vocabulary import Waveform
 
 _LONGEST_RAMP = 86_400.0  # s

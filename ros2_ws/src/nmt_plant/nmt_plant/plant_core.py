@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
 
-from nmt_core.blocks import SampleBlock
-from nmt_core.cdr import bench_time_ns
-from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge
-from nmt_core.records import DriveCommand, DriveStop, RunState, SignalLevels
-from nmt_core.run_announcement import TAKEN_TOPICS
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.cdr import bench_time_ns
+from nmt_core.messages.command_judge import LONGEST_AHEAD, CommandJudge
+from nmt_core.messages.records import DriveCommand, DriveStop, RunState, SignalLevels
+from nmt_core.messages.run_announcement import TAKEN_TOPICS
 from nmt_core.vocabulary import OutputState, Quantity, RunPhase, StopCause
-from nmt_plant.device import Device, DeviceState, check_drive
+from nmt_plant.devices.device import Device, DeviceState, check_drive
 from nmt_plant.lockstep import LockstepGate
 from nmt_plant.signal_levels import LevelMeter
 
@@ -91,7 +91,7 @@ class PlantCore:
 
         Args:
             command: the command.
-            source: who sent it, see `nmt_core.command_judge.CommandJudge.judge`.
+            source: who sent it, see `nmt_core.messages.command_judge.CommandJudge.judge`.
 
         Returns:
             Empty if the command is taken, otherwise the sentence why it cannot be meant; then nothing has changed.

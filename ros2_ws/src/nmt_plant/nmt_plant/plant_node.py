@@ -18,22 +18,22 @@ from std_msgs.msg import Bool, UInt64
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import READY, SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
-from nmt_core.blocks import SampleBlock
-from nmt_core.bundle import LOOP_INPUT, PLANT_BUNDLE, BundleWriter
-from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
-from nmt_core.parameters import parameter_table
-from nmt_core.run_announcement import TAKEN_TOPICS
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.bundle import LOOP_INPUT, PLANT_BUNDLE, BundleWriter
+from nmt_core.messages.command_judge import CommandSource
+from nmt_core.messages.run_announcement import TAKEN_TOPICS
+from nmt_core.messages.wire import DRIVE_STOP, MONITOR, RUN_STATE, BlockWriter, read_drive
+from nmt_core.nodes.parameters import parameter_table
 from nmt_core.vocabulary import OutputState, RunPhase, StopCause
-from nmt_core.wire import DRIVE_STOP, MONITOR, RUN_STATE, BlockWriter, read_drive
 from nmt_msgs.msg import Bundle, Drive, DriveStop, Monitor, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
-from nmt_plant.device import Device, DeviceFault, DeviceState
-from nmt_plant.guarded_device import LEAST_LEAD, GuardedDevice
-from nmt_plant.hardware_rig import HardwareRig, device_of
+from nmt_plant.devices.device import Device, DeviceFault, DeviceState
+from nmt_plant.devices.guarded_device import LEAST_LEAD, GuardedDevice
+from nmt_plant.devices.hardware_rig import HardwareRig, device_of
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.plant_core import PlantCore
 from nmt_plant.real_time import LatenessHistogram, computer_settings, priority_of, real_time_priority
-from nmt_plant.simulated_rig import SimulatedRig
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS
 from nmt_rig.rig import Rig, load_rig
 
@@ -320,7 +320,7 @@ class PlantNode(BenchNode):
         second = self.second_publisher()
         if second:
             self._end_for_second_source(second)
-        lost = self.lost_node()
+        lost = self.liveness.first_lost(time.monotonic())
         starved = self.core.starved
         if lost:
             self._quiet_down(lost)

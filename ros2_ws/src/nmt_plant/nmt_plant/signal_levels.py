@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import SampleBlock
-from nmt_core.cdr import bench_time_ns
-from nmt_core.kernels import njit
-from nmt_core.records import SignalLevels
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.cdr import bench_time_ns
+from nmt_core.messages.records import SignalLevels
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.kernels import njit
 from nmt_core.vocabulary import Quantity
 
 PERIOD = 0.1  # s

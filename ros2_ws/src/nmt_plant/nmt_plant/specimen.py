@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
-from nmt_plant.simulated_rig import SimulatedRig
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.specimen_faults import Fault, Wiring
 from nmt_rig.device_sections import DeviceSection
 from nmt_rig.rig import Rig

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 from nmt_rig.device_sections import DeviceSection
 from nmt_rig.rig import Rig, SensorSection
 

@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.parameters import parameter_table
-from nmt_core.stamped_samples import field_getter, interpolated
-from nmt_core.yaml_document import YamlDocument, read_document
+from nmt_core.files.yaml_document import YamlDocument, read_document
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_core.messages.stamped_samples import field_getter, interpolated
+from nmt_core.nodes.parameters import parameter_table
 
 PARAMETERS = parameter_table("""\
 table =""  Channel table: a YAML file, see the how-to on foreign topics.

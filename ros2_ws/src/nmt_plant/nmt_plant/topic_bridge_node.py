@@ -10,7 +10,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
 from nmt_core.errors import BenchError
-from nmt_core.wire import BlockReader, BlockWriter
+from nmt_core.messages.wire import BlockReader, BlockWriter
 from nmt_msgs.msg import SampleBlock
 from nmt_plant.topic_bridge import PARAMETERS, TopicBridge, read_channel_table
 

@@ -29,9 +29,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import json_value
+from nmt_core.files.hardened import json_value
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 
 PHASE_MARGIN = 0.35
 """m: integral rate times filter and dead time, rad."""

@@ -14,16 +14,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 
 LEAST_MODES = 3
 """Linear modes that the modal target needs: harmonics move in others than the first."""
 LARGEST_RATIO = 0.3
 """Greatest target of a harmonic, of the fundamental."""
-_DERIVATIVES = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 
 
 def check_modes(linear: LinearDescription, where: str) -> None:
@@ -88,7 +88,7 @@ class ModalPowerRatio:
             share: by which the ratio follows what is measured now.
         """
         order = np.arange(1, force.size + 1)
-        motion = response / (1j * order) ** _DERIVATIVES[quantity]  # displacements, but for a factor they share
+        motion = response / (1j * order) ** MOTIONS[quantity]  # displacements, but for a factor they share
         velocity = 1j * order * motion[self._drive]
         modal = np.sum(np.abs(self._to_modes @ motion) ** 2, axis=0)
         fundamental = float((force[0] * velocity[0].conjugate()).real)

@@ -21,7 +21,7 @@ from collections import deque
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray
+from nmt_core.numerics.arrays import ComplexArray
 
 _FEEDBACK = 0.5  # share of the gain that is critically damped
 _SLOW = 0.05  # share of the logarithmic error that is taken back in a block whatever P and Z say

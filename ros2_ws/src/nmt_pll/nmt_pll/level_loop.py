@@ -9,10 +9,10 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import BlockFlag, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import BlockFlag, SampleBlock
+from nmt_core.messages.records import LevelCommand
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState, TestKind, Waveform
 from nmt_pll.lock import LockStateMachine, Transition
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.kernels import njit
 from nmt_core.vocabulary import LoopState
 
 

@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LevelCommand
-from nmt_core.vocabulary import AUTOMATIC, ControlKind, HarmonicsTarget, LoopState, TestKind
+from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LevelCommand
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import AUTOMATIC, MOTIONS, VELOCITY_LEAD, ControlKind, HarmonicsTarget, LoopState, TestKind
 from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.gains import LoopPlant
 from nmt_pll.harmonics_control import (
@@ -31,12 +31,6 @@ from nmt_pll.phase_detector import AdaptiveFourierFilter, phase_error
 
 DEAD_BLOCKS = 1.5
 """Mean delay between measurement and its effect in blocks, besides the latency."""
-
-_VELOCITY_LEAD = {
-    Quantity.DISPLACEMENT: math.pi / 2.0,
-    Quantity.VELOCITY: 0.0,
-    Quantity.ACCELERATION: -math.pi / 2.0,
-}
 
 
 class PhaseLockedLoop(LevelLoop):
@@ -267,7 +261,7 @@ class PhaseLockedLoop(LevelLoop):
         """Phase error (NaN if not valid), force amplitude and response amplitude after the block."""
         if math.isnan(phase.cycles) or not phase.frequency_hz > 0:
             return math.nan, 0.0, 0.0
-        lead = _VELOCITY_LEAD.get(self._response_quantity)
+        lead = VELOCITY_LEAD.get(self._response_quantity)
         if lead is None:
             raise ValueError(f"the response is {self._response_quantity.name.lower()}, not a motion")
         data = np.empty((2, force.size))
@@ -322,9 +316,7 @@ class PhaseLockedLoop(LevelLoop):
 
     def _per_displacement(self) -> float:
         """Amplitude of the response quantity for a unit displacement at the present frequency."""
-        if self._response_quantity == Quantity.ACCELERATION:
-            return self.controller.output**2
-        return self.controller.output if self._response_quantity == Quantity.VELOCITY else 1.0
+        return self.controller.output ** MOTIONS.get(self._response_quantity, 0)
 
     def _control(self, error: float, force: float, response: float, end: int) -> None:
         omega = self.controller.output

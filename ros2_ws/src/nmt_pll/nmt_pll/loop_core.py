@@ -6,14 +6,14 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from nmt_core.blocks import SampleBlock
-from nmt_core.bundle import LOOP_INPUT, PLL_BUNDLE
-from nmt_core.cdr import bench_time_ns
-from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.parameters import parameter_table
-from nmt_core.records import DriveCommand, LevelCommand, LockEvent, LoopStatus
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.bundle import LOOP_INPUT, PLL_BUNDLE
+from nmt_core.messages.cdr import bench_time_ns
+from nmt_core.messages.command_judge import LONGEST_AHEAD, CommandJudge
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import DriveCommand, LevelCommand, LockEvent, LoopStatus
+from nmt_core.nodes.parameters import parameter_table
 from nmt_core.vocabulary import ControlKind, LoopState, Quantity, TestKind, Waveform
 from nmt_pll.harmonics_control import table_from_json
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
@@ -243,7 +243,7 @@ class LoopCore:
         """Take a level; returns the acknowledgement if it is due already.
 
         A level above zero is taken from one source only and for a sample that can exist, see
-        `nmt_core.command_judge.CommandJudge.judge`; zero is taken from anybody.
+        `nmt_core.messages.command_judge.CommandJudge.judge`; zero is taken from anybody.
 
         A level of this run that cannot be done is answered by a lost lock at its sample: without an answer the
         sequencer would wait for ever.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.parameters import Parameter
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.nodes.parameters import Parameter
 
 # Settings that may be negative.
 SIGNED_SETTINGS = frozenset({"phase_offset_rad", "loop_latency_s"})

@@ -28,18 +28,18 @@ from collections import deque
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.kernels import njit
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LevelCommand
-from nmt_core.vocabulary import ControlKind, LoopState
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LevelCommand
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.kernels import njit
+from nmt_core.vocabulary import MOTIONS, ControlKind, LoopState
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.paper_settings import PaperSettings
 
 # x̂ for the product: a displacement, or an acceleration upside down.
-_SIGN = {Quantity.DISPLACEMENT: 1.0, Quantity.ACCELERATION: -1.0}
+_SIGN = {motion: (-1.0) ** (order // 2) for motion, order in MOTIONS.items() if order % 2 == 0}
 _SLOWEST = 0.05  # of the centre frequency: an oscillator cannot turn backwards
 
 # Places in the state vector.

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.parameters import Parameter
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.nodes.parameters import Parameter
 from nmt_pll.loop_settings import SIGNED_SETTINGS
 
 PAPER_PREFIX = "paper_"

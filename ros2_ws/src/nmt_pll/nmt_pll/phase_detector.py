@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.kernels import njit
 
 
 @njit(cache=True)

@@ -9,11 +9,11 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
-from nmt_core.bundle import LOOP_INPUT, PLL_BUNDLE, BundleWriter, read_bundle
-from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
-from nmt_core.records import LoopStatus
-from nmt_core.wire import LEVEL, LOCK_EVENT, BlockReader, NodeStatus, write_drive, write_status
+from nmt_core.messages.bundle import LOOP_INPUT, PLL_BUNDLE, BundleWriter, read_bundle
+from nmt_core.messages.command_judge import CommandSource
+from nmt_core.messages.records import LoopStatus
+from nmt_core.messages.wire import LEVEL, LOCK_EVENT, BlockReader, NodeStatus, write_drive, write_status
 from nmt_msgs import msg
 from nmt_pll.loop_core import PARAMETERS, LoopCore
 
@@ -75,7 +75,7 @@ class PllNode(BenchNode):
 
     def _guard(self) -> None:
         """Quiet the drive if the node that commands the levels has gone, or if another one commands them, too."""
-        lost = self.lost_node()
+        lost = self.liveness.first_lost(time.monotonic())
         if lost:
             self.core.loop.quiet(lost)
         self._report(self.second_publisher() or (self.core.second_source if self.core.at_work else ""))

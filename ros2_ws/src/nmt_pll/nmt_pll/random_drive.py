@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 

@@ -8,10 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.ramp import half_cosine
-from nmt_core.records import LevelCommand
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.records import LevelCommand
+from nmt_core.numerics.ramp import half_cosine
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
 from nmt_pll.held_amplitude import ForceHolder, ResponseHolder, turn
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput

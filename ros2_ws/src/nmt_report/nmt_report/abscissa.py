@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 if TYPE_CHECKING:
     from nmt_extract.modal_point import ModalPoint

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.whole_file import csv_text
+from nmt_core.files.whole_file import csv_text
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.residual_map import channel_name, channels_of
 from nmt_diagnose.observations.conditions import (
     BackboneTable,

@@ -16,7 +16,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.diagnosis import ResidualGroup
 from nmt_report.diagnosis_curves import Course, HarmonicCourse
 from nmt_report.diagnosis_words import channel_text

@@ -10,7 +10,7 @@ from typing import Any
 
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
-from nmt_core.whole_file import write_whole
+from nmt_core.files.whole_file import write_whole
 from nmt_diagnose.inference.diagnose import DiagnosisOutcome
 from nmt_report.diagnosis_curves import Models, observables_csv
 from nmt_report.diagnosis_model import model_text

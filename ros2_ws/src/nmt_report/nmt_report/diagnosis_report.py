@@ -9,7 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from nmt_core.number_words import percent, share_with_interval, value_text
+from nmt_core.text.number_words import percent, share_with_interval, value_text
 from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Remainder, Verdict
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RecordTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 
 from nmt_core.errors import BenchError
-from nmt_core.number_words import percent, plain, share_with_interval, value_text
+from nmt_core.text.number_words import percent, plain, share_with_interval, value_text
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Ranked, Value, Verdict
 from nmt_diagnose.inference.sentences import PLACES

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_text
-from nmt_core.whole_file import write_whole
-from nmt_core.work_progress import tell
+from nmt_core.files.hardened import read_text
+from nmt_core.files.whole_file import write_whole
+from nmt_core.processes.work_progress import tell
 from nmt_report.figure_record import Record, tidy_csv, unpacked
 from nmt_report.figure_redraw import FORMATS, redraw, save
 from nmt_report.svg import FIGURE_TYPE

@@ -23,7 +23,7 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.text import Annotation
 
 from nmt_core.errors import BenchError
-from nmt_core.whole_file import csv_text
+from nmt_core.files.whole_file import csv_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract.linear_evaluation import LinearTestResult
 from nmt_extract.linear_file import synthesis_correlation
 from nmt_extract.linear_identification import LinearMode, LinearTest

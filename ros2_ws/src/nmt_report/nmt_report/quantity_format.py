@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from nmt_core.number_words import plain, power_of_ten, significant
+from nmt_core.text.number_words import plain, power_of_ten, significant
 
 __all__ = [
     "concise",

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.html_page import Column, Row, Table, part
 from nmt_report.quantity_format import plain, significant

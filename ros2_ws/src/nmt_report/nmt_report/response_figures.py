@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract.swept_response import FrequencyResponseTable
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import significant

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_text
-from nmt_core.linear_description import LinearDescription
+from nmt_core.files.hardened import read_text
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import FloatArray
 from nmt_extract.modal_point import ModalPoint, Status
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import yaml_value
-from nmt_core.linear_description import LinearDescription
+from nmt_core.files.hardened import yaml_value
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.wire import BlockReader
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState
-from nmt_core.wire import BlockReader
 from nmt_report.run_data import (
     Excerpt,
     LevelStart,
@@ -55,7 +55,7 @@ def report_data_from_bag(
     Raises:
         BenchError: the path is not a readable bag.
     """
-    from nmt_core.wire import MODAL_POINT
+    from nmt_core.messages.wire import MODAL_POINT
     from nmt_record.bag.bag_reader import Bag
 
     bag = path if isinstance(path, Bag) else Bag.open(path)
@@ -104,7 +104,7 @@ def report_data_from_bag(
 
 def _status(bag: Bag, raw: bytes) -> tuple[tuple[int, float, float, int, float], int, str]:
     """Last sample, frequency, phase error, state and drive amplitude of a message of ``frequency``; level, reason."""
-    from nmt_core.wire import read_status
+    from nmt_core.messages.wire import read_status
 
     status: Any
     if bag.topics["frequency"][0] == "nmt_msgs/msg/Frequency":

@@ -9,7 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from nmt_core.number_words import level_list
+from nmt_core.text.number_words import level_list
 from nmt_core.vocabulary import ControlKind
 from nmt_extract.harmonics_indicators import any_control, indicators
 from nmt_extract.modal_point import Status

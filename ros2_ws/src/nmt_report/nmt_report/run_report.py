@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable
 from pathlib import Path
 
-from nmt_core.whole_file import write_whole
+from nmt_core.files.whole_file import write_whole
 from nmt_report.run_data import FileEntry, ReferenceCurve, RunReportData, read_reference
 from nmt_report.run_data_from_bag import report_data_from_bag
 from nmt_report.svg import ReportFigure, figure_style

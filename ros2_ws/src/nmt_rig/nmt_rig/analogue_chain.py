@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.kernels import njit
 
 # Samples that the polynomial passes through.
 NODES = 6

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_rig.rig_section import Name, NotNegative, Positive, Section
 
 Date = Annotated[datetime.date, Field(strict=False)]

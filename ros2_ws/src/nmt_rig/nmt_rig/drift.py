@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import OscillatorPhase
+from nmt_core.messages.blocks import OscillatorPhase
+from nmt_core.numerics.arrays import FloatArray
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.time_integration import TimeIntegrator
 from nmt_rig.rig import Rig

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import ComplexArray
 from nmt_rig.model.linear_modes import damped_modes, sticking_modes
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_resting_elements, build_shaker, build_structure, build_system, input_per_volt

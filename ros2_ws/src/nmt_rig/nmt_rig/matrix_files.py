@@ -10,7 +10,7 @@ import numpy as np
 from scipy import io, sparse
 
 from nmt_core.errors import BenchError
-from nmt_core.mat_file import is_hdf5, read_mat
+from nmt_core.files.mat_file import is_hdf5, read_mat
 from nmt_rig.file_errors import BadFileError
 
 _NAMES = {

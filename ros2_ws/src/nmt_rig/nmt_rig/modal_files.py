@@ -1,7 +1,7 @@
 """Modes from files: a CSV table, or data sets 55 of a universal file as modal analysis programs export them.
 
-Data set 55 is read here, not by a package: the format is ten records of fixed width, and a rig must load where the
-recording side is not installed.
+What a data set 55 says is read here, not by a package: the format is ten records of fixed width, and a rig must load
+where the recording side is not installed.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from nmt_core.errors import BenchError
+from nmt_core.files.universal_file import datasets
 from nmt_rig.file_errors import BadFileError
 
 _PLAIN_COLUMNS = ("frequency_hz", "damping_ratio", "modal_mass_kg", "participation")
@@ -84,22 +86,11 @@ def read_uff55(path: Path, direction: str = "z") -> tuple[list[int], Modes]:
         BadFileError: not a universal file, no data set 55, or one that is not whole, unscaled, or too complex.
         OSError: the file cannot be read.
     """
-    text = path.read_bytes().decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
-    lines = text.split("\n")
-    sets: list[list[str]] = []
-    inside: list[str] | None = None
-    for line in lines:
-        if line.rstrip() == "    -1":
-            if inside is not None:
-                sets.append(inside)
-            inside = [] if inside is None else None
-        elif inside is not None:
-            inside.append(line)
-    if inside is not None:
-        raise BadFileError("it ends in the middle of a data set; export it again")
-    shapes = [
-        _data_set(content[1:], "xyz".index(direction)) for content in sets if content and content[0].strip() == "55"
-    ]
+    try:
+        found = [each.lines for each in datasets(path.read_bytes(), path.name) if each.kind == 55]
+    except BenchError as error:
+        raise BadFileError(f"it is no whole universal file ({str(error).rstrip('.')})") from error
+    shapes = [_data_set(lines, "xyz".index(direction)) for lines in found]
     if not shapes:
         raise BadFileError("it has no data set 55 (mode shapes); export the modes as UFF 55")
     points = sorted(shapes[0][1])

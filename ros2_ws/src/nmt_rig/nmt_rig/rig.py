@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.validation_sentence import validation_sentence
+from nmt_core.files.validation_sentence import validation_sentence
+from nmt_core.messages.blocks import Quantity
 from nmt_rig.device_sections import AnyDevice
 from nmt_rig.device_sections import InputPortSection as InputPortSection
 from nmt_rig.device_sections import NiDaqmxSection as NiDaqmxSection

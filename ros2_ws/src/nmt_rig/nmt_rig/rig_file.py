@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.yaml_document import KeyPath, YamlDocument, parse_document, read_document
+from nmt_core.files.yaml_document import KeyPath, YamlDocument, parse_document, read_document
 
 RigDocument = YamlDocument
 

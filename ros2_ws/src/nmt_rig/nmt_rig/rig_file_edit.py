@@ -19,7 +19,7 @@ from ruamel.yaml.scalarstring import FoldedScalarString, LiteralScalarString
 from ruamel.yaml.tokens import CommentToken
 
 from nmt_core.errors import BenchError
-from nmt_core.yaml_document import KeyPath, parse_document
+from nmt_core.files.yaml_document import KeyPath, parse_document
 from nmt_rig.rig import Rig, validate_rig
 
 _DIGITS = 10

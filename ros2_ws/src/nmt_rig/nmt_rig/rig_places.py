@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from nmt_core.errors import BenchError
-from nmt_core.proposal import did_you_mean
+from nmt_core.text.proposal import did_you_mean
 
 # Environment variable with folders, separated as in PATH, that are searched for rigs by name first.
 RIG_PATH_VARIABLE = "NMT_RIG_PATH"

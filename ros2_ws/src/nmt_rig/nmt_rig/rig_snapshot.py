@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from nmt_core.yaml_text import yaml_text
+from nmt_core.files.yaml_text import yaml_text
 from nmt_rig.rig import Rig, find_rig
 
 

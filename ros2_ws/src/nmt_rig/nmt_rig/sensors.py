@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_rig.analogue_chain import AnalogueChain
 
 # Set the random numbers of hum and dropped samples apart from those of the noise.

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.yaml_document import YamlDocument
+from nmt_core.files.yaml_document import YamlDocument
 from nmt_rig.file_errors import BadFileError
 from nmt_rig.modal_files import read_modal_csv, read_uff55
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.excitation import PEAK_FACTOR
-from nmt_core.parameters import Parameter
+from nmt_core.messages.excitation import PEAK_FACTOR
+from nmt_core.nodes.parameters import Parameter
 from nmt_core.vocabulary import ControlKind, TestKind
 
 DIRECTIONS = ("up", "down", "both")

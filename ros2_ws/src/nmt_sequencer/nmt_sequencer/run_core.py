@@ -6,14 +6,14 @@ import time
 from collections.abc import Hashable, Mapping
 from typing import Any
 
-from nmt_core.cdr import bench_time_ns
-from nmt_core.command_judge import LONGEST_AHEAD, CommandJudge, CommandSource
-from nmt_core.excitation import Excitation
-from nmt_core.modal_point import ModalPoint
-from nmt_core.number_words import level_list
-from nmt_core.parameters import parameter_table
-from nmt_core.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
-from nmt_core.run_announcement import RunAnnouncement
+from nmt_core.messages.cdr import bench_time_ns
+from nmt_core.messages.command_judge import LONGEST_AHEAD, CommandJudge, CommandSource
+from nmt_core.messages.excitation import Excitation
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_core.messages.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
+from nmt_core.messages.run_announcement import RunAnnouncement
+from nmt_core.nodes.parameters import parameter_table
+from nmt_core.text.number_words import level_list
 from nmt_core.vocabulary import ControlKind, ResultCode, RunPhase, StopCause
 from nmt_sequencer.level_plan import LIMIT_PARAMETERS, LevelLimits
 from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
@@ -166,7 +166,7 @@ class RunCore:
 
         Args:
             status: the state.
-            source: who sent it, see `nmt_core.command_judge.CommandJudge.judge`.
+            source: who sent it, see `nmt_core.messages.command_judge.CommandJudge.judge`.
 
         Returns:
             Empty if the state is taken, otherwise the sentence why it cannot be meant.

@@ -15,10 +15,10 @@ import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 
-from nmt_core.cdr import bench_time_ns
 from nmt_core.errors import BenchError
-from nmt_core.excitation import Excitation
-from nmt_core.records import LevelCommand, LoopStatus, Steering
+from nmt_core.messages.cdr import bench_time_ns
+from nmt_core.messages.excitation import Excitation
+from nmt_core.messages.records import LevelCommand, LoopStatus, Steering
 from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct
 from nmt_sequencer.level_plan import NO_LIMITS, LevelLimits, check_levels
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest

@@ -13,14 +13,23 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
-from nmt_core.command_judge import CommandSource
 from nmt_core.errors import BenchError
-from nmt_core.launcher_watch import LauncherWatch
-from nmt_core.output_record import drive_sentence
-from nmt_core.process_watch import ProcessWatch
-from nmt_core.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, BagState, RunAnnouncement
+from nmt_core.messages.command_judge import CommandSource
+from nmt_core.messages.run_announcement import ANNOUNCEMENT_TOPIC, BAG_TOPIC, BagState, RunAnnouncement
+from nmt_core.messages.wire import (
+    DRIVE_STOP,
+    LEVEL,
+    LOCK_EVENT,
+    MODAL_POINT,
+    RUN_STATE,
+    STEERING,
+    NodeStatus,
+    read_status,
+)
+from nmt_core.nodes.launcher_watch import LauncherWatch
+from nmt_core.processes.output_record import drive_sentence
+from nmt_core.processes.process_watch import ProcessWatch
 from nmt_core.vocabulary import LoopState, ResultCode, RunPhase, SteeringAct
-from nmt_core.wire import DRIVE_STOP, LEVEL, LOCK_EVENT, MODAL_POINT, RUN_STATE, STEERING, NodeStatus, read_status
 from nmt_msgs import msg
 from nmt_msgs.action import RunLevels
 from nmt_msgs.srv import Steer
@@ -81,7 +90,7 @@ class SequencerNode(BenchNode):
             self.link.take("drive_stop", self._on_stop)
             self.link.take("diagnostics", self._on_diagnostics)
         self._announcements = self.create_publisher(String, ANNOUNCEMENT_TOPIC, STATE_QOS)
-        self.claim(ANNOUNCEMENT_TOPIC)
+        self.identity.claim(ANNOUNCEMENT_TOPIC)
         self.create_subscription(String, BAG_TOPIC, self._on_bag, STATE_QOS)
         self._server = ActionServer(
             self,
@@ -91,7 +100,7 @@ class SequencerNode(BenchNode):
             goal_callback=self._on_goal,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
-        self.claim(_STATUS_TOPIC)
+        self.identity.claim(_STATUS_TOPIC)
         for name, call in (("stop", self._stop), ("pause", self._pause), ("resume", self._resume)):
             self.bench_service(Trigger, name, call)
         self.bench_service(Steer, "steer", self._steer)
@@ -174,10 +183,10 @@ class SequencerNode(BenchNode):
         if self._pending is None:
             return
         goal_handle, plan, since = self._pending
-        missing = self.unready_nodes()
+        missing = self.liveness.unready(time.monotonic())
         if self._joined:  # a run before: since then a node may have gone, and its last heartbeat is not old yet
             missing |= dict.fromkeys(self.liveness.unheard_since(since), "silent since the goal")
-        own = self.missing_peers()
+        own = self.transport.missing(self.expected_peers)
         second = self.second_publisher()
         recorded = self._bag_is_open
         if goal_handle.is_cancel_requested:
@@ -189,7 +198,7 @@ class SequencerNode(BenchNode):
             self._refuse(plan, ResultCode.REFUSED, self._other_timing())
         elif not missing and not own and not second and recorded and self._join_plant():
             self._pending = None
-            self.forget_failures()
+            self.liveness.forget_failures(time.monotonic())
             self._told = ""
             self._still_for = self._waited = 0.0
             self.core.start(plan)
@@ -255,7 +264,7 @@ class SequencerNode(BenchNode):
             return
         if status.flags and self.machine.active:
             self._stop_for_failures()  # the plant may have said why it tripped
-            self.look_for_intruders()  # or somebody else has told it that the run is over
+            self.identity.look_for_intruders()  # or somebody else has told it that the run is over
             self._stop_for_second()
         newest = self.machine.newest
         if status.state == LoopState.LOCK_LOST and status.reason:
@@ -270,7 +279,7 @@ class SequencerNode(BenchNode):
         self._publish_all()
 
     def _stop_for_failures(self) -> None:
-        failed, words = self.failed_node()
+        failed, words = self.liveness.first_failure()
         if failed:
             self.machine.stop(ResultCode.NODE_LOST, f"Node {failed} reports: {words.rstrip('.')}.")
 
@@ -399,7 +408,7 @@ class SequencerNode(BenchNode):
         if self._goal is not None and self._goal.is_cancel_requested and machine.active:
             machine.stop(ResultCode.CANCELED, "Cancelled by the client.")
         if machine.active:
-            lost = self.lost_node()
+            lost = self.liveness.first_lost(time.monotonic())
             if lost:
                 machine.stop(ResultCode.NODE_LOST, f"{lost[0].upper()}{lost[1:]}.")
             self._stop_for_failures()
@@ -425,7 +434,9 @@ class SequencerNode(BenchNode):
             # Extraction is waited for as long as it moves, or could not.
             self._waited += passed
             overdue = self._waited > float(self.values["points_timeout"])
-            gone = self.lost_node() or self.failed_node()[0]  # nobody is left to send them
+            gone = (
+                self.liveness.first_lost(time.monotonic()) or self.liveness.first_failure()[0]
+            )  # nobody is left to send them
             given_up = self._end_is_asked_for and self._is_held_up(now)
             if overdue or gone or given_up or not self.core.missing_points:
                 self.core.account()
@@ -488,7 +499,9 @@ class SequencerNode(BenchNode):
 
     def _drive_sentence(self) -> str:
         """What is known of the drive where the loop does not answer any more."""
-        return drive_sentence(self._plant_said, self._plant not in self.lost_nodes(), self.machine.pacing.lockstep)
+        return drive_sentence(
+            self._plant_said, self._plant not in self.liveness.lost(time.monotonic()), self.machine.pacing.lockstep
+        )
 
     @property
     def is_at_work(self) -> bool:

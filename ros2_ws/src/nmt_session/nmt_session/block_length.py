@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_pll.controller import AMPLITUDE_SHARE
 from nmt_pll.gains import LoopPlant
 from nmt_pll.loop import DEAD_BLOCKS

@@ -16,18 +16,18 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from nmt_core.blocks import SAMPLE_TOPICS, Quantity
-from nmt_core.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.errors import BenchError
-from nmt_core.excitation import Excitation
-from nmt_core.linear_description import LinearDescription
-from nmt_core.vocabulary import AUTOMATIC, ControlKind, HarmonicsTarget, TestKind
-from nmt_core.yaml_text import yaml_text
+from nmt_core.files.yaml_text import yaml_text
+from nmt_core.messages.blocks import SAMPLE_TOPICS, Quantity
+from nmt_core.messages.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
+from nmt_core.messages.excitation import Excitation
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.vocabulary import AUTOMATIC, MOTIONS, ControlKind, HarmonicsTarget, TestKind
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout
-from nmt_plant.guarded_device import LEAST_LEAD
-from nmt_plant.hardware_rig import HARDWARE_LEAD
-from nmt_plant.output_guard import default_slew
+from nmt_plant.devices.guarded_device import LEAST_LEAD
+from nmt_plant.devices.hardware_rig import HARDWARE_LEAD
+from nmt_plant.safety.output_guard import default_slew
 from nmt_pll.harmonics_control import MOST_HARMONICS
 from nmt_pll.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from
@@ -643,7 +643,7 @@ def _loop_values(test: TestPlan, linear: LinearDescription | None, response: str
 
 
 def _add_floors(values: dict[str, Any], test: TestPlan, linear: LinearDescription, response: str) -> None:
-    scale = linear.frequencies_rad_s[linear.target_mode] ** 2 if response == "acceleration" else 1.0
+    scale = linear.frequencies_rad_s[linear.target_mode] ** MOTIONS.get(Quantity[response.upper()], 0)
     force_per_volt, response_per_volt = linear.force_per_volt, linear.displacement_per_volt * scale
     per_volt = {"voltage": 1.0, "response": response_per_volt, "force": force_per_volt}[test.control]
     lowest = min(test.levels) / per_volt

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from nmt_core.modal_point import ModalPoint
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import ResultCode
 
 

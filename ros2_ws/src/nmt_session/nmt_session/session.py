@@ -24,13 +24,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.modal_point import ModalPoint
-from nmt_core.parameters import Parameter, check_values
-from nmt_core.records import DriveCommand, DriveStop, LevelCommand, LockEvent, LoopStatus, RunState
-from nmt_core.vocabulary import Quantity, ResultCode, RunPhase, SteeringAct
-from nmt_core.wire import (
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_core.messages.records import DriveCommand, DriveStop, LevelCommand, LockEvent, LoopStatus, RunState
+from nmt_core.messages.wire import (
     DRIVE_STOP,
     LEVEL,
     LOCK_EVENT,
@@ -42,11 +40,13 @@ from nmt_core.wire import (
     write_drive,
     write_status,
 )
+from nmt_core.nodes.parameters import Parameter, check_values
+from nmt_core.vocabulary import Quantity, ResultCode, RunPhase, SteeringAct
 from nmt_extract.extraction_core import PARAMETERS as EXTRACT_PARAMETERS
 from nmt_extract.extraction_core import ExtractionCore
-from nmt_plant.device import Device, DeviceFault
+from nmt_plant.devices.device import Device, DeviceFault
+from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.plant_core import PlantCore
-from nmt_plant.simulated_rig import SimulatedRig
 from nmt_pll.loop_core import PARAMETERS as PLL_PARAMETERS
 from nmt_pll.loop_core import LoopCore
 from nmt_record.bag.bag_keys import SIMULATED_RIG

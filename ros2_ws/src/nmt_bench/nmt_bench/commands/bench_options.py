@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Unpack
 
 from nmt_bench.commands.output_folder import free_folder
-from nmt_core.option_table import declare
+from nmt_core.text.option_table import declare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -85,8 +85,8 @@ def add_options(parser: argparse.ArgumentParser, command: ModuleType) -> None:
 
     Args:
         parser: of the command.
-        command: its module. ``USAGE`` has the description, the table of options (see `nmt_core.option_table`) and what
-            stands below them, with an empty line between; ``KINDS`` types of its own; ``PART_USAGE``
+        command: its module. ``USAGE`` has the description, the table of options (see `nmt_core.text.option_table`) and
+            what stands below them, with an empty line between; ``KINDS`` types of its own; ``PART_USAGE``
             the same of each part, with its line of help in place of the description.
     """
     parser.description, table, below = _sections(command.USAGE)

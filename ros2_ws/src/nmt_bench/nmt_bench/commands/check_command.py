@@ -11,8 +11,8 @@ from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
-    from nmt_plant.hardware_check import CheckResult
-    from nmt_plant.hardware_rig import HardwareRig
+    from nmt_plant.check.hardware_check import CheckResult
+    from nmt_plant.devices.hardware_rig import HardwareRig
 
 EXIT_PASSED, EXIT_FOUND = 0, 1
 
@@ -45,12 +45,13 @@ def run(arguments: argparse.Namespace) -> int:
     """
     check_output(arguments.out, arguments.force)
     from nmt_bench.commands.console import make_console
-    from nmt_bench.commands.hardware_checks import fingerprint, keep_check
-    from nmt_bench.commands.hardware_options import chosen_rig, look_for_device, parsed_device
+    from nmt_bench.commands.hardware_options import chosen_rig
     from nmt_bench.commands.linear_input import read_linear
-    from nmt_plant.device import DeviceFault
-    from nmt_plant.hardware_check import evaluate_check, record_check
-    from nmt_plant.hardware_rig import HardwareRig, device_of
+    from nmt_bench.hardware.chosen_device import look_for_device, parsed_device
+    from nmt_bench.hardware.hardware_checks import fingerprint, keep_check
+    from nmt_plant.check.hardware_check import evaluate_check, record_check
+    from nmt_plant.devices.device import DeviceFault
+    from nmt_plant.devices.hardware_rig import HardwareRig, device_of
     from nmt_plant.real_time import real_time_priority
     from nmt_report.check_report import check_page
     from nmt_sequencer.level_plan import parse_levels

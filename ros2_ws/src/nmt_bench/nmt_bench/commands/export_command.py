@@ -62,8 +62,8 @@ def _export_modes(source: Path, folder: Path) -> bool:
     Raises:
         BenchError: the results are damaged, or the file cannot be written.
     """
-    from nmt_core.hardened import read_text
-    from nmt_core.linear_description import LinearDescription
+    from nmt_core.files.hardened import read_text
+    from nmt_core.messages.linear_description import LinearDescription
     from nmt_extract.modal_table import read_json
     from nmt_extract.mode_uff import level_modes, linear_modes, write_mode_uff
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
-from nmt_core.hardened import json_value, read_text
-from nmt_core.number_words import level_list
+from nmt_core.files.hardened import json_value, read_text
+from nmt_core.text.number_words import level_list
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
             console.print(sentence, style="yellow")
     print_modal_table(result.points, reference, console)
     if linear is None and settings is None:
-        from nmt_core.wire import MODAL_POINT
+        from nmt_core.messages.wire import MODAL_POINT
 
         console.print(_comparison(result.points, list(bag.records("modal_point", MODAL_POINT))))
     written = ("modal.csv", "modal.json", "uncertainty.csv", "uncertainty.json", "hysteresis.csv", "report.html")

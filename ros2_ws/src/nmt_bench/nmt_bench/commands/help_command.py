@@ -20,7 +20,7 @@ def run(arguments: argparse.Namespace) -> int:
         BenchError: there is no such command.
     """
     from nmt_bench.cli import build_parser
-    from nmt_core.proposal import did_you_mean
+    from nmt_core.text.proposal import did_you_mean
 
     parser: argparse.ArgumentParser = build_parser(next(iter(arguments.topic), None))
     for name in arguments.topic:

@@ -79,7 +79,7 @@ def _init(data: Path, force: bool) -> int:
     Raises:
         BenchError: the data cannot be read, or there is a sidecar already.
     """
-    from nmt_core.whole_file import write_whole, writing
+    from nmt_core.files.whole_file import write_whole, writing
     from nmt_record.exchange.sidecar_template import sidecar_templates
 
     texts = sidecar_templates(data)

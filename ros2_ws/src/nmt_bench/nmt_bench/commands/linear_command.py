@@ -11,7 +11,7 @@ from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
 from nmt_bench.commands.bench_options import bench_of
 from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_core.errors import BenchError
-from nmt_core.whole_file import write_whole
+from nmt_core.files.whole_file import write_whole
 
 if TYPE_CHECKING:
     from nmt_extract.linear_evaluation import LinearTestResult
@@ -153,7 +153,7 @@ def _evaluate(
     bag: Bag, arguments: argparse.Namespace, band: tuple[float, float]
 ) -> tuple[LinearTestResult, Rig | None]:
     """The recording's modes, and the rig it names; None where it names none."""
-    from nmt_core.blocks import Quantity
+    from nmt_core.messages.blocks import Quantity
     from nmt_extract.linear_evaluation import evaluate_linear_test
 
     rig = _rig_of(bag)

@@ -6,10 +6,10 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_text
-from nmt_core.linear_description import LinearDescription
+from nmt_core.files.hardened import read_text
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
 
 if TYPE_CHECKING:
     from nmt_rig.rig import Rig

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 
 from nmt_core.errors import BenchError
-from nmt_core.whole_file import umask
+from nmt_core.files.whole_file import umask
 
 RESULT_NAMES = (
     "bag",

@@ -18,7 +18,7 @@ def rig_rows() -> list[dict[str, str]]:
     Raises:
         BenchError: a rig file cannot be read.
     """
-    from nmt_core.yaml_document import read_document
+    from nmt_core.files.yaml_document import read_document
     from nmt_rig.rig_places import find_rig, rig_names
 
     rows = []

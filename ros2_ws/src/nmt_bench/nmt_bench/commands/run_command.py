@@ -150,7 +150,7 @@ def evaluate(
         The reference; what could not be written, as a sentence; whether Ctrl-C came. One leaves out the comparison that
         is being computed, a second one the report.
     """
-    from nmt_core.work_progress import tell
+    from nmt_core.processes.work_progress import tell
 
     reference, interrupted = None, False
     with deferred_interrupts(patient=True) as deferred:
@@ -262,7 +262,7 @@ def _write_budget(
     sheet: CalibrationSheet | None,
 ) -> tuple[Any, ...]:
     """Write the uncertainty budget; the budgets and what they were made from, or nothing where there are no points."""
-    from nmt_core.linear_description import LinearDescription
+    from nmt_core.messages.linear_description import LinearDescription
     from nmt_core.vocabulary import PointStatus
     from nmt_extract.bag_budget import bag_budget
     from nmt_extract.extraction_settings import ExtractionSettings

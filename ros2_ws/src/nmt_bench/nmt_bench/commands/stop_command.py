@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from nmt_core.errors import BenchError
 
 if TYPE_CHECKING:
-    from nmt_core.records import DriveStop
+    from nmt_core.messages.records import DriveStop
 
 EXIT_STOPPED, EXIT_UNKNOWN = 0, 1
 _LAST_DOMAIN = 232

@@ -135,8 +135,8 @@ def _finish(
     """Analyse the bag, write and print."""
     from nmt_bench.commands.run_command import pace_line
     from nmt_bench.commands.work_display import WorkDisplay
+    from nmt_core.files.whole_file import write_whole
     from nmt_core.vocabulary import ResultCode
-    from nmt_core.whole_file import write_whole
     from nmt_extract.response_table import write_response_csv
     from nmt_record.bag.bag_reader import Bag
     from nmt_report.response_analysis import held_force, responses_of_bag

@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.sweep_command import comparison_lines
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_core.whole_file import write_whole
+    from nmt_core.files.whole_file import write_whole
     from nmt_extract.synthesised_responses import synthesise
     from nmt_sequencer.level_plan import parse_levels
 

@@ -6,7 +6,7 @@ import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from nmt_core.work_progress import listening, tell
+from nmt_core.processes.work_progress import listening, tell
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from nmt_bench.commands.hardware_options import check_command, checked_device
+from nmt_bench.hardware.chosen_device import check_command, checked_device
 from nmt_core.errors import BenchError
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_snapshot import rig_text

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_bench.orchestration.parent_death import begin_group
-from nmt_core.process_end import end_process
+from nmt_core.processes.process_end import end_process
 
 READY, GO = b"ready", b"go"
 ROOM = 1024
@@ -36,18 +36,18 @@ ROOM = 1024
 MOST_DESCRIPTORS = 64
 
 PREPARED = (
-    "nmt_core.bundle",
-    "nmt_core.command_judge",
+    "nmt_core.messages.bundle",
+    "nmt_core.messages.command_judge",
     "nmt_core.dds_profile",
-    "nmt_core.launcher_watch",
-    "nmt_core.link",
-    "nmt_core.liveness",
-    "nmt_core.shared_memory",
-    "nmt_plant.guarded_device",
-    "nmt_plant.hardware_rig",
+    "nmt_core.nodes.launcher_watch",
+    "nmt_core.nodes.link",
+    "nmt_core.nodes.liveness",
+    "nmt_core.nodes.shared_memory",
+    "nmt_plant.devices.guarded_device",
+    "nmt_plant.devices.hardware_rig",
     "nmt_plant.plant_core",
     "nmt_plant.real_time",
-    "nmt_plant.simulated_rig",
+    "nmt_plant.devices.simulated_rig",
     "nmt_pll.loop_core",
     "nmt_sequencer.run_core",
     "nmt_sequencer.steering",
@@ -125,7 +125,7 @@ def _read_definitions() -> None:
 
 def _load_kernels() -> None:
     """The time loop of a simulated rig, for the plant."""
-    from nmt_plant.simulated_rig import SimulatedRig
+    from nmt_plant.devices.simulated_rig import SimulatedRig
     from nmt_rig.rig import load_rig
 
     rig = SimulatedRig(load_rig("beam"))

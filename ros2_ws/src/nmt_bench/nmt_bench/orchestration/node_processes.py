@@ -16,8 +16,8 @@ from nmt_bench.orchestration.adopted_process import AdoptedProcess
 from nmt_bench.orchestration.parent_death import begin_group
 from nmt_bench.orchestration.prepared_nodes import NodeCommand, NodeLoader
 from nmt_core.errors import BenchError
-from nmt_core.launcher_watch import LAUNCHER
-from nmt_core.process_watch import ProcessWatch
+from nmt_core.nodes.launcher_watch import LAUNCHER
+from nmt_core.processes.process_watch import ProcessWatch
 from nmt_session.node_plan import NODES, NodePlan
 
 _GRACE = 15.0  # s in which a node that is told to end has nothing to do: it waits for the ramp to zero in vain

@@ -15,9 +15,9 @@ from std_msgs.msg import Bool
 
 from nmt_bench.orchestration.bench_domain import bench_environment
 from nmt_core.base_node import STATE_QOS
-from nmt_core.records import DriveStop
+from nmt_core.messages.records import DriveStop
+from nmt_core.messages.wire import DRIVE_STOP
 from nmt_core.vocabulary import OutputState, StopCause
-from nmt_core.wire import DRIVE_STOP
 from nmt_msgs import msg
 
 _REST = (OutputState.HELD, OutputState.ENDED)

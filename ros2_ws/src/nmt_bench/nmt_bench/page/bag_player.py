@@ -12,9 +12,9 @@ from nmt_bench.page.channels import STRIP_SECONDS
 from nmt_bench.page.live_view import LiveView
 from nmt_bench.page.message_records import WATCHED_TOPICS, RecordReader
 from nmt_bench.page.server import Player
-from nmt_core.blocks import SAMPLE_TOPICS, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.hardened import yaml_value
+from nmt_core.files.hardened import yaml_value
+from nmt_core.messages.blocks import SAMPLE_TOPICS, SampleBlock
 from nmt_record.bag.bag_reader import Bag
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from nmt_bench.page.decimation import Recent, Strip
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import OscillatorPhase, SampleBlock
+from nmt_core.messages.blocks import OscillatorPhase, SampleBlock
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import Quantity
 
 STRIP_SECONDS = 10.0

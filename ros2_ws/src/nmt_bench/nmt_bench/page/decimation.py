@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 
 def min_max(data: FloatArray, buckets: int) -> FloatArray:

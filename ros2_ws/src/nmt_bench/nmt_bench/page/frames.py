@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from nmt_bench.page.decimation import as_float32
-from nmt_core.plain_json import plain_json
+from nmt_core.files.plain_json import plain_json
 
 MAGIC = b"NMT1"
 _LENGTH = struct.Struct("<I")

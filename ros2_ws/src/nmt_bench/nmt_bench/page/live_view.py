@@ -30,10 +30,10 @@ from nmt_bench.page.signal_views import (
     velocity_of,
     whole_periods,
 )
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import SampleBlock
-from nmt_core.modal_point import ModalPoint
-from nmt_core.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_core.messages.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import (
     BlockFlag,
     ControlKind,

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from nmt_bench.page.channels import FLOOR_SHARE, LEAST
-from nmt_core.arrays import FloatArray
-from nmt_core.records import LoopStatus
+from nmt_core.messages.records import LoopStatus
+from nmt_core.numerics.arrays import FloatArray
 
 _MOST = 2000
 _COLUMNS = ("time", "frequency", "phase", "force", "response", "drive", "state", "level")

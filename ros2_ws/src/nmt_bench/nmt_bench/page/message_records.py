@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from nmt_core.blocks import SAMPLE_TOPICS
 from nmt_core.errors import BenchError
-from nmt_core.wire import (
+from nmt_core.messages.blocks import SAMPLE_TOPICS
+from nmt_core.messages.wire import (
     DRIVE_STOP,
     LEVEL,
     LOCK_EVENT,

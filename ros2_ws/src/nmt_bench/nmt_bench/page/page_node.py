@@ -34,9 +34,9 @@ from nmt_bench.page.live_view import LiveView
 from nmt_bench.page.message_records import RecordReader
 from nmt_bench.page.start_goal import goal_of
 from nmt_core.base_node import STATE_QOS, BenchNode
-from nmt_core.blocks import SAMPLE_TOPICS
 from nmt_core.dds_profile import seal_transport
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import SAMPLE_TOPICS
 from nmt_core.vocabulary import RunPhase
 from nmt_msgs import msg
 from nmt_msgs.action import RunLevels

@@ -18,7 +18,7 @@ from nmt_bench.page.message_records import SLOW_TOPICS, RecordReader
 from nmt_bench.page.server import PageServer
 from nmt_bench.page.task_view import TaskView
 from nmt_core.errors import BenchError
-from nmt_core.hardened import yaml_value
+from nmt_core.files.hardened import yaml_value
 from nmt_record.bag.bag_reader import Bag
 
 _RETRY = 1.0  # s

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_bench.page.channels import TopicSignals
-from nmt_core.arrays import FloatArray
-from nmt_core.vocabulary import Quantity
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS, Quantity
 
 PERIODS = 3
 HARMONICS = 10
@@ -91,7 +91,7 @@ def velocity_of(response: FloatArray, quantity: Quantity, periods: int, frequenc
     kept = np.zeros_like(spectrum)
     orders = np.arange(1, _ORBIT_HARMONICS + 1)
     orders = orders[orders * periods < spectrum.size]
-    power = {Quantity.DISPLACEMENT: 1, Quantity.VELOCITY: 0, Quantity.ACCELERATION: -1}[quantity]
+    power = 1 - MOTIONS[quantity]
     kept[orders * periods] = spectrum[orders * periods] * (2j * np.pi * orders * frequency) ** power
     return np.asarray(np.fft.irfft(kept, response.size), dtype=np.float64)
 

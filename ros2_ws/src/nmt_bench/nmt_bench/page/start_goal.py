@@ -8,7 +8,7 @@ from typing import Any
 
 from nmt_bench.page.bench_link import StartRequest
 from nmt_core.errors import BenchError
-from nmt_core.excitation import MOST_HARMONICS, Excitation
+from nmt_core.messages.excitation import MOST_HARMONICS, Excitation
 from nmt_core.vocabulary import AUTOMATIC, TestKind
 from nmt_sequencer.level_plan import LevelLimits, parse_levels
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import Cause, PlaceKind, Placement
@@ -99,15 +99,6 @@ class Effect:
     equivalents: Mapping[str, str] = field(default_factory=dict)
     form: str = ""
     force: Literal["", "elastic", "dissipative"] = ""
-
-    def __reduce__(self) -> str | tuple[Any, ...]:
-        """An effect of the library goes to another process by its number; its functions need not be of a module."""
-        from nmt_diagnose.effects.library import effect_numbered, library
-
-        for number, own in enumerate(library()):
-            if own is self:
-                return effect_numbered, (number,)
-        return super().__reduce__()
 
     def apply(self, rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         """Rig with the effect; the same rig where all strengths are 0."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copyreg
 from functools import cache
+from typing import Any
 
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.boundary_effects import BOUNDARY_EFFECTS, JOINT_EFFECTS
@@ -44,6 +46,17 @@ def effect_named(name: str) -> Effect:
 def effect_numbered(number: int) -> Effect:
     """Effect by its place in the library: two of them may share a name, as they are the same on different models."""
     return library()[number]
+
+
+def _reduced(effect: Effect) -> str | tuple[Any, ...]:
+    """An effect of the library goes to another process by its number; its functions need not be of a module."""
+    for number, known in enumerate(library()):
+        if known is effect:
+            return effect_numbered, (number,)
+    return effect.__reduce_ex__(2)
+
+
+copyreg.pickle(Effect, _reduced)
 
 
 def candidates(rig: Rig, operating: OperatingRange, without: tuple[str, ...] = ()) -> tuple[Candidate, ...]:

@@ -9,10 +9,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from nmt_signals.channel_faults.mains_lines import MAINS_HZ
+
 PlaceKind = Literal[
     "structure", "boundary", "joint", "exciter", "force_sensor", "response_sensor", "controller", "time"
 ]
-EUROPEAN_MAINS_HZ = 50.0
 
 
 def joined(words: Iterable[str]) -> str:
@@ -44,11 +45,11 @@ class Placement:
 
     @classmethod
     def on_channel(
-        cls, kind: PlaceKind, channel: str, point: int, picked_up: int = 0, mains_hz: float = EUROPEAN_MAINS_HZ
+        cls, kind: PlaceKind, channel: str, point: int, picked_up: int = 0, mains_hz: float = MAINS_HZ[0]
     ) -> Placement:
         """At the channel of a sensor at ``point``; ``picked_up`` is another point that it picks up."""
         detail = f"{channel}<{picked_up}" if picked_up else channel
-        if mains_hz != EUROPEAN_MAINS_HZ:
+        if mains_hz != MAINS_HZ[0]:
             detail += f" at {mains_hz:g} Hz"
         return cls(kind, (point, picked_up) if picked_up else (point,), channel, detail)
 

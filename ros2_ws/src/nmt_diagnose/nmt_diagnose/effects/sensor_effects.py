@@ -10,13 +10,13 @@ from typing import Any
 from nmt_diagnose.effects.changes import Change, Sites, added
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.effects.placement import EUROPEAN_MAINS_HZ, PlaceKind, Placement
+from nmt_diagnose.effects.placement import PlaceKind, Placement
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_rig.rig import Rig, SensorSection, TransverseSection
+from nmt_signals.channel_faults.mains_lines import MAINS_HZ
 
 RESPONSES = ("displacement", "velocity", "acceleration")
 ALL = (*RESPONSES, "force")
-MAINS_HZ = (EUROPEAN_MAINS_HZ, 60.0)
 MEASUREMENT = "Ewins, Modal Testing (2000)"
 
 # Turn of the motion under test by a delay from which a fit begins there, too, rad.

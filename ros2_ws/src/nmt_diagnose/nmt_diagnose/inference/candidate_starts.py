@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate, EffectParameter
 
 _SHAPE_STARTS = (0.5, 1.0, 2.0)

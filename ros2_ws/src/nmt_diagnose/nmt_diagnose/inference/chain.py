@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray, ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.placement import PlaceKind
 from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, PHASE_STEP, ChainTests, edited, later
@@ -31,6 +32,7 @@ from nmt_diagnose.inference.tuned import (
     SCALE_STD,
     SWEEP_SHIFT_STD,
 )
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import (
     BackboneTable,
     LockedLevel,
@@ -41,8 +43,7 @@ from nmt_diagnose.observations.conditions import (
     SteppedSineTest,
     Test,
 )
-from nmt_diagnose.observations.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.model_view import ORDER, ModelView
+from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.stepped_sine_twin import gain_error
@@ -112,7 +113,7 @@ def shared_delays(observations: Observations, rig: Rig) -> tuple[SharedDelay, ..
         if chain is None or not held:
             continue
         for channel in getattr(test, "channels", ()):
-            if channel.quantity in (*ORDER, Quantity.FORCE):
+            if channel.quantity in (*MOTIONS, Quantity.FORCE):
                 found[channel.quantity] = chain.shared_delay_s
     kinds = {sensor.quantity for sensor in rig.sensors}
     return tuple(SharedDelay.of(own, std) for own, std in found.items() if own.name.lower() in kinds)

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import (
     MeasuredChannel,
     PhaseResonanceTest,
     RandomTest,
     Test,
 )
-from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward, Prediction

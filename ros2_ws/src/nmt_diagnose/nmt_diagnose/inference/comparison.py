@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.fitting import Data, Metric

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray, FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.effects.calibration import CalibrationParameter, calibration_parameters, mode_dampings
 from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation

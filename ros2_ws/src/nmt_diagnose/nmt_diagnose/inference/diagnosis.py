@@ -9,7 +9,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from nmt_core.whole_file import write_whole
+from nmt_core.files.whole_file import write_whole
 
 FORMAT = "nmt diagnosis 1"
 NULL, UNKNOWN = "none", "unknown"

@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.chain import linear_chain
 from nmt_diagnose.inference.misfit import Whitening, misfit_of

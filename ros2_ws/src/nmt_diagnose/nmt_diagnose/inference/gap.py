@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray, FloatArray, IntArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.observations.observables import Observations
 
 NOISE = 1.0

@@ -9,8 +9,8 @@ from pathlib import PurePath
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import BoolArray
 from nmt_diagnose.observations.conditions import (
     BackboneTable,
     PhaseResonanceTest,

@@ -20,9 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eigh
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.placement import joined
 from nmt_diagnose.inference.comparison import Comparison
 from nmt_diagnose.inference.diagnosis import NULL, NextTest
@@ -218,8 +219,7 @@ def _channels(rig: Rig, point: int) -> tuple[MeasuredChannel, ...]:
         if quantity in (Quantity.VOLTAGE, Quantity.CURRENT):
             continue
         where = sensor.point if isinstance(sensor.point, int) else point
-        letter = {Quantity.FORCE: "f", Quantity.DISPLACEMENT: "x", Quantity.VELOCITY: "v", Quantity.ACCELERATION: "a"}
-        result.append(MeasuredChannel(sensor.channel or f"{letter[quantity]}{where}", quantity, where))
+        result.append(MeasuredChannel(sensor.channel or f"{quantity.letter}{where}", quantity, where))
     return tuple(result)
 
 
@@ -252,9 +252,8 @@ def _run(
 ) -> Observations:
     """Observables of a run of locked levels that has not been made."""
     channels = _channels(rig, point)
-    motions = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
     ideal = MeasuredChannel(f"x{point}", Quantity.DISPLACEMENT, point)
-    response = next((c for c in channels if c.quantity in motions and c.point == point), ideal)
+    response = next((c for c in channels if c.quantity in MOTIONS and c.point == point), ideal)
     harmonics = max((t.harmonics for t in observations.tests if isinstance(t, PhaseResonanceTest)), default=3)
     start = after.stop_s if after else 0.0
     cycles = after.cycles_before if after else 0.0

@@ -16,8 +16,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import least_squares, linear_sum_assignment
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.fitting import Data, Fitted
 from nmt_diagnose.inference.tuned import (

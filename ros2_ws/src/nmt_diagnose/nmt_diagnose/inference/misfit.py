@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray, FloatArray, IntArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.inference.tuned import (
     LEVEL_LENGTH,
     LINE_LENGTH,

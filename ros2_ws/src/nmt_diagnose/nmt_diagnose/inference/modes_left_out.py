@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray, IntArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.inference.chain_tests import FUNDAMENTAL, ChainTests
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest, Test
-from nmt_diagnose.observations.model_view import ORDER, ModelView
+from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.twin.forward import Prediction
 from nmt_rig.rig import ModalSection
@@ -49,7 +50,7 @@ class ModesLeftOut:
         found = []
         resonance = self.chain.resonance()
         for channel, own in self.channels.items():
-            if own.quantity not in ORDER:
+            if own.quantity not in MOTIONS:
                 continue  # only motions
             columns = np.zeros((4, len(self.rows)))
             for number, test in enumerate(self.tests):
@@ -58,7 +59,7 @@ class ModesLeftOut:
                 mine = np.flatnonzero((self.rows.test == number) & self.chain.rows_of(channel))
                 frequency = self.rows.frequency_hz[mine]
                 static = self._flexibility(test, own)
-                added = static * (2j * np.pi * frequency) ** ORDER[own.quantity]
+                added = static * (2j * np.pi * frequency) ** MOTIONS[own.quantity]
                 part = self.rows.part[mine]
                 relative = np.isin(part, FUNDAMENTAL)
                 added[relative] /= self._between(test, number, mine, base)[relative]
@@ -79,7 +80,7 @@ class ModesLeftOut:
         force = MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point, ideal=True)
         response, reference = view.responses((channel, force), np.array([frequency]))[:, 0]
         over = 1.0 if getattr(test, "reference", "") == "voltage" or not np.isfinite(reference) else abs(reference)
-        return float(abs(response) / over / (2.0 * np.pi * frequency) ** ORDER[channel.quantity])
+        return float(abs(response) / over / (2.0 * np.pi * frequency) ** MOTIONS[channel.quantity])
 
     def _between(self, test: Test, number: int, mine: IntArray, base: Prediction) -> ComplexArray:
         """Responses of rows that a small addition is compared with: measured ones, or between those and the model's.

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as fisher
 
-from nmt_core.arrays import BoolArray, FloatArray, IntArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.inference.misfit import least_scale
 from nmt_diagnose.inference.tuned import LOCK_STD, ORDINARY, SCALE_DEGREES
 from nmt_diagnose.observations.conditions import RandomTest

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray, FloatArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.inference.diagnosis import ResidualGroup
 from nmt_diagnose.inference.gap import rms
 from nmt_diagnose.observations.conditions import (

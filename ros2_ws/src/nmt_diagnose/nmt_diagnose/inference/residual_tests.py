@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 from scipy.stats import f as fisher
 
-from nmt_core.arrays import BoolArray, FloatArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.inference.residual_map import channel_name
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, Test
 from nmt_diagnose.observations.observables import Observations

@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray, FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.parametrisation import SPREADS, STRENGTH_STD, Parametrisation

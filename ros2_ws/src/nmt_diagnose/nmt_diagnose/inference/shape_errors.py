@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.chain_tests import ChainTests
 from nmt_diagnose.observations.conditions import RingDownTest, SteppedSineTest
 from nmt_diagnose.twin.forward import Prediction

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from nmt_core.arrays import FloatArray
-from nmt_core.number_words import significant
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.text.number_words import significant
 from nmt_diagnose.inference.candidate_starts import at_zero
 from nmt_diagnose.inference.fitting import Data, predicted
 from nmt_diagnose.inference.search import Found

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_system, input_per_volt
-
-ORDER = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}
 
 
 @dataclass(frozen=True)
@@ -75,8 +74,8 @@ class ModelView:
                 values[index] = scale * force
             elif channel.quantity is Quantity.CURRENT and system.current is not None:
                 values[index] = scale * motion[system.current]
-            elif channel.quantity in ORDER and channel.point in system.point_numbers:
-                values[index] = scale * system.motion(channel.point, motion) * s ** ORDER[channel.quantity]
+            elif channel.quantity in MOTIONS and channel.point in system.point_numbers:
+                values[index] = scale * system.motion(channel.point, motion) * s ** MOTIONS[channel.quantity]
         return values
 
 

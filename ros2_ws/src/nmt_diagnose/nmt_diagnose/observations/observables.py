@@ -9,9 +9,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray, IntArray
+from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import Test
-from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.origin import Origin
 
 

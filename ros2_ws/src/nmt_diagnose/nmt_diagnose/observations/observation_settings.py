@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from nmt_diagnose.observations.floors import Floors
+from nmt_diagnose.observations.noise.floors import Floors
 from nmt_record.exchange.calibration_file import CalibrationSheet
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from nmt_core.errors import BenchError
-from nmt_core.hardened import yaml_value
+from nmt_core.files.hardened import yaml_value
 from nmt_record.bag.bag_keys import SIMULATED_RIG
 from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import Rig, validate_rig

@@ -11,27 +11,27 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.bag_samples import SampleStretch, read_windows
+from nmt_core.messages.blocks import Quantity
+from nmt_core.vocabulary import MOTIONS, TestKind
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch, read_windows
+from nmt_diagnose.observations.channels.measuring_chain import measuring_chain, table_chain
+from nmt_diagnose.observations.channels.plausibility import check_frequency, clipping_notes, out_of_scale, repeats_notes
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
-from nmt_diagnose.observations.floors import repeatability, with_stated_repeatability
-from nmt_diagnose.observations.measuring_chain import measuring_chain, table_chain
-from nmt_diagnose.observations.model_view import ORDER, ModelView, matched
+from nmt_diagnose.observations.kinds.phase_resonance_observations import phase_resonance_observations
+from nmt_diagnose.observations.kinds.random_observations import random_observations
+from nmt_diagnose.observations.kinds.record_observations import record_observations
+from nmt_diagnose.observations.kinds.ring_down_observations import ring_down_observations
+from nmt_diagnose.observations.kinds.stepped_sine_observations import is_response, stepped_sine_observations
+from nmt_diagnose.observations.kinds.stepped_table_observations import measured_together
+from nmt_diagnose.observations.kinds.table_observations import table_observations
+from nmt_diagnose.observations.model_view import ModelView, matched
+from nmt_diagnose.observations.noise.floors import repeatability, with_stated_repeatability
+from nmt_diagnose.observations.noise.shared_scatter import with_shared_scatter
 from nmt_diagnose.observations.observables import Observations, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, strangers
-from nmt_diagnose.observations.phase_resonance_observations import phase_resonance_observations
-from nmt_diagnose.observations.plausibility import check_frequency, clipping_notes, out_of_scale, repeats_notes
-from nmt_diagnose.observations.random_observations import random_observations
-from nmt_diagnose.observations.record_observations import record_observations
-from nmt_diagnose.observations.ring_down_observations import ring_down_observations
 from nmt_diagnose.observations.row_table import empty
-from nmt_diagnose.observations.shared_scatter import with_shared_scatter
-from nmt_diagnose.observations.stepped_sine_observations import is_response, stepped_sine_observations
-from nmt_diagnose.observations.stepped_table_observations import measured_together
-from nmt_diagnose.observations.table_observations import table_observations
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.observables import observable_tables
 from nmt_record.windows.segments import Segment, segments
@@ -204,12 +204,12 @@ def _signals(
     view = ModelView.of(model, drive_point)
     channels, more = matched(recorded, view)
     # A decay needs no sensor in the rig file: where it lacks one, an ideal one is meant.
-    of_decays = {c.name: c for c in recorded if c.quantity in ORDER and c.point in model.structure.points} | channels
+    of_decays = {c.name: c for c in recorded if c.quantity in MOTIONS and c.point in model.structure.points} | channels
     decays = [window.segment.kind is TestKind.RING_DOWN for window in windows]
     if all(decays):
         channels, more = of_decays, ()
     notes += [f"{name}: {note}" for note in more]
-    if not any(channel.quantity in ORDER for channel in (of_decays if any(decays) else channels).values()):
+    if not any(channel.quantity in MOTIONS for channel in (of_decays if any(decays) else channels).values()):
         raise BenchError(
             f"{name} has no response channel that the model {model.name} has too; name the rig file of the rig that "
             "was tested, or add its sensors."

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import BackboneTable, LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.parts_cache import PartsCache

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.kernels import njit
 from nmt_diagnose.twin.linear_model import transfer_at
 from nmt_diagnose.twin.periodic_kernel import (
     RigTables,

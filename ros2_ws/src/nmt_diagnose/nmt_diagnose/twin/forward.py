@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.observations.conditions import (
     BackboneTable,

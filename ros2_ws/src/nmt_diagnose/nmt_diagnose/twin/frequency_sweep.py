@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.conditions import SteppedSineTest
 from nmt_diagnose.observations.observables import Rows
 from nmt_diagnose.twin.parts_cache import PartsCache

@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.twin.parts_cache import PartsCache

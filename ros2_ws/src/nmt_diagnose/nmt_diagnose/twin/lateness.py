@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.forward import Forward

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_rig.model.aft import LocalTables, element_rows
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements.element import LocalElement

@@ -9,8 +9,9 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.linalg import eigh
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.observations.conditions import (
     BackboneTable,
@@ -22,7 +23,6 @@ from nmt_diagnose.observations.conditions import (
     SteppedSineTest,
     Test,
 )
-from nmt_diagnose.observations.model_view import ORDER
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.twin.lateness import lateness
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
@@ -258,7 +258,7 @@ def _stepped(
 ) -> list[Found]:
     """Lines of largest and smallest motion, in the shape that the system linearised at rest has at its resonance."""
     lead = test.channels[0]
-    order = ORDER[lead.quantity]
+    order = MOTIONS[lead.quantity]
     motion = test.amplitudes / (2.0 * np.pi * test.lines_hz) ** order
     if not np.any(np.isfinite(motion)):
         return []
@@ -355,7 +355,7 @@ def _measured_sizes(observations: Observations, test: Test, number: int, drive: 
         return {}
     sizes: dict[str, float] = {}
     for index, channel in enumerate(test.channels):
-        if channel.quantity not in ORDER:
+        if channel.quantity not in MOTIONS:
             continue
         mine = (rows.test == number) & (rows.channel == index)
         mine &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.kernels import njit
 from nmt_diagnose.twin.linear_model import LinearTables, response_at, transfer_at
 from nmt_rig.model.aft import LocalTables, forces_alone, local_forces
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.converter import recorded_harmonics
@@ -34,7 +35,6 @@ from nmt_rig.rig import Rig
 
 HELD_ROUNDS = 2
 """Solutions after the first one, each at the phase that clipped channels of the one before had."""
-VELOCITY_POWER = {Quantity.DISPLACEMENT: 1, Quantity.VELOCITY: 0, Quantity.ACCELERATION: -1}
 # Part of the measured frequency within which the model's resonance is looked for.
 SEARCH = 0.25
 # The fundamental of the measured force is given.
@@ -134,11 +134,11 @@ class PeriodicLevels:
             self.response = len(channels) - 1
         self.channels = tuple(channels)
         quantity = self.channels[self.response].quantity
-        if quantity not in VELOCITY_POWER:
+        if quantity not in MOTIONS:
             raise BenchError(
                 f"test {test.name}: the loop controlled the phase of {test.response_channel}, which is no motion."
             )
-        self.power = VELOCITY_POWER[quantity]
+        self.power = 1 - MOTIONS[quantity]
         self.use(Setup(test.drive_point, self.ideal_force, self.channels, self.basis))
         self.levels = tuple(self._problem(position) for position in range(len(test.levels)))
         # Of a backbone: the range of frequencies over which its resonance moves, Hz.

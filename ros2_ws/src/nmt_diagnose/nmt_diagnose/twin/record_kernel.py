@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray, IntArray
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
+from nmt_core.numerics.kernels import njit
 from nmt_rig.model.aft import ElementTables, LocalTables
 from nmt_rig.model.element_kernels import response
 from nmt_rig.model.local_elements.friction import Jenkins

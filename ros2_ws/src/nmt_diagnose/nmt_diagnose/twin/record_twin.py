@@ -14,8 +14,8 @@ from collections import OrderedDict
 import numpy as np
 from scipy.signal import resample_poly
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import RecordTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.converter import expected_quantised

@@ -11,9 +11,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.modal_calibration import with_stiffness
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model, moved_model

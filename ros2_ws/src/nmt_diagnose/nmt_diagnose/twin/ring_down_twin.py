@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import RingDownTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.decay_kernel import (

@@ -17,14 +17,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
-from nmt_core.blocks import SampleBlock
-from nmt_core.cdr import MessageCodec, Record
 from nmt_core.errors import BenchError
-from nmt_core.hardened import json_value, open_regular, read_text, yaml_value
-from nmt_core.records import LockEvent
+from nmt_core.files.hardened import json_value, open_regular, read_text, yaml_value
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.cdr import MessageCodec, Record
+from nmt_core.messages.records import LockEvent
+from nmt_core.messages.wire import LOCK_EVENT, RUN_RECORD, BlockHead, BlockReader
+from nmt_core.processes.work_progress import counted
 from nmt_core.vocabulary import RecordKind
-from nmt_core.wire import LOCK_EVENT, RUN_RECORD, BlockHead, BlockReader
-from nmt_core.work_progress import counted
 from nmt_record.bag.bag_keys import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK, bench_name
 from nmt_record.bag.mcap_file import LostStretch, McapChannel, McapFile, check_magic
@@ -242,7 +242,7 @@ class Bag:
 
         Args:
             topic: its name.
-            codec: of its message type, from :mod:`nmt_core.wire`.
+            codec: of its message type, from :mod:`nmt_core.messages.wire`.
 
         Raises:
             BenchError: a message is damaged, or the topic holds another type.

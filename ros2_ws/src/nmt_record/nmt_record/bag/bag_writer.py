@@ -19,10 +19,10 @@ from typing import Any
 from mcap.writer import CompressionType, Writer
 
 from nmt_core.errors import BenchError
-from nmt_core.records import RunRecord
+from nmt_core.files.yaml_text import yaml_text
+from nmt_core.messages.records import RunRecord
+from nmt_core.messages.wire import RUN_RECORD as RUN_RECORD_CODEC
 from nmt_core.vocabulary import RecordKind
-from nmt_core.wire import RUN_RECORD as RUN_RECORD_CODEC
-from nmt_core.yaml_text import yaml_text
 from nmt_record.bag.bag_keys import FAILURE_KEY, REPAIR_KEY, RIG_YAML_KEY, RUN_JSON_KEY
 from nmt_record.bag.bench_topics import RUN_RECORD, Service, bench_name, qos_profile
 from nmt_record.bag.chunk_messages import ChunkMessages

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from nmt_core.blocks import SAMPLE_TOPICS
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import SAMPLE_TOPICS
 
 SAMPLE_BLOCK = "nmt_msgs/msg/SampleBlock"
 RUN_RECORD = "nmt_msgs/msg/RunRecord"

@@ -24,7 +24,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from nmt_core.errors import BenchError
-from nmt_core.hardened import open_regular, yaml_value
+from nmt_core.files.hardened import open_regular, yaml_value
 from nmt_record.bag.message_definitions import MessageDefinition
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -1,7 +1,7 @@
 """Texts and hashes of message definitions, which make a bag readable where the message packages are absent.
 
-The texts of the bench's own messages are those of :mod:`nmt_core.message_files`. The common ones come with ``rosbags``,
-which is imported where it is used: the bench's own bags are read without it.
+The texts of the bench's own messages are those of :mod:`nmt_core.messages.message_files`. The common ones come with
+``rosbags``, which is imported where it is used: the bench's own bags are read without it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.message_files import find_message_file
+from nmt_core.messages.message_files import find_message_file
 
 _SECTION = "=" * 80
 

@@ -13,15 +13,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, ReaderProgress, spin_node
-from nmt_core.bundle import PLANT_BUNDLE, PLL_BUNDLE, read_bundle
 from nmt_core.errors import BenchError
-from nmt_core.liveness import HANG_LIMIT
-from nmt_core.run_announcement import (
+from nmt_core.messages.bundle import PLANT_BUNDLE, PLL_BUNDLE, read_bundle
+from nmt_core.messages.run_announcement import (
     ANNOUNCEMENT_TOPIC,
     BAG_TOPIC,
     BagState,
     RunAnnouncement,
 )
+from nmt_core.nodes.liveness import HANG_LIMIT
 from nmt_msgs.msg import Bundle
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import Service, parse_topic
@@ -46,7 +46,7 @@ class RecorderNode(BenchNode):
 
     The first bag exists, with the run's start record in it, when the constructor returns. A bag closes when its run is
     over and the drive at zero; the next one is opened when the sequencer announces a run on ``run_plan``. What the node
-    does is published, latched, on ``bag``, see :class:`nmt_core.run_announcement.BagState`.
+    does is published, latched, on ``bag``, see :class:`nmt_core.messages.run_announcement.BagState`.
 
     Args:
         values: parameters by name, see ``PARAMETERS``.
@@ -154,7 +154,7 @@ class RecorderNode(BenchNode):
         self._refusal = ""  # why no bag was opened for it
         self.core = RunRecorder(values)
         self._state_publisher = self.create_publisher(String, BAG_TOPIC, STATE_QOS)
-        self.claim(BAG_TOPIC)
+        self.identity.claim(BAG_TOPIC)
         self._progress = ReaderProgress(self, "recorder")
         self._bundled = {topic: self._recording(topic) for topic in values["bundled"] if topic}
         for topic in self.core.topics:

@@ -11,13 +11,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from nmt_core.cdr import read_stamp
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_text
-from nmt_core.parameters import parameter_table
-from nmt_core.run_announcement import RunAnnouncement
+from nmt_core.files.hardened import read_text
+from nmt_core.messages.cdr import read_stamp
+from nmt_core.messages.run_announcement import RunAnnouncement
+from nmt_core.messages.wire import DRIVE_STOP, RUN_STATE, BlockReader
+from nmt_core.nodes.parameters import parameter_table
 from nmt_core.vocabulary import ResultCode, RunPhase, StopCause
-from nmt_core.wire import DRIVE_STOP, RUN_STATE, BlockReader
 from nmt_record.bag.bag_writer import COMPRESSIONS, BagWriter, parse_run
 from nmt_record.bag.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, parse_topic
 from nmt_record.bag.gap_counter import GapCounter

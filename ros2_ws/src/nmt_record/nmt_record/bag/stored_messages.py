@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
-from nmt_core.cdr import ENCAPSULATION
 from nmt_core.errors import BenchError
-from nmt_core.message_files import find_message_file, message_fields
-from nmt_core.wire import record_defaults
+from nmt_core.messages.cdr import ENCAPSULATION
+from nmt_core.messages.message_files import find_message_file, message_fields
+from nmt_core.messages.wire import record_defaults
 from nmt_record.bag.message_definitions import MessageDefinition, local_definitions, typestore_of
 
 _OWN = "nmt_msgs/msg/"

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import yaml
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import OscillatorPhase, Quantity
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_text
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.files.hardened import read_text
+from nmt_core.files.whole_file import write_whole, writing
+from nmt_core.messages.blocks import OscillatorPhase, Quantity
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.messages.wire import LEVEL, read_status
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LEVEL_UNITS, ControlKind, TestKind
-from nmt_core.whole_file import write_whole, writing
-from nmt_core.wire import LEVEL, read_status
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange import FORMATS, uff
 from nmt_record.exchange.frf_table import read_frf_table

@@ -13,8 +13,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_record.exchange.import_sidecar import TableSection
 from nmt_record.exchange.observables import ObservableTable

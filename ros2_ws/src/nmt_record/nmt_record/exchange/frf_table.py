@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_rows
+from nmt_core.files.hardened import read_rows
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import QUANTITIES
 
 # a2 of a sweep; a2_f1_hv of a linear test. Responses over the voltage are no mechanical frequency responses.

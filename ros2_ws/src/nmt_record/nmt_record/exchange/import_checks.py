@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, QUANTITIES
 from nmt_record.exchange.import_sidecar import STEADY_KINDS, ChannelSection, SignalSection
 from nmt_record.exchange.import_table import SourceTable, split_name

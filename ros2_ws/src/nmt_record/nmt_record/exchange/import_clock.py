@@ -15,9 +15,9 @@ from decimal import Decimal
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_record.exchange.import_sidecar import Sidecar
 from nmt_record.exchange.import_table import SourceTable, split_name
 from nmt_record.exchange.unit_table import other_factor, plain_unit, quantity_of_unit

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 
 _PERIODS = 2.0  # length of the moving sine fit; its Hann window is half as long in effect
 _STEPS = 16  # positions of the fit in each length

@@ -13,10 +13,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.validation_sentence import validation_sentence
-from nmt_core.yaml_document import YamlDocument, read_document
+from nmt_core.files.validation_sentence import validation_sentence
+from nmt_core.files.yaml_document import YamlDocument, read_document
+from nmt_core.messages.blocks import Quantity
 from nmt_record.exchange.unit_table import measured_quantity
 
 Positive = Annotated[float, Field(gt=0)]

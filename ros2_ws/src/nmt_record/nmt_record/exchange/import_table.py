@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.hardened import LARGEST_TABLE, open_regular, read_arrays
-from nmt_core.mat_file import MAT5, is_hdf5, read_mat
+from nmt_core.files.hardened import LARGEST_TABLE, open_regular, read_arrays
+from nmt_core.files.mat_file import MAT5, is_hdf5, read_mat
+from nmt_core.files.universal_file import is_universal_file
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_record.exchange import uff
 from nmt_record.exchange.unit_table import plain_unit, quantity_of_unit
 
@@ -196,7 +197,7 @@ def kind_of(path: Path) -> str:
     for magic, what, fix in _FOREIGN:
         if head.startswith(magic) and not (magic == b"PK\x03\x04" and kind == "npz"):
             raise BenchError(f"{path.name} is {what}; {fix}.")
-    if uff.is_universal_file(head):
+    if is_universal_file(head):
         kind = "uff"
     elif is_hdf5(head) or head.startswith(MAT5):
         kind = "mat"

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.blocks import UNKNOWN_PHASE, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.hardened import open_regular, read_text
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.files.hardened import open_regular, read_text
+from nmt_core.files.yaml_document import YamlDocument, parse_document
+from nmt_core.messages.blocks import UNKNOWN_PHASE, OscillatorPhase, Quantity, SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
+from nmt_core.messages.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
-from nmt_core.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
-from nmt_core.yaml_document import YamlDocument, parse_document
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import BENCH_TOPICS
 from nmt_record.bag.message_definitions import local_definitions

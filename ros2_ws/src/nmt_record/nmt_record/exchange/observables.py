@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.hardened import json_value
+from nmt_core.files.hardened import json_value
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange import uff

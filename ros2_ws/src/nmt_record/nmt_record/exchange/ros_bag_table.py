@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray, IntArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
-from nmt_core.stamped_samples import field_getter, interpolated
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.stamped_samples import field_getter, interpolated
+from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK, bench_name
 from nmt_record.exchange.import_table import SourceTable

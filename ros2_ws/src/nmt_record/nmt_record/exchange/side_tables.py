@@ -7,11 +7,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from nmt_core.blocks import SAMPLE_TOPICS, OscillatorPhase
 from nmt_core.errors import BenchError
-from nmt_core.hardened import read_rows
-from nmt_core.records import LoopStatus
-from nmt_core.whole_file import csv_text, write_whole, writing
+from nmt_core.files.hardened import read_rows
+from nmt_core.files.whole_file import csv_text, write_whole, writing
+from nmt_core.messages.blocks import SAMPLE_TOPICS, OscillatorPhase
+from nmt_core.messages.records import LoopStatus
 
 _BLOCK_COLUMNS = ("first_sample", "samples", "cycles", "frequency_hz", "rate_hz_s")
 _FLAGS = "flags_"

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, QUANTITIES
 from nmt_record.exchange import uff
 from nmt_record.exchange.import_checks import hinted_quantity, looks_like_counts
@@ -167,7 +167,7 @@ def _is_phase(table: SourceTable, index: int) -> bool:
     return bool(re.match(rf"({_MEMBERS['phase']})(?![a-z])", bare_name(table, index), re.I))
 
 
-_MIDWAY_DEG = {Quantity.DISPLACEMENT: -90.0, Quantity.VELOCITY: 0.0, Quantity.ACCELERATION: 90.0}
+_MIDWAY_DEG = {motion: 90.0 * (order - 1) for motion, order in MOTIONS.items()}
 
 
 def _phase_lines(table: SourceTable, index: int, quantity: Quantity) -> list[str]:

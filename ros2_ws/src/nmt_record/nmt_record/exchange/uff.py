@@ -7,7 +7,6 @@ rate like 51200 Hz does not survive in it; whoever needs it exactly writes it el
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import FloatArray
 from nmt_core.errors import BenchError
-from nmt_core.hardened import LARGEST_TABLE, open_regular
+from nmt_core.files.hardened import LARGEST_TABLE, open_regular
+from nmt_core.files.universal_file import HEADER_RECORDS, Dataset, datasets
+from nmt_core.files.whole_file import writing
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import Quantity
-from nmt_core.whole_file import writing
 
 TIME_RESPONSE = 1
 FREQUENCY_RESPONSE = 4
@@ -42,11 +42,6 @@ DATA_TYPES = {
 """Specific data type of a quantity; of others it is GENERAL."""
 QUANTITIES = {9: Quantity.FORCE, **{kind: quantity for quantity, kind in DATA_TYPES.items()}}
 """Quantities by specific data type; 9 is a reaction force."""
-
-_DELIMITER = b"    -1"
-_HEADER_RECORDS = 11
-_LINE_END = re.compile(rb"\r\n|\n|\r")
-_CLOSING = re.compile(rb"(?:(?<=\n)|(?<=\r))    -1[ \t]*(?:\r\n|\n|\r|\Z)")
 
 
 @dataclass(frozen=True)
@@ -140,7 +135,7 @@ def read_uff(path: Path) -> list[UffFunction]:
             data = file.read()
     except OSError as error:
         raise BenchError(f"{path} cannot be read: {error.strerror or error}.") from error
-    functions = [_read_function(dataset, path.name) for dataset in _datasets(data, path.name) if dataset.kind == 58]
+    functions = [_read_function(dataset, path.name) for dataset in datasets(data, path.name) if dataset.kind == 58]
     if not functions:
         raise BenchError(f"{path.name} has no dataset 58 (time data or frequency responses); export those as UFF58.")
     return functions
@@ -163,7 +158,7 @@ def _write_function(file: Any, function: UffFunction, binary: bool) -> None:
     payload = _payload(table, even) if binary else b""
     identifier = f"{58:6d}"
     if binary:
-        identifier += f"b{1:6d}{2:6d}{_HEADER_RECORDS:12d}{len(payload):12d}{0:6d}{0:6d}{0:12d}{0:12d}"
+        identifier += f"b{1:6d}{2:6d}{HEADER_RECORDS:12d}{len(payload):12d}{0:6d}{0:6d}{0:12d}{0:12d}"
     minimum, increment = (function.abscissa_minimum, function.abscissa_increment) if even else (0.0, 0.0)
     lines = (*function.lines, *("NONE",) * 5)[:5]
     records = [
@@ -208,118 +203,11 @@ def _write_ascii(file: Any, table: NDArray[Any], even: bool) -> None:
         np.savetxt(file, items[whole:].reshape(1, -1), fmt=form * (items.shape[0] - whole))
 
 
-@dataclass(frozen=True)
-class _Dataset:
-    number: int
-    kind: int
-    binary: bool
-    identifier: str
-    records: list[str]
-    payload: bytes
-
-
-class _Cursor:
-    """Lines of a file that may hold binary stretches; knows LF, CR LF and CR."""
-
-    def __init__(self, data: bytes) -> None:
-        self.data = data
-        self.position = 0
-
-    def at_end(self) -> bool:
-        return self.position >= len(self.data)
-
-    def line(self) -> bytes:
-        end = _LINE_END.search(self.data, self.position)
-        line = self.data[self.position : end.start() if end else len(self.data)]
-        self.position = end.end() if end else len(self.data) + 1
-        return line
-
-
-def _is_delimiter(line: bytes) -> bool:
-    return line.startswith(_DELIMITER) and not line[6:].strip()
-
-
-def _datasets(data: bytes, name: str) -> Iterator[_Dataset]:
-    cursor = _Cursor(data)
-    number = 0
-    while not cursor.at_end():
-        line = cursor.line()
-        if not line.strip():
-            continue
-        if not _is_delimiter(line):
-            what = "text stands between its datasets" if number else "it does not begin with '    -1'"
-            raise BenchError(f"{name} is not a universal file: {what}.")
-        if cursor.at_end():
-            return
-        identifier = cursor.line().decode("ascii", "replace")
-        number += 1
-        where = f"Dataset {number} of {name}"
-        try:
-            kind = int(identifier[:6])
-        except ValueError:
-            raise BenchError(f"{where} has no number in columns 1 to 6; the file is not a universal file.") from None
-        binary = identifier[6:7].lower() == "b"
-        records: list[str] = []
-        if binary:
-            try:
-                ascii_lines, size = int(identifier[19:31]), int(identifier[31:43])
-            except ValueError:
-                raise BenchError(f"{where} has no line and byte counts in its first record (58b).") from None
-            records = [cursor.line().decode("ascii", "replace") for _ in range(min(max(ascii_lines, 0), 100))]
-            size = _true_size(records, size, memoryview(data)[cursor.position :])
-            payload = data[cursor.position : cursor.position + size]
-            cursor.position += size
-            if len(payload) < size or cursor.at_end():
-                raise BenchError(
-                    f"{where} is cut off: {len(payload)} of {size} bytes are there; copy or export the file again."
-                )
-            end = cursor.line()
-            if not _is_delimiter(end if end else cursor.line()):
-                raise BenchError(f"{where} does not end after its {size} bytes; the file is damaged, export it again.")
-        else:
-            payload, ended = _ascii_part(cursor, records, kind)
-            if not ended:
-                raise BenchError(f"{where} is cut off: its closing '-1' is missing; copy or export the file again.")
-        yield _Dataset(number, kind, binary, identifier, records, payload)
-    if not number:
-        raise BenchError(f"{name} is empty; a universal file with datasets 58 is needed.")
-
-
-def _true_size(records: list[str], stated: int, rest: memoryview) -> int:
-    """Bytes of the values by their type and count; some writers state others, or write the abscissa in double "
-    "precision."""
-    try:
-        kind, count, even = (int(records[6][at : at + 10]) for at in (0, 10, 20))
-    except (IndexError, ValueError):
-        return max(stated, 0)
-    ordinate = {2: 4, 4: 8, 5: 8, 6: 16}.get(kind, 0) * max(count, 0)
-    sizes = [ordinate] if even else [ordinate + 4 * count, ordinate + 8 * count]
-    return next(
-        (size for size in sizes if bytes(rest[size : size + 8]).lstrip(b"\r\n").startswith(_DELIMITER)), sizes[0]
-    )
-
-
-def _ascii_part(cursor: _Cursor, records: list[str], kind: int) -> tuple[bytes, bool]:
-    wanted = _HEADER_RECORDS if kind == 58 else 0
-    while len(records) < wanted and not cursor.at_end():
-        line = cursor.line()
-        if _is_delimiter(line):
-            return b"", True
-        records.append(line.decode("ascii", "replace"))
-    start = cursor.position
-    end = _CLOSING.search(cursor.data, max(0, start - 1))
-    if end is None:
-        cursor.position = len(cursor.data)
-        return cursor.data[start:], False
-    cursor.position = end.end()
-    return cursor.data[start : max(start, end.start())], True
-
-
-def _read_function(dataset: _Dataset, name: str) -> UffFunction:
+def _read_function(dataset: Dataset, name: str) -> UffFunction:
     where = f"Dataset {dataset.number} of {name}"
     records = dataset.records
-    if len(records) < _HEADER_RECORDS:
-        raise BenchError(f"{where} has {len(records)} header records instead of {_HEADER_RECORDS}; export it again.")
+    if len(records) < HEADER_RECORDS:
+        raise BenchError(f"{where} has {len(records)} header records instead of {HEADER_RECORDS}; export it again.")
     try:
         head = records[5].ljust(80)
         function_type = int(head[0:5])
@@ -366,7 +254,7 @@ def _number(text: str) -> float:
     return float(text.strip().replace("D", "E").replace("d", "e") or "nan")
 
 
-def _binary_values(dataset: _Dataset, value_type: int, count: int, even: int, columns: int, where: str) -> FloatArray:
+def _binary_values(dataset: Dataset, value_type: int, count: int, even: int, columns: int, where: str) -> FloatArray:
     try:
         order, form = int(dataset.identifier[7:13]), int(dataset.identifier[13:19])
     except ValueError:
@@ -418,8 +306,3 @@ def _by_width(text: bytes, value_type: int, even: int, columns: int, where: str)
             except ValueError:
                 raise BenchError(f"{where} has '{cell[:20]}' in the place of a number; the file is damaged.") from None
             yield value
-
-
-def is_universal_file(head: bytes) -> bool:
-    """Whether a file that begins with these bytes may be a universal file."""
-    return any(_is_delimiter(line) for line in head.replace(b"\r", b"\n").split(b"\n")[:3])

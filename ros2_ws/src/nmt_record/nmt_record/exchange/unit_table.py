@@ -6,8 +6,8 @@ import difflib
 import math
 import re
 
-from nmt_core.blocks import Quantity
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import MOTIONS
 
 STANDARD_GRAVITY = 9.80665

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity, SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.records import LockEvent
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_core.messages.records import LockEvent
+from nmt_core.messages.wire import LOCK_EVENT, BlockHead, BlockReader, read_status
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
-from nmt_core.wire import LOCK_EVENT, BlockHead, BlockReader, read_status
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.sample_table import SampleTable, window_findings
 from nmt_record.windows.topic_blocks import BlockRecord, ExcitationPhase, TopicStretch, phase_reference

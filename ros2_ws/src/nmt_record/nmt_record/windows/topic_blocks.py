@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_record.windows.window_policy import FLAG_FAULTS, PHASE_JUMP_CYCLES, AnyBlock, WindowFault, WindowFinding
 
 # A source that goes on from below this share of the samples reached has been started anew; above, its clock is wrong.

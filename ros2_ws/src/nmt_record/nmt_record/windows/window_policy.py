@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from nmt_core.blocks import BlockFlag, SampleBlock
+from nmt_core.messages.blocks import BlockFlag, SampleBlock
+from nmt_core.messages.wire import BlockHead
 from nmt_core.vocabulary import LoopState, TestKind
-from nmt_core.wire import BlockHead
 
 STATE_NAMES: dict[int, str] = {
     LoopState.FIXED: "fixed frequency",

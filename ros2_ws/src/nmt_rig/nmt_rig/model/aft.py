@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray, IntArray
 from nmt_core.errors import BenchError
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_core.numerics.kernels import njit
 from nmt_rig.model.element_kernels import response
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements.element import PARAMETER_COUNT, LocalElement

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.kernels import njit
+from nmt_core.numerics.kernels import njit
 from nmt_rig.model.element_kernels import margin, next_branch, piece
 from nmt_rig.model.integration_kernel import _SMALLEST, JENKINS, Integers, Memory
 from nmt_rig.model.structure import Array

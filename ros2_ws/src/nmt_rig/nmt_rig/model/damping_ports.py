@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_rig.model.assembly import ElectromechanicalSystem
 
 MOST_PORTS = 12

@@ -1,14 +1,14 @@
 """Compiled dispatch: the formulas of all local elements by the number of their class.
 
 A call is ``formula(kind, p, e, …)`` with the parameters of element e in p[e]. Kernels that call these carry them inside
-themselves, and their cache is keyed by them: :mod:`nmt_core.kernels`.
+themselves, and their cache is keyed by them: :mod:`nmt_core.numerics.kernels`.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from nmt_core.kernels import njit
+from nmt_core.numerics.kernels import njit
 from nmt_rig.model.local_elements import ELEMENTS
 
 

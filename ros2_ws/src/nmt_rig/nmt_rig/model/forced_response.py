@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.errors import BenchError
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
+from nmt_core.numerics.kernels import njit
 from nmt_rig.model.aft import LocalForces, LocalTables, scaled_local_forces
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.continuation import Branch, StepControl, follow_branch, solve_at_parameter

@@ -11,8 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)

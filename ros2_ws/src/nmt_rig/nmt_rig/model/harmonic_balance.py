@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import eigh
 
-from nmt_core.arrays import ComplexArray, FloatArray, IntArray
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
+from nmt_core.numerics.kernels import njit
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.damping_ports import MOST_PORTS, is_small, port_directions, split_damping
 from nmt_rig.model.fourier_basis import FourierBasis

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.kernels import njit
+from nmt_core.numerics.kernels import njit
 from nmt_rig.model.couplings import BOUC_WEN, FORCE_FACTOR, LUGRE
 from nmt_rig.model.element_kernels import frozen, next_branch_here, piece_here
 from nmt_rig.model.local_elements.friction import Jenkins

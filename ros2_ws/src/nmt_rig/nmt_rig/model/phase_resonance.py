@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_rig.model.continuation import Branch, follow_branch, solve_at_parameter
 from nmt_rig.model.forced_response import ForcedProblem, PeriodicResponse
 from nmt_rig.model.rest_response import RestResponse

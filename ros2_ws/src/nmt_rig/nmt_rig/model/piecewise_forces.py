@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray, IntArray
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_core.numerics.kernels import njit
 
 TWO_PI = 2.0 * np.pi
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nmt_core.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.harmonic_balance import ModalImpedance
 

@@ -1,0 +1,1 @@
+"""What nodes send to each other: the records, and their form as bytes."""

@@ -1,0 +1,1 @@
+"""Arrays, compiled functions and ramps."""

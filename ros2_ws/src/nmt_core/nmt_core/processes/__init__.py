@@ -1,0 +1,1 @@
+"""Processes, their clocks, and work that is spread over them."""

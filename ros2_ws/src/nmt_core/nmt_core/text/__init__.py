@@ -1,0 +1,1 @@
+"""Texts for people: numbers in words, tables, options, the nearest known word."""

@@ -1,0 +1,159 @@
+"""What cannot be right in a real side: scales, signs, clipped converters, the wrong rig. Each a sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
+from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
+from nmt_signals.channel_faults.clipping import clipping_level
+from nmt_signals.channel_faults.repeated_samples import repeated_share
+from nmt_signals.harmonics import harmonic_amplitudes
+
+# No sensor's error makes a channel this many times too large beside the others; a wrong unit does.
+_OUT_OF_SCALE = 5.0
+_OUT_OF_SCALE_FORCE = 30.0
+_WRONG_FREQUENCY = 1.6
+# Channels whose response the model puts this far below the largest of their quantity are near a node.
+_NODE = 0.1
+
+
+def check_frequency(name: str, frequency_hz: Sequence[float], view: ModelView) -> None:
+    """Refuse windows that lie at no mode of the model.
+
+    Raises:
+        BenchError: all windows are further than 60 % from every mode.
+    """
+    ratios = [nearest_ratio(value, view.frequencies_hz) for value in frequency_hz if value > 0.0]
+    if ratios and all(max(ratio, 1.0 / ratio) > _WRONG_FREQUENCY for ratio in ratios):
+        modes = ", ".join(f"{value:.4g}" for value in view.frequencies_hz)
+        raise BenchError(
+            f"{name} was locked at {min(frequency_hz):.4g} Hz, but the model {view.rig.name} has its modes at {modes} "
+            "Hz; name the rig file of the rig that was tested, or the right sampling rate."
+        )
+
+
+def out_of_scale(
+    name: str, stretches: Sequence[tuple[SampleStretch, float]], view: ModelView, channels: dict[str, MeasuredChannel]
+) -> tuple[set[str], list[str]]:
+    """Channels whose size can only be a wrong unit, from windows of nearly one frequency.
+
+    Every channel is compared with the model's linear response; the ratio of one channel to the median over quantities
+    tells a wrong scale, however nonlinear the rig is.
+
+    Args:
+        name: name of the test.
+        stretches: samples and excitation frequency (Hz) of some windows, the lowest levels first.
+        view: the model.
+        channels: the model's channel for each recorded one.
+
+    Returns:
+        Names (in the bag) of channels to leave out, and sentences.
+
+    Raises:
+        BenchError: most channels are off, so that none can be trusted.
+    """
+    logs: dict[str, list[float]] = {}
+    for stretch, frequency in stretches:
+        names = [c.name for c in stretch.channels if c.name in channels and c.name not in stretch.faults]
+        if not names or not frequency > 0.0:
+            continue
+        steady = np.asarray(frequency * np.arange(stretch.samples) / stretch.sample_rate, dtype=np.float64)
+        cycles = steady if stretch.cycles is None else stretch.cycles
+        try:
+            measured = np.abs(harmonic_amplitudes(cycles, np.stack([stretch.row(n) for n in names]), 1)[:, 1])
+        except BenchError:
+            continue
+        own = [channels[n] for n in names]
+        expected = np.abs(view.responses(own, np.array([frequency]))[:, 0])
+        largest: dict[Quantity, float] = {}
+        for channel, value in zip(own, expected, strict=True):
+            largest[channel.quantity] = max(largest.get(channel.quantity, 0.0), float(value))
+        for index, channel in enumerate(own):
+            if expected[index] > _NODE * largest[channel.quantity] and measured[index] > 0.0:
+                logs.setdefault(names[index], []).append(math.log(measured[index] / expected[index]))
+    ratios = {recorded: float(np.median(values)) for recorded, values in logs.items()}
+    if len(ratios) < 3:
+        return set(), []
+    # One vote per quantity: the channels of one converter are often wrong together.
+    by_quantity: dict[Quantity, list[float]] = {}
+    for recorded, value in ratios.items():
+        by_quantity.setdefault(channels[recorded].quantity, []).append(value)
+    middle = float(np.median([np.median(values) for values in by_quantity.values()]))
+    off: set[str] = set()
+    notes = []
+    for recorded, value in ratios.items():
+        kind = channels[recorded].quantity
+        # The force depends much on how near resonance is, and on the damping there.
+        limit = _OUT_OF_SCALE_FORCE if kind is Quantity.FORCE else _OUT_OF_SCALE
+        if abs(value - middle) > math.log(limit):
+            off.add(recorded)
+            factor = math.exp(value - middle)
+            notes.append(
+                f"{name}: channel {recorded} ({kind.name.lower()}) is {factor:.3g} times as large as the others "
+                f"let expect ({_guess(factor)}) and is left out; correct its unit or scale."
+            )
+    trusted = [recorded for recorded in ratios if recorded not in off and channels[recorded].quantity in MOTIONS]
+    if not trusted or len({channels[recorded].quantity for recorded in off}) > 0.5 * len(by_quantity):
+        raise BenchError(
+            f"{name}: the channels do not agree on their scale with the model {view.rig.name} "
+            f"({', '.join(sorted(off))} differ from the rest by factors of more than {_OUT_OF_SCALE:g}); correct units "
+            "and points, or name the rig file of the rig that was tested."
+        )
+    return off, notes
+
+
+def _guess(factor: float) -> str:
+    for value, text in (
+        (1000.0, "mm for m, or mN for N?"),
+        (1e-3, "m for mm, or N for mN?"),
+        (1e6, "µm for m?"),
+        (9.80665, "m/s² taken for g?"),
+        (1.0 / 9.80665, "g taken for m/s²?"),
+    ):
+        if abs(math.log(abs(factor) / value)) < math.log(1.6):
+            return text
+    return "a wrong scale?"
+
+
+def clipping_notes(name: str, windows: Sequence[tuple[int, SampleStretch]]) -> list[str]:
+    """Sentences on clipped channels.
+
+    The rows stay, because clipping is an effect; a window in which a converter said that it was overloaded is rejected
+    before it comes here.
+    """
+    clipped: dict[str, list[int]] = {}
+    for level, stretch in windows:
+        for channel in stretch.channels:
+            usable = channel.name not in stretch.faults and channel.quantity is not Quantity.VOLTAGE
+            if usable and clipping_level(stretch.row(channel.name)) > 0.0:
+                clipped.setdefault(channel.name, []).append(level)
+    return [
+        f"{name}: channel {channel} is clipped at level {', '.join(map(str, levels))}; its observables are kept, "
+        "because clipping is one of the effects that are looked for."
+        for channel, levels in clipped.items()
+    ]
+
+
+def repeats_notes(name: str, stretches: Sequence[SampleStretch]) -> list[str]:
+    """Sentences on channels in which samples were lost and the ones before recorded again."""
+    found: dict[str, list[FloatArray]] = {}
+    for stretch in stretches:
+        for channel in stretch.channels:
+            if channel.name not in stretch.faults and channel.quantity is not Quantity.VOLTAGE:
+                found.setdefault(channel.name, []).append(stretch.row(channel.name))
+    shares = {channel: repeated_share(*windows) for channel, windows in found.items()}
+    return [
+        f"{name}: channel {channel} repeats the sample before at {100.0 * share:.2g} % of the times; samples are "
+        "lost on the way, so check its converter, driver and cable."
+        for channel, share in shares.items()
+        if share > 0.0
+    ]

@@ -1,0 +1,1 @@
+"""Observables of each kind of test, from windows, records and tables."""

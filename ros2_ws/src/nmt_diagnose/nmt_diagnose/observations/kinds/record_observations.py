@@ -1,0 +1,186 @@
+"""Observables of records: samples of the responses to any measured input.
+
+The model is driven by the whole input, but only a part of the samples become observables. What a model leaves is
+coloured by the resonance: errors of samples closer than its decay time go together. So no more samples are taken than
+the record has decay times, spread with the golden ratio, in step with no period of the excitation; these are as good as
+independent, and their likelihood is right without whitening. The noise is the lowest level of the response's spectrum;
+nonlinear distortions must not count as noise here, because they are what is looked for.
+
+Between samples the input is interpolated without loss in its band (the straight lines of a first-order hold would cost
+(πf/fs)²/3 of the amplitude, 4 % at nine samples a period), except that of simulated rigs, which is a straight line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import resample, welch
+
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
+from nmt_diagnose.observations.conditions import MeasuredChannel, RecordTest
+from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.observables import Observations, Part, joined
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_rig.model.linear_modes import damped_modes
+
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_DECAY = 5.0
+_HOLD_ERROR = 3e-3
+_FINEST = 32
+_PADDING = 512
+_LONGEST_START = 0.1
+_FEWEST_SAMPLES = 200
+_FEWEST_ROWS = 50
+_LOWEST = 0.05
+
+
+def spread_samples(start: int, stop: int, count: int) -> NDArray[np.int64]:
+    """Up to ``count`` different indices from start to stop − 1, ascending, in step with nothing."""
+    length = stop - start
+    if count >= length:
+        return np.arange(start, stop, dtype=np.int64)
+    stride = length / count
+    within = np.modf(_GOLDEN * np.arange(count))[0]
+    return np.unique(start + np.floor((np.arange(count) + within) * stride).astype(np.int64)).clip(start, stop - 1)
+
+
+def white_noise(samples: FloatArray, sample_rate: float) -> float:
+    """Standard deviation of white noise as strong as the lowest twentieth of the spectrum."""
+    segment = min(samples.size, max(64, samples.size // 64))
+    _, power = welch(samples - samples.mean(), sample_rate, nperseg=segment)
+    return float(math.sqrt(np.quantile(power[1:-1], _LOWEST) * 0.5 * sample_rate))
+
+
+def interpolated(samples: FloatArray, factor: int) -> FloatArray:
+    """Band-limited interpolation; sample k comes to stand at ``factor`` k, shape (factor n,)."""
+    if factor == 1:
+        return samples
+    size = min(_PADDING, samples.size - 1)
+    # Odd reflections at the ends: no step where the ends of the Fourier transform meet.
+    head = 2.0 * samples[0] - samples[size:0:-1]
+    tail = 2.0 * samples[-1] - samples[-2 : -size - 2 : -1]
+    padded = np.concatenate((head, samples, tail))
+    trend = np.linspace(padded[0], padded[-1], padded.size)
+    fine = resample(padded - trend, padded.size * factor)
+    fine = fine + np.interp(np.arange(fine.size) / factor, np.arange(padded.size), trend)
+    return np.ascontiguousarray(fine[size * factor : (size + samples.size) * factor])
+
+
+def refinement(response: FloatArray, sample_rate: float) -> int:
+    """Power of two by which the input must be finer for straight lines to do, where the response has its power."""
+    frequency, power = welch(response - response.mean(), sample_rate, nperseg=min(response.size, 1024))
+    share = np.cumsum(power) / np.sum(power)
+    highest = float(frequency[np.searchsorted(share, 0.99)])
+    wanted = math.pi * highest / math.sqrt(3.0 * _HOLD_ERROR) / sample_rate
+    factor: int = 2 ** max(0, math.ceil(math.log2(max(wanted, 1e-9))))
+    return min(_FINEST, factor)
+
+
+def record_observations(
+    name: str,
+    stretches: Sequence[SampleStretch],
+    view: ModelView,
+    channels: dict[str, MeasuredChannel],
+    settings: ObservationSettings,
+    linear_hold: bool = False,
+) -> Observations:
+    """Observables of the records of one bag, one test each.
+
+    Args:
+        name: name of the tests; numbered where there are several.
+        stretches: the records.
+        view: the model, driven at the test's drive point.
+        channels: the model's channel for each recorded one.
+        settings: settings.
+        linear_hold: the input goes straight from sample to sample.
+    """
+    parts = []
+    for number, stretch in enumerate(stretches):
+        own = f"{name} {number + 1}" if len(stretches) > 1 else name
+        budget = settings.record_rows // len(stretches)
+        parts.append(_one(own, stretch, view, channels, settings, budget, linear_hold))
+    return joined(parts)
+
+
+def _one(
+    name: str,
+    stretch: SampleStretch,
+    view: ModelView,
+    channels: dict[str, MeasuredChannel],
+    settings: ObservationSettings,
+    budget: int,
+    linear_hold: bool,
+) -> Observations:
+    lost = [(channel, fault) for channel, fault in stretch.faults.items() if channel in channels]
+    notes = [f"{name}: channel {channel} is left out: {fault}." for channel, fault in lost]
+    source = stretch.find(Quantity.VOLTAGE) or stretch.find(Quantity.FORCE)
+    if source is None or source.name in stretch.faults:
+        why = (
+            "no voltage or force was recorded"
+            if source is None
+            else f"its input cannot be used ({stretch.faults[source.name]})"
+        )
+        return empty((f"{name}: the record is left out: {why}.",))
+    recorded = {own.name: theirs for theirs, own in channels.items()}
+    present = [
+        channel
+        for channel in channels.values()
+        if recorded[channel.name] in {c.name for c in stretch.channels} - set(stretch.faults) - {source.name}
+        and channel.quantity is not Quantity.VOLTAGE
+    ]
+    if not present or stretch.samples < _FEWEST_SAMPLES:
+        why = "it has no response" if not present else f"{stretch.samples} samples are too few"
+        return empty((*notes, f"{name}: the record is left out: {why}."))
+    slowest = _slowest(view)
+    start = _start(slowest, stretch)
+    independent = max(_FEWEST_ROWS, int((stretch.samples - start) / stretch.sample_rate * slowest))
+    indices = spread_samples(start, stretch.samples, min(independent, max(1, budget // len(present))))
+    count = max(1, min(settings.record_segments, indices.size // 20))
+    bounds = np.linspace(start, stretch.samples, count + 1).round().astype(np.int64)
+    level = np.searchsorted(bounds, indices, side="right") - 1
+    source_samples = stretch.row(source.name)
+    amplitude = [float(np.std(source_samples[low:high])) for low, high in pairwise(bounds)]
+    table = RowTable()
+    for row, channel in enumerate(present):
+        samples = stretch.row(recorded[channel.name])
+        samples = samples - samples.mean()
+        noise = white_noise(samples, stretch.sample_rate)
+        floor = settings.floors.record * float(np.std(samples))
+        for index, segment in zip(indices, level, strict=True):
+            table.add(
+                Part.SAMPLE, float(samples[index]), noise, floor,
+                Place(int(segment), (stretch.first_sample + int(index)) / stretch.sample_rate, 0.0, amplitude[segment]),
+                row,
+            )  # fmt: skip
+    factor = 1 if linear_hold else refinement(stretch.row(recorded[present[0].name]), stretch.sample_rate)
+    own = channels.get(source.name, source)
+    test = RecordTest(
+        name=name,
+        drive_point=view.rig.drive_point,
+        sample_rate=factor * stretch.sample_rate,
+        input_channel=own,
+        input=interpolated(source_samples - source_samples.mean(), factor),
+        channels=tuple(present),
+        segment_bounds=factor * bounds.astype(np.float64),
+        start_s=stretch.start_s,
+    )
+    return table.observations(test, notes)
+
+
+def _slowest(view: ModelView) -> float:
+    """Smallest decay rate of the model's modes, 1/s."""
+    modes = damped_modes(view.system)
+    return float(np.min(-modes.eigenvalues.real)) if modes.eigenvalues.size else 0.0
+
+
+def _start(slowest: float, stretch: SampleStretch) -> int:
+    """First sample that the model's unknown initial state does not reach, at most a tenth of the record."""
+    longest = _LONGEST_START * stretch.samples
+    return int(min(_DECAY / slowest * stretch.sample_rate if slowest > 0.0 else longest, longest))

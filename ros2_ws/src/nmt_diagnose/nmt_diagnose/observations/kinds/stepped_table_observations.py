@@ -1,0 +1,327 @@
+"""Observables of frequency responses that were measured with an amplitude held: one test for each level."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
+from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
+from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.noise.neighbour_cubics import neighbour_cubics
+from nmt_diagnose.observations.observables import Observations, Part, joined
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_record.exchange.observables import ObservableTable
+from nmt_record.exchange.unit_table import REFERENCE_UNITS, quantity_of_unit
+from nmt_rig.rig import ShakingTableSection
+
+# Relative noise of a table that neither states any nor has lines enough to show it.
+WITHOUT_STD = 0.02
+_FEWEST_FOR_SCATTER = 12
+# Relative standard deviation of a scatter that is known by the median distance of n values from the cubics through
+# their neighbours, times the root of n (by simulation of normal noise, 30 to 400 values).
+MEDIAN_STD = 1.7
+# Levels that differ by less are one.
+_SAME_LEVEL = 1e-3
+# A jump: a step of ln H that is large and stands out among its neighbours.
+_JUMP, _STANDS_OUT = 0.5, 4.0
+_WHAT = {"force": "force", "base": "acceleration of the base", "voltage": "voltage", "response": "response"}
+
+
+def has_levels(table: ObservableTable) -> bool:
+    """Whether a table says with what amplitude it was measured.
+
+    A coherence is that of a random test: its level is an rms of noise, which no harmonic balance follows.
+    """
+    if "coherence" in table.columns:
+        return False
+    given = [table.columns[name] for name in ("level", "force_n") if name in table.columns]
+    return table.level > 0.0 or any(bool(np.any(column > 0.0)) for column in given)
+
+
+def measured_together(tables: Sequence[ObservableTable], drive_point: int) -> list[list[int]]:
+    """Numbers of tables that are points of one passage: the same lines at the same level, each point once.
+
+    Such tables have one motion, which is solved once for all of them. All others stand alone.
+
+    Args:
+        tables: of one bag.
+        drive_point: of tables that do not say theirs.
+    """
+    groups: list[list[int]] = []
+    open_groups: dict[str, list[int]] = {}
+    for number, table in enumerate(tables):
+        if not _levels_of_the_excitation(table):
+            groups.append([number])
+            continue
+        lines = [table.columns.get(name) for name in ("frequency_hz", "level", "force_n")]
+        key = repr((
+            table.drive_point or drive_point, table.reference, table.held, table.level, table.level_unit,
+            table.direction, table.phase_known, *(None if column is None else column.tobytes() for column in lines),
+        ))  # fmt: skip
+        group = open_groups.get(key)
+        places = [(tables[other].point, tables[other].quantity) for other in group or ()]
+        if group is None or (table.point, table.quantity) in places:
+            group = open_groups[key] = []
+            groups.append(group)
+        group.append(number)
+    return groups
+
+
+def _levels_of_the_excitation(table: ObservableTable) -> bool:
+    if table.kind != "frf" or not has_levels(table):
+        return False
+    try:
+        return _held("", table)[0] != "response"
+    except BenchError:
+        return False
+
+
+def stepped_table_observations(
+    name: str,
+    tables: Sequence[ObservableTable],
+    view: ModelView,
+    channels: Sequence[MeasuredChannel],
+    settings: ObservationSettings,
+) -> Observations:
+    """Observables of frequency responses at held amplitudes, a test for each level.
+
+    Args:
+        name: of the tables; where they have several levels, each test adds its own.
+        tables: with a level, a column of levels, or a measured force at each line; several are those of
+            :func:`measured_together`.
+        view: the model, driven at the tables' drive point.
+        channels: response channel of each table.
+        settings: settings.
+
+    Raises:
+        BenchError: what was held, or its unit, does not fit the responses.
+    """
+    table = tables[0]
+    if table.reference == "base" and not isinstance(view.rig.exciter, ShakingTableSection):
+        raise BenchError(
+            f"{name}: its responses are over the acceleration of the base, but the exciter of the model "
+            f"{view.rig.name} is no shaking table; write exciter: {{kind: shaking_table, point: {channels[0].point}}}."
+        )
+    held, notes = _held(name, table)
+    level = table.columns.get("level", np.full(table.rows, table.level))
+    if held == "force" and "force_n" in table.columns:
+        level = np.where(np.isfinite(level) & (level > 0.0), level, 0.0)
+        amplitude = table.columns["force_n"]
+    else:
+        amplitude = level
+    frequency = table.columns["frequency_hz"]
+    omega = 2.0 * np.pi * frequency
+    if held == "response":
+        # The held motion may be given as another derivative than the responses.
+        given = quantity_of_unit(table.level_unit or table.quantity.unit)
+        amplitude = amplitude * omega ** (MOTIONS[table.quantity] - MOTIONS[given])
+    elif held == "base" and table.level_unit:
+        moved = quantity_of_unit(table.level_unit)
+        amplitude = amplitude * omega ** (
+            MOTIONS[Quantity.ACCELERATION] - MOTIONS.get(moved, MOTIONS[Quantity.ACCELERATION])
+        )
+    responses = np.column_stack([each.responses for each in tables])
+    usable = np.all(np.isfinite(responses) & (np.abs(responses) > 0.0), axis=1) & (frequency > 0.0)
+    usable &= np.isfinite(amplitude) & (amplitude > 0.0)
+    if not usable.all():
+        notes.append(f"{name}: {int((~usable).sum())} of {usable.size} rows have no response or level; left out.")
+    if not usable.any():
+        return empty((*notes, f"{name}: left out: it has no usable line."))
+    groups = _groups(level, usable)
+    parts = []
+    for own_level, mine in groups:
+        own = name if len(groups) == 1 else f"{name} at {own_level:g} {table.level_unit}".strip()
+        parts.append(_one(own, tables, held, mine, amplitude, view, channels, settings))
+    return joined([empty(notes), *parts])
+
+
+def _held(name: str, table: ObservableTable) -> tuple[str, list[str]]:
+    """What had the given amplitude, and what was assumed about it."""
+    notes: list[str] = []
+    held = table.held
+    if not held:
+        quantity = quantity_of_unit(table.level_unit) if table.level_unit else Quantity.UNKNOWN
+        if table.reference == "base" or "force_n" in table.columns or not table.level_unit:
+            held = table.reference
+        else:
+            held = {Quantity.FORCE: "force", Quantity.VOLTAGE: "voltage"}.get(quantity, "response")
+    if not table.level_unit and "force_n" not in table.columns:
+        unit = table.quantity.unit if held == "response" else REFERENCE_UNITS[held]
+        notes.append(f"{name}: its level has no unit; it is taken as the amplitude of the {_WHAT[held]} in {unit}.")
+    if held not in (table.reference, "response"):
+        raise BenchError(
+            f"{name}: the {_WHAT[held]} was held, but the responses are over the {_WHAT[table.reference]}: how large "
+            f"that was nobody knows. Give the measured {_WHAT[table.reference]} of each line as a column force_n."
+        )
+    if not table.direction and held != "response":
+        notes.append(
+            f"{name}: it does not say whether the frequency rose or fell (direction: up or down); every line is "
+            "taken to lie on the branch where it was measured, as it is with a direction."
+        )
+    return held, notes
+
+
+def _groups(level: FloatArray, usable: NDArray[np.bool_]) -> list[tuple[float, NDArray[np.int64]]]:
+    """Rows of each level, lowest first."""
+    order = np.flatnonzero(usable)
+    order = order[np.argsort(level[order], kind="stable")]
+    steps = np.diff(level[order]) > _SAME_LEVEL * np.abs(level[order[1:]])
+    pieces = np.split(order, np.flatnonzero(steps) + 1)
+    return [(float(np.median(level[piece])), np.sort(piece)) for piece in pieces]
+
+
+def _one(
+    name: str,
+    tables: Sequence[ObservableTable],
+    held: str,
+    mine: NDArray[np.int64],
+    amplitude: FloatArray,
+    view: ModelView,
+    channels: Sequence[MeasuredChannel],
+    settings: ObservationSettings,
+) -> Observations:
+    """Observables of one level."""
+    frequency = tables[0].columns["frequency_hz"]
+    order = mine[np.argsort(frequency[mine], kind="stable")]
+    f = frequency[order]
+    notes: list[str] = []
+    measured = []
+    for table, channel in zip(tables, channels, strict=True):
+        own = name if len(tables) == 1 else f"{name}, {channel.name}"
+        std, said, degrees = _noise(own, table, order, table.responses[order], f)
+        notes += said
+        measured.append((channel, table.responses[order], std, degrees))
+    shown = [float(std[0]) for _, _, std, degrees in measured if math.isfinite(degrees)]
+    if len(shown) == len(measured) > 1:  # one sentence for all of them
+        low, high = 100.0 * min(shown), 100.0 * max(shown)
+        notes = [
+            f"{name}: no uncertainties are given; the lines of its {len(shown)} points scatter by {low:.2g} to "
+            f"{high:.2g} % about a smooth course."
+        ]
+    # The channel that moves most in its own noise says how large the motion was.
+    measured.sort(key=lambda own: float(np.median(own[2])))
+    h = np.column_stack([own[1] for own in measured]).astype(np.complex128)
+    std = np.column_stack([own[2] for own in measured])
+    kept = np.all(std <= settings.largest_std, axis=1)
+    if held != "response":
+        for jump in jumps_of(h[:, 0]):
+            kept[[jump, jump + 1]] = False
+            notes.append(f"{name}: it jumps between {f[jump]:.5g} and {f[jump + 1]:.5g} Hz; both lines are left out.")
+    if not kept.any():
+        return empty((*notes, f"{name}: left out: no line is known to better than {100 * settings.largest_std:g} %."))
+    order, f, h, std = order[kept], f[kept], h[kept], std[kept]
+    chosen = spread_lines(f, h[:, 0], settings.stepped_lines)
+    rows = RowTable()
+    floor, phase_known = settings.floors.stepped, tables[0].phase_known
+    for number, index in enumerate(chosen):
+        place = Place(number, 0.0, float(f[index]), float(amplitude[order[index]]))
+        for k in range(len(measured)):
+            value, own_std = complex(h[index, k]), float(std[index, k])
+            rows.add(Part.LOG_MAGNITUDE, math.log(abs(value)), own_std, floor, place, k, 1)
+            if phase_known:
+                rows.add(Part.PHASE, float(np.angle(value)), own_std, floor, place, k, 1)
+    test = SteppedSineTest(
+        name=name,
+        drive_point=view.rig.drive_point,
+        channels=tuple(own[0] for own in measured),
+        reference=tables[0].reference,
+        held=held,
+        lines_hz=f[chosen].copy(),
+        levels=amplitude[order[chosen]].copy(),
+        measured=h[chosen].copy(),
+        noise=np.hypot(std[chosen, 0], floor),
+        direction={"up": 1, "down": -1}.get(tables[0].direction, 0),
+        noise_degrees=measured[0][3],
+        phase_known=phase_known,
+    )
+    return rows.observations(test, notes)
+
+
+def _noise(
+    name: str, table: ObservableTable, order: NDArray[np.int64], h: ComplexArray, f: FloatArray
+) -> tuple[FloatArray, list[str], float]:
+    """Relative standard uncertainty of each line: stated by columns or for the table, else shown by its scatter.
+
+    Also a note, and the degrees of freedom of its variance.
+    """
+    if "real_std" in table.columns and "imag_std" in table.columns:
+        scatter = np.sqrt(0.5 * (table.columns["real_std"] ** 2 + table.columns["imag_std"] ** 2))[order]
+        std = np.asarray(scatter / np.abs(h), dtype=np.float64)
+        if np.isfinite(std).all():
+            return std, [], math.inf
+    if "magnitude_std" in table.columns:
+        std = np.asarray(table.columns["magnitude_std"][order] / np.abs(h), dtype=np.float64)
+        if np.isfinite(std).all():
+            return std, [], math.inf
+    if table.noise > 0.0:
+        return np.full(h.size, table.noise), [], math.inf
+    found = scatter_of_lines(f, h, table.phase_known)
+    if not math.isfinite(found):
+        return (
+            np.full(h.size, WITHOUT_STD),
+            [f"{name}: no uncertainties are given; {100 * WITHOUT_STD:g} % is taken for every line."],
+            math.inf,
+        )
+    degrees = (2 if table.phase_known else 1) * h.size / (2.0 * MEDIAN_STD**2)
+    return (
+        np.full(h.size, found),
+        [f"{name}: no uncertainties are given; its lines scatter by {100 * found:.2g} % about a smooth course."],
+        degrees,
+    )
+
+
+def scatter_of_lines(frequency: FloatArray, response: ComplexArray, phase_known: bool = True) -> float:
+    """Relative noise of magnitude and of phase (rad) of a frequency response, from its scatter about a smooth course.
+
+    Each line is compared with the cubic through its four neighbours in ln H. The median over the lines does not see
+    resonances and jumps, where no cubic follows the course.
+
+    Args:
+        frequency: ascending, Hz, shape (n,).
+        response: shape (n,).
+        phase_known: whether it has a phase; else its magnitude alone is looked at.
+
+    Returns:
+        The standard deviation; NaN for fewer than twelve lines.
+    """
+    if frequency.size < _FEWEST_FOR_SCATTER:
+        return math.nan
+    log = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
+    middle, near, weights = neighbour_cubics(frequency)
+    rest = (log[middle] - np.sum(weights * log[near], axis=1)) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
+    # Median of |x| of a normal variable: 0.6745 σ.
+    found = np.abs(np.concatenate([rest.real, rest.imag]) if phase_known else rest.real)
+    return max(float(np.median(found)) / 0.6745, 1e-4) if found.size else math.nan
+
+
+def jumps_of(response: ComplexArray) -> list[int]:
+    """Indices i of lines where a response jumps between i and i + 1."""
+    steps = np.abs(np.log(np.abs(response[1:] / response[:-1])) + 1j * np.angle(response[1:] / response[:-1]))
+    result = []
+    for i, step in enumerate(steps):
+        around = [steps[k] for k in (i - 2, i - 1, i + 1, i + 2) if 0 <= k < steps.size]
+        if step > _JUMP and around and step > _STANDS_OUT * max(around):
+            result.append(i)
+    return result
+
+
+def spread_lines(frequency: FloatArray, response: ComplexArray, wanted: int) -> NDArray[np.int64]:
+    """Indices evenly spread over decades, turns of the phase and changes of the magnitude."""
+    if frequency.size <= wanted:
+        return np.arange(frequency.size, dtype=np.int64)
+    ratio = response[1:] / response[:-1]
+    turns = np.concatenate(([0.0], np.cumsum(np.abs(np.angle(ratio)) + 0.5 * np.abs(np.log(np.abs(ratio))))))
+    # The noise of single lines is no turn: half of the weight goes to the axis itself.
+    share = turns / max(float(turns[-1]), 1e-300) + np.log(frequency / frequency[0]) / math.log(
+        frequency[-1] / frequency[0]
+    )
+    picked = np.searchsorted(share, np.linspace(share[0], share[-1], wanted)).clip(0, share.size - 1)
+    return np.unique(picked.astype(np.int64))

@@ -1,0 +1,1 @@
+"""What scatters in observations: floors, scatter of repeats and of neighbours, settling."""

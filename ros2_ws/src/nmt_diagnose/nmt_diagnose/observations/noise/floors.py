@@ -1,0 +1,167 @@
+"""Floors: what finite exactness of lock, estimators and model adds to the noise, and what repeats show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RingDownTest
+from nmt_diagnose.observations.observables import Observations, Part, Rows
+
+_FEWEST_PAIRS = 6
+# Key of a sidecar's ``repeatability`` by part.
+_STATED = {
+    Part.LOG_FREQUENCY: "frequency",
+    Part.DAMPING: "damping",
+    Part.LOG_MAGNITUDE: "amplitude",
+    Part.PHASE: "phase_deg",
+}
+
+
+@dataclass(frozen=True)
+class Floors:
+    """Standard deviations that solver and estimators leave without noise, far below what recordings repeat to.
+
+    Attributes:
+        log_frequency: locked frequency, relative: transients of the lock.
+        phase_error: F-v phase at lock against what the controller aims at, rad, for all levels of a run together: the
+            floor of a row is √levels times this. Loops that have not settled show it by a drift, which counts extra.
+        log_magnitude, force_log_magnitude: fundamental amplitudes of motions and force, relative.
+        phase: phases of fundamentals, rad.
+        harmonic: other harmonics over the fundamental, 1.
+        frf: frequency responses, relative and rad, besides the estimator's bias that is computed line by line.
+        stepped: frequency responses at a held amplitude, relative and rad: harmonics that the model leaves out.
+        decay_log_frequency: instantaneous frequency of a ring-down, relative.
+        decay_damping: its damping ratio, relative.
+        decay_shape: amplitudes and phases of other channels during a ring-down, relative and rad.
+        table_log_frequency: frequencies of reduced tables without a stated uncertainty, relative.
+        table_damping: their damping ratios, relative.
+        record: samples of a record, relative to the rms of their channel.
+    """
+
+    log_frequency: float = 1e-6
+    phase_error: float = 0.0
+    log_magnitude: float = 1e-5
+    force_log_magnitude: float = 1e-5
+    phase: float = 1e-5
+    harmonic: float = 1e-6
+    frf: float = 1e-5
+    stepped: float = 1e-5
+    decay_log_frequency: float = 1e-6
+    decay_damping: float = 1e-3
+    decay_shape: float = 1e-5
+    table_log_frequency: float = 1e-3
+    table_damping: float = 5e-2
+    record: float = 1e-2
+
+    def window(self, part: Part, quantity: Quantity = Quantity.UNKNOWN, levels: int = 1) -> float:
+        """Floor of an observable of a locked window, one of ``levels`` of its run."""
+        if part is Part.PHASE_ERROR:
+            return self.phase_error * math.sqrt(levels)
+        return {
+            Part.LOG_FREQUENCY: self.log_frequency,
+            Part.LOG_MAGNITUDE: self.force_log_magnitude if quantity is Quantity.FORCE else self.log_magnitude,
+            Part.PHASE: self.phase,
+        }.get(part, self.harmonic)
+
+
+def with_stated_repeatability(observations: Observations, run: Mapping[str, Any]) -> Observations:
+    """The observations with what the sidecar of its bag says of repeats as part of the floors.
+
+    Args:
+        observations: of one bag.
+        run: start record of the bag; ``imported.sidecar.repeatability`` has ``frequency``, ``damping`` and
+            ``amplitude`` (relative) and ``phase_deg``, standard deviations.
+    """
+    imported = run.get("imported")
+    sidecar = imported.get("sidecar") if isinstance(imported, dict) else None
+    stated = sidecar.get("repeatability") if isinstance(sidecar, dict) else None
+    if not isinstance(stated, dict):
+        return observations
+    part, floor = observations.rows.part, observations.floor
+    for kind, key in _STATED.items():
+        size = float(stated.get(key) or 0.0)
+        size = math.radians(size) if kind is Part.PHASE else size
+        of_value = np.abs(observations.values) if kind is Part.DAMPING else 1.0
+        floor = np.where(part == kind, np.hypot(floor, size * of_value), floor)
+    return replace(observations, floor=floor)
+
+
+def repeatability(observations: Observations, repeats: Observations) -> tuple[FloatArray, tuple[str, ...]]:
+    """Floor of each row from the difference between a test and its repeat.
+
+    Rows are paired by kind of test, drive point, level of excitation, channel, harmonic and part. Rows of one type
+    (kind of test, part, fundamental or not, channel) share one floor: the rms of their differences over √2, less what
+    the stated uncertainties explain. It takes the place of the row's own floor where it is larger.
+
+    Args:
+        observations: the real side.
+        repeats: the same tests once more.
+
+    Returns:
+        Floors, shape (m,), and a sentence for the user.
+    """
+    floor = observations.floor.copy()
+    partner = {key: row for row, key in enumerate(_keys(repeats))}
+    paired = np.array([partner.get(key, -1) for key in _keys(observations)], dtype=np.int64)
+    found = paired >= 0
+    if not found.any():
+        return floor, ("The floor bags hold no repeat of a test of the real side; the floors are the default ones.",)
+    difference = np.full(paired.shape[0], np.nan)
+    difference[found] = observations.values[found] - repeats.values[paired[found]]
+    angles = np.isin(observations.rows.part, (Part.PHASE, Part.PHASE_ERROR))
+    difference[angles] = (difference[angles] + np.pi) % (2.0 * np.pi) - np.pi
+    stated = np.full(paired.shape[0], np.nan)
+    stated[found] = 0.5 * (observations.std[found] ** 2 + repeats.std[paired[found]] ** 2)
+    kinds = _types(observations.rows, observations)
+    raised = 0
+    for kind in np.unique(kinds[found]):
+        mine = found & (kinds == kind)
+        if int(mine.sum()) < _FEWEST_PAIRS:
+            continue
+        excess = float(np.mean(0.5 * difference[mine] ** 2) - np.mean(stated[mine]))
+        measured = np.sqrt(max(0.0, excess))
+        every = kinds == kind
+        raised += int(np.sum(every & (floor < measured)))
+        floor[every] = np.maximum(floor[every], measured)
+    count = int(found.sum())
+    return floor, (f"{count} observables have a repeat; the differences raise the floor of {raised}.",)
+
+
+def _types(rows: Rows, observations: Observations) -> IntArray:
+    order = np.clip(rows.harmonic, -1, 2)
+    quantity = np.zeros(len(rows), dtype=np.int64)
+    for index in range(len(rows)):
+        channels = getattr(observations.tests[rows.test[index]], "channels", ())
+        quantity[index] = int(channels[rows.channel[index]].quantity) if rows.channel[index] >= 0 and channels else 0
+    result: IntArray = ((rows.test * 16 + rows.part) * 16 + order + 1) * 16 + quantity
+    return result
+
+
+def _keys(observations: Observations) -> list[tuple[object, ...]]:
+    rows = observations.rows
+    keys: list[tuple[object, ...]] = []
+    for index in range(len(rows)):
+        test = observations.tests[rows.test[index]]
+        channel = ""
+        if rows.channel[index] >= 0:
+            own = getattr(test, "channels", None) or (getattr(test, "channel", None),)
+            channel = getattr(own[rows.channel[index]], "name", "")
+        if isinstance(test, RandomTest):
+            place: object = round(float(rows.frequency_hz[index]), 6)
+        elif rows.part[index] == Part.LINE:
+            place = int(rows.level[index]), round(float(rows.frequency_hz[index]), 6)
+        elif isinstance(test, PhaseResonanceTest | RingDownTest):
+            place = int(rows.level[index])
+        else:
+            place = round(float(rows.time_s[index]), 9)
+        amplitude = float(f"{rows.amplitude[index]:.3g}") if isinstance(test, PhaseResonanceTest) else 0.0
+        kind = int(rows.harmonic[index]), int(rows.part[index])
+        keys.append((type(test).__name__, test.drive_point, place, amplitude, channel, *kind))
+    return keys

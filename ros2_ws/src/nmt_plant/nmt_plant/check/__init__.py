@@ -1,0 +1,1 @@
+"""The check of channels and loop before a real test."""

@@ -1,0 +1,1 @@
+"""Converters of hardware: NI, PortAudio, two without a device; their clock and delay."""

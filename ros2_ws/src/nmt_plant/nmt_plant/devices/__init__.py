@@ -1,0 +1,1 @@
+"""Devices behind the contract: simulated rig, hardware, loopback."""

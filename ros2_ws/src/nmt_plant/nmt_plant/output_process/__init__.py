@@ -1,0 +1,1 @@
+"""The process that owns a converter, and the side that feeds it."""

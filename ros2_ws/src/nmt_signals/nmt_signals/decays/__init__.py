@@ -1,0 +1,1 @@
+"""Free decays: the slow amplitude of one mode, its frequency and decay rate."""

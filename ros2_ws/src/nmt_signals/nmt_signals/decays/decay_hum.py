@@ -1,0 +1,148 @@
+"""Lines of the mains beside a free decay: the demodulation passes what lies near the mode, and it would beat with it.
+
+The mode's slow amplitude and phase are taken as smooth, so smooth that they cannot follow the beat. What the samples
+are beside it holds the line, which has constant amplitude: it is fitted by weighted least squares, mainly where the
+mode is small, taken out, and the mode is found anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
+from nmt_signals.channel_faults.mains_lines import MAINS_HZ
+from nmt_signals.decays.decay_nodes import span
+from nmt_signals.decays.decay_signal import Ridge, SlowAmplitude, slow_amplitude
+
+_ORDERS = (1, 2, 3)
+_PASSED = (0.5, 1.5)  # of the mode's frequency: the widest band of the demodulation
+_MOST_DEGREE = 7
+_FEWEST_BEATS = 3.0
+_PASSING = 0.05  # of the decay
+_ROUGHNESS = 0.05  # of the mode's amplitude, by which the smooth mode may be wrong
+_PASSES = 4
+_STANDS_OUT = 6.0
+_WANDERS_HZ = np.linspace(-0.06, 0.06, 13)
+
+
+@dataclass(frozen=True)
+class Hum:
+    """A line that was taken out.
+
+    Attributes:
+        frequency_hz: Hz.
+        amplitude: in the channel's unit.
+    """
+
+    frequency_hz: float
+    amplitude: float
+
+
+def without_hum(
+    samples: FloatArray, sample_rate: float, ridge: Ridge, switched_off: int
+) -> tuple[FloatArray, tuple[Hum, ...]]:
+    """Samples of a decay without the lines of the mains that its demodulation would pass.
+
+    Args:
+        samples: without mean, shape (n,).
+        sample_rate: Hz.
+        ridge: of the mode.
+        switched_off: periods at the beginning that are not free yet.
+
+    Returns:
+        The samples, shape (n,), and the lines that were taken out; the samples as they are where no line stands out, or
+        where they are too close to the mode to be separated from it.
+    """
+    low, high = np.quantile(ridge.frequency_hz[ridge.clear], (0.02, 0.98))
+    lines = [
+        order * hz
+        for hz in MAINS_HZ
+        for order in _ORDERS
+        if _PASSED[0] * low < order * hz < _PASSED[1] * high and order * hz < 0.5 * sample_rate
+    ]
+    clean, found = samples, tuple[Hum, ...]()
+    if not lines:
+        return samples, ()
+    for _ in range(_PASSES):
+        try:
+            slow = slow_amplitude(clean, sample_rate, ridge, 1)
+        except BenchError:
+            return samples, ()
+        mode = _smooth(slow, lines, samples.size, sample_rate, switched_off)
+        if mode is None:
+            return samples, ()
+        signal, size, first, apart = mode
+        fitted, found = _lines_in(samples - signal, size, sample_rate, apart, first)
+        if not found:
+            return samples, ()
+        clean = samples - fitted
+    return clean, found
+
+
+def _smooth(
+    slow: SlowAmplitude, lines: Sequence[float], count: int, sample_rate: float, switched_off: int
+) -> tuple[FloatArray, FloatArray, int, list[float]] | None:
+    """The mode sample by sample.
+
+    Returns:
+        Mode and its amplitude, each (count,), the first sample where they hold, and the lines beside the mode; None
+        where the decay does not stand out for some beats with any of the lines.
+    """
+    first, stop = span(slow, switched_off)
+    if stop - first < _MOST_DEGREE:
+        return None
+    time, turned = slow.time_s[first:stop], slow.phase[first:stop]
+    hertz = np.gradient(turned, time) / (2.0 * math.pi)
+    # A frequency that moves with the amplitude may pass a line, or end at it.
+    beats = {line: float(np.quantile(np.abs(hertz - line), _PASSING) * (time[-1] - time[0])) for line in lines}
+    apart = [line for line in lines if beats[line] > _FEWEST_BEATS]
+    if not apart:
+        return None
+    degree = min(_MOST_DEGREE, int(min(beats[line] for line in apart)))
+    weights = np.abs(slow.values[first:stop])
+    all_times = np.arange(count) / sample_rate
+    log = _continued(time, slow.log[first:stop], weights, degree, all_times)
+    phase = _continued(time, turned, weights, degree, all_times)
+    size = np.exp(np.minimum(log, slow.log.max() + 1.0))
+    return size * np.cos(phase), size, int(np.searchsorted(all_times, time[0])), apart
+
+
+def _continued(time: FloatArray, values: FloatArray, weights: FloatArray, degree: int, at: FloatArray) -> FloatArray:
+    """A weighted polynomial at times, continued along straight lines beyond those that it was fitted to."""
+    fit = np.polynomial.Polynomial.fit(time, values, degree, w=weights)
+    inside = np.clip(at, time[0], time[-1])
+    return np.asarray(fit(inside) + fit.deriv()(inside) * (at - inside))
+
+
+def _lines_in(
+    rest: FloatArray, size: FloatArray, sample_rate: float, lines: Sequence[float], first: int
+) -> tuple[FloatArray, tuple[Hum, ...]]:
+    """What the lines make of all samples, and those that stand out."""
+    noise = float(np.median(np.abs(rest[-max(rest.size // 4, 1) :]))) / 0.6745
+    weights = 1.0 / np.hypot(max(noise, 1e-300), _ROUGHNESS * size)
+    weights[:first] = 0.0
+    time = np.arange(rest.size) / sample_rate
+    result, found = np.zeros(rest.size), []
+    for line in lines:
+        best: tuple[float, float, FloatArray, FloatArray, float] | None = None
+        for shift in _WANDERS_HZ:
+            angle = 2.0 * math.pi * (line + shift) * time
+            design = np.stack((np.cos(angle), np.sin(angle)), axis=1)
+            weighted = design * weights[:, np.newaxis]
+            solution, *_ = np.linalg.lstsq(weighted, (rest - result) * weights, rcond=None)
+            gain = float(np.sum((weighted @ solution) ** 2))
+            if best is None or gain > best[0]:
+                std = math.sqrt(float(np.linalg.inv(weighted.T @ weighted).diagonal().max()))
+                best = gain, float(line + shift), np.asarray(solution), np.asarray(design @ solution), std
+        assert best is not None
+        _, hertz, solution, values, std = best
+        amplitude = math.hypot(*solution)
+        if amplitude > _STANDS_OUT * std:
+            result += values
+            found.append(Hum(float(hertz), amplitude))
+    return result, tuple(found)

@@ -1,0 +1,182 @@
+"""Averaged frequency response functions: H1, H2, Hv, coherence, and the estimate by way of the drive voltage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+
+MINIMUM_AVERAGES = 3
+"""Segments below which coherence says nothing (it is 1 for a single one)."""
+
+
+@dataclass(frozen=True, eq=False)
+class AveragedSpectra:
+    """Averaged auto and cross spectra of several channels.
+
+    Attributes:
+        frequency_hz: lines, Hz, shape ``(lines,)``.
+        channels: channel names, in the order of the matrix.
+        matrix: S_ij = mean of X_i conj(X_j), units² (any common scale), shape ``(channels, channels, lines)``.
+        averages: number of segments.
+        independent_averages: number of segments without overlap of the same statistical weight.
+        segment_samples: samples a segment.
+    """
+
+    frequency_hz: FloatArray
+    channels: tuple[str, ...]
+    matrix: ComplexArray
+    averages: int
+    independent_averages: float
+    segment_samples: int
+
+    def cross(self, row: str, column: str) -> ComplexArray:
+        """S of two channels, shape ``(lines,)``."""
+        return np.asarray(self.matrix[self.channels.index(row), self.channels.index(column)])
+
+
+@dataclass(frozen=True, eq=False)
+class FrfEstimate:
+    """Frequency responses of one input to several outputs.
+
+    Attributes:
+        frequency_hz: lines, Hz, shape ``(lines,)``.
+        input: name of the input channel.
+        outputs: names of the output channels.
+        h1: S_xf / S_ff: biased low by noise of the input. Output unit over input unit, shape ``(outputs, lines)``.
+        h2: S_xx / S_fx: biased high by noise of the output.
+        hv: total least squares with both signals scaled to equal power: between the two.
+        hc: S_xu / S_fu by way of the drive voltage u, free of the bias by noise of either signal; None without voltage.
+        coherence: γ² of input and output, shape ``(outputs, lines)``.
+        independent_averages: see :class:`AveragedSpectra`.
+    """
+
+    frequency_hz: FloatArray
+    input: str
+    outputs: tuple[str, ...]
+    h1: ComplexArray
+    h2: ComplexArray
+    hv: ComplexArray
+    hc: ComplexArray | None
+    coherence: FloatArray
+    independent_averages: float
+
+    @property
+    def best(self) -> ComplexArray:
+        """The estimate least biased by noise: by way of the voltage if there is one, else H1."""
+        return self.h1 if self.hc is None else self.hc
+
+
+def averaged_spectra(
+    signals: Mapping[str, FloatArray],
+    sample_rate: float,
+    segment_samples: int,
+    band_hz: tuple[float, float] | None = None,
+    overlap: float = 2.0 / 3.0,
+) -> AveragedSpectra:
+    """Welch's average over Hann-windowed segments.
+
+    The window widens resonances that are narrower than a few lines; damping is therefore never read from these
+    spectra but from the fit of the whole record (see :mod:`nmt_signals.rational_fit`).
+
+    Args:
+        signals: samples by channel, all of one length.
+        sample_rate: Hz.
+        segment_samples: samples a segment.
+        band_hz: lines to keep; None = all.
+        overlap: of neighbouring segments, 0 to below 1.
+
+    Raises:
+        BenchError: the record is shorter than a few segments.
+    """
+    names = tuple(signals)
+    length = min(len(signals[name]) for name in names)
+    step = max(1, round(segment_samples * (1.0 - overlap)))
+    averages = 1 + (length - segment_samples) // step if length >= segment_samples else 0
+    if averages < MINIMUM_AVERAGES:
+        raise BenchError(
+            f"The record of {length / sample_rate:.3g} s holds {averages} segments of "
+            f"{segment_samples / sample_rate:.3g} s; at least {MINIMUM_AVERAGES} are needed: record longer."
+        )
+    window = np.hanning(segment_samples + 1)[:-1]
+    frequency = np.fft.rfftfreq(segment_samples, 1.0 / sample_rate)
+    low, high = band_hz if band_hz is not None else (0.0, np.inf)
+    lines = np.flatnonzero((frequency >= low) & (frequency <= high))
+    total = np.zeros((len(names), len(names), lines.size), dtype=np.complex128)
+    for number in range(averages):
+        part = slice(number * step, number * step + segment_samples)
+        spectra = np.empty((len(names), lines.size), dtype=np.complex128)
+        for row, name in enumerate(names):
+            values = signals[name][part]
+            spectra[row] = np.fft.rfft(window * (values - values.mean()))[lines]
+        total += spectra[:, np.newaxis] * spectra[np.newaxis].conj()
+    return AveragedSpectra(
+        np.asarray(frequency[lines], dtype=np.float64),
+        names,
+        total / averages,
+        averages,
+        _independent(window, step, averages),
+        segment_samples,
+    )
+
+
+def _independent(window: FloatArray, step: int, averages: int) -> float:
+    """Averages that count: overlapping segments share data (Welch 1967)."""
+    power = float(np.sum(window**2))
+    shared = 0.0
+    for lag in range(1, averages):
+        offset = lag * step
+        if offset >= window.size:
+            break
+        rho = float(np.sum(window[offset:] * window[: window.size - offset])) / power
+        shared += 2.0 * (1.0 - lag / averages) * rho**2
+    return averages / (1.0 + shared)
+
+
+def frf_estimate(
+    spectra: AveragedSpectra, input_channel: str, outputs: tuple[str, ...], voltage: str | None = None
+) -> FrfEstimate:
+    """Frequency responses from averaged spectra.
+
+    Args:
+        spectra: of all channels named here.
+        input_channel: name of the input.
+        outputs: names of the outputs.
+        voltage: name of the drive voltage, for ``hc``.
+
+    Raises:
+        BenchError: the input or an output vanishes at a line.
+    """
+    force = spectra.cross(input_channel, input_channel).real
+    shape = (len(outputs), force.size)
+    h1, h2, hv, hc = (np.empty(shape, dtype=np.complex128) for _ in range(4))
+    coherence = np.empty(shape)
+    for row, output in enumerate(outputs):
+        cross = spectra.cross(output, input_channel)
+        response = spectra.cross(output, output).real
+        if not (np.all(force > 0.0) and np.all(response > 0.0) and np.all(np.abs(cross) > 0.0)):
+            raise BenchError(
+                f"Channel {input_channel} or {output} is zero within the band; check the sensor and the drive."
+            )
+        h1[row] = cross / force
+        h2[row] = response / cross.conj()
+        coherence[row] = np.minimum(np.abs(cross) ** 2 / (force * response), 1.0)
+        # Smallest eigenvector of the spectral matrix of signals of equal power: |Hv| = sqrt(|H1| |H2|).
+        hv[row] = np.sqrt(response / force) * cross / np.abs(cross)
+        if voltage is not None:
+            hc[row] = spectra.cross(output, voltage) / spectra.cross(input_channel, voltage)
+    return FrfEstimate(
+        spectra.frequency_hz,
+        input_channel,
+        outputs,
+        h1,
+        h2,
+        hv,
+        hc if voltage is not None else None,
+        coherence,
+        spectra.independent_averages,
+    )

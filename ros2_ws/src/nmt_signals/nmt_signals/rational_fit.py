@@ -1,0 +1,321 @@
+"""Rational model of all channels around a resonance, fitted to the spectrum of one long record.
+
+A record of a linear system under any excitation u obeys, line by line and without any window,
+
+    Y_c(ω) = H_c(ω) U(ω) + T_c(ω),    H_c, T_c = Σ_p R_cp / (ω − ω_p) + polynomial in ω,
+
+where T_c stands for the free vibration at the record's two ends: it has the same poles. With T_c in the model there is
+no leakage, so that a resonance of a few lines is met without bias where Hann-windowed averages widen it (Pintelon and
+Schoukens, System Identification, sections 6.3 and 7.2). Residues and polynomials are linear; the common poles are found
+by Gauss-Newton steps on the projected residual.
+
+With the drive voltage as u and force and responses as channels, only outputs carry noise. The structure alone follows
+by division: its poles are zeros of voltage → force, its residues N_x / N_f′ there, free of the bias that noise of the
+force gives H1 where the force drops out at resonance. Without a voltage, u is the force and the structure's poles are
+the poles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+
+MOST_LINES = 3000
+"""Lines beyond which only every second, third … one is used: they are plenty."""
+_STEPS = 40
+_PRECISIONS = (1e-4, 1e-6, 1e-9)
+_STARTS = (0.1j, 0.35 + 0.2j, -0.35 + 0.2j, 0.6j)
+
+
+@dataclass(frozen=True, eq=False)
+class RationalFit:
+    """Fitted model in the variable z = (f − centre) / half width.
+
+    Attributes:
+        centre_hz: centre of the band.
+        half_width_hz: half of its width.
+        poles: poles in z with positive imaginary part, shape ``(P,)``.
+        residues: R of the responses, output unit over input unit, shape ``(channels, P)``.
+        polynomial: coefficients from the constant up, shape ``(channels, order + 1)``.
+        covariance: of (poles, then residues and polynomial channel by channel), complex circular.
+        misfit: rms of what is left over rms of the channel, shape ``(channels,)``.
+        lines: number of spectral lines fitted.
+    """
+
+    centre_hz: float
+    half_width_hz: float
+    poles: ComplexArray
+    residues: ComplexArray
+    polynomial: ComplexArray
+    covariance: ComplexArray
+    misfit: FloatArray
+    lines: int
+
+    @property
+    def eigenvalues(self) -> ComplexArray:
+        """Poles in the Laplace variable s = iω, rad/s, shape ``(P,)``."""
+        return np.asarray(2j * np.pi * (self.centre_hz + self.half_width_hz * self.poles))
+
+    def response(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Channels over input at frequencies within the band, shape ``(channels, frequencies)``."""
+        z = (np.asarray(frequency_hz) - self.centre_hz) / self.half_width_hz
+        rational = self.residues @ (1.0 / (z[np.newaxis] - self.poles[:, np.newaxis]))
+        return np.asarray(rational + self.polynomial @ np.power.outer(z, np.arange(self.polynomial.shape[1])).T)
+
+    def parameters(self) -> ComplexArray:
+        """All parameters in the order of ``covariance``."""
+        return np.concatenate([self.poles, np.hstack([self.residues, self.polynomial]).ravel()])
+
+    def with_parameters(self, values: ComplexArray) -> tuple[ComplexArray, list[ComplexArray]]:
+        """Denominator and numerator polynomials in z, highest power first, for given parameters."""
+        count = self.poles.size
+        poles = values[:count]
+        table = values[count:].reshape(self.residues.shape[0], -1)
+        denominator = np.poly(poles)
+        numerators = []
+        for row in table:
+            numerator = np.polymul(row[count:][::-1], denominator)
+            for index in range(count):
+                numerator = np.polyadd(numerator, row[index] * np.poly(np.delete(poles, index)))
+            numerators.append(np.asarray(numerator, dtype=np.complex128))
+        return np.asarray(denominator, dtype=np.complex128), numerators
+
+
+@dataclass(frozen=True, eq=False)
+class StructureMode:
+    """A pole of response over force with the residues of the responses.
+
+    Attributes:
+        eigenvalue: λ = −ζω + iω√(1 − ζ²), rad/s.
+        residues: A of H ≈ A / (s − λ), response unit over N times rad/s, shape ``(responses,)``.
+        covariance: of (eigenvalue, residues), complex circular, shape ``(1 + responses,) * 2``.
+    """
+
+    eigenvalue: complex
+    residues: ComplexArray
+    covariance: ComplexArray
+
+
+def fit_rational(
+    input_spectrum: ComplexArray,
+    output_spectra: ComplexArray,
+    frequency_hz: FloatArray,
+    centre_hz: float,
+    half_width_hz: float,
+    poles: int = 1,
+    order: int = 3,
+    start: RationalFit | None = None,
+) -> RationalFit:
+    """Fit the model to spectra of a whole record without window.
+
+    Args:
+        input_spectrum: U, shape ``(lines,)``.
+        output_spectra: Y, shape ``(channels, lines)``.
+        frequency_hz: lines, Hz.
+        centre_hz, half_width_hz: band to use.
+        poles: number of poles.
+        order: degree of the polynomials.
+        start: an earlier fit of the same band to start from; None = several starts, the best counts.
+
+    Raises:
+        BenchError: too few lines, a channel without signal, or no damped pole found.
+    """
+    use = np.flatnonzero(np.abs(frequency_hz - centre_hz) <= half_width_hz)
+    use = use[:: 1 + use.size // MOST_LINES]
+    unknown = 2 * (poles + order + 1)
+    lines = use.size
+    if lines < 2 * unknown:
+        raise BenchError(
+            f"The record has {lines} spectral lines within {centre_hz - half_width_hz:.4g} to "
+            f"{centre_hz + half_width_hz:.4g} Hz; the fit needs at least {2 * unknown}: record longer."
+        )
+    outputs = output_spectra[:, use]
+    scale = np.sqrt(np.mean(np.abs(outputs) ** 2, axis=1))
+    input_scale = float(np.sqrt(np.mean(np.abs(input_spectrum[use]) ** 2)))
+    if not (input_scale > 0.0 and np.all(scale > 0.0)):
+        raise BenchError(f"A channel has no signal around {centre_hz:.4g} Hz; check sensors and drive.")
+    problem = _Problem(
+        (frequency_hz[use] - centre_hz) / half_width_hz,
+        input_spectrum[use] / input_scale,
+        (outputs / scale[:, np.newaxis]).T,
+        poles,
+        order,
+    )
+    best: tuple[float, ComplexArray, FloatArray] | None = None
+    spread = np.linspace(-0.5, 0.5, poles) if poles > 1 else np.zeros(1)
+    starts = [np.asarray(first + spread, dtype=np.complex128) for first in _STARTS]
+    for first in starts if start is None else [start.poles]:
+        found = problem.solve(first)
+        if found is None:
+            continue
+        if best is not None and abs(found[0] - best[0]) < 1e-3:
+            break  # the same optimum from two starts
+        if best is None or found[0] < best[0]:
+            best = found
+    if best is None:
+        raise BenchError(f"No damped resonance fits the spectra around {centre_hz:.4g} Hz.")
+    _, found_poles, weights = best
+    table, covariance, misfit = problem.statistics(found_poles, weights)
+    factor = scale / input_scale
+    count = poles + order + 1
+    response_rows = table[:count].T * factor[:, np.newaxis]
+    scaling = np.concatenate([np.ones(poles), np.repeat(factor, count)])
+    return RationalFit(
+        centre_hz,
+        half_width_hz,
+        found_poles,
+        response_rows[:, :poles],
+        response_rows[:, poles:],
+        covariance * np.outer(scaling, scaling),
+        misfit,
+        lines,
+    )
+
+
+class _Problem:
+    """Scaled data of one band; lines lead, channels follow."""
+
+    def __init__(self, z: FloatArray, drive: ComplexArray, data: ComplexArray, poles: int, order: int) -> None:
+        self.z, self.drive, self.data = z, drive, data
+        self.poles = poles
+        powers = np.power.outer(z, np.arange(order + 1)).astype(np.complex128)
+        self.driven_powers = powers * drive[:, np.newaxis]
+        self.powers = powers
+
+    def basis(self, poles: ComplexArray) -> ComplexArray:
+        partial = 1.0 / (self.z[:, np.newaxis] - poles)
+        return np.hstack([partial * self.drive[:, np.newaxis], self.driven_powers, partial, self.powers])
+
+    def split(self, poles: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        q, r = _orthonormal(self.basis(poles))
+        return q, r, self.data - q @ (q.conj().T @ self.data)
+
+    def table(self, q: ComplexArray, r: ComplexArray) -> ComplexArray:
+        """Linear parameters, shape ``(unknown, channels)``."""
+        return np.asarray(np.linalg.solve(r, q.conj().T @ self.data), dtype=np.complex128)
+
+    def derivative(self, poles: ComplexArray, table: ComplexArray) -> ComplexArray:
+        """∂(basis · table)/∂pole, shape ``(P, lines, channels)``."""
+        partial = 1.0 / (self.z[:, np.newaxis] - poles) ** 2
+        second = self.poles + self.driven_powers.shape[1]
+        return np.stack(
+            [
+                np.outer(partial[:, p] * self.drive, table[p]) + np.outer(partial[:, p], table[second + p])
+                for p in range(self.poles)
+            ]
+        )
+
+    def solve(self, poles: ComplexArray) -> tuple[float, ComplexArray, FloatArray] | None:
+        """Poles from a start, in rounds with channels weighted by what the round before left over."""
+        weights = np.ones(self.data.shape[1])
+        cost = np.inf
+        # The cost of a weighted round is the number of data: a gain far below 1 is no gain.
+        for precision in _PRECISIONS:
+            q, r, rest = self.split(poles)
+            cost = float(np.sum(np.abs(rest * weights) ** 2))
+            for _ in range(_STEPS):
+                table = self.table(q, r)
+                slopes = self.derivative(poles, table) * weights
+                slopes = slopes - q @ (q.conj().T @ slopes)
+                step = np.linalg.lstsq(slopes.reshape(self.poles, -1).T, (rest * weights).ravel(), rcond=None)[0]
+                length = 1.0
+                while length > 1e-4:
+                    trial = poles + length * step
+                    if np.all(trial.imag > 0.0) and np.all(np.abs(trial) < 50.0):
+                        q, r, rest = self.split(trial)
+                        new_cost = float(np.sum(np.abs(rest * weights) ** 2))
+                        if new_cost <= cost * (1.0 + 1e-12):
+                            break
+                    length *= 0.5
+                else:
+                    q, r, rest = self.split(poles)
+                    break
+                poles, gain, cost = trial, cost - new_cost, new_cost
+                if np.max(np.abs(length * step)) < 1e-10 or gain <= precision * cost:
+                    break
+            level = np.sqrt(np.mean(np.abs(rest) ** 2, axis=0))
+            weights = 1.0 / np.maximum(level, 1e-12)
+        if not np.all(np.isfinite(poles)):
+            return None
+        # Comparable between starts: what is left of every channel, logarithms summed (likelihood of unknown noise).
+        return float(np.sum(np.log(np.maximum(level, 1e-12)))), poles, weights
+
+    def statistics(self, poles: ComplexArray, weights: FloatArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+        """Linear parameters ``(unknown, channels)``, covariance of poles and response parameters, misfit."""
+        q, r, rest = self.split(poles)
+        table = self.table(q, r)
+        lines = self.data.shape[0]
+        noise = rest.T @ rest.conj() / max(1, lines - r.shape[0] - self.poles)
+        slopes = self.derivative(poles, table)
+        inside = np.linalg.solve(r, q.conj().T @ slopes)
+        outside = slopes - q @ (q.conj().T @ slopes)
+        weighted = outside * weights**2
+        gain = np.linalg.inv(np.einsum("plc,qlc->pq", weighted.conj(), outside))
+        # δpoles = gain Σ_c weighted_cᴴ n_c with E n_c n_dᴴ = noise_cd.
+        middle = np.einsum("plc,qld,cd->pq", weighted.conj(), weighted, noise)
+        pole_covariance = gain @ middle @ gain.conj().T
+        inverse = np.linalg.inv(r)
+        keep = slice(0, self.poles + self.driven_powers.shape[1])
+        own = (inverse @ inverse.conj().T)[keep, keep]
+        along = -np.moveaxis(inside[:, keep], 0, -1)  # (kept, channels, P)
+        along = np.moveaxis(along, 1, 0).reshape(-1, self.poles)
+        linear = np.kron(noise, own) + along @ pole_covariance @ along.conj().T
+        cross = pole_covariance @ along.conj().T
+        covariance = np.block([[pole_covariance, cross], [cross.conj().T, linear]])
+        misfit = np.sqrt(np.mean(np.abs(rest) ** 2, axis=0))
+        return table, np.asarray(covariance, dtype=np.complex128), np.asarray(misfit, dtype=np.float64)
+
+
+def _orthonormal(matrix: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """QR of a tall matrix by Cholesky, twice (CholeskyQR2): products of matrices only, ten times as fast."""
+    try:
+        q: ComplexArray = matrix
+        r: ComplexArray = np.eye(matrix.shape[1], dtype=np.complex128)
+        for _ in range(2):
+            factor = np.linalg.cholesky(q.conj().T @ q).conj().T
+            q = np.asarray(np.linalg.solve(factor.T, q.T).T, dtype=np.complex128)
+            r = factor @ r
+    except np.linalg.LinAlgError:  # too close to singular for the square of the matrix
+        q, r = np.linalg.qr(matrix)
+    return q, r
+
+
+def structure_mode(fit: RationalFit, near_hz: complex, force_row: int | None) -> StructureMode:
+    """The mode of response over force nearest to a start, with its covariance by propagation of errors.
+
+    Args:
+        fit: of voltage to force and responses, or of force to responses.
+        near_hz: start, Hz, complex (f + i ζ f).
+        force_row: row of the force among the channels; None where the force is the input.
+    """
+    values = fit.parameters()
+    near = (near_hz - fit.centre_hz) / fit.half_width_hz
+    result = _mode_of(fit, values, near, force_row)
+    slopes = np.empty((result.size, values.size), dtype=np.complex128)
+    root = (result[0] / 2j / np.pi - fit.centre_hz) / fit.half_width_hz
+    deviation = np.sqrt(np.maximum(np.diagonal(fit.covariance).real, 0.0))
+    for index in range(values.size):
+        # The mode is an analytic function of the parameters: one complex difference gives its derivative.
+        step = max(1e-3 * deviation[index], 1e-7 * abs(values[index]), 1e-30)
+        up, down = values.copy(), values.copy()
+        up[index] += step
+        down[index] -= step
+        slopes[:, index] = (_mode_of(fit, up, root, force_row) - _mode_of(fit, down, root, force_row)) / (2.0 * step)
+    return StructureMode(complex(result[0]), result[1:], slopes @ fit.covariance @ slopes.conj().T)
+
+
+def _mode_of(fit: RationalFit, values: ComplexArray, near: complex, force_row: int | None) -> ComplexArray:
+    denominator, numerators = fit.with_parameters(values)
+    below = denominator if force_row is None else numerators[force_row]
+    roots: ComplexArray = values[: fit.poles.size]
+    if force_row is not None:
+        roots = np.asarray(np.roots(below), dtype=np.complex128)
+    root = roots[int(np.argmin(np.abs(roots - near)))]
+    slope = np.polyval(np.polyder(below), root) / (2j * np.pi * fit.half_width_hz)
+    responses = [row for index, row in enumerate(numerators) if index != force_row]
+    eigenvalue = 2j * np.pi * (fit.centre_hz + fit.half_width_hz * root)
+    return np.array([eigenvalue, *(np.polyval(row, root) / slope for row in responses)])

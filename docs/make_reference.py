@@ -8,7 +8,8 @@ A page holds its tables between ``<!-- generated: KIND NAME -->`` and ``<!-- end
 written by hand. KIND is ``message`` (a .msg, .srv or .action file), ``parameters`` (the table of a node), ``rig``
 (a section of the rig file), ``elements`` (a file of local elements), ``keys`` (attributes of a class by its
 docstring), ``options`` (a command), ``python`` (the public names of a package), ``effects`` (a place of the
-diagnosis) or ``priors``. The tables of parameters stand in the node modules, so they need ROS 2.
+diagnosis), ``priors`` or ``quantities`` (of a modal point). The tables of parameters stand in the node modules, so
+they need ROS 2.
 """
 
 from __future__ import annotations
@@ -526,9 +527,22 @@ def priors_table(name: str) -> str:
     return "\n".join(lines)
 
 
+def quantities_table(name: str) -> str:
+    """The measured quantities of a modal point, and where each is shown."""
+    from nmt_core.messages.modal_point import QUANTITIES
+
+    lines = ["| quantity | unit | what it is | modal.csv | tables |", "|---|---|---|---|---|"]
+    for quantity in QUANTITIES:
+        symbol = quantity.column.symbol if quantity.column is not None else ""
+        cells = (f"`{quantity.name}`", quantity.unit, quantity.meaning, "yes" if quantity.csv else "", symbol)
+        lines.append("| " + " | ".join(_cell(cell) for cell in cells) + " |")
+    return "\n".join(lines)
+
+
 KINDS: dict[str, Callable[[str], str]] = {
     "effects": effects_table,
     "priors": priors_table,
+    "quantities": quantities_table,
     "message": message_table,
     "parameters": parameters_table,
     "rig": rig_table,

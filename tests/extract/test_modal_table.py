@@ -31,7 +31,7 @@ def test_columns_are_those_of_the_contract():
         "modal_amplitude,modal_amplitude_std,force_n,force_n_std,pbmif,pbmif_std,gamma_force,gamma_force_std,"
         "gamma_acceleration,gamma_acceleration_std,mac,mac_std"
     )
-    assert ",".join(COLUMNS) == expected
+    assert ",".join(COLUMNS[:19]) == expected, "columns of earlier releases come first, in their order"
 
 
 def test_csv_keeps_every_bit_and_every_row(points, tmp_path):
@@ -101,6 +101,35 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(points, tmp_path, monke
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_table_of_another_release_is_read(points, tmp_path):
+    """Columns that it lacks are NaN, unknown ones are kept, and the order of columns means nothing."""
+    write_csv(points, tmp_path / "modal.csv")
+    with (tmp_path / "modal.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        del row["mac"], row["mac_std"]
+        row |= {"q_factor": "41.5", "remark": "door open"}
+    with (tmp_path / "other.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, sorted(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    known, other = read_csv(tmp_path / "modal.csv"), read_csv(tmp_path / "other.csv")
+    assert set(other) == {*COLUMNS, "q_factor", "remark"}
+    assert other["q_factor"] == [41.5, 41.5]
+    assert other["remark"] == ["door open"] * 2
+    assert all(math.isnan(value) for name in ("mac", "mac_std") for value in other[name])
+    for name in set(COLUMNS) - {"mac", "mac_std"}:
+        np.testing.assert_array_equal(other[name], known[name])
+
+
+def test_a_wrong_value_is_named_with_its_line(points, tmp_path):
+    write_csv(points, tmp_path / "modal.csv")
+    text = (tmp_path / "modal.csv").read_text()
+    (tmp_path / "modal.csv").write_text(text.replace("\n0.2,nan", "\n0.2,much"))
+    with pytest.raises(BenchError, match=r"modal.csv line 3: frequency_hz is 'much'; give a number"):
+        read_csv(tmp_path / "modal.csv")
+
+
 def test_files_that_are_something_else_are_refused(tmp_path):
     path = tmp_path / "other"
     with pytest.raises(BenchError, match="cannot be read"):
@@ -111,7 +140,8 @@ def test_files_that_are_something_else_are_refused(tmp_path):
         "",
         "a,b\n1,2\n",
         ",".join(COLUMNS) + "\n1,2\n",
-        ",".join(COLUMNS) + "\n" + "x," * 18 + "x\n",
+        ",".join(COLUMNS) + "\n" + ",".join("x" * len(COLUMNS)) + "\n",
+        ",".join((*COLUMNS, "level")) + "\n",
     ):
         path.write_text(text)
         with pytest.raises(BenchError):

@@ -21,7 +21,7 @@ from nmt_core.files.hardened import read_json, read_text
 from nmt_core.files.whole_file import writing
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
-from nmt_extract.modal_point import COMPLEX, MEASURED, ModalPoint, Status
+from nmt_extract.modal_point import COMPLEX, MEASURED, QUANTITIES, ModalPoint, Status
 from nmt_report.html_page import Column, Row, Table, part
 from nmt_report.quantity_format import significant, uncertain
 from nmt_report.run_data import ReferenceCurve, read_reference
@@ -188,18 +188,7 @@ def _axes(axes: Axes | None) -> Axes:
     return pyplot.subplots()[1]
 
 
-_LABELS = {
-    "frequency_hz": "modal frequency / Hz",
-    "omega_rad_s": "modal frequency / (rad/s)",
-    "damping_ratio": "modal damping ratio",
-    "modal_amplitude": "modal amplitude / (m√kg)",
-    "force_n": "force / N",
-    "level": "level",
-    "pbmif": "PBMIF",
-    "gamma_force": "fundamental content of the force",
-    "gamma_acceleration": "fundamental content of the acceleration",
-    "mac": "MAC",
-}
+_LABELS = {"level": "level"} | {quantity.name: quantity.axis for quantity in QUANTITIES if quantity.axis}
 
 
 @dataclass(frozen=True, repr=False)

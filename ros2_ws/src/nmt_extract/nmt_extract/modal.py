@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -56,21 +57,103 @@ def estimated_mass(shapes: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class ModalQuantities:
-    """What follows from harmonics; every array leads with the axis ``sets``: the window and its variants."""
+    """What follows from harmonics; every array leads with the axis ``sets``: the window and its variants.
 
-    damping_ratio: FloatArray
-    modal_amplitude: FloatArray
-    self_excitation: FloatArray
-    force_n: FloatArray
-    active_power: FloatArray
-    apparent_power: FloatArray
-    pbmif: FloatArray
-    gamma_force: FloatArray
-    gamma_acceleration: FloatArray
-    mac: FloatArray
-    phase_error: FloatArray
-    normalised_shape: ComplexArray
-    participation: ComplexArray
+    Each quantity of :data:`nmt_core.messages.modal_point.EVALUATED` is a property of its name, SI units, shape
+    ``(sets,)`` (method, eqs. 3 to 7). Powers are positive when the exciter feeds the structure, so ``force`` is the
+    force of the exciter on the structure.
+
+    Attributes:
+        omega: ω̃, rad/s, shape ``(sets,)``.
+        force: F_n without n = 0, N, shape ``(sets, H)``.
+        velocity: iωnψ̃_k,n at the drive point without n = 0, m/s, same shape.
+        drive_acceleration: acceleration harmonics at the drive point without n = 0, m/s², same shape.
+        shape: fundamental ψ̃₁ at the points of Φ, m, shape ``(sets, points)``.
+        linear_shape: of the mode under test, 1/√kg, shape ``(points,)``.
+        coordinates: modal coordinates Φ⁺ψ̃₁, m√kg, shape ``(sets, modes)``.
+    """
+
+    omega: FloatArray
+    force: ComplexArray
+    velocity: ComplexArray
+    drive_acceleration: ComplexArray
+    shape: ComplexArray
+    linear_shape: FloatArray
+    coordinates: ComplexArray
+
+    @cached_property
+    def modal_amplitude(self) -> FloatArray:
+        """q = |Φ⁺ψ̃₁|, m√kg."""
+        return np.asarray(np.sqrt(_energy(self.coordinates)))
+
+    @cached_property
+    def force_n(self) -> FloatArray:
+        """|F₁|, N."""
+        return np.asarray(np.abs(self.force[:, 0]))
+
+    @cached_property
+    def _power(self) -> FloatArray:
+        """P_n, W, shape ``(sets, H)``."""
+        return np.asarray(0.5 * (self.velocity * self.force.conj()).real)
+
+    @cached_property
+    def active_power(self) -> FloatArray:
+        """P₁, W."""
+        return self._power[:, 0]
+
+    @cached_property
+    def apparent_power(self) -> FloatArray:
+        """S over all harmonics, W."""
+        return np.asarray(np.sqrt(_energy(self.velocity) * _energy(self.force)) * 0.5)
+
+    @cached_property
+    def self_excitation(self) -> FloatArray:
+        """ξ = 2 P₁ / (ω̃ q)², rad/s."""
+        return np.asarray(2.0 * self.active_power / (self.omega * self.modal_amplitude) ** 2)
+
+    @cached_property
+    def damping_ratio(self) -> FloatArray:
+        """δ̃ = ξ / (2 ω̃)."""
+        return np.asarray(self.self_excitation / (2.0 * self.omega))
+
+    @cached_property
+    def pbmif(self) -> FloatArray:
+        """|P| / S over all harmonics."""
+        return np.asarray(np.abs(self._power.sum(axis=1)) / self.apparent_power)
+
+    @cached_property
+    def gamma_force(self) -> FloatArray:
+        """Fundamental over rms of all harmonics of the force."""
+        return np.asarray(self.force_n / np.sqrt(_energy(self.force)))
+
+    @cached_property
+    def gamma_acceleration(self) -> FloatArray:
+        """Fundamental over rms of all harmonics of the drive-point acceleration."""
+        acceleration = self.drive_acceleration
+        return np.asarray(np.abs(acceleration[:, 0]) / np.sqrt(_energy(acceleration)))
+
+    @cached_property
+    def mac(self) -> FloatArray:
+        """|φᵀψ̃₁|² / (φᵀφ · |ψ̃₁|²)."""
+        linear = self.linear_shape
+        return np.asarray(
+            np.abs((linear * self.shape).sum(axis=1)) ** 2 / ((linear * linear).sum() * _energy(self.shape))
+        )
+
+    @cached_property
+    def phase_error(self) -> FloatArray:
+        """Phase of force before velocity at the drive point, rad."""
+        return np.asarray(np.angle(self.force[:, 0] * self.velocity[:, 0].conj()))
+
+    @cached_property
+    def normalised_shape(self) -> ComplexArray:
+        """φ̃₁ = ψ̃₁ / q, 1/√kg, shape ``(sets, points)``."""
+        return np.asarray(self.shape / self.modal_amplitude[:, np.newaxis])
+
+    @cached_property
+    def participation(self) -> ComplexArray:
+        """Γ = Φ⁺φ̃₁, shape ``(sets, modes)``."""
+        return np.asarray(self.coordinates / self.modal_amplitude[:, np.newaxis])
 
 
 def modal_quantities(
@@ -82,11 +165,7 @@ def modal_quantities(
     linear_shapes: FloatArray,
     target_mode: int,
 ) -> ModalQuantities:
-    """Powers, damping, amplitude and mode indicators (method, eqs. 3 to 7).
-
-    Sign: powers are positive when the exciter feeds the structure, so ``force`` is the force of the exciter
-        on the
-    structure. PBMIF = |P|/S.
+    """Powers, damping, amplitude and mode indicators of harmonics.
 
     Args:
         omega: ω̃, rad/s, shape ``(sets,)``.
@@ -104,34 +183,20 @@ def modal_quantities(
         BenchError: force or response vanish.
     """
     orders = np.arange(1, force.shape[1])
-    velocity = 1j * orders * omega[:, np.newaxis] * drive_displacement[:, 1:]
-    forces = force[:, 1:]
-    power = 0.5 * (velocity * forces.conj()).real
-    apparent = np.sqrt(_energy(velocity) * _energy(forces)) * 0.5
-    force_amplitude = np.abs(forces[:, 0])
-    coordinates = (np.linalg.pinv(linear_shapes) * shape[:, np.newaxis, :]).sum(axis=2)
-    amplitude = np.sqrt(_energy(coordinates))
-    # Phase and amplitude of nothing are meaningless; rounding of zero signals stays far below.
-    if not (np.all(amplitude > 0.0) and np.all(force_amplitude > 0.0) and np.all(np.abs(velocity[:, 0]) > 0.0)):
-        raise BenchError("There is no force or no response at the excitation frequency; check sensors and drive.")
-    self_excitation = 2.0 * power[:, 0] / (omega * amplitude) ** 2
-    linear = linear_shapes[:, target_mode]
-    correlation = np.abs((linear * shape).sum(axis=1)) ** 2 / ((linear * linear).sum() * _energy(shape))
-    return ModalQuantities(
-        damping_ratio=self_excitation / (2.0 * omega),
-        modal_amplitude=amplitude,
-        self_excitation=self_excitation,
-        force_n=force_amplitude,
-        active_power=power[:, 0],
-        apparent_power=apparent,
-        pbmif=np.abs(power.sum(axis=1)) / apparent,
-        gamma_force=force_amplitude / np.sqrt(_energy(forces)),
-        gamma_acceleration=np.abs(drive_acceleration[:, 1]) / np.sqrt(_energy(drive_acceleration[:, 1:])),
-        mac=correlation,
-        phase_error=np.angle(forces[:, 0] * velocity[:, 0].conj()),
-        normalised_shape=shape / amplitude[:, np.newaxis],
-        participation=coordinates / amplitude[:, np.newaxis],
+    values = ModalQuantities(
+        omega=omega,
+        force=force[:, 1:],
+        velocity=1j * orders * omega[:, np.newaxis] * drive_displacement[:, 1:],
+        drive_acceleration=drive_acceleration[:, 1:],
+        shape=shape,
+        linear_shape=linear_shapes[:, target_mode],
+        coordinates=(np.linalg.pinv(linear_shapes) * shape[:, np.newaxis, :]).sum(axis=2),
     )
+    # Phase and amplitude of nothing are meaningless; rounding of zero signals stays far below.
+    drive = np.abs(values.velocity[:, 0])
+    if not (np.all(values.modal_amplitude > 0.0) and np.all(values.force_n > 0.0) and np.all(drive > 0.0)):
+        raise BenchError("There is no force or no response at the excitation frequency; check sensors and drive.")
+    return values
 
 
 def modal_point(

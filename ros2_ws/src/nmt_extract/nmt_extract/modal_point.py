@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from nmt_core.messages.cdr import bench_time_ns
-from nmt_core.messages.modal_point import COMPLEX, EVALUATED, MEASURED, ModalPoint
+from nmt_core.messages.modal_point import COMPLEX, EVALUATED, MEASURED, QUANTITIES, ModalPoint
 from nmt_core.messages.records import LockEvent
 from nmt_core.vocabulary import PointStatus as Status
 
-__all__ = ["COMPLEX", "EVALUATED", "MEASURED", "ModalPoint", "Status", "bench_time_ns", "rejected_point"]
+__all__ = [
+    "COMPLEX",
+    "EVALUATED",
+    "MEASURED",
+    "QUANTITIES",
+    "ModalPoint",
+    "Status",
+    "bench_time_ns",
+    "rejected_point",
+]
 
 
 def rejected_point(lock: LockEvent, sample_rate: float, reason: str) -> ModalPoint:

@@ -22,21 +22,13 @@ from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.numerics.arrays import ComplexArray
 from nmt_extract.harmonics_indicators import HARMONICS_COLUMNS, any_control, indicators
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
-from nmt_extract.modal_point import COMPLEX, ModalPoint, Status
+from nmt_extract.modal_point import COMPLEX, QUANTITIES, ModalPoint, Status
 
-_MEASURED_COLUMNS = (
-    "frequency_hz",
-    "omega_rad_s",
-    "damping_ratio",
-    "modal_amplitude",
-    "force_n",
-    "pbmif",
-    "gamma_force",
-    "gamma_acceleration",
-    "mac",
-)
-COLUMNS = ("level", *(name + suffix for name in _MEASURED_COLUMNS for suffix in ("", "_std")))
-"""Columns of ``modal.csv``, in order; units as in :class:`nmt_extract.modal_point.ModalPoint`."""
+COLUMNS = ("level", *(item.name + suffix for item in QUANTITIES if item.csv for suffix in ("", "_std")))
+"""Columns of ``modal.csv``, in order; units and meanings stand in :data:`nmt_extract.modal_point.QUANTITIES`."""
+
+_BACKBONE = ("level", "omega_rad_s", "damping_ratio", "modal_amplitude")
+"""Columns without which a table is none of modal points."""
 
 LOOP_COLUMNS = ("level", "period_fraction", "relative_displacement_m", "joint_force_n")
 """Columns of ``hysteresis.csv``."""
@@ -67,27 +59,43 @@ def write_csv(points: Iterable[ModalPoint], path: Path | str) -> None:
     write_result(Path(path), csv_text([columns, *rows]))
 
 
-def read_csv(path: Path | str) -> dict[str, list[float]]:
-    """Read ``modal.csv``.
+def read_csv(path: Path | str) -> dict[str, list[Any]]:
+    """Read ``modal.csv`` of this or another release, or with columns that somebody has added.
 
     Returns:
-        Columns by name.
+        Columns by name in the order of the file: numbers, or texts where an unknown column has any. Columns of
+        :data:`COLUMNS` that the file lacks follow, all NaN.
 
     Raises:
-        BenchError: not there, other columns, or a value that is no number.
+        BenchError: not there, no table of modal points, or a value of a known column that is no number.
     """
     rows = read_rows(Path(path), _WHAT)
     names = tuple(rows[0]) if rows else ()
-    if names not in (COLUMNS, (*COLUMNS, *HARMONICS_COLUMNS)):
-        raise BenchError(f"{path} is not a table of modal points; its first line must be {','.join(COLUMNS)}.")
-    columns: dict[str, list[float]] = {name: [] for name in names}
+    lacking = [name for name in _BACKBONE if name not in names]
+    if lacking:
+        raise BenchError(f"{path} is not a table of modal points; its first line must have {','.join(_BACKBONE)}.")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise BenchError(f"{path} has the column {twice[0]} twice; give each its name.")
     for number, row in enumerate(rows[1:], start=2):
-        try:
-            for name, text in zip(names, row, strict=True):
-                columns[name].append(float(text))
-        except ValueError as error:
-            raise BenchError(f"{path} line {number} is not a row of {len(names)} numbers.") from error
-    return columns
+        if len(row) != len(names):
+            raise BenchError(f"{path} line {number} has {len(row)} values for {len(names)} columns.")
+    columns: dict[str, list[Any]] = {name: [row[place] for row in rows[1:]] for place, name in enumerate(names)}
+    for name, texts in columns.items():
+        numbers = [_number(text) for text in texts]
+        if None not in numbers:
+            columns[name] = numbers
+        elif name in (*COLUMNS, *HARMONICS_COLUMNS):
+            line = numbers.index(None)
+            raise BenchError(f"{path} line {line + 2}: {name} is '{texts[line]}'; give a number.")
+    return columns | {name: [math.nan] * (len(rows) - 1) for name in COLUMNS if name not in columns}
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def write_json(points: Iterable[ModalPoint], path: Path | str, inputs: Mapping[str, Any] | None = None) -> None:

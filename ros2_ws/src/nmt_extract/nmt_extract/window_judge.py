@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nmt_core.messages.modal_point import EVALUATED
+from nmt_core.messages.modal_point import QUANTITIES
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_extract.uncertainty import slope_uncertainty
 from nmt_signals.harmonics import segment_moments, solve_moments, synthesise
@@ -394,20 +394,11 @@ def floors(
         indicators: mode indicators too. Resolution moves them in second order only; of samples that come from elsewhere
             nobody knows more than their resolution.
     """
-    power = math.hypot(force, drive)
-    relative = {
-        "force_n": force,
-        "modal_amplitude": shape,
-        "active_power": power,
-        "apparent_power": power,
-        "self_excitation": math.hypot(force, drive, 2.0 * shape),
-        "damping_ratio": math.hypot(force, drive, 2.0 * shape),
-        "frequency_hz": force / (2.0 * math.pi * periods),
-        "omega_rad_s": force / (2.0 * math.pi * periods),
-    }
-    if indicators:
-        relative |= {"pbmif": power, "gamma_force": force, "gamma_acceleration": drive, "mac": shape}
+    relative = dict.fromkeys(("frequency_hz", "omega_rad_s"), force / (2.0 * math.pi * periods))
+    for quantity in QUANTITIES:
+        if quantity.powers is not None and (indicators or not quantity.second_order):
+            parts = zip(quantity.powers, (force, drive, shape), strict=True)
+            relative[quantity.name] = math.hypot(*(abs(power) * part for power, part in parts if power))
     least = {name: share * abs(values[name]) for name, share in relative.items()}
-    least["phase_error"] = power
-    assert set(least) <= {*EVALUATED, "frequency_hz", "omega_rad_s"}
+    least["phase_error"] = math.hypot(force, drive)
     return least

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
 
+from nmt_extract.modal_point import QUANTITIES
 from nmt_report.abscissa import Abscissa, abscissa_of
 from nmt_report.columns import unit_text
 from nmt_report.error_bars import joined_error_bars
@@ -99,28 +100,27 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
     points = data.good_points
     abscissa = abscissa_of(data)
     x, x_std = abscissa.of_points(points)
-    figure = Figure(figsize=(6.3, 4.5))
-    panels = figure.subplots(2, 2, sharex=True)
+    shown = [quantity for quantity in QUANTITIES if quantity.panel]
+    rows = math.ceil(len(shown) / 2)
+    figure = Figure(figsize=(6.3, 0.5 + 2.0 * rows))
+    panels = figure.subplots(rows, 2, sharex=True)
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.12, top=0.93, hspace=0.28, wspace=0.32)
+    for empty in panels.flat[len(shown) :]:
+        empty.set_axis_off()
     tips: dict[str, str] = {}
-    names = (
-        ("pbmif", "PBMIF"),
-        ("gamma_force", r"$\gamma_F$ (force)"),
-        ("gamma_acceleration", r"$\gamma_A$ (acceleration)"),
-        ("mac", "MAC"),
-    )
-    for axes, (name, title) in zip(panels.flat, names, strict=True):
+    for axes, quantity in zip(panels.flat, shown, strict=False):
+        name = quantity.name
         value, std = _column(points, name)
         tips |= _points(axes, points, x, x_std, value, std, name, "")
         axes.axhline(1.0, color=MUTED, linewidth=0.8)
-        axes.set_title(title, y=1.0)
+        axes.set_title(quantity.panel, y=1.0)
         lowest = float(np.nanmin(value)) if np.any(np.isfinite(value)) else 0.9
         span = max(1.0 - lowest, 1e-4)
         axes.set_ylim(lowest - 0.25 * span, 1.0 + 0.25 * span)
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.ticklabel_format(axis="y", useOffset=False)
         _log_x(axes, x)
-    for axes in panels[1]:
+    for axes in panels[-1]:
         axes.set_xlabel(abscissa.label)
     caption = Markup(
         "1 is a perfectly appropriated mode. PBMIF: active over apparent power; γ<sub>F</sub>, "
@@ -129,6 +129,28 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
     )
     label = "Power-based mode indicator, fundamental contents and modal assurance criterion over modal amplitude"
     return ReportFigure("indicators", "Quality of the isolation", caption, svg_text(figure, "indicators", label, tips))
+
+
+def quantity_figures(data: RunReportData) -> list[ReportFigure]:
+    """A figure over q of each quantity that asks for one; none where no level has a value."""
+    points = data.good_points
+    abscissa = abscissa_of(data)
+    x, x_std = abscissa.of_points(points)
+    made = []
+    for quantity in QUANTITIES:
+        value, std = _column(points, quantity.name)
+        if not quantity.curve or not np.any(np.isfinite(value)):
+            continue
+        figure, main, _ = _axes_with_residual(False, right=0.97)
+        unit = "" if quantity.unit == "1" else quantity.unit
+        tips = _points(main, points, x, x_std, value, std, quantity.name, unit)
+        main.set_ylabel(quantity.curve)
+        _finish(main, None, abscissa, x)
+        words = quantity.meaning[0].upper() + quantity.meaning[1:]
+        caption = Markup("{} over ").format(words) + abscissa.html + ". Bars: standard uncertainty."
+        svg = svg_text(figure, quantity.name, f"{words} over modal amplitude", tips)
+        made.append(ReportFigure(quantity.name, words, caption, svg))
+    return made
 
 
 def participation_figure(data: RunReportData) -> ReportFigure | None:
@@ -245,16 +267,7 @@ def _points(
 
 # The abscissa spans a factor of 2.56 at least: a bar of this relative size is shorter than a mark.
 _HIDDEN = 0.004
-_PLAIN_SYMBOLS = {
-    "omega_rad_s": "f̃",
-    "damping_ratio": "δ̃",
-    "modal_amplitude": "q",
-    "force_n": "|F₁|",
-    "pbmif": "PBMIF",
-    "gamma_force": "γ_F",
-    "gamma_acceleration": "γ_A",
-    "mac": "MAC",
-}
+_PLAIN_SYMBOLS = {quantity.name: quantity.symbol for quantity in QUANTITIES} | {"omega_rad_s": "f̃"}
 
 
 def _axes_with_residual(with_residual: bool, right: float) -> tuple[Figure, Axes, Axes | None]:

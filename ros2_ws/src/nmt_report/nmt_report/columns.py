@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from nmt_extract.modal_point import ModalPoint, Status
+from nmt_core.messages.modal_quantity import TableColumn
+from nmt_extract.modal_point import QUANTITIES, ModalPoint, Status
+from nmt_report.quantity_format import engineering_exponent, power_of_ten, uncertain
 
 
 @dataclass(frozen=True)
@@ -17,38 +19,46 @@ class ModalColumn:
 
     Attributes:
         name: field of the modal point; its standard uncertainty is ``<name>_std``.
-        symbol: heading; markup where it has an index.
-        plain_symbol: heading for terminals.
-        unit: SI unit, empty if none.
-        factor: what to multiply values with before printing (100 for percent).
-        decimals: decimal places where the uncertainty is not known.
-        scaled: whether the column takes a common power of ten.
-        optional: not shown where no point has a value.
+        shown: how it is shown.
     """
 
     name: str
-    symbol: str
-    plain_symbol: str
-    unit: str
-    factor: float = 1.0
-    decimals: int = 4
-    scaled: bool = False
-    optional: bool = False
+    shown: TableColumn
+
+    @property
+    def heading(self) -> str:
+        """Heading as markup."""
+        return Markup(self.shown.html) if self.shown.html else self.shown.symbol  # the markup stands in the record
+
+    def exponent(self, points: Iterable[ModalPoint]) -> int:
+        """Power of ten that the column takes for these points."""
+        return engineering_exponent(getattr(point, self.name) for point in points) if self.shown.scaled else 0
+
+    def unit(self, exponent: int) -> str:
+        """Unit with the power of ten before it; empty where there is none of both."""
+        return " ".join(filter(None, (power_of_ten(exponent), self.shown.unit)))
+
+    def cell(self, point: ModalPoint, exponent: int, write: Callable[[float, float, int], str] = uncertain) -> str:
+        """Value and standard uncertainty of a point as text."""
+        factor = self.shown.factor / 10.0**exponent
+        value, std = getattr(point, self.name), getattr(point, f"{self.name}_std")
+        return write(factor * value, factor * std, self.shown.decimals)
 
 
-MODAL_COLUMNS = (
-    ModalColumn("frequency_hz", "f̃", "f̃", "Hz", decimals=4),
-    ModalColumn("damping_ratio", "δ̃", "δ̃", "%", factor=100.0, decimals=3),
-    ModalColumn(
-        "hysteresis_damping", Markup("δ<sub>hyst</sub>"), "δ_hyst", "%", factor=100.0, decimals=3, optional=True
-    ),
-    ModalColumn("modal_amplitude", Markup("<i>q</i>"), "q", "m√kg", scaled=True),
-    ModalColumn("force_n", Markup("|<i>F</i><sub>1</sub>|"), "|F₁|", "N", decimals=4),
-    ModalColumn("pbmif", "PBMIF", "PBMIF", ""),
-    ModalColumn("gamma_force", Markup("γ<sub><i>F</i></sub>"), "γ_F", ""),
-    ModalColumn("gamma_acceleration", Markup("γ<sub><i>A</i></sub>"), "γ_A", ""),
-    ModalColumn("mac", "MAC", "MAC", "", decimals=5),
-)
+def _in_order() -> tuple[ModalColumn, ...]:
+    """Columns of all quantities that tables show: as in the record, but where one names its place."""
+    columns: list[ModalColumn] = []
+    for quantity in QUANTITIES:
+        if quantity.column is None:
+            continue
+        names = [column.name for column in columns]
+        place = names.index(quantity.column.after) + 1 if quantity.column.after else len(columns)
+        columns.insert(place, ModalColumn(quantity.name, quantity.column))
+    return tuple(columns)
+
+
+MODAL_COLUMNS = _in_order()
+"""Columns of the tables of modal properties, in order."""
 
 
 def shown_columns(points: Iterable[ModalPoint]) -> tuple[ModalColumn, ...]:
@@ -57,7 +67,7 @@ def shown_columns(points: Iterable[ModalPoint]) -> tuple[ModalColumn, ...]:
     return tuple(
         column
         for column in MODAL_COLUMNS
-        if not column.optional or any(math.isfinite(getattr(point, column.name)) for point in known)
+        if not column.shown.optional or any(math.isfinite(getattr(point, column.name)) for point in known)
     )
 
 

@@ -24,7 +24,6 @@ from nmt_report.quantity_format import (
     plain,
     power_of_ten,
     significant,
-    uncertain,
 )
 from nmt_report.run_data import RunReportData
 from nmt_report.svg import ReportFigure
@@ -211,10 +210,9 @@ def _modal_table(data: RunReportData) -> Table | None:
     if not data.points:
         return None
     points, columns = data.good_points, shown_columns(data.good_points)
-    exponents = {c.name: engineering_exponent(getattr(p, c.name) for p in points) if c.scaled else 0 for c in columns}
+    exponents = {column.name: column.exponent(points) for column in columns}
     head = [Column("Level", unit_text(data.points[0].level_unit))]
-    for c in columns:
-        head.append(Column(c.symbol, " ".join(filter(None, (power_of_ten(exponents[c.name]), c.unit))) or "1"))
+    head += [Column(column.heading, column.unit(exponents[column.name]) or "1") for column in columns]
     if data.reference is not None:
         head += [Column("Δf̃", "%"), Column("Δδ̃", "%")]
     rows = []
@@ -225,13 +223,7 @@ def _modal_table(data: RunReportData) -> Table | None:
             rows.append(Row(cells, failed=True, reason=reason))
             continue
         for column in columns:
-            factor = column.factor / 10.0 ** exponents[column.name]
-            text = uncertain(
-                factor * getattr(point, column.name),
-                factor * getattr(point, f"{column.name}_std"),
-                column.decimals,
-            )
-            value, _, std = text.partition(" ± ")
+            value, _, std = column.cell(point, exponents[column.name]).partition(" ± ")
             # The template's macro, written out: a page of a thousand levels has ten thousand of these cells.
             cells.append(Markup("{} <i>± {}</i>").format(value, std) if std else value)
         if data.reference is not None:

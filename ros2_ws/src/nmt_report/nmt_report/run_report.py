@@ -73,6 +73,8 @@ def report_html(data: RunReportData) -> str:
                 continue
             made = [function(data) for function in functions]
             figures[section] = [figure for figure in made if figure is not None]
+            if section == "modal":
+                figures[section] += report_backbone.quantity_figures(data)
     return report_page.page(data, figures)
 
 

@@ -12,14 +12,7 @@ from rich.text import Text
 
 from nmt_extract.modal_point import Status
 from nmt_report.columns import shown_columns, status_text, unit_text
-from nmt_report.quantity_format import (
-    concise,
-    engineering_exponent,
-    plain,
-    power_of_ten,
-    significant,
-    uncertain,
-)
+from nmt_report.quantity_format import concise, plain, significant, uncertain
 
 if TYPE_CHECKING:
     from nmt_extract.modal_point import ModalPoint
@@ -36,27 +29,24 @@ def modal_table(points: Sequence[ModalPoint], reference: ReferenceCurve | None =
             last digits)`` is written; then the least important properties are left out.
     """
     console = Console(width=10_000)
-    for write, left_out in _LAYOUTS:
-        table = _table(points, reference, write, left_out)
+    for write, rank in _LAYOUTS:
+        table = _table(points, reference, write, rank)
         if console.measure(table).maximum <= width:
             break
     return table
 
 
-_LAYOUTS: tuple[tuple[Callable[..., str], frozenset[str]], ...] = (
-    (uncertain, frozenset({"omega_rad_s", "gamma_acceleration"})),
-    (concise, frozenset({"omega_rad_s"})),
-    (concise, frozenset({"omega_rad_s", "gamma_force", "gamma_acceleration"})),
-    (concise, frozenset({"omega_rad_s", "gamma_force", "gamma_acceleration", "mac"})),
-    (concise, frozenset({"omega_rad_s", "gamma_force", "gamma_acceleration", "mac", "pbmif", "force_n"})),
-)
+_LAYOUTS: tuple[tuple[Callable[..., str], int], ...] = (
+    (uncertain, 4), (concise, 5), (concise, 3), (concise, 2), (concise, 1),
+)  # fmt: skip
+"""How values are written, and the highest rank of a column that is shown."""
 
 
 def _table(
     points: Sequence[ModalPoint],
     reference: ReferenceCurve | None,
     write: Callable[..., str],
-    left_out: frozenset[str],
+    rank: int,
 ) -> Table:
     good = [point for point in points if point.status == Status.OK]
     unit = unit_text(points[0].level_unit) if points else "V"
@@ -69,11 +59,11 @@ def _table(
         box=SIMPLE_HEAD,
     )
     table.add_column(f"level\n{unit}", justify="right", no_wrap=True)
-    columns = [column for column in shown_columns(good) if column.name not in left_out]
-    exponents = {c.name: engineering_exponent(getattr(p, c.name) for p in good) if c.scaled else 0 for c in columns}
+    columns = [column for column in shown_columns(good) if column.shown.rank <= rank]
+    exponents = {column.name: column.exponent(good) for column in columns}
     for column in columns:
-        head = " ".join(filter(None, (power_of_ten(exponents[column.name]), column.unit)))
-        table.add_column(f"{column.plain_symbol}\n{head or '1'}", justify="right", no_wrap=True)
+        unit = column.unit(exponents[column.name]) or "1"
+        table.add_column(f"{column.shown.symbol}\n{unit}", justify="right", no_wrap=True)
     if reference is not None:
         table.add_column("Δf̃\n%", justify="right", no_wrap=True)
         table.add_column("Δδ̃\n%", justify="right", no_wrap=True)
@@ -82,10 +72,7 @@ def _table(
         if point.status != Status.OK:
             table.add_row(*cells, Text(status_text(point.status)), style="red")
             continue
-        for column in columns:
-            factor = column.factor / 10.0 ** exponents[column.name]
-            value, std = getattr(point, column.name), getattr(point, f"{column.name}_std")
-            cells.append(write(factor * value, factor * std, column.decimals))
+        cells += [column.cell(point, exponents[column.name], write) for column in columns]
         if reference is not None:
             expected = reference.at(point.modal_amplitude)
             cells.append(plain(100 * (point.omega_rad_s / expected[0] - 1), 4))

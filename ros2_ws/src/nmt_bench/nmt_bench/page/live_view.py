@@ -47,7 +47,7 @@ from nmt_core.vocabulary import (
     TestKind,
 )
 from nmt_report.columns import MODAL_COLUMNS, status_text, unit_text
-from nmt_report.quantity_format import duration, engineering_exponent, plain, power_of_ten, significant, uncertain
+from nmt_report.quantity_format import duration, engineering_exponent, plain, power_of_ten, significant
 
 MOST_SHOWN = 8
 MOST_LISTED = 400
@@ -446,28 +446,16 @@ class LiveView:
     def _table(self, points: Sequence[ModalPoint]) -> tuple[list[str], list[dict[str, Any]]]:
         """Modal properties as in the report: heads and rows."""
         good = [point for point in points if point.status is PointStatus.OK]
-        columns = [column for column in MODAL_COLUMNS if column.name in _TABLE]
-        exponents = {
-            column.name: engineering_exponent(getattr(point, column.name) for point in good) if column.scaled else 0
-            for column in columns
-        }
+        columns = [column for column in MODAL_COLUMNS if column.shown.live]
+        exponents = {column.name: column.exponent(good) for column in columns}
         head = [f"level / {unit_text(self._level_unit) or 'V'}"] + [
-            " / ".join(
-                filter(
-                    None,
-                    (column.plain_symbol, " ".join(filter(None, (power_of_ten(exponents[column.name]), column.unit)))),
-                )
-            )
-            for column in columns
+            " / ".join(filter(None, (column.shown.symbol, column.unit(exponents[column.name])))) for column in columns
         ]
         rows = []
         for point in points:
             cells = [significant(point.level)]
             if point.status is PointStatus.OK:
-                for column in columns:
-                    factor = column.factor / 10.0 ** exponents[column.name]
-                    value, std = getattr(point, column.name), getattr(point, f"{column.name}_std")
-                    cells.append(uncertain(factor * value, factor * std, column.decimals))
+                cells += [column.cell(point, exponents[column.name]) for column in columns]
             reason = "" if point.status is PointStatus.OK else f"{status_text(point.status)}: {point.reason}"
             rows.append({"index": point.level_index, "cells": cells, "reason": reason})
         return head, rows
@@ -701,4 +689,3 @@ _OUTPUT_WORDS = {
     OutputState.HELD: _HELD,
     OutputState.ENDED: _HELD,
 }
-_TABLE = ("frequency_hz", "damping_ratio", "modal_amplitude", "force_n", "pbmif", "mac")

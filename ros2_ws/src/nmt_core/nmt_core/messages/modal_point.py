@@ -7,26 +7,9 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from nmt_core.messages.modal_quantity import Powers, TableColumn, measured, quantities_of
 from nmt_core.numerics.arrays import ComplexArray
 from nmt_core.vocabulary import PointStatus
-
-EVALUATED = (
-    "damping_ratio",
-    "modal_amplitude",
-    "self_excitation",
-    "force_n",
-    "active_power",
-    "apparent_power",
-    "pbmif",
-    "gamma_force",
-    "gamma_acceleration",
-    "mac",
-    "phase_error",
-)
-"""Names of the quantities that ``modal_quantities`` evaluates for the window and for each of its parts."""
-
-MEASURED = ("frequency_hz", "omega_rad_s", *EVALUATED, "hysteresis_damping")
-"""Names of the measured quantities; each has a companion ``<name>_std``."""
 
 COMPLEX = ("force_harmonics", "shape_harmonics", "normalised_shape", "participation")
 """Names of the complex arrays."""
@@ -47,7 +30,8 @@ class ModalPoint:
     ``<name>_std`` is the standard uncertainty of ``<name>``; NaN = could not be estimated. All measured
     values of a point whose status is not ``OK`` are NaN and its arrays are empty. The time origin of the
     complex arrays is chosen so that the target mode's participation is real and positive; the force then
-    leads by about +90°.
+    leads by about +90°. What each measured quantity is, its unit and where it is shown stands with its field and in
+    :data:`QUANTITIES`. A new one goes behind the others, so that ``modal.csv`` keeps the order of its columns.
 
     Attributes:
         level_index: level number in the plan.
@@ -59,20 +43,6 @@ class ModalPoint:
         window_first_sample: first sample of the window.
         window_samples: number of samples.
         window_periods: whole periods.
-        frequency_hz: locked excitation frequency, Hz.
-        omega_rad_s: modal frequency ω̃, rad/s.
-        damping_ratio: δ̃, 1.
-        modal_amplitude: q, m√kg.
-        self_excitation: ξ, rad/s.
-        force_n: fundamental force amplitude |F₁|, N.
-        active_power: P₁, W; positive when the exciter feeds the structure.
-        apparent_power: S over all harmonics, W.
-        pbmif: |P|/S over all harmonics, 1.
-        gamma_force: fundamental content of the force, 1.
-        gamma_acceleration: fundamental content of the drive-point acceleration, 1.
-        mac: correlation of the fundamental shape with the linear mode shape, 1.
-        phase_error: arg F₁ − arg(iω̃ψ̃_k,1), deviation of force from velocity phase at the drive point, rad.
-        hysteresis_damping: δ_hyst, 1; NaN where the rig has no such evaluation.
         harmonics: H.
         points: measurement points of the columns of ``shape_harmonics``.
         force_harmonics: F_n, N, shape ``(H + 1,)``.
@@ -91,33 +61,121 @@ class ModalPoint:
     window_first_sample: int = 0
     window_samples: int = 0
     window_periods: int = 0
-    frequency_hz: float = math.nan
+    frequency_hz: float = measured(
+        "Hz",
+        "locked excitation frequency",
+        csv=True,
+        from_harmonics=False,
+        axis="modal frequency / Hz",
+        column=TableColumn("f̃", unit="Hz", rank=1, live=True),
+    )
     frequency_hz_std: float = math.nan
-    omega_rad_s: float = math.nan
+    omega_rad_s: float = measured(
+        "rad/s", "modal frequency ω̃", csv=True, from_harmonics=False, axis="modal frequency / (rad/s)"
+    )
     omega_rad_s_std: float = math.nan
-    damping_ratio: float = math.nan
+    damping_ratio: float = measured(
+        "1",
+        "modal damping ratio δ̃",
+        csv=True,
+        powers=Powers(force=1, drive=1, shape=-2),
+        axis="modal damping ratio",
+        column=TableColumn("δ̃", unit="%", factor=100.0, decimals=3, rank=1, live=True),
+    )
     damping_ratio_std: float = math.nan
-    modal_amplitude: float = math.nan
+    modal_amplitude: float = measured(
+        "m√kg",
+        "modal amplitude q",
+        csv=True,
+        powers=Powers(shape=1),
+        axis="modal amplitude / (m√kg)",
+        column=TableColumn("q", "<i>q</i>", unit="m√kg", scaled=True, rank=1, live=True),
+    )
     modal_amplitude_std: float = math.nan
-    self_excitation: float = math.nan
+    self_excitation: float = measured(
+        "rad/s", "factor ξ of the artificial negative damping", powers=Powers(force=1, drive=1, shape=-2)
+    )
     self_excitation_std: float = math.nan
-    force_n: float = math.nan
+    force_n: float = measured(
+        "N",
+        "amplitude of the fundamental of the force, |F₁|",
+        csv=True,
+        powers=Powers(force=1),
+        axis="force / N",
+        column=TableColumn("|F₁|", "|<i>F</i><sub>1</sub>|", unit="N", rank=2, live=True),
+    )
     force_n_std: float = math.nan
-    active_power: float = math.nan
+    active_power: float = measured(
+        "W",
+        "active power P₁ of the fundamental; positive when the exciter feeds the structure",
+        powers=Powers(force=1, drive=1),
+    )
     active_power_std: float = math.nan
-    apparent_power: float = math.nan
+    apparent_power: float = measured("W", "apparent power S over all harmonics", powers=Powers(force=1, drive=1))
     apparent_power_std: float = math.nan
-    pbmif: float = math.nan
+    pbmif: float = measured(
+        "1",
+        "mode indicator |P|/S over all harmonics",
+        csv=True,
+        powers=Powers(force=1, drive=1),
+        second_order=True,
+        axis="PBMIF",
+        panel="PBMIF",
+        column=TableColumn("PBMIF", rank=2, live=True),
+    )
     pbmif_std: float = math.nan
-    gamma_force: float = math.nan
+    gamma_force: float = measured(
+        "1",
+        "fundamental content of the force",
+        csv=True,
+        powers=Powers(force=1),
+        second_order=True,
+        axis="fundamental content of the force",
+        panel=r"$\gamma_F$ (force)",
+        column=TableColumn("γ_F", "γ<sub><i>F</i></sub>", rank=4),
+    )
     gamma_force_std: float = math.nan
-    gamma_acceleration: float = math.nan
+    gamma_acceleration: float = measured(
+        "1",
+        "fundamental content of the drive-point acceleration",
+        csv=True,
+        powers=Powers(drive=1),
+        second_order=True,
+        axis="fundamental content of the acceleration",
+        panel=r"$\gamma_A$ (acceleration)",
+        column=TableColumn("γ_A", "γ<sub><i>A</i></sub>", rank=5),
+    )
     gamma_acceleration_std: float = math.nan
-    mac: float = math.nan
+    mac: float = measured(
+        "1",
+        "correlation of the fundamental shape with the linear mode shape",
+        csv=True,
+        powers=Powers(shape=1),
+        second_order=True,
+        axis="MAC",
+        panel="MAC",
+        column=TableColumn("MAC", decimals=5, rank=3, live=True),
+    )
     mac_std: float = math.nan
-    phase_error: float = math.nan
+    phase_error: float = measured(
+        "rad", "arg F₁ − arg(iω̃ψ̃_k,1), deviation of the force from the phase of the velocity at the drive point"
+    )
     phase_error_std: float = math.nan
-    hysteresis_damping: float = math.nan
+    hysteresis_damping: float = measured(
+        "1",
+        "damping ratio from hysteresis loops, δ_hyst; NaN where the rig has no such evaluation",
+        from_harmonics=False,
+        column=TableColumn(
+            "δ_hyst",
+            "δ<sub>hyst</sub>",
+            unit="%",
+            factor=100.0,
+            decimals=3,
+            optional=True,
+            after="damping_ratio",
+            rank=1,
+        ),
+    )
     hysteresis_damping_std: float = math.nan
     harmonics: int = 0
     points: tuple[int, ...] = ()
@@ -146,3 +204,13 @@ class ModalPoint:
             elif mine != theirs:
                 return False
         return True
+
+
+QUANTITIES = tuple(quantities_of(ModalPoint))
+"""The measured quantities in the order of the record."""
+
+MEASURED = tuple(quantity.name for quantity in QUANTITIES)
+"""Names of the measured quantities; each has a companion ``<name>_std``."""
+
+EVALUATED = tuple(quantity.name for quantity in QUANTITIES if quantity.from_harmonics)
+"""Names of the quantities that are evaluated for the window and for each of its parts."""

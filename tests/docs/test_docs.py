@@ -143,7 +143,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     wanted |= {("elements", name) for name in files}
     wanted |= {("rig", name) for name in sections - {"Section"}}
     wanted |= {("python", name) for name in PYTHON}
-    wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all")}
+    wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all"), ("quantities", "modal")}
     assert {region for region in shown if region[0] != "keys"} == wanted
 
 

@@ -31,6 +31,9 @@ from nmt_rig.model.structure import Array, Structure
 from nmt_rig.rig_section import Name, Point, Section
 
 PARAMETER_COUNT = 4
+# Columns of tables of ``sliders`` and of ``contacts``.
+SLIDER_STIFFNESS, SLIDER_SLIP = 0, 1
+CONTACT_STIFFNESS, CONTACT_GAP, CONTACT_SIDE = 0, 1, 2
 
 Response = tuple[float, float, float]
 

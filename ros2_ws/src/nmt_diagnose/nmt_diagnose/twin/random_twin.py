@@ -17,7 +17,7 @@ from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.gaussian_motion import forces_in_motion
 from nmt_diagnose.twin.linear_model import Fractions
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.periodic_kernel import sensor_gain
+from nmt_diagnose.twin.periodic_kernel import DELAY, GAIN, HIGH_PASS, LOW_PASS, sensor_gain
 from nmt_diagnose.twin.rig_parts import RigParts
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -157,10 +157,10 @@ class RandomTwin:
         # The sensors of a rig whose drive is held act on samples, that is on what has been folded down already.
         chains = parts.channels[self._own]
         ideal = chains.copy()
-        ideal[:, 1:] = 0.0
+        ideal[:, [DELAY, LOW_PASS, HIGH_PASS]] = 0.0
         values = self._plain(parts, local, folding.frequencies, fractions, ideal)
         total = folded(values, folding.below, folding.weights)
-        total *= sensor_gains(folding.nodes * parts.clock, chains[:-1]) / chains[:-1, 0]
+        total *= sensor_gains(folding.nodes * parts.clock, chains[:-1]) / chains[:-1, GAIN]
         return np.asarray(folding.between @ total)
 
     def _smoothed(

@@ -177,6 +177,14 @@ class ElementSection(Section):
         values = [(key, getattr(self, key)) for key in self.own_keys()]
         return [2.0 * np.pi * value if key.endswith("_hz") else value for key, value in values]
 
+    @property
+    def soft_at_rest(self) -> bool:
+        """Whether its force is smooth and of higher than the first order: the modes at rest do not know it."""
+        if not hasattr(self.element, "response") or hasattr(self.element, "next_branch"):
+            return False
+        _, by_displacement, by_velocity = self.element.response(*self.own_values(), 0.0, 0.0)
+        return bool(by_displacement == 0.0 and by_velocity == 0.0)
+
     def elements(self, structure: Structure) -> tuple[LocalElement, ...]:
         """Local elements that it stands for.
 

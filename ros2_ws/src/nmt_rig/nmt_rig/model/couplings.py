@@ -88,10 +88,11 @@ def coupling_response(kind: int, p: Array, first: float, second: float) -> Slope
         p: (COUPLING_PARAMETERS,) parameters.
         first, second: y₁ and y₂.
     """
+    result: Slopes = 0.0, 0.0, 0.0
     if kind == FORCE_FACTOR:
-        return force_factor(p[0], p[1], p[2], first, second)
-    if kind == BOUC_WEN:
-        return bouc_wen(p[0], p[1], p[2], first, second)
-    if kind == LUGRE:
-        return lugre(p[0], p[1], p[2], p[3], first, second)
-    return 0.0, 0.0, 0.0
+        result = force_factor(p[0], p[1], p[2], first, second)
+    elif kind == BOUC_WEN:
+        result = bouc_wen(p[0], p[1], p[2], first, second)
+    elif kind == LUGRE:
+        result = lugre(p[0], p[1], p[2], p[3], first, second)
+    return result

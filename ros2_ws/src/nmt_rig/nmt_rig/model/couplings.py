@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.kernels import njit
+from nmt_core.numerics.kernels import njit
 from nmt_rig.model.structure import Array
 
 FORCE_FACTOR = 1

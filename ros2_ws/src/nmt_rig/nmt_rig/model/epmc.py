@@ -18,6 +18,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.numerics.kernels import njit
 from nmt_rig.model.aft import LocalForces, LocalTables, ScaledForces, scaled_local_forces
 from nmt_rig.model.continuation import (

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.numerics.kernels import njit
+from nmt_core.numerics.kernels import loop_step, njit
 from nmt_diagnose.twin.periodic_kernel import FACTOR_LINEAR, FACTOR_QUADRATIC
 from nmt_rig.model.aft import ElementTables, LocalTables
 from nmt_rig.model.element_kernels import response
@@ -78,27 +78,30 @@ class Steps(NamedTuple):
 @njit(cache=True)
 def _room(model: SteppedModel, r: int, sliders: int) -> Steps:
     """At rest."""
-    count = model.decay.size
+    outputs, velocities, late = model.outputs, model.velocities, model.late
+    count = late.shape[0]
     dw, dv = np.zeros((r, r)), np.zeros((r, r))
     for i in range(r):
         for j in range(r):
             for k in range(count):
-                dw[i, j] += (model.outputs[i, k] * model.late[k, j]).real
-                dv[i, j] += (model.velocities[i, k] * model.late[k, j]).real
+                dw[i, j] += (outputs[i, k] * late[k, j]).real
+                dv[i, j] += (velocities[i, k] * late[k, j]).real
     return Steps(
         np.zeros(count, dtype=np.complex128), np.zeros(sliders), np.zeros(sliders), np.zeros(r), np.zeros(r),
         np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros((r, r)), np.zeros((r, r)), dw, dv,
     )  # fmt: skip
 
 
-@njit(cache=True)
+@loop_step
 def _coordinate_forces(steps: Steps, factor: FloatArray, elements: ElementTables) -> None:
     """Forces (r,) of the coordinates at ``w`` and ``v`` and their tangents (r, r); ``moved`` gets the sliders."""
     jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = elements
     w, v, g, by_displacement, by_velocity = steps.w, steps.v, steps.g, steps.by_displacement, steps.by_velocity
     count = jenkins_start.size - 1
-    by_displacement[:] = 0.0
-    by_velocity[:] = 0.0
+    for i in range(g.size):
+        for j in range(g.size):
+            by_displacement[i, j] = 0.0
+            by_velocity[i, j] = 0.0
     for i in range(count):
         force = 0.0
         stiffness = 0.0
@@ -141,11 +144,13 @@ def _coordinate_forces(steps: Steps, factor: FloatArray, elements: ElementTables
 def _solve_forces(steps: Steps, largest: float, factor: FloatArray, elements: ElementTables) -> None:
     """Forces (r,) at the end of a step by Newton's method from those tried; ``largest`` is that of all steps so far."""
     g, trial, w, v, dw, dv = steps.g, steps.trial, steps.w, steps.v, steps.dw, steps.dv
+    free_w, free_v, kw, kv = steps.free_w, steps.free_v, steps.by_displacement, steps.by_velocity
+    sliders, moved = steps.sliders, steps.moved
     r = g.size
     for _ in range(ITERATIONS):
         for i in range(r):
-            w[i] = steps.free_w[i]
-            v[i] = steps.free_v[i]
+            w[i] = free_w[i]
+            v[i] = free_v[i]
             for j in range(r):
                 w[i] -= dw[i, j] * trial[j]
                 v[i] -= dv[i, j] * trial[j]
@@ -157,14 +162,13 @@ def _solve_forces(steps: Steps, largest: float, factor: FloatArray, elements: El
             size = max(size, abs(g[i]))
         if error <= TOLERANCE * size:
             break
-        kw, kv = steps.by_displacement, steps.by_velocity
         if r == 1:
             trial[0] += (g[0] - trial[0]) / (1.0 + kw[0, 0] * dw[0, 0] + kv[0, 0] * dv[0, 0])
         else:
             system = np.eye(r) + kw @ dw + kv @ dv
             trial += np.linalg.solve(system, g - trial)
-    for e in range(steps.sliders.size):
-        steps.sliders[e] = steps.moved[e]
+    for e in range(sliders.size):
+        sliders[e] = moved[e]
 
 
 @njit(cache=True)
@@ -179,6 +183,7 @@ def _step_all(
     sliders = elements.jenkins.shape[0]
     steps = _room(model, r, sliders)
     state, g, trial, before = steps.state, steps.g, steps.trial, steps.before
+    free_w, free_v = steps.free_w, steps.free_v
     free = sliders + elements.contacts.shape[0] + elements.kinds.size == 0 and elements.jenkins_start.size - 1 == r
     largest = 1e-300
     previous = 0.0
@@ -198,8 +203,8 @@ def _step_all(
                 for k in range(count):
                     a += (outputs[i, k] * state[k]).real
                     b += (velocities[i, k] * state[k]).real
-                steps.free_w[i] = a
-                steps.free_v[i] = b
+                free_w[i] = a
+                free_v[i] = b
                 # Where the force seems to go: a step of the iteration saved.
                 trial[i] = 2.0 * g[i] - before[i]
                 before[i] = g[i]

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.numerics.kernels import njit
+from nmt_core.numerics.kernels import loop_step, njit
 from nmt_rig.model.element_kernels import margin, next_branch, piece
 from nmt_rig.model.integration_kernel import (
     _INPUT_END,
@@ -39,7 +39,6 @@ from nmt_rig.model.integration_kernel import (
     OutputRows,
     begin_slip,
     is_bounded,
-    loop_step,
     slip_along,
     widest_level,
 )

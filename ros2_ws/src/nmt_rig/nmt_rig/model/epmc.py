@@ -236,19 +236,19 @@ def _add_forces_on_mode(
     """
     local, offset = point.local, point.offset
     term, term_omega, term_xi = terms
+    force, by_displacement, by_frequency, by_scale = forces
     i = t.shape[0] - 1
     for j in range(i):
-        g = _phasor(forces.force, j, offset)
-        g_omega = _phasor(forces.by_frequency, j, offset)
+        g = _phasor(force, j, offset)
+        g_omega = _phasor(by_frequency, j, offset)
         term -= t[i, j] * g
         term_omega -= t_omega[i, j] * g + t[i, j] * g_omega
         term_xi -= t_xi[i, j] * g
-        scale = t[i, j] * _phasor(forces.by_scale, j, offset)
+        scale = t[i, j] * _phasor(by_scale, j, offset)
         jacobian[local, local + 4] += scale.real
         jacobian[local + 1, local + 4] += scale.imag
         for b in range(point.size):
-            by = forces.by_displacement
-            change = t[i, j] * (by[j, offset, b] - 1j * by[j, offset + 1, b])
+            change = t[i, j] * (by_displacement[j, offset, b] - 1j * by_displacement[j, offset + 1, b])
             jacobian[local, j * point.size + b] += change.real
             jacobian[local + 1, j * point.size + b] += change.imag
     return term, term_omega, term_xi
@@ -311,13 +311,14 @@ def _set_modal_mass(
 ) -> ComplexArray:
     """Set the equation of the modal mass of the fundamental, η_1ᴴ η_1 = q²; returns η_1 / q (modes,)."""
     mass, damping, offset, excitation = linear.mass, linear.damping, point.offset, point.excitation
+    force, by_displacement, by_frequency, by_scale = forces
     r, modes = local_rows.shape
     s = 1j * point.omega
     inverse = modal_inverse(s, excitation, shift, retained_mode, linear)
     forcing = np.zeros(modes, dtype=np.complex128)
     forcing[retained_mode] = shift * point.fundamental
     for j in range(r):
-        g = _phasor(forces.force, j, offset)
+        g = _phasor(force, j, offset)
         for k in range(modes):
             forcing[k] -= local_rows[j, k] * g
     modal = inverse @ forcing
@@ -339,10 +340,10 @@ def _set_modal_mass(
         for k in range(modes):
             along += weights[k] * local_rows[j, k]
         for b in range(size):
-            change = forces.by_displacement[j, offset, b] - 1j * forces.by_displacement[j, offset + 1, b]
+            change = by_displacement[j, offset, b] - 1j * by_displacement[j, offset + 1, b]
             jacobian[row, j * size + b] = jacobian[row, j * size + b] - (along * change).real
-        by_omega -= along * _phasor(forces.by_frequency, j, offset)
-        jacobian[row, local + 4] -= (along * _phasor(forces.by_scale, j, offset)).real
+        by_omega -= along * _phasor(by_frequency, j, offset)
+        jacobian[row, local + 4] -= (along * _phasor(by_scale, j, offset)).real
     jacobian[row, local + 2] = by_omega.real
     jacobian[row, local + 3] = by_xi.real
     return modal

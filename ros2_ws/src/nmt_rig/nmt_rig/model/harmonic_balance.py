@@ -253,7 +253,8 @@ def port_responses(
     ports, masses = modal.ports, np.diag(modal.mass)
     count, size, columns, outputs = ports.directions.shape[1], masses.size, inputs.shape[1], rows.shape[0]
     directions_over = np.empty((size, count), dtype=np.complex128)
-    own = ports.stiffness + (ports.damping - self_excitation * masses) * s + masses * (s * s)
+    damping = ports.damping
+    own = ports.stiffness + (damping - self_excitation * masses) * s + masses * (s * s)
     if mode >= 0:
         own[mode] += shift
     response = np.empty((size, columns), dtype=np.complex128)
@@ -275,7 +276,7 @@ def port_responses(
     for k in range(size):
         for j in range(columns):
             mass_response[k, j] = masses[k] * response[k, j]
-            impedance_response[k, j] += ports.damping[k] * response[k, j]
+            impedance_response[k, j] += damping[k] * response[k, j]
             impedance_response[k, j] += (2.0 * s - self_excitation) * mass_response[k, j]
     return Responses(response, adjoint, mass_response, impedance_response)
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.numerics.kernels import njit
+from nmt_core.numerics.kernels import loop_step, njit
 from nmt_rig.model.couplings import coupling_response
 from nmt_rig.model.element_kernels import frozen, next_branch_here, piece_here
 from nmt_rig.model.local_elements.friction import Jenkins
@@ -36,9 +36,6 @@ _SLOPE_TOLERANCE = 1e-9
 _SMALLEST = 1e-290
 
 Integers = NDArray[np.int64]
-# Steps of a loop are copied into it. They allocate nothing, so the arrays of their tuples need no count of references,
-# which would cost more than the arithmetic.
-loop_step = njit(cache=True, forceinline=True, _nrt=False)
 
 
 class LinearMotion(NamedTuple):
@@ -157,7 +154,7 @@ def solve_in_place(matrix: Array, right: Array, n: int) -> None:
         right[i] /= matrix[i, i]
 
 
-@njit(cache=True, forceinline=True)
+@loop_step
 def port_forces(
     acting: PortForces, branch: Integers, slider: Array, kinematics: Array, forces: Array, tangents: Array
 ) -> None:
@@ -548,11 +545,14 @@ def integrate(
     motion, acting = LinearMotion(*motion_tables), PortForces(*force_tables)
     memory = Memory(*memory_tables)
     levels = motion.compliance.shape[0] - 1
-    size, ports, couplings = state.size, memory.forces.size // 2, acting.coupling_kinds.size
+    # By names of their own: in a loop each look into a tuple would count references.
+    forces, branch, slider, compliance = memory.forces, memory.branch, memory.slider, motion.compliance
+    size, ports, couplings = state.size, forces.size // 2, acting.coupling_kinds.size
     sub = room_for_sub_step(ports, state, memory)
+    end, free, seen, affine = sub.state, sub.free, sub.seen, acting.affine
     ticks = 1 << levels
     # Accelerations of the ports matter only to elements that depend on velocity.
-    rows = 2 * ports if acting.affine else memory.kinematics.size
+    rows = 2 * ports if affine else memory.kinematics.size
     # Sums are taken four terms at a time, of systems with couplings one at a time.
     lanes = size - size % 4 if couplings == 0 else 0
     good = True
@@ -560,7 +560,7 @@ def integrate(
         for i in range(size):
             history[i, k] = state[i]
         for q in range(ports):
-            force_history[q, k] = memory.forces[q]
+            force_history[q, k] = forces[q]
         increment = (inputs[k + 1] - inputs[k]) / substeps
         for s in range(substeps):
             u_start = inputs[k] + s * increment
@@ -570,14 +570,14 @@ def integrate(
                 width = ticks >> level
                 u0 = u_start + increment * (position / ticks)
                 u1 = u_start + increment * ((position + width) / ticks)
-                move_free(motion, level, u0, u1, memory.forces, state, sub.state)
-                see_free(motion, rows, lanes, u1, sub.state, sub.free)
+                move_free(motion, level, u0, u1, forces, state, end)
+                see_free(motion, rows, lanes, u1, end, free)
                 solved = True
-                if ports == 1 and acting.affine:
-                    solve_one_port(motion.compliance, level, acting, memory.branch, memory.slider, sub)
+                if ports == 1 and affine:
+                    solve_one_port(compliance, level, acting, branch, slider, sub)
                 elif ports > 0:
-                    solved = solve_ports(motion.compliance, level, rows, acting, memory, sub)
-                corner = passes_corner(acting, memory.branch, memory.slider, ports - couplings, sub.seen)
+                    solved = solve_ports(compliance, level, rows, acting, memory, sub)
+                corner = passes_corner(acting, branch, slider, ports - couplings, seen)
                 if (corner or not solved) and level < levels:
                     level += 1
                     continue

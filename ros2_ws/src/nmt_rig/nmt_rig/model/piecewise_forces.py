@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_core.numerics.kernels import njit
+from nmt_core.numerics.kernels import loop_step, njit
 from nmt_rig.model.local_elements.element import (
     CONTACT_GAP,
     CONTACT_SIDE,
@@ -329,7 +329,7 @@ def largest_motion(coefficients: FloatArray, orders: IntArray, offsets: IntArray
     return bound
 
 
-@njit(cache=True, forceinline=True)
+@loop_step
 def add_phase(
     phase: FloatArray, stiffness: float, p: int, angles: FloatArray, at: Waves, slip: Waves, into: SlidingForces
 ) -> None:
@@ -403,8 +403,9 @@ def add_sliders(
     slip = Waves(np.empty(tables), np.empty(tables))
     into = SlidingForces(waves, rest, anchored)
     phases = np.empty((count, 4))
+    corner_cosines, corner_sines = at.cosines, at.sines
     for p in range(count + 1):
-        turn(corner_angles[p], at.cosines[p], at.sines[p])
+        turn(corner_angles[p], corner_cosines[p], corner_sines[p])
     for e in range(jenkins.shape[0]):
         stiffness = jenkins[e, SLIDER_STIFFNESS]
         limit = jenkins[e, SLIDER_SLIP]
@@ -418,9 +419,10 @@ def add_sliders(
     for i in range(size):
         force[i] += integrals[i]
     anchor_basis = np.zeros(size)
+    anchored_cosines, anchored_sines = anchored.cosines, anchored.sines
     for p in range(count + 1 if derivative.size > 0 else 0):
-        basis_integrals(anchored.cosines[p], anchored.sines[p], orders, offsets, integrals)
-        basis_integrals(at.cosines[p], at.sines[p], orders, offsets, anchor_basis)
+        basis_integrals(anchored_cosines[p], anchored_sines[p], orders, offsets, integrals)
+        basis_integrals(corner_cosines[p], corner_sines[p], orders, offsets, anchor_basis)
         for i in range(size):
             for j in range(size):
                 derivative[i, j] -= integrals[i] * anchor_basis[j]

@@ -217,7 +217,10 @@ def _epmc_transfers(
     inputs[retained_mode, r] = 1.0
     nothing = np.zeros((r + 1, modes))
     rows = OutputTables(np.ascontiguousarray(inputs.T), nothing, nothing, np.zeros((r + 1, r + 1)))
-    return transfer_matrices(point.omega, point.excitation, orders, linear, inputs, rows, shift, retained_mode)
+    result: Transfers = transfer_matrices(
+        point.omega, point.excitation, orders, linear, inputs, rows, shift, retained_mode
+    )
+    return result
 
 
 @njit(cache=True)
@@ -321,7 +324,7 @@ def _set_modal_mass(
         g = _phasor(force, j, offset)
         for k in range(modes):
             forcing[k] -= local_rows[j, k] * g
-    modal = inverse @ forcing
+    modal: ComplexArray = inverse @ forcing
     weights = np.conj(modal) @ inverse
     by_omega = 0j
     by_xi = 0j

@@ -1,13 +1,28 @@
-"""Tables of compiled kernels are read by name: no whole number picks one of a tuple of them."""
+"""Compiled kernels are readable: tables and their columns have names, functions are short and take few arguments."""
 
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 # Names that tuples of tables go by, in the kernels and where they are made.
 TABLES = {"tables", "kernel_tables", "rig", "model", "elements", "transfers", "fractions", "memory"}
+# Arrays whose columns mean different things.
+COLUMNS = {
+    "parameters",
+    "jenkins",
+    "contacts",
+    "factor",
+    "force_factor",
+    "chain",
+    "chains",
+    "counters",
+    "phases",
+    "phase",
+}
+MOST_LINES, MOST_ARGUMENTS = 80, 12
 
 
 def compiled_modules() -> list[Path]:
@@ -36,6 +51,45 @@ def is_position(index: ast.expr) -> bool:
     if isinstance(index, ast.Slice):
         return any(end is not None and is_position(end) for end in (index.lower, index.upper))
     return isinstance(index, ast.Constant) and type(index.value) is int
+
+
+def compiled_functions(tree: ast.Module) -> list[ast.FunctionDef]:
+    """Functions that numba compiles: decorated with njit, or with a name that stands for it."""
+    names = {"njit", "loop_step"}
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and "njit(" in ast.unparse(node.value):
+            names |= {ast.unparse(target) for target in node.targets}
+    return [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+        and any(ast.unparse(decorator).partition("(")[0] in names for decorator in node.decorator_list)
+    ]
+
+
+def too_large(tree: ast.Module) -> list[str]:
+    """Compiled functions with too many lines or arguments."""
+    found = []
+    for function in compiled_functions(tree):
+        lines = (function.end_lineno or 0) - function.lineno + 1
+        arguments = len(function.args.args)
+        if lines > MOST_LINES or arguments > MOST_ARGUMENTS:
+            found.append(f"{function.name}: {lines} lines, {arguments} arguments")
+    return found
+
+
+def nameless(tree: ast.AST) -> list[str]:
+    """Columns that a whole number picks, and kinds that are compared with one."""
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Subscript) and ast.unparse(node.value).rpartition(".")[2] in COLUMNS:
+            column = node.slice.elts[-1] if isinstance(node.slice, ast.Tuple) else node.slice
+            rows = isinstance(node.slice, ast.Slice)
+            if is_position(column) and not rows:
+                found.append(f"line {node.lineno}: {ast.unparse(node)}")
+        if isinstance(node, ast.Compare) and re.match(r"(\w+\.)*kinds?(\[.*\])?$", ast.unparse(node.left)):
+            found += [f"line {node.lineno}: {ast.unparse(node)}" for other in node.comparators if is_position(other)]
+    return found
 
 
 def positions(tree: ast.AST, classes: set[str]) -> list[str]:
@@ -69,4 +123,39 @@ def test_no_table_is_picked_by_its_position():
     classes = named_tuples(trees)
     assert {"LocalTables", "RigTables", "LinearTables", "SteppedModel"} <= classes
     found = {path.name: again for path, tree in trees.items() if (again := positions(tree, classes))}
+    assert found == {}
+
+
+def test_a_column_without_a_name_is_found():
+    for text in (
+        "jenkins[e, 0]",
+        "tables.contacts[3, 2]",
+        "factor[1]",
+        "memory.counters[0]",
+        "kinds[e] == 2",
+        "kind == 1",
+    ):
+        assert nameless(ast.parse(text)), text
+    for text in ("jenkins[e, SLIP]", "jenkins.shape[0]", "factor[LINEAR]", "kinds[e] == JENKINS", "kinds.size == 0"):
+        assert not nameless(ast.parse(text)), text
+
+
+def test_a_long_function_and_a_wide_one_are_found():
+    long = "\n".join(["@njit(cache=True)", "def long(a):", *["    a += 1"] * MOST_LINES])
+    wide = f"_step = njit(cache=True)\n@_step\ndef wide({', '.join(f'a{n}' for n in range(MOST_ARGUMENTS + 1))}): pass"
+    assert too_large(ast.parse(long)) == ["long: 81 lines, 1 arguments"]
+    assert too_large(ast.parse(wide)) == ["wide: 1 lines, 13 arguments"]
+    assert not too_large(ast.parse(long.replace("@njit(cache=True)\n", "")))
+
+
+def test_no_column_is_picked_and_no_kind_compared_by_a_number():
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in compiled_modules()}
+    found = {path.name: again for path, tree in trees.items() if (again := nameless(tree))}
+    assert found == {}
+
+
+def test_compiled_functions_are_short_and_take_few_arguments():
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in compiled_modules()}
+    assert sum(len(compiled_functions(tree)) for tree in trees.values()) > 100
+    found = {path.name: again for path, tree in trees.items() if (again := too_large(tree))}
     assert found == {}

@@ -233,3 +233,25 @@ def test_rattling_mass_rests_until_the_gap_is_reached():
     bare = run(oscillator(), HZ, 0.25, 0.2)["x1"]
     assert np.abs(bare).max() < 2e-4
     np.testing.assert_allclose(quiet, bare, atol=1e-9 * np.abs(bare).max())
+
+
+@pytest.mark.parametrize(
+    ("values", "soft"),
+    [
+        ({"kind": "cubic_spring", "stiffness_n_m3": -1e9}, True),
+        ({"kind": "quadratic_drag", "drag_ns2_m2": 3.0}, True),
+        ({"kind": "amplitude_damper", "damping_ns_m3": 3.0}, True),
+        ({"kind": "power_law_damper", "coefficient_n_sp_mp": 2.0, "exponent": 1.5}, True),
+        ({"kind": "power_law_damper", "coefficient_n_sp_mp": 2.0, "exponent": 1.0}, False),
+        ({"kind": "linear_damper", "damping_ns_m": 3.0}, False),
+        ({"kind": "tanh_friction", "slip_force_n": 1.0, "reference_velocity_m_s": 0.1}, False),
+        ({"kind": "jenkins", "tangential_stiffness_n_m": 1e4, "slip_force_n": 1.0}, False),
+        ({"kind": "two_sided_gap", "stiffness_n_m": 1e4, "gap_m": 1e-4}, False),
+        ({"kind": "iwan", "tangential_stiffness_n_m": 1e4, "slip_force_n": 1.0}, False),
+        ({"kind": "bouc_wen", "stiffness_n_m": 1e4, "yield_displacement_m": 1e-4}, False),
+    ],
+)
+def test_what_modes_at_rest_do_not_know(values, soft):
+    """Smooth forces of higher than the first order; the slopes of all others do not vanish, or they have corners."""
+    (section,) = oscillator([{"point": 1, **values}]).local_elements
+    assert section.soft_at_rest == soft

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -11,11 +12,23 @@ from scipy.special import gamma
 from nmt_core.errors import BenchError
 from nmt_rig.model.aft import LocalForces, forces_alone
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.model.local_elements.contacts import TwoSidedGap, UnilateralStop
-from nmt_rig.model.local_elements.dampers import AmplitudeDamper, LinearDamper, PowerLawDamper, QuadraticDrag
+from nmt_rig.model.local_elements.contacts import AnyContact, TwoSidedGap, UnilateralStop
+from nmt_rig.model.local_elements.dampers import (
+    AmplitudeDamper,
+    AnyDamper,
+    LinearDamper,
+    PowerLawDamper,
+    QuadraticDrag,
+)
 from nmt_rig.model.local_elements.element import LocalElement
-from nmt_rig.model.local_elements.friction import Jenkins, TanhFriction
-from nmt_rig.model.local_elements.springs import CubicSpring, LinearSpring, QuadraticSpring, QuinticSpring
+from nmt_rig.model.local_elements.friction import AnyFriction, Jenkins, TanhFriction
+from nmt_rig.model.local_elements.springs import (
+    AnySpring,
+    CubicSpring,
+    LinearSpring,
+    QuadraticSpring,
+    QuinticSpring,
+)
 
 D = np.array([1.0])
 OMEGA = 3.0
@@ -148,19 +161,24 @@ def test_preloaded_stop_in_full_contact_is_a_spring_with_an_offset() -> None:
     assert harmonic(basis, force, 1) == pytest.approx(10.0, rel=1e-13)
 
 
-@pytest.mark.parametrize(
-    "elements",
-    [
-        [Jenkins(D, 3.0, 0.7)],
-        [Jenkins(D, 3.0, 0.7), Jenkins(D, 1.0, 0.9)],
-        [UnilateralStop(D, 4.0, 0.3), TwoSidedGap(D, 2.0, 0.1)],
-        [CubicSpring(D, 2.0), QuinticSpring(D, 1.0), QuadraticSpring(D, 0.5)],
-        [QuadraticDrag(D, 1.5), LinearDamper(D, 0.3)],
-        [TanhFriction(D, 1.0, 0.5)],
-        [AmplitudeDamper(D, 1.5), PowerLawDamper(D, 0.7, 2.6)],
-    ],
-    ids=["jenkins", "two jenkins", "stops", "springs", "drag", "tanh", "dampers"],
-)
+DIFFERENTIATED: dict[str, list[LocalElement]] = {
+    "jenkins": [Jenkins(D, 3.0, 0.7)],
+    "two jenkins": [Jenkins(D, 3.0, 0.7), Jenkins(D, 1.0, 0.9)],
+    "stops": [UnilateralStop(D, 4.0, 0.3), TwoSidedGap(D, 2.0, 0.1)],
+    "springs": [LinearSpring(D, 1.0), CubicSpring(D, 2.0), QuinticSpring(D, 1.0), QuadraticSpring(D, 0.5)],
+    "drag": [QuadraticDrag(D, 1.5), LinearDamper(D, 0.3)],
+    "tanh": [TanhFriction(D, 1.0, 0.5)],
+    "dampers": [AmplitudeDamper(D, 1.5), PowerLawDamper(D, 0.7, 2.6)],
+}
+
+
+def test_every_local_element_that_harmonic_balance_covers_is_differentiated() -> None:
+    sections = get_args(AnySpring | AnyDamper | AnyFriction | AnyContact)
+    covered = {section.element for section in sections if section.harmonic_balance}
+    assert {type(element) for elements in DIFFERENTIATED.values() for element in elements} == covered
+
+
+@pytest.mark.parametrize("elements", DIFFERENTIATED.values(), ids=DIFFERENTIATED)
 @pytest.mark.parametrize("odd_only", [False, True])
 def test_derivatives_against_finite_differences(elements: list[LocalElement], odd_only: bool) -> None:
     basis = FourierBasis.up_to(7, odd_only)

@@ -41,6 +41,15 @@ def njit(*function: Any, **options: Any) -> Any:
     return compiled(*function) if function else compiled
 
 
+def loop_step(function: Any) -> Any:
+    """``njit`` for a step of a compiled loop, which is copied into it and must allocate nothing.
+
+    The arrays of its named tuples then need no count of references, which would cost more than the arithmetic. The loop
+    around it, which allocates, takes arrays out of tuples before it begins.
+    """
+    return njit(function, cache=True, forceinline=True, _nrt=False)
+
+
 def cache_folder(python_function: Any) -> Path | None:
     """Where the compiled code of a function is kept: ``NUMBA_CACHE_DIR``, beside its module, or the user's cache.
 

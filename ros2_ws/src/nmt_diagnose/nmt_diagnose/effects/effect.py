@@ -84,7 +84,6 @@ class Effect:
         report: values -> physical parameters as they are reported; the values themselves when None.
         equivalents: effects that look alike, and the test that distinguishes them.
         form: which of several forms of one name it is; empty where they never compete.
-        force: what it adds is a smooth nonlinear force that stores energy, or one that takes it; empty for others.
     """
 
     name: str
@@ -98,7 +97,6 @@ class Effect:
     report: Callable[[Site, Mapping[str, float]], Reported] | None = field(default=None, repr=False)
     equivalents: Mapping[str, str] = field(default_factory=dict)
     form: str = ""
-    force: Literal["", "elastic", "dissipative"] = ""
 
     def apply(self, rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         """Rig with the effect; the same rig where all strengths are 0."""

@@ -79,7 +79,6 @@ def _spring(
         name, equation, section, {"k": f"stiffness_n_m{power}"},
         (EffectParameter("k", unit, signed=True, **how),),
         lambda a, k, w: {"k": share * k / a ** (power - 1)}, "Nayfeh and Mook, Nonlinear Oscillations (1979)",
-        force="elastic",
     )  # fmt: skip
 
 
@@ -151,12 +150,12 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
         (EffectParameter("c2", "N s²/m²"),), lambda a, k, w: {},
         "Baker, Woolam and Young, Int. J. Mech. Sci. 9 (1967) 743; Keulegan and Carpenter, "
         "J. Res. Natl. Bur. Stand. 60 (1958) 423",
-        sites=_drag_sites, force="dissipative",
+        sites=_drag_sites,
     ),
     _local(
         "amplitude_damping", "c x² v", AmplitudeDamperSection, {"c": "damping_ns_m3"},
         (EffectParameter("c", "N s/m³"),), lambda a, k, w: {"c": 0.02 * k / (w * a**2)},
-        "Zaitsev et al., Nonlinear Dyn. 67 (2012) 859", force="dissipative",
+        "Zaitsev et al., Nonlinear Dyn. 67 (2012) 859",
     ),
     _local(
         "power_law_damping", "F (|v|/v₀)ᵖ sgn v, p = 1 + excess, v₀ the largest speed", PowerLawDamperSection, {},
@@ -164,7 +163,7 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
         "Ruzicka and Derby, Influence of Damping in Vibration Isolation (1971)",
         sites=partial(local_sites, sizes=lambda a, k, w: {"force": 0.005 * k * a, "excess": 1.0},
                       reference=lambda a, w: w * a),
-        change=_with_power_law, force="dissipative",
+        change=_with_power_law,
         report=lambda site, values: {"force": (values["force"], "N"), "p": (1.0 + _excess(values), "1")},
     ),
     Effect(

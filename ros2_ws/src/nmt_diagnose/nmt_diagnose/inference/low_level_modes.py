@@ -37,6 +37,7 @@ from nmt_diagnose.inference.tuned import (
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.twin.lateness import lateness
+from nmt_diagnose.twin.periodic_kernel import GAIN
 from nmt_diagnose.twin.rig_parts import rig_parts
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -317,7 +318,7 @@ class LowLevelModes:
         # What happens at a frequency appears at it over the rate of the clock.
         return Modes(
             np.asarray(s / parts.clock, dtype=np.complex128),
-            np.asarray(np.asarray(shapes, dtype=np.complex128).T * parts.channels[:, 0]),
+            np.asarray(np.asarray(shapes, dtype=np.complex128).T * parts.channels[:, GAIN]),
         )
 
     def far_from(self, rig: Rig) -> bool:

@@ -17,6 +17,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_rig.model.aft import ElementTables, LocalTables
 from nmt_rig.model.element_kernels import response
+from nmt_rig.model.local_elements.element import CONTACT_GAP, CONTACT_STIFFNESS, SLIDER_SLIP, SLIDER_STIFFNESS
 
 _DISPLACEMENTS, _VELOCITIES, _CYCLES = 16, 48, 32
 _W, _W_SHARE = np.polynomial.hermite_e.hermegauss(_DISPLACEMENTS)
@@ -64,12 +65,13 @@ def equivalents_kernel(
     for i in range(count):
         x, y = displacement[i], velocity[i]
         for number in range(jenkins_start[i], jenkins_start[i + 1]):
-            k, d = _slider(jenkins[number, 0], jenkins[number, 1], x, y, cycles, cycle_shares)
+            k, d = _slider(jenkins[number, SLIDER_STIFFNESS], jenkins[number, SLIDER_SLIP], x, y, cycles, cycle_shares)
             stiffness[i] += k
             damping[i] += d
         for number in range(contacts_start[i], contacts_start[i + 1]):
             # E[g w] / E[w²] is the mean slope of g (Stein): the share of time in contact.
-            stiffness[i] += contacts[number, 0] * 0.5 * math.erfc(contacts[number, 1] / x / math.sqrt(2.0))
+            closed = 0.5 * math.erfc(contacts[number, CONTACT_GAP] / x / math.sqrt(2.0))
+            stiffness[i] += contacts[number, CONTACT_STIFFNESS] * closed
         for number in range(sampled_start[i], sampled_start[i + 1]):
             along_w, along_v = 0.0, 0.0
             for a in range(w_nodes.size):

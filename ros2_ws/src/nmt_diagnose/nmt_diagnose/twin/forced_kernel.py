@@ -285,6 +285,43 @@ def newton_line(
 
 
 @njit(cache=True)
+def climb_line(
+    given: int,
+    target: complex,
+    omega: float,
+    stiffness: FloatArray,
+    damping: FloatArray,
+    transfer: ComplexArray,
+    channels: FloatArray,
+    factor: FloatArray,
+    tables: LocalTables,
+    iterations: int,
+    tolerance: float,
+) -> SolvedLine:
+    """Solve one line up from a small amplitude, in steps that shrink where they fail."""
+    orders, offsets = tables.orders, tables.offsets
+    share, reached, ratio = _LOWEST, 0.0, 4.0
+    guess = linear_start(given, share * target, omega, stiffness, damping, transfer, orders, offsets, channels)
+    for _ in range(_CLIMB_STEPS):
+        trial = newton_line(
+            guess, given, share * target, omega, transfer, channels, factor, tables, iterations, tolerance
+        )
+        if trial.converged or reached == 0.0:
+            found = trial
+        if trial.converged:
+            reached = share
+        elif reached == 0.0:
+            break
+        else:
+            ratio = ratio**0.5
+        if reached == 1.0:
+            break
+        share = min(1.0, reached * ratio)
+        guess = found.z * (share / reached)
+    return SolvedLine(reached == 1.0, found.z, found.forces, found.inverse, found.channels, found.slopes)
+
+
+@njit(cache=True)
 def solve_lines(
     start: FloatArray,
     known: np.ndarray,
@@ -339,27 +376,9 @@ def solve_lines(
                 z, given, target[line], w, transfer, channels, factor, tables, iterations, tolerance
             )
         if not done:
-            # Up from a small amplitude, in steps that shrink where they fail.
-            share, reached, ratio = _LOWEST, 0.0, 4.0
-            guess = linear_start(
-                given, share * target[line], w, stiffness, damping, transfer, orders, offsets, channels
+            done, z, g, inverse, y, slope = climb_line(
+                given, target[line], w, stiffness, damping, transfer, channels, factor, tables, iterations, tolerance
             )
-            for _ in range(_CLIMB_STEPS):
-                trial = newton_line(
-                    guess, given, share * target[line], w, transfer, channels, factor, tables, iterations, tolerance
-                )
-                if trial.converged:
-                    done, z, g, inverse, y, slope = trial
-                    reached = share
-                elif reached == 0.0:
-                    break
-                else:
-                    ratio = ratio**0.5
-                if reached == 1.0:
-                    break
-                share = min(1.0, reached * ratio)
-                guess = z * (share / reached)
-            done = reached == 1.0
         if done:
             good[line] = True
             solved[line] = z

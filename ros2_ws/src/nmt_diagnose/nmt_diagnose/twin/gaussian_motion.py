@@ -6,7 +6,7 @@ local forces (equivalent_linear.py), these give the motion; turns go on until ne
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ _ABOUT = np.sinh(np.linspace(-6.0, 6.0, 61)) / 4.0
 _FAR = 3.0  # poles beyond the band by that factor hardly move those in it
 # Most turns and relative change that ends the search for a motion and the local forces that belong to it.
 _TURNS, _SETTLED = 40, 1e-9
+_NODES = tuple(NODES)
 
 
 class NearPoles(NamedTuple):
@@ -61,31 +62,38 @@ def forces_in_motion(
     r = resting[0].size
     low, high = float(omega.min()), float(omega.max())
     near = np.flatnonzero((np.abs(model.poles) < _FAR * high) & (np.abs(model.poles) > low / _FAR))
-    nearest = NearPoles(
+    nearest = (
         model.poles[near],
         np.ascontiguousarray(model.displacement[:r, near]),
         np.ascontiguousarray(model.inputs[near, :r]),
     )
     stiffness, damping, found = _settled(
-        np.ascontiguousarray(omega), nearest, acting, *resting, fractions, drive_rms, tables.elements, NODES, _ABOUT
-    )
+        np.ascontiguousarray(omega), nearest, acting, *resting, tuple(fractions), drive_rms, tuple(tables.elements),
+        _NODES, _ABOUT,
+    )  # fmt: skip
     return (stiffness, damping) if found else resting
 
 
 @njit(cache=True)
 def _settled(
     lines: FloatArray,
-    near: NearPoles,
+    near_tables: tuple[ComplexArray, ComplexArray, ComplexArray],
     acting: NDArray[np.bool_],
     rest_stiffness: FloatArray,
     rest_damping: FloatArray,
-    fractions: Fractions,
+    fraction_tables: tuple[FloatArray, ...],
     drive_rms: float,
-    elements: ElementTables,
-    nodes: Quadrature,
+    element_tables: tuple[Any, ...],
+    node_tables: tuple[FloatArray, ...],
     about: FloatArray,
 ) -> tuple[FloatArray, FloatArray, bool]:
-    """Stiffness and damping (r,) each, and whether a motion was found."""
+    """Stiffness and damping (r,) each, and whether a motion was found.
+
+    The tables are `NearPoles`, `Fractions`, `ElementTables` and `Quadrature` as plain tuples, which come from Python
+    sooner than named ones.
+    """
+    near, fractions = NearPoles(*near_tables), Fractions(*fraction_tables)
+    elements, nodes = ElementTables(*element_tables), Quadrature(*node_tables)
     count, r = acting.size, rest_stiffness.size
     low, high = lines.min(), lines.max()
     stiffness, damping = rest_stiffness.copy(), rest_damping.copy()

@@ -117,15 +117,15 @@ class LinearModel:
 
     def partial_fractions(self, rows: NDArray[np.int64]) -> Fractions:
         """Some outputs as partial fractions; entries are those of (rows, p), row by row."""
-        return Fractions(*real_fractions(rows, self.tables))
+        return Fractions(*real_fractions(rows, tuple(self.tables)))
 
 
 @njit(cache=True)
 def real_fractions(
-    rows: NDArray[np.int64], model: LinearTables
+    rows: NDArray[np.int64], model_tables: tuple[ComplexArray, ...]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Compiled body of ``LinearModel.partial_fractions``; a plain tuple is handed to Python sooner."""
-    poles, displacement, velocity, acceleration, inputs, feedthrough = model
+    """Compiled body of ``LinearModel.partial_fractions``; plain tuples come from Python and go there sooner."""
+    poles, displacement, velocity, acceleration, inputs, feedthrough = LinearTables(*model_tables)
     columns = inputs.shape[1]
     count = 0
     for pole in poles:

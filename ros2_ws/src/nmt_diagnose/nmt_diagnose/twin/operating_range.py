@@ -26,6 +26,7 @@ from nmt_diagnose.observations.conditions import (
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.twin.lateness import lateness
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
+from nmt_diagnose.twin.periodic_kernel import GAIN
 from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
 from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.twin.twin_settings import TwinSettings
@@ -309,7 +310,7 @@ def _resting_response(parts: RigParts, omega: float) -> tuple[np.ndarray, np.nda
     q = np.linalg.solve(stiffness + 1j * omega * system.damping - omega**2 * system.mass, system.input_vector + 0j)
     s = 1j * omega
     y = (rows.displacement + s * rows.velocity + s * s * rows.acceleration)[r:] @ q + rows.feedthrough[r:, -1]
-    return q, y * parts.channels[:, 0]
+    return q, y * parts.channels[:, GAIN]
 
 
 def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, observations: Observations | None) -> float:

@@ -20,11 +20,6 @@ from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
 
-# Local elements whose force is of higher than the first order.
-SOFT_AT_REST = frozenset(
-    {"cubic_spring", "quintic_spring", "quadratic_spring", "quadratic_drag", "amplitude_damper", "power_law_damper"}
-)
-
 
 @dataclass(frozen=True)
 class Setup:
@@ -170,7 +165,7 @@ def _alike(rig: Rig, other: Rig, at_rest: bool) -> bool:
         _equal(a, b)
         or (
             not {a.kind, b.kind} & {"linear_spring", "linear_damper"}
-            and (not at_rest or {a.kind, b.kind} <= SOFT_AT_REST)
+            and (not at_rest or (a.soft_at_rest and b.soft_at_rest))
             and (a.point, a.other_point, a.rotation, a.side) == (b.point, b.other_point, b.rotation, b.side)
             and getattr(a, "remaining_stiffness_n_m", 0.0) == getattr(b, "remaining_stiffness_n_m", 0.0)
         )

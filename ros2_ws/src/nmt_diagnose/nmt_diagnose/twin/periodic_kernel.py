@@ -19,6 +19,12 @@ from nmt_core.numerics.kernels import njit
 from nmt_diagnose.twin.linear_model import LinearTables, response_at, transfer_at
 from nmt_rig.model.aft import LocalTables, forces_alone, local_forces
 
+# Columns of the table of sensor chains, see `rig_parts.channel_table`.
+GAIN, DELAY, LOW_PASS, HIGH_PASS = 0, 1, 2, 3
+# Places of G b₁ and G b₂ in the force factor.
+FACTOR_LINEAR, FACTOR_QUADRATIC = 1, 2
+# Position of the fundamental: the first order is 0.
+FUNDAMENTAL = 1
 # What is given besides the phase: ln of the drive's amplitude, or ln of the fundamental of one channel.
 DRIVE_GIVEN = -1
 
@@ -57,7 +63,7 @@ class Control(NamedTuple):
 @njit(cache=True)
 def sensor_gain(s: complex, chain: FloatArray) -> tuple[complex, complex]:
     """Complex gain of a sensor's chain (4,) at s = iω, and its derivative with respect to s."""
-    gain, delay, low_pass, high_pass = chain[0], chain[1], chain[2], chain[3]
+    gain, delay, low_pass, high_pass = chain[GAIN], chain[DELAY], chain[LOW_PASS], chain[HIGH_PASS]
     low = 1.0 / (1.0 + s * low_pass)
     value = gain * np.exp(-s * delay) * low
     slope = value * (-delay - low_pass * low)
@@ -82,17 +88,17 @@ def factor_forces(
     coil: FloatArray,
     current: FloatArray,
     omega: float,
-    linear: float,
-    quadratic: float,
+    factor: FloatArray,
     values: FloatArray,
     slopes: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Forces of the position-dependent part of the force factor, G(x) − G = ``linear`` x + ``quadratic`` x².
+    """Forces of the position-dependent part of the force factor, G(x) − G = G b₁ x + G b₂ x².
 
     Returns:
         coefficients of −(G(x) − G) i on the coil and of (G(x) − G) ẋ in the circuit (2, size), their derivatives with
         respect to coil displacement and current (2, size, 2 · size), and to ω (2, size).
     """
+    linear, quadratic = factor[FACTOR_LINEAR], factor[FACTOR_QUADRATIC]
     size = coil.size
     samples = values.shape[0]
     force = np.zeros((2, size))
@@ -106,17 +112,17 @@ def factor_forces(
             x += values[j, a] * coil[a]
             i += values[j, a] * current[a]
             dx += slopes[j, a] * coil[a]
-        factor = linear * x + quadratic * x * x
-        factor_slope = linear + 2.0 * quadratic * x
+        change = linear * x + quadratic * x * x
+        change_slope = linear + 2.0 * quadratic * x
         for a in range(size):
             weight = (2.0 if a > 0 else 1.0) * values[j, a] / samples
-            force[0, a] -= weight * factor * i
-            force[1, a] += weight * factor * omega * dx
-            by_frequency[1, a] += weight * factor * dx
+            force[0, a] -= weight * change * i
+            force[1, a] += weight * change * omega * dx
+            by_frequency[1, a] += weight * change * dx
             for b in range(size):
-                derivative[0, a, b] -= weight * factor_slope * i * values[j, b]
-                derivative[0, a, size + b] -= weight * factor * values[j, b]
-                derivative[1, a, b] += weight * omega * (factor_slope * dx * values[j, b] + factor * slopes[j, b])
+                derivative[0, a, b] -= weight * change_slope * i * values[j, b]
+                derivative[0, a, size + b] -= weight * change * values[j, b]
+                derivative[1, a, b] += weight * omega * (change_slope * dx * values[j, b] + change * slopes[j, b])
     return force, derivative, by_frequency
 
 
@@ -149,7 +155,7 @@ def harmonic_forces(
                 dg[i, a, i * size + b] = derivative[i, a, b]
     if r > elements:
         pair, pair_derivative, pair_frequency = factor_forces(
-            displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables.values, tables.slopes
+            displacement[r - 2], displacement[r - 1], omega, factor, tables.values, tables.slopes
         )
         for i in range(2):
             g[r - 2 + i] = pair[i]
@@ -169,7 +175,7 @@ def local_amounts(displacement: FloatArray, omega: float, factor: FloatArray, ta
     g[:elements] = forces_alone(displacement[:elements], omega, tables)
     if r > elements:
         g[elements:] = factor_forces(
-            displacement[r - 2], displacement[r - 1], omega, factor[1], factor[2], tables.values, tables.slopes
+            displacement[r - 2], displacement[r - 1], omega, factor, tables.values, tables.slopes
         )[0]
     return g
 
@@ -178,7 +184,7 @@ def local_amounts(displacement: FloatArray, omega: float, factor: FloatArray, ta
 def any_nonlinear(factor: FloatArray, tables: LocalTables) -> bool:
     """Whether any force of the local coordinates is there at all: those that are linear are not among them."""
     elements = tables.jenkins.shape[0] + tables.contacts.shape[0] + tables.kinds.size
-    return bool(elements > 0 or factor[1] != 0.0 or factor[2] != 0.0)
+    return bool(elements > 0 or factor[FACTOR_LINEAR] != 0.0 or factor[FACTOR_QUADRATIC] != 0.0)
 
 
 @njit(cache=True, forceinline=True)
@@ -239,12 +245,30 @@ def close(
 ) -> tuple[float, float]:
     """What phase (rad) and given amplitude (ln) are off by, for channels (c, n_orders)."""
     given = control.given
-    product = measured[control.force, 1] * np.conj(measured[control.response, 1])
+    product = measured[control.force, FUNDAMENTAL] * np.conj(measured[control.response, FUNDAMENTAL])
     # velocity = (iω)^power response: a quarter turn per derivative.
     angle = np.angle(product) - 0.5 * np.pi * control.power - phase
     angle -= 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
-    own = drive_log if given == DRIVE_GIVEN else np.log(np.abs(measured[given, 1]))
+    own = drive_log if given == DRIVE_GIVEN else np.log(np.abs(measured[given, FUNDAMENTAL]))
     return angle, own - given_log
+
+
+@njit(cache=True)
+def close_slopes(measured: ComplexArray, slopes: ComplexArray, control: Control, jacobian: FloatArray) -> None:
+    """Slopes of :func:`close`, the last two rows of a Jacobian, by those of the channels (c, n_orders, nz)."""
+    given, force, response = control.given, control.force, control.response
+    nz = jacobian.shape[0]
+    last = nz - 1
+    for b in range(nz):
+        jacobian[last - 1, b] = (
+            slopes[force, FUNDAMENTAL, b] / measured[force, FUNDAMENTAL]
+            - slopes[response, FUNDAMENTAL, b] / measured[response, FUNDAMENTAL]
+        ).imag
+    if given == DRIVE_GIVEN:
+        jacobian[last, last] = 1.0
+    else:
+        for b in range(nz):
+            jacobian[last, b] = (slopes[given, FUNDAMENTAL, b] / measured[given, FUNDAMENTAL]).real
 
 
 @njit(cache=True)
@@ -320,16 +344,7 @@ def evaluate(
                 slopes[k, n, local] += 1j * order * gain_slope * value
 
     residual[local], residual[local + 1] = close(measured, z[local + 1], control, given_log, phase)
-    given, force, response = control.given, control.force, control.response
-    for b in range(nz):
-        jacobian[local, b] = (
-            slopes[force, 1, b] / measured[force, 1] - slopes[response, 1, b] / measured[response, 1]
-        ).imag
-    if given == DRIVE_GIVEN:
-        jacobian[local + 1, local + 1] = 1.0
-    else:
-        for b in range(nz):
-            jacobian[local + 1, b] = (slopes[given, 1, b] / measured[given, 1]).real
+    close_slopes(measured, slopes, control, jacobian)
     return residual, jacobian, measured, slopes
 
 

@@ -17,7 +17,7 @@ from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.twin.gaussian_motion import forces_in_motion
 from nmt_diagnose.twin.linear_model import Fractions
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.periodic_kernel import sensor_gain
+from nmt_diagnose.twin.periodic_kernel import DELAY, GAIN, HIGH_PASS, LOW_PASS, sensor_gain
 from nmt_diagnose.twin.rig_parts import RigParts
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -140,8 +140,8 @@ class RandomTwin:
         """
         test, tables = self.test, parts.tables
         elements = tables.elements
-        starts = elements.jenkins_start, elements.contacts_start, elements.sampled_start
-        acting = np.sum([np.diff(start) for start in starts], axis=0) > 0
+        starts = elements.jenkins_start + elements.contacts_start + elements.sampled_start
+        acting = np.diff(starts) > 0
         if not acting.any() or not test.drive_rms > 0.0 or not test.stop_s > test.start_s or test.lines_hz.size < 2:
             return parts.resting
         omega = 2.0 * np.pi * parts.clock * test.lines_hz
@@ -157,10 +157,10 @@ class RandomTwin:
         # The sensors of a rig whose drive is held act on samples, that is on what has been folded down already.
         chains = parts.channels[self._own]
         ideal = chains.copy()
-        ideal[:, 1:] = 0.0
+        ideal[:, [DELAY, LOW_PASS, HIGH_PASS]] = 0.0
         values = self._plain(parts, local, folding.frequencies, fractions, ideal)
         total = folded(values, folding.below, folding.weights)
-        total *= sensor_gains(folding.nodes * parts.clock, chains[:-1]) / chains[:-1, 0]
+        total *= sensor_gains(folding.nodes * parts.clock, chains[:-1]) / chains[:-1, GAIN]
         return np.asarray(folding.between @ total)
 
     def _smoothed(
@@ -214,7 +214,7 @@ class RandomTwin:
             2.0 * np.pi * frequencies * parts.clock,
             r,
             *local,
-            fractions,
+            tuple(fractions),
             parts.channels[self._own] if chains is None else chains,
         )
         h *= parts.input_per_volt
@@ -303,7 +303,7 @@ def linear_responses(
     r: int,
     stiffness: FloatArray,
     damping: FloatArray,
-    fractions: Fractions,
+    fraction_tables: tuple[FloatArray, ...],
     channels: FloatArray,
 ) -> ComplexArray:
     """Responses (lines, c) of the channels after their sensors to the drive, local forces linear: k w + d ẇ.
@@ -312,10 +312,10 @@ def linear_responses(
         omega: (lines,) rad/s.
         r: number of local coordinates.
         stiffness, damping: (r,) k and d.
-        fractions: of coordinates and channels.
+        fraction_tables: `Fractions` of coordinates and channels as a plain tuple, which comes from Python sooner.
         channels: sensor chains (c, 4).
     """
-    sums, products, constants, slopes, rest = fractions
+    sums, products, constants, slopes, rest = Fractions(*fraction_tables)
     c = channels.shape[0]
     entries = rest.size
     columns = r + 1

@@ -6,10 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
-from nmt_core.numerics.kernels import njit
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.kernels import loop_step, njit
+from nmt_diagnose.twin.periodic_kernel import FACTOR_LINEAR, FACTOR_QUADRATIC
 from nmt_rig.model.aft import ElementTables, LocalTables
 from nmt_rig.model.element_kernels import response
+from nmt_rig.model.local_elements.element import (
+    CONTACT_GAP,
+    CONTACT_SIDE,
+    CONTACT_STIFFNESS,
+    SLIDER_SLIP,
+    SLIDER_STIFFNESS,
+)
 from nmt_rig.model.local_elements.friction import Jenkins
 
 _moved = njit(Jenkins.moved)
@@ -37,44 +45,78 @@ class SteppedModel(NamedTuple):
     direct: FloatArray
 
 
+class Steps(NamedTuple):
+    """What the steps of r coordinates carry from one to the next, and work space.
+
+    Attributes:
+        state: (k,) of the poles.
+        sliders, moved: positions of the sliders before and after a step, m.
+        g, before: (r,) forces at the end of the last step and of the one before it, N.
+        trial: (r,) forces tried at the end of a step.
+        free_w, free_v: (r,) displacements and velocities there without forces at the end.
+        w, v: (r,) with those tried.
+        by_displacement, by_velocity: (r, r) tangents of the forces.
+        dw, dv: (r, r) what a force at the end of a step does to displacement and velocity there.
+    """
+
+    state: ComplexArray
+    sliders: FloatArray
+    moved: FloatArray
+    g: FloatArray
+    before: FloatArray
+    trial: FloatArray
+    free_w: FloatArray
+    free_v: FloatArray
+    w: FloatArray
+    v: FloatArray
+    by_displacement: FloatArray
+    by_velocity: FloatArray
+    dw: FloatArray
+    dv: FloatArray
+
+
 @njit(cache=True)
-def _coordinate_forces(
-    w: FloatArray,
-    v: FloatArray,
-    sliders: FloatArray,
-    moved: FloatArray,
-    factor: FloatArray,
-    jenkins: FloatArray,
-    jenkins_start: IntArray,
-    contacts: FloatArray,
-    contacts_start: IntArray,
-    kinds: IntArray,
-    parameters: FloatArray,
-    sampled_start: IntArray,
-    g: FloatArray,
-    by_displacement: FloatArray,
-    by_velocity: FloatArray,
-) -> None:
-    """Forces (r,) of the coordinates and their tangents (r, r), written to the last three arguments; ``moved`` gets the
-    sliders after the step."""
-    elements = jenkins_start.size - 1
-    by_displacement[:] = 0.0
-    by_velocity[:] = 0.0
-    for i in range(elements):
+def _room(model: SteppedModel, r: int, sliders: int) -> Steps:
+    """At rest."""
+    outputs, velocities, late = model.outputs, model.velocities, model.late
+    count = late.shape[0]
+    dw, dv = np.zeros((r, r)), np.zeros((r, r))
+    for i in range(r):
+        for j in range(r):
+            for k in range(count):
+                dw[i, j] += (outputs[i, k] * late[k, j]).real
+                dv[i, j] += (velocities[i, k] * late[k, j]).real
+    return Steps(
+        np.zeros(count, dtype=np.complex128), np.zeros(sliders), np.zeros(sliders), np.zeros(r), np.zeros(r),
+        np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros((r, r)), np.zeros((r, r)), dw, dv,
+    )  # fmt: skip
+
+
+@loop_step
+def _coordinate_forces(steps: Steps, factor: FloatArray, elements: ElementTables) -> None:
+    """Forces (r,) of the coordinates at ``w`` and ``v`` and their tangents (r, r); ``moved`` gets the sliders."""
+    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = elements
+    w, v, g, by_displacement, by_velocity = steps.w, steps.v, steps.g, steps.by_displacement, steps.by_velocity
+    count = jenkins_start.size - 1
+    for i in range(g.size):
+        for j in range(g.size):
+            by_displacement[i, j] = 0.0
+            by_velocity[i, j] = 0.0
+    for i in range(count):
         force = 0.0
         stiffness = 0.0
         damping = 0.0
         for e in range(jenkins_start[i], jenkins_start[i + 1]):
-            own, k, slider = _moved(jenkins[e, 0], jenkins[e, 1], w[i], sliders[e])
-            moved[e] = slider
+            own, k, slider = _moved(jenkins[e, SLIDER_STIFFNESS], jenkins[e, SLIDER_SLIP], w[i], steps.sliders[e])
+            steps.moved[e] = slider
             force += own
             stiffness += k
         for e in range(contacts_start[i], contacts_start[i + 1]):
-            side = contacts[e, 2]
-            overlap = side * w[i] - contacts[e, 1]
+            side, k = contacts[e, CONTACT_SIDE], contacts[e, CONTACT_STIFFNESS]
+            overlap = side * w[i] - contacts[e, CONTACT_GAP]
             if overlap > 0.0:
-                force += side * contacts[e, 0] * overlap
-                stiffness += contacts[e, 0]
+                force += side * k * overlap
+                stiffness += k
         for e in range(sampled_start[i], sampled_start[i + 1]):
             own, k, c = response(kinds[e], parameters, e, w[i], v[i])
             force += own
@@ -84,55 +126,65 @@ def _coordinate_forces(
         by_displacement[i, i] = stiffness
         by_velocity[i, i] = damping
     r = g.size
-    if r > elements:
-        x, current = w[r - 2], w[r - 1]
-        f = factor[1] * x + factor[2] * x * x
-        slope = factor[1] + 2.0 * factor[2] * x
-        g[r - 2] = -f * current
-        by_displacement[r - 2, r - 2] = -slope * current
-        by_displacement[r - 2, r - 1] = -f
-        g[r - 1] = f * v[r - 2]
-        by_displacement[r - 1, r - 2] = slope * v[r - 2]
-        by_velocity[r - 1, r - 2] = f
+    if r > count:
+        coil, circuit = r - 2, r - 1
+        x, current = w[coil], w[circuit]
+        linear, quadratic = factor[FACTOR_LINEAR], factor[FACTOR_QUADRATIC]
+        f = linear * x + quadratic * x * x
+        slope = linear + 2.0 * quadratic * x
+        g[coil] = -f * current
+        by_displacement[coil, coil] = -slope * current
+        by_displacement[coil, circuit] = -f
+        g[circuit] = f * v[coil]
+        by_displacement[circuit, coil] = slope * v[coil]
+        by_velocity[circuit, coil] = f
+
+
+@njit(cache=True)
+def _solve_forces(steps: Steps, largest: float, factor: FloatArray, elements: ElementTables) -> None:
+    """Forces (r,) at the end of a step by Newton's method from those tried; ``largest`` is that of all steps so far."""
+    g, trial, w, v, dw, dv = steps.g, steps.trial, steps.w, steps.v, steps.dw, steps.dv
+    free_w, free_v, kw, kv = steps.free_w, steps.free_v, steps.by_displacement, steps.by_velocity
+    sliders, moved = steps.sliders, steps.moved
+    r = g.size
+    for _ in range(ITERATIONS):
+        for i in range(r):
+            w[i] = free_w[i]
+            v[i] = free_v[i]
+            for j in range(r):
+                w[i] -= dw[i, j] * trial[j]
+                v[i] -= dv[i, j] * trial[j]
+        _coordinate_forces(steps, factor, elements)
+        error = 0.0
+        size = largest
+        for i in range(r):
+            error = max(error, abs(g[i] - trial[i]))
+            size = max(size, abs(g[i]))
+        if error <= TOLERANCE * size:
+            break
+        if r == 1:
+            trial[0] += (g[0] - trial[0]) / (1.0 + kw[0, 0] * dw[0, 0] + kv[0, 0] * dv[0, 0])
+        else:
+            system = np.eye(r) + kw @ dw + kv @ dv
+            trial += np.linalg.solve(system, g - trial)
+    for e in range(sliders.size):
+        sliders[e] = moved[e]
 
 
 @njit(cache=True)
 def _step_all(
-    drive: FloatArray,
-    substeps: int,
-    r: int,
-    model: SteppedModel,
-    factor: FloatArray,
-    elements: ElementTables,
+    drive: FloatArray, substeps: int, r: int, model: SteppedModel, factor: FloatArray, elements: ElementTables
 ) -> FloatArray:
     """Channels (c, samples) of any number of coordinates."""
     decay, early, late, outputs, velocities, direct = model
-    jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = elements
     count = decay.size
     c = outputs.shape[0] - r
-    samples = drive.size // substeps
-    result = np.empty((c, samples))
-    state = np.zeros(count, dtype=np.complex128)
-    sliders = np.zeros(jenkins.shape[0])
-    moved = np.zeros(jenkins.shape[0])
-    g = np.zeros(r)
-    trial = np.zeros(r)
-    w = np.zeros(r)
-    v = np.zeros(r)
-    free_w = np.zeros(r)
-    free_v = np.zeros(r)
-    kw = np.zeros((r, r))
-    kv = np.zeros((r, r))
-    # What a force at the end of a step does to displacement and velocity there.
-    dw = np.zeros((r, r))
-    dv = np.zeros((r, r))
-    for i in range(r):
-        for j in range(r):
-            for k in range(count):
-                dw[i, j] += (outputs[i, k] * late[k, j]).real
-                dv[i, j] += (velocities[i, k] * late[k, j]).real
-    free = jenkins.shape[0] + contacts.shape[0] + kinds.size == 0 and jenkins_start.size - 1 == r
-    before = np.zeros(r)
+    result = np.empty((c, drive.size // substeps))
+    sliders = elements.jenkins.shape[0]
+    steps = _room(model, r, sliders)
+    state, g, trial, before = steps.state, steps.g, steps.trial, steps.before
+    free_w, free_v = steps.free_w, steps.free_v
+    free = sliders + elements.contacts.shape[0] + elements.kinds.size == 0 and elements.jenkins_start.size - 1 == r
     largest = 1e-300
     previous = 0.0
     for n in range(drive.size):
@@ -144,43 +196,19 @@ def _step_all(
                     x -= early[k, j] * g[j]
             state[k] = x
         previous = u
-        for i in range(0 if free else r):
-            a = 0.0
-            b = 0.0
-            for k in range(count):
-                a += (outputs[i, k] * state[k]).real
-                b += (velocities[i, k] * state[k]).real
-            free_w[i] = a
-            free_v[i] = b
-            # Where the force seems to go: a step of the iteration saved.
-            trial[i] = 2.0 * g[i] - before[i]
-            before[i] = g[i]
-        for _ in range(0 if free else ITERATIONS):
-            for i in range(r):
-                w[i] = free_w[i]
-                v[i] = free_v[i]
-                for j in range(r):
-                    w[i] -= dw[i, j] * trial[j]
-                    v[i] -= dv[i, j] * trial[j]
-            _coordinate_forces(
-                w, v, sliders, moved, factor, jenkins, jenkins_start, contacts, contacts_start, kinds, parameters,
-                sampled_start, g, kw, kv,
-            )  # fmt: skip
-            error = 0.0
-            size = largest
-            for i in range(r):
-                error = max(error, abs(g[i] - trial[i]))
-                size = max(size, abs(g[i]))
-            if error <= TOLERANCE * size:
-                break
-            if r == 1:
-                trial[0] += (g[0] - trial[0]) / (1.0 + kw[0, 0] * dw[0, 0] + kv[0, 0] * dv[0, 0])
-            else:
-                system = np.eye(r) + kw @ dw + kv @ dv
-                trial += np.linalg.solve(system, g - trial)
-        for e in range(sliders.size):
-            sliders[e] = moved[e]
         if not free:
+            for i in range(r):
+                a = 0.0
+                b = 0.0
+                for k in range(count):
+                    a += (outputs[i, k] * state[k]).real
+                    b += (velocities[i, k] * state[k]).real
+                free_w[i] = a
+                free_v[i] = b
+                # Where the force seems to go: a step of the iteration saved.
+                trial[i] = 2.0 * g[i] - before[i]
+                before[i] = g[i]
+            _solve_forces(steps, largest, factor, elements)
             for j in range(r):
                 largest = max(largest, abs(g[j]))
                 for k in range(count):
@@ -237,7 +265,7 @@ def _step_one(drive: FloatArray, substeps: int, model: SteppedModel, elements: E
             by_displacement = 0.0
             by_velocity = 0.0
             for e in range(jenkins.shape[0]):
-                stiffness, slip = jenkins[e, 0], jenkins[e, 1]
+                stiffness, slip = jenkins[e, SLIDER_STIFFNESS], jenkins[e, SLIDER_SLIP]
                 own = stiffness * (w - sliders[e])
                 if own > slip:
                     g += slip
@@ -250,11 +278,11 @@ def _step_one(drive: FloatArray, substeps: int, model: SteppedModel, elements: E
                     by_displacement += stiffness
                     moved[e] = sliders[e]
             for e in range(contacts.shape[0]):
-                side = contacts[e, 2]
-                overlap = side * w - contacts[e, 1]
+                side, stiffness = contacts[e, CONTACT_SIDE], contacts[e, CONTACT_STIFFNESS]
+                overlap = side * w - contacts[e, CONTACT_GAP]
                 if overlap > 0.0:
-                    g += side * contacts[e, 0] * overlap
-                    by_displacement += contacts[e, 0]
+                    g += side * stiffness * overlap
+                    by_displacement += stiffness
             for e in range(kinds.size):
                 own, stiffness, damping = response(kinds[e], parameters, e, w, v)
                 g += own

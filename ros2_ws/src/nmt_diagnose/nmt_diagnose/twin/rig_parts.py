@@ -18,7 +18,15 @@ from nmt_diagnose.effects.modal_calibration import with_stiffness
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model, moved_model
 from nmt_diagnose.twin.local_tables import local_tables
-from nmt_diagnose.twin.periodic_kernel import RigTables
+from nmt_diagnose.twin.periodic_kernel import (
+    DELAY,
+    FACTOR_LINEAR,
+    FACTOR_QUADRATIC,
+    GAIN,
+    HIGH_PASS,
+    LOW_PASS,
+    RigTables,
+)
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.assembly import (
@@ -30,7 +38,7 @@ from nmt_rig.model.assembly import (
 from nmt_rig.model.forced_response import force_rows
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import ELEMENTS
-from nmt_rig.model.local_elements.element import LocalElement
+from nmt_rig.model.local_elements.element import SLIDER_STIFFNESS, LocalElement
 from nmt_rig.model.shaking_table import driven_by_force
 from nmt_rig.model.structure import Structure
 from nmt_rig.rig import (
@@ -60,8 +68,6 @@ _OUTPUTS = {
 _INTEGRATED = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
 _SOFT_HZ = 0.01  # far below every test
 IDLE = "idle"  # key of the coordinate of a rig without local forces
-# Channel table, one row per channel: see ``channel_table``.
-GAIN, DELAY, LOW_PASS, HIGH_PASS = range(4)
 
 
 @dataclass(frozen=True)
@@ -123,7 +129,7 @@ class RigParts:
         stiffness, damping = np.zeros(self.coordinates), np.zeros(self.coordinates)
         jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = self.tables.elements
         for i in range(jenkins_start.size - 1):
-            stiffness[i] += jenkins[jenkins_start[i] : jenkins_start[i + 1], 0].sum()
+            stiffness[i] += jenkins[jenkins_start[i] : jenkins_start[i + 1], SLIDER_STIFFNESS].sum()
             for own, gap, _side in contacts[contacts_start[i] : contacts_start[i + 1]]:
                 # A gap is counted towards its stop, whatever the side: only a preloaded stop is closed at rest.
                 stiffness[i] += own if gap < 0.0 else 0.0
@@ -246,7 +252,7 @@ def rig_parts(
     if isinstance(exciter, ShakerSection):
         g = exciter.force_factor_n_a
         factor[:] = g, g * exciter.force_factor_linear_per_m, g * exciter.force_factor_quadratic_per_m2
-    if factor[1] != 0.0 or factor[2] != 0.0:
+    if factor[FACTOR_LINEAR] != 0.0 or factor[FACTOR_QUADRATIC] != 0.0:
         extra = np.zeros((2, size))
         extra[0, cast(int, system.coil)] = 1.0
         extra[1, cast(int, system.current)] = 1.0
@@ -258,7 +264,7 @@ def rig_parts(
     force_feed = np.zeros(r + 1)
     force_feed[r] = system.force.feedthrough
     force_feed[first_outside:elements] = 1.0
-    if factor[1] != 0.0 or factor[2] != 0.0:
+    if factor[FACTOR_LINEAR] != 0.0 or factor[FACTOR_QUADRATIC] != 0.0:
         force_feed[r - 2] = 1.0
     zero = np.zeros(size)
     sections = channel_sections(rig, channels)

@@ -73,6 +73,21 @@ class LocalTables(NamedTuple):
         )  # fmt: skip
 
 
+class ScaledForces(NamedTuple):
+    """Local forces of a motion, per scale, and their derivatives by the motion's coefficients, ω and log10 scale.
+
+    Attributes:
+        force: (r, size).
+        by_displacement: (r, size, size).
+        by_frequency, by_scale: (r, size).
+    """
+
+    force: FloatArray
+    by_displacement: FloatArray
+    by_frequency: FloatArray
+    by_scale: FloatArray
+
+
 def element_rows(
     groups: Sequence[Sequence[LocalElement]], highest: int, least: int, fitted: bool
 ) -> tuple[ElementTables, int]:
@@ -307,7 +322,7 @@ def _add_local_forces(
 @njit(cache=True)
 def scaled_local_forces(
     displacement: FloatArray, scale: float, angular_frequency: float, tables: LocalTables
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> ScaledForces:
     """Local forces of the motion scale · displacement, per scale.
 
     Args:
@@ -315,10 +330,6 @@ def scaled_local_forces(
         scale: m per unit of ``displacement``.
         angular_frequency: ω, rad/s.
         tables: ``LocalForces.tables``.
-
-    Returns:
-        G / scale (r, size), and its derivatives with respect to ``displacement`` (r, size, size), ω (r, size)
-        and log10 scale (r, size).
     """
     force, derivative, by_frequency = local_forces(displacement * scale, angular_frequency, tables)
     force /= scale
@@ -327,4 +338,4 @@ def scaled_local_forces(
     for i in range(displacement.shape[0]):
         by_scale[i] += derivative[i] @ displacement[i]
     by_scale *= np.log(10.0)
-    return force, derivative, by_frequency, by_scale
+    return ScaledForces(force, derivative, by_frequency, by_scale)

@@ -21,11 +21,31 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.numerics.kernels import njit
+from nmt_core.numerics.kernels import loop_step, njit
 from nmt_rig.model.element_kernels import margin, next_branch, piece
-from nmt_rig.model.integration_kernel import _SMALLEST, JENKINS, Integers, Memory
+from nmt_rig.model.integration_kernel import (
+    _INPUT_END,
+    _INPUT_START,
+    _SMALLEST,
+    _XX,
+    _XY,
+    _YX,
+    _YY,
+    CORNERS,
+    JENKINS,
+    SUB_STEPS,
+    Integers,
+    Memory,
+    OutputRows,
+    begin_slip,
+    is_bounded,
+    slip_along,
+    widest_level,
+)
 from nmt_rig.model.structure import Array
 
+# First rows of `Motion.holds` for forces at the start and at the end of a step, and their columns.
+_AT_START, _AT_END = 0, 2
 # A bound on a motion is a sum of rounded numbers; so much earlier the element itself is looked at.
 _CAUTION = 1.0 - 1e-9
 # Share of a force that it causes itself by the end of a step, below which forces are iterated for.
@@ -35,9 +55,6 @@ _SETTLED = 1e-14
 _SWEEPS = 14
 # Sums may be taken several terms at a time, in an order that the compiler fixes once for all.
 _IN_LANES = {"reassoc", "contract"}
-# The loop's steps are copied into it. They allocate nothing, so the arrays of their tuples need no count of references,
-# which would cost more than the arithmetic.
-_step = njit(cache=True, forceinline=True, _nrt=False)
 
 
 class Motion(NamedTuple):
@@ -82,14 +99,6 @@ class Places(NamedTuple):
     element_port: Integers
     port_start: Integers
     port_elements: Integers
-
-
-class OutputRows(NamedTuple):
-    """Outputs C (outputs, Z), D_g (outputs, ports) and D_u (outputs,)."""
-
-    state: Array
-    force: Array
-    input: Array
 
 
 class Active(NamedTuple):
@@ -225,7 +234,7 @@ def solve_factored(columns: Array, level: int, order: Integers, right: Array, n:
             right[r] -= columns[level, i, r] * value
 
 
-@_step
+@loop_step
 def gather(places: Places, branch: Integers, slider: Array, now: Active) -> int:
     """Stiffness and constant of each port for the present branches, and the ports that have to be solved for.
 
@@ -260,7 +269,7 @@ def gather(places: Places, branch: Integers, slider: Array, now: Active) -> int:
     return count
 
 
-@_step
+@loop_step
 def quiet_ticks(
     places: Places, memory: Memory, q: int, ticks: int, width: float, w0: float, v0: float, w1: float, v1: float
 ) -> int:
@@ -294,7 +303,7 @@ def quiet_ticks(
     return low
 
 
-@_step
+@loop_step
 def follow_branches(
     motion: Motion, places: Places, memory: Memory, due: Array, now: Active, trial: Trial
 ) -> tuple[int, float]:
@@ -322,7 +331,7 @@ def follow_branches(
     return count, earliest
 
 
-@_step
+@loop_step
 def follow_width(motion: Motion, now: Active, level: int, count: int, matrix: Array, row_order: Integers) -> None:
     """What a step width adds to `follow_branches`: the motion under the steady forces, and the factors.
 
@@ -336,11 +345,11 @@ def follow_width(motion: Motion, now: Active, level: int, count: int, matrix: Ar
     pairs, ports = steady.size // 2, stiffness.size
     for i in range(pairs):
         j = pairs + i
-        now.steady_step[level, i] = (holds[level, 0, 0, i] + holds[level, 2, 0, i]) * steady[i] + (
-            holds[level, 0, 1, i] + holds[level, 2, 1, i]
+        now.steady_step[level, i] = (holds[level, _AT_START, _XX, i] + holds[level, _AT_END, _XX, i]) * steady[i] + (
+            holds[level, _AT_START, _XY, i] + holds[level, _AT_END, _XY, i]
         ) * steady[j]
-        now.steady_step[level, j] = (holds[level, 0, 2, i] + holds[level, 2, 2, i]) * steady[i] + (
-            holds[level, 0, 3, i] + holds[level, 2, 3, i]
+        now.steady_step[level, j] = (holds[level, _AT_START, _YX, i] + holds[level, _AT_END, _YX, i]) * steady[i] + (
+            holds[level, _AT_START, _YY, i] + holds[level, _AT_END, _YY, i]
         ) * steady[j]
     now.known[level] = True
     for a in range(count):
@@ -360,7 +369,7 @@ def follow_width(motion: Motion, now: Active, level: int, count: int, matrix: Ar
             now.columns[level, a, b] = matrix[b, a]
 
 
-@_step
+@loop_step
 def move(motion: Motion, now: Active, state: Array, level: int, u0: float, u1: float, trial: Array) -> None:
     """The state (Z,) at the end of a sub-step without the active ports' forces, for the input at its ends."""
     pair, start_weights, steady_step = motion.pair, motion.start_weights, now.steady_step
@@ -370,30 +379,30 @@ def move(motion: Motion, now: Active, state: Array, level: int, u0: float, u1: f
         x = state[i]
         y = state[j]
         trial[i] = (
-            (pair[level, 0, i] * x + pair[level, 1, i] * y)
-            + (start_weights[level, 0, i] * u0 + start_weights[level, 1, i] * u1)
+            (pair[level, _XX, i] * x + pair[level, _XY, i] * y)
+            + (start_weights[level, _INPUT_START, i] * u0 + start_weights[level, _INPUT_END, i] * u1)
         ) + steady_step[level, i]
         trial[j] = (
-            (pair[level, 2, i] * x + pair[level, 3, i] * y)
-            + (start_weights[level, 0, j] * u0 + start_weights[level, 1, j] * u1)
+            (pair[level, _YX, i] * x + pair[level, _YY, i] * y)
+            + (start_weights[level, _INPUT_START, j] * u0 + start_weights[level, _INPUT_END, j] * u1)
         ) + steady_step[level, j]
 
 
-@_step
+@loop_step
 def add_held(holds: Array, level: int, end: int, force: Array, slope: Array, trial: Array) -> None:
-    """Add what projected forces and slopes (Z,) at the start (`end` = 0) or the end (2) of a step do to the state."""
+    """Add what projected forces and slopes (Z,) at one end of a step (`_AT_START`, `_AT_END`) do to the state."""
     pairs = force.size // 2
     for i in range(pairs):
         j = pairs + i
-        trial[i] += (holds[level, end, 0, i] * force[i] + holds[level, end, 1, i] * force[j]) + (
-            holds[level, end + 1, 0, i] * slope[i] + holds[level, end + 1, 1, i] * slope[j]
+        trial[i] += (holds[level, end, _XX, i] * force[i] + holds[level, end, _XY, i] * force[j]) + (
+            holds[level, end + 1, _XX, i] * slope[i] + holds[level, end + 1, _XY, i] * slope[j]
         )
-        trial[j] += (holds[level, end, 2, i] * force[i] + holds[level, end, 3, i] * force[j]) + (
-            holds[level, end + 1, 2, i] * slope[i] + holds[level, end + 1, 3, i] * slope[j]
+        trial[j] += (holds[level, end, _YX, i] * force[i] + holds[level, end, _YY, i] * force[j]) + (
+            holds[level, end + 1, _YX, i] * slope[i] + holds[level, end + 1, _YY, i] * slope[j]
         )
 
 
-@_step
+@loop_step
 def sweep_forces(
     answers: Array, now: Active, trial: Trial, count: int, level: int, span: float, gain: float, iterated: bool
 ) -> None:
@@ -438,14 +447,14 @@ def sweep_forces(
             break
 
 
-@_step
+@loop_step
 def solve_active(
     motion: Motion, now: Active, trial: Trial, count: int, level: int, span: float, iterated: bool
 ) -> None:
     """Forces of the active ports at the end of a sub-step, and the state there with them."""
     port_rows, stiffness = motion.port_rows, now.stiffness
     size, ports = trial.state.size, stiffness.size
-    add_held(motion.holds, level, 0, trial.own, trial.own_slope, trial.state)
+    add_held(motion.holds, level, _AT_START, trial.own, trial.own_slope, trial.state)
     for a in range(count):
         q = now.ports[a]
         w = row_product(port_rows, q, trial.state, size)
@@ -464,10 +473,10 @@ def solve_active(
         trial.forces[q] = trial.right[a]
         trial.forces[ports + q] = trial.right[count + a]
     project(motion.projection, now.ports, count, trial.forces, trial.next_own, trial.next_slope)
-    add_held(motion.holds, level, 2, trial.next_own, trial.next_slope, trial.state)
+    add_held(motion.holds, level, _AT_END, trial.next_own, trial.next_slope, trial.state)
 
 
-@_step
+@loop_step
 def turns_of_active(places: Places, memory: Memory, now: Active, trial: Trial, count: int) -> bool:
     """Whether an active port's element leaves its branch by the end of a sub-step; told in `trial.turned`."""
     branch, slider = memory.branch, memory.slider
@@ -485,7 +494,7 @@ def turns_of_active(places: Places, memory: Memory, now: Active, trial: Trial, c
     return corner
 
 
-@_step
+@loop_step
 def way_of(reach: Array, before: Array, after: Array) -> float:
     """Bound on the motion of any port between two states (Z,), m."""
     pairs = before.size // 2
@@ -497,7 +506,7 @@ def way_of(reach: Array, before: Array, after: Array) -> float:
     return move0 + move1
 
 
-@_step
+@loop_step
 def look_at_resting(
     motion: Motion, places: Places, memory: Memory, due: Array, ahead: float, now: Active, trial: Trial
 ) -> tuple[int, bool]:
@@ -527,7 +536,7 @@ def look_at_resting(
     return seen, corner
 
 
-@_step
+@loop_step
 def ticks_before_corner(
     motion: Motion, places: Places, memory: Memory, state: Array, now: Active, trial: Trial, width: int, span: float
 ) -> int:
@@ -550,18 +559,17 @@ def ticks_before_corner(
     return kept
 
 
-@_step
+@loop_step
 def accept_active(places: Places, memory: Memory, now: Active, trial: Trial, count: int) -> None:
     """Take over forces and motion of the active ports, and move the sliders that slip with them."""
-    forces, kinematics, branch, slider, dissipated, _ = memory
-    parameters, w_trial, ports = places.parameters, trial.w, now.place.size
+    forces, kinematics, branch = memory.forces, memory.kinematics, memory.branch
+    w_trial, ports = trial.w, now.place.size
     for a in range(count):
         q = now.ports[a]
         for n in range(places.port_start[q], places.port_start[q + 1]):
             e = places.port_elements[n]
             if places.kinds[e] == JENKINS and branch[e] != 0:
-                dissipated[e] += branch[e] * parameters[e, 1] * (w_trial[q] - kinematics[q])
-                slider[e] = w_trial[q] - branch[e] * parameters[e, 1] / parameters[e, 0]
+                slip_along(places.parameters, e, memory, kinematics[q], w_trial[q])
         forces[q] = trial.forces[q]
         forces[ports + q] = trial.forces[ports + q]
         kinematics[q] = w_trial[q]
@@ -572,12 +580,12 @@ def accept_active(places: Places, memory: Memory, now: Active, trial: Trial, cou
             trial.own_slope[i] = trial.next_slope[i]
 
 
-@_step
+@loop_step
 def switch_branches(
     motion: Motion, places: Places, memory: Memory, due: Array, way: float, state: Array, now: Active, trial: Trial
 ) -> None:
     """Take the branches that fit at a corner, with the forces of the ports where one changes."""
-    forces, kinematics, branch, slider, dissipated, _ = memory
+    forces, kinematics, branch, slider = memory.forces, memory.kinematics, memory.branch, memory.slider
     kinds, parameters, port_rows = places.kinds, places.parameters, motion.port_rows
     ports, size = due.size, state.size
     for q in range(ports):
@@ -592,9 +600,7 @@ def switch_branches(
             new = next_branch(kinds[e], parameters, e, branch[e], trial.w[q], trial.v[q], slider[e])
             if new != branch[e]:
                 if kinds[e] == JENKINS and branch[e] == 0:
-                    slipped = trial.w[q] - new * parameters[e, 1] / parameters[e, 0]
-                    dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
-                    slider[e] = slipped
+                    begin_slip(parameters, e, memory, new, trial.w[q])
                 branch[e] = new
                 changed = True
         if changed:
@@ -614,7 +620,7 @@ def switch_branches(
             due[q] = way + _CAUTION * near
 
 
-@_step
+@loop_step
 def begin_again(due: Array, way: Array, place: Integers, looked: Integers, later: Array, seen: int) -> float:
     """Count the way from here, lest it lose digits; returns the way at which the first resting port is due.
 
@@ -634,20 +640,53 @@ def begin_again(due: Array, way: Array, place: Integers, looked: Integers, later
     return earliest
 
 
-@_step
-def next_level(position: int, goal: int, levels: int) -> int:
-    """Halvings of the widest sub-step that starts at a tick, stays on the dyadic grid and does not pass the goal."""
-    ticks = 1 << levels
-    level = levels
-    while level > 0 and position % (ticks >> (level - 1)) == 0:
-        level -= 1
-    if position <= goal:
-        while level < levels and position + (ticks >> level) > goal:
-            level += 1
+@loop_step
+def accept(
+    motion: Motion, places: Places, memory: Memory, due: Array, way: Array, state: Array, now: Active, trial: Trial,
+    count: int, seen: int, corner: bool, earliest: float,
+) -> float:  # fmt: skip
+    """Take over the end of a sub-step, with the branches that fit past a corner.
+
+    Args:
+        motion, places, memory, due, way, state: as for `integrate_contacts`.
+        now, trial: what follows from the branches, and the sub-step.
+        count, seen: of the active ports, and of the resting ones that were looked at.
+        corner: whether an element leaves its branch.
+        earliest: the way at which the first resting port is due.
+
+    Returns:
+        The same, after the sub-step.
+    """
+    for q in range(due.size if corner else 0):
+        trial.turned[q] = False
+    for i in range(state.size):
+        state[i] = trial.state[i]
+    accept_active(places, memory, now, trial, count)
+    if seen > 0:
+        earliest = begin_again(due, way, now.place, trial.looked, trial.due, seen)
+    if corner:
+        memory.counters[CORNERS] += 1
+        switch_branches(motion, places, memory, due, way[0], state, now, trial)
+    memory.counters[SUB_STEPS] += 1
+    return earliest
+
+
+@loop_step
+def narrowed(position: int, goal: int, level: int, levels: int) -> int:
+    """Halvings, at least `level`, of a sub-step that starts at a tick and does not pass the goal."""
+    while level < levels and position + ((1 << levels) >> level) > goal:
+        level += 1
     return level
 
 
-@_step
+@loop_step
+def next_level(position: int, goal: int, levels: int) -> int:
+    """Halvings of the widest sub-step that starts at a tick, stays on the dyadic grid and does not pass the goal."""
+    level = widest_level(position, levels)
+    return narrowed(position, goal, level, levels) if position <= goal else level
+
+
+@loop_step
 def write_outputs(rows: OutputRows, state: Array, forces: Array, ports: int, value: float, k: int, out: Array) -> None:
     """Outputs (outputs, n) at sample k, for the input there."""
     for o in range(out.shape[0]):
@@ -705,11 +744,9 @@ def integrate_contacts(
     motion, places = Motion(*motion_tables), Places(*place_tables)
     rows, memory = OutputRows(*output_tables), Memory(*memory_tables)
     levels = motion.gains.size - 1
-    size = state.size
     ports = due.size
     now, trial = work_space(levels, ports, state, memory.forces)
-    forces, counters, known, turned = memory.forces, memory.counters, now.known, trial.turned
-    reach, step, end = motion.reach, motion.step, trial.state
+    forces, known, end = memory.forces, now.known, trial.state
     matrix = np.zeros((2 * ports, 2 * ports))
     row_order = np.zeros(2 * ports, dtype=np.int64)
     iterated = motion.gains < _ITERATED_BELOW
@@ -732,43 +769,25 @@ def integrate_contacts(
                 if not known[level]:
                     follow_width(motion, now, level, 0 if iterated[level] else count, matrix, row_order)
                 width = ticks >> level
-                span = step * width / ticks
+                span = motion.step * width / ticks
                 u0 = u_start + increment * (position / ticks)
                 u1 = u_start + increment * ((position + width) / ticks)
                 move(motion, now, state, level, u0, u1, end)
                 if count > 0:
                     solve_active(motion, now, trial, count, level, span, iterated[level])
                 corner = turns_of_active(places, memory, now, trial, count)
-                ahead = way[0] + way_of(reach, state, end)
+                ahead = way[0] + way_of(motion.reach, state, end)
                 seen = 0
                 if not ahead < earliest:
                     seen, left = look_at_resting(motion, places, memory, due, ahead, now, trial)
                     corner = corner or left
                 if corner and level < levels:
                     goal = position + ticks_before_corner(motion, places, memory, state, now, trial, width, span)
-                    level += 1
-                    while level < levels and position + (ticks >> level) > goal:
-                        level += 1
+                    level = narrowed(position, goal, level + 1, levels)
                     continue
-                for q in range(ports if corner else 0):
-                    turned[q] = False
-
-                # Accept the sub-step.
-                for i in range(size):
-                    state[i] = end[i]
                 way[0] = ahead
-                accept_active(places, memory, now, trial, count)
-                if seen > 0:
-                    earliest = begin_again(due, way, now.place, trial.looked, trial.due, seen)
-                if corner:
-                    counters[1] += 1
-                    switch_branches(motion, places, memory, due, way[0], state, now, trial)
-                    fresh = False
-                counters[0] += 1
+                earliest = accept(motion, places, memory, due, way, state, now, trial, count, seen, corner, earliest)
+                fresh = not corner
                 position += width
                 level = next_level(position, goal, levels)
-    good = True
-    for i in range(size):
-        if not abs(state[i]) < 1e300:
-            good = False
-    return good
+    return is_bounded(state)

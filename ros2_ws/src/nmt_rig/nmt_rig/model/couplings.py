@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nmt_core.numerics.kernels import njit
 from nmt_rig.model.structure import Array
 
 FORCE_FACTOR = 1
@@ -23,12 +24,10 @@ class Coupling:
     """One force of two arguments.
 
     Attributes:
-        kind: FORCE_FACTOR: G (b₁ y₁ + b₂ y₁²) y₂ with parameters G, b₁, b₂;
-            BOUC_WEN: v |z / z_y|ⁿ (b sign(v z) + 1 - b) of (v, z) with z_y, n, b;
-            LUGRE: σ₀ |v| z / s(v), s = F_C + (F_S - F_C) exp(-(v / v_S)²), of (v, z) with σ₀, F_C, F_S, v_S.
+        kind: FORCE_FACTOR: `force_factor`; BOUC_WEN: `bouc_wen` of (v, z); LUGRE: `lugre` of (v, z).
         column: (n,) rows of the system it acts on.
         displacement_rows, velocity_rows: (2, n) y = displacement_rows · q + velocity_rows · q̇.
-        parameters: (COUPLING_PARAMETERS,) in the order above, zeros behind.
+        parameters: (COUPLING_PARAMETERS,) in the order of the formula, zeros behind.
     """
 
     kind: int
@@ -42,4 +41,58 @@ def coupling_parameters(*values: float) -> Array:
     """(COUPLING_PARAMETERS,) with zeros behind the values."""
     result = np.zeros(COUPLING_PARAMETERS)
     result[: len(values)] = values
+    return result
+
+
+Slopes = tuple[float, float, float]
+
+
+@njit(cache=True, forceinline=True)
+def force_factor(factor: float, linear: float, quadratic: float, x: float, y: float) -> Slopes:
+    """G (b₁ x + b₂ x²) y with G, b₁, b₂."""
+    share = x * (linear + quadratic * x)
+    return factor * share * y, factor * (linear + 2.0 * quadratic * x) * y, factor * share
+
+
+@njit(cache=True, forceinline=True)
+def bouc_wen(yield_displacement: float, exponent: float, shape: float, v: float, z: float) -> Slopes:
+    """v |z / z_y|ⁿ (b sign(v z) + 1 - b) with z_y, n, b."""
+    reach = abs(z) / yield_displacement
+    side = 1.0 if v * z > 0.0 else -1.0
+    weight = shape * side + 1.0 - shape
+    power = reach**exponent
+    by_z = 0.0
+    if z != 0.0:
+        by_z = v * weight * exponent * power / z
+    return v * power * weight, power * weight, by_z
+
+
+@njit(cache=True, forceinline=True)
+def lugre(stiffness: float, coulomb: float, static: float, stribeck: float, v: float, z: float) -> Slopes:
+    """σ₀ |v| z / s(v), s = F_C + (F_S - F_C) exp(-(v / v_S)²), with σ₀, F_C, F_S, v_S."""
+    ratio = v / stribeck
+    bump = (static - coulomb) * np.exp(-ratio * ratio)
+    level = coulomb + bump
+    side = 1.0 if v > 0.0 else -1.0
+    f = stiffness * abs(v) * z / level
+    by_v = stiffness * z / level * (side + abs(v) * bump * 2.0 * ratio / (stribeck * level))
+    return f, by_v, stiffness * abs(v) / level
+
+
+@njit(cache=True)
+def coupling_response(kind: int, p: Array, first: float, second: float) -> Slopes:
+    """f, ∂f/∂y₁ and ∂f/∂y₂ of one coupling.
+
+    Args:
+        kind: code of the coupling.
+        p: (COUPLING_PARAMETERS,) parameters.
+        first, second: y₁ and y₂.
+    """
+    result: Slopes = 0.0, 0.0, 0.0
+    if kind == FORCE_FACTOR:
+        result = force_factor(p[0], p[1], p[2], first, second)
+    elif kind == BOUC_WEN:
+        result = bouc_wen(p[0], p[1], p[2], first, second)
+    elif kind == LUGRE:
+        result = lugre(p[0], p[1], p[2], p[3], first, second)
     return result

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
@@ -19,7 +20,7 @@ from scipy.linalg import eigh
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.numerics.kernels import njit
-from nmt_rig.model.aft import LocalForces, LocalTables, scaled_local_forces
+from nmt_rig.model.aft import LocalForces, LocalTables, ScaledForces, scaled_local_forces
 from nmt_rig.model.continuation import (
     Branch,
     NotConvergedError,
@@ -31,6 +32,7 @@ from nmt_rig.model.harmonic_balance import (
     ModalImpedance,
     ModalTables,
     OutputTables,
+    Transfers,
     harmonic_responses,
     local_balance,
     modal_inverse,
@@ -179,6 +181,177 @@ class EpmcProblem:
         return shapes
 
 
+class _Point(NamedTuple):
+    """Where the residual is asked for.
+
+    Attributes:
+        local: number of local unknowns; behind them are Re a / q, Im a / q, ω, ξ and log10 q.
+        size: coefficients of one coordinate.
+        offset: of the fundamental among them.
+        omega, excitation: ω and ξ, rad/s.
+        fundamental: a / q of the retained mode.
+    """
+
+    local: int
+    size: int
+    offset: int
+    omega: float
+    excitation: float
+    fundamental: complex
+
+
+@njit(cache=True, forceinline=True)
+def _phasor(coefficients: FloatArray, j: int, offset: int) -> complex:
+    """Complex amplitude of the fundamental of coordinate j."""
+    return complex(coefficients[j, offset] - 1j * coefficients[j, offset + 1])
+
+
+@njit(cache=True)
+def _epmc_transfers(
+    point: _Point, shift: complex, retained_mode: int, local_rows: FloatArray, linear: ModalTables, orders: IntArray
+) -> Transfers:
+    """Transfer matrices between the local coordinates and, behind them, the retained modal coordinate."""
+    r, modes = local_rows.shape
+    inputs = np.zeros((modes, r + 1))
+    inputs[:, :r] = local_rows.T
+    inputs[retained_mode, r] = 1.0
+    nothing = np.zeros((r + 1, modes))
+    rows = OutputTables(np.ascontiguousarray(inputs.T), nothing, nothing, np.zeros((r + 1, r + 1)))
+    result: Transfers = transfer_matrices(
+        point.omega, point.excitation, orders, linear, inputs, rows, shift, retained_mode
+    )
+    return result
+
+
+@njit(cache=True)
+def _add_forces_on_mode(
+    point: _Point,
+    t: ComplexArray,
+    t_omega: ComplexArray,
+    t_xi: ComplexArray,
+    forces: ScaledForces,
+    terms: tuple[complex, complex, complex],
+    jacobian: FloatArray,
+) -> tuple[complex, complex, complex]:
+    """Take what the local forces do to the retained mode from three terms: its motion, and that by ω and by ξ.
+
+    The derivatives by the local unknowns and log10 q are added to the Jacobian.
+    """
+    local, offset = point.local, point.offset
+    term, term_omega, term_xi = terms
+    force, by_displacement, by_frequency, by_scale = forces
+    i = t.shape[0] - 1
+    for j in range(i):
+        g = _phasor(force, j, offset)
+        g_omega = _phasor(by_frequency, j, offset)
+        term -= t[i, j] * g
+        term_omega -= t_omega[i, j] * g + t[i, j] * g_omega
+        term_xi -= t_xi[i, j] * g
+        scale = t[i, j] * _phasor(by_scale, j, offset)
+        jacobian[local, local + 4] += scale.real
+        jacobian[local + 1, local + 4] += scale.imag
+        for b in range(point.size):
+            change = t[i, j] * (by_displacement[j, offset, b] - 1j * by_displacement[j, offset + 1, b])
+            jacobian[local, j * point.size + b] += change.real
+            jacobian[local + 1, j * point.size + b] += change.imag
+    return term, term_omega, term_xi
+
+
+@njit(cache=True)
+def _add_fundamental(
+    point: _Point,
+    shift: complex,
+    t: ComplexArray,
+    t_omega: ComplexArray,
+    t_xi: ComplexArray,
+    forces: ScaledForces,
+    residual: FloatArray,
+    jacobian: FloatArray,
+) -> None:
+    """Add to the fundamental what the retained modal coordinate does, and set that coordinate's two equations.
+
+    Args:
+        t, t_omega, t_xi: (r + 1, r + 1) transfer matrix of the fundamental, and that by ω and ξ.
+    """
+    local, a = point.local, point.fundamental
+    r = t.shape[0] - 1
+    fed_back = shift * a
+    for i in range(r + 1):
+        from_mode = t[i, r] * shift
+        c_row = i * point.size + point.offset if i < r else local
+        s_row = c_row + 1
+        sine_sign = -1.0 if i < r else 1.0  # coefficients (c, s) of w against (real, imaginary) parts of a
+        terms = (t[i, r] * fed_back, t_omega[i, r] * fed_back, t_xi[i, r] * fed_back)
+        if i == r:
+            terms = _add_forces_on_mode(point, t, t_omega, t_xi, forces, terms, jacobian)
+            residual[c_row] += a.real
+            residual[s_row] += a.imag
+            jacobian[c_row, local] += 1.0
+            jacobian[s_row, local + 1] += 1.0
+        term, term_omega, term_xi = terms
+        residual[c_row] -= term.real
+        residual[s_row] -= sine_sign * term.imag
+        jacobian[c_row, local + 2] -= term_omega.real
+        jacobian[s_row, local + 2] -= sine_sign * term_omega.imag
+        jacobian[c_row, local + 3] -= term_xi.real
+        jacobian[s_row, local + 3] -= sine_sign * term_xi.imag
+        jacobian[c_row, local] -= from_mode.real
+        jacobian[s_row, local] -= sine_sign * from_mode.imag
+        jacobian[c_row, local + 1] += from_mode.imag
+        jacobian[s_row, local + 1] -= sine_sign * from_mode.real
+
+
+@njit(cache=True)
+def _set_modal_mass(
+    point: _Point,
+    shift: complex,
+    retained_mode: int,
+    local_rows: FloatArray,
+    linear: ModalTables,
+    forces: ScaledForces,
+    residual: FloatArray,
+    jacobian: FloatArray,
+) -> ComplexArray:
+    """Set the equation of the modal mass of the fundamental, η_1ᴴ η_1 = q²; returns η_1 / q (modes,)."""
+    mass, damping, offset, excitation = linear.mass, linear.damping, point.offset, point.excitation
+    force, by_displacement, by_frequency, by_scale = forces
+    r, modes = local_rows.shape
+    s = 1j * point.omega
+    inverse = modal_inverse(s, excitation, shift, retained_mode, linear)
+    forcing = np.zeros(modes, dtype=np.complex128)
+    forcing[retained_mode] = shift * point.fundamental
+    for j in range(r):
+        g = _phasor(force, j, offset)
+        for k in range(modes):
+            forcing[k] -= local_rows[j, k] * g
+    modal: ComplexArray = inverse @ forcing
+    weights = np.conj(modal) @ inverse
+    by_omega = 0j
+    by_xi = 0j
+    for k in range(modes):
+        slope = 0j
+        for m in range(modes):
+            slope += (damping[k, m] - excitation * mass[k, m] + 2.0 * s * mass[k, m]) * modal[m]
+        by_omega -= weights[k] * 1j * slope
+        by_xi += weights[k] * s * modal[k]
+    row, local, size = point.local + 2, point.local, point.size
+    residual[row] = 0.5 * (np.sum(modal.real**2 + modal.imag**2) - 1.0)
+    jacobian[row, local] = (weights[retained_mode] * shift).real
+    jacobian[row, local + 1] = (weights[retained_mode] * shift * 1j).real
+    for j in range(r):
+        along = 0j
+        for k in range(modes):
+            along += weights[k] * local_rows[j, k]
+        for b in range(size):
+            change = by_displacement[j, offset, b] - 1j * by_displacement[j, offset + 1, b]
+            jacobian[row, j * size + b] = jacobian[row, j * size + b] - (along * change).real
+        by_omega -= along * _phasor(by_frequency, j, offset)
+        jacobian[row, local + 4] -= (along * _phasor(by_scale, j, offset)).real
+    jacobian[row, local + 2] = by_omega.real
+    jacobian[row, local + 3] = by_xi.real
+    return modal
+
+
 @njit(cache=True)
 def _epmc_residual(
     z: FloatArray,
@@ -192,111 +365,23 @@ def _epmc_residual(
 ) -> tuple[FloatArray, FloatArray, ComplexArray]:
     """Residual, Jacobian and modal fundamental η_1 / q of the EPMC problem."""
     orders, offsets = tables.orders, tables.offsets
-    r, modes = local_rows.shape
+    r = local_rows.shape[0]
     unknowns = z.size - 1
     local = unknowns - 4
-    size = local // r
-    q = 10.0 ** z[unknowns]
-    omega = z[local + 2] * reference_frequency
-    excitation = z[local + 3] * reference_frequency
+    omega, excitation = z[local + 2] * reference_frequency, z[local + 3] * reference_frequency
     a = z[local] + 1j * z[local + 1]
-
-    displacement = z[:local].copy().reshape(r, size)
-    forces = scaled_local_forces(displacement, q, omega, tables)
-    force, derivative, by_frequency, by_scale = forces
-    mass, damping = linear.mass, linear.damping
-
-    inputs = np.zeros((modes, r + 1))
-    inputs[:, :r] = local_rows.T
-    inputs[retained_mode, r] = 1.0
-    nothing = np.zeros((r + 1, modes))
-    rows = OutputTables(np.ascontiguousarray(inputs.T), nothing, nothing, np.zeros((r + 1, r + 1)))
-    transfers = transfer_matrices(omega, excitation, orders, linear, inputs, rows, shift, retained_mode)
-    transfer, transfer_by_frequency, transfer_by_excitation = transfers
+    point = _Point(local, local // r, offsets[fundamental], omega, excitation, a)
+    displacement = z[:local].copy().reshape(r, point.size)
+    forces = scaled_local_forces(displacement, 10.0 ** z[unknowns], omega, tables)
+    transfers = _epmc_transfers(point, shift, retained_mode, local_rows, linear, orders)
 
     residual = np.zeros(unknowns)
     jacobian = np.zeros((unknowns, unknowns + 1))
     local_balance(displacement, forces, transfers, orders, offsets, residual, jacobian, local + 2, local + 3, unknowns)
-
-    # Fundamental: input of the retained modal coordinate, and its own two equations.
-    offset = offsets[fundamental]
-    t = transfer[fundamental]
-    t_omega = transfer_by_frequency[fundamental]
-    t_xi = transfer_by_excitation[fundamental]
-    fed_back = shift * a
-    for i in range(r + 1):
-        from_mode = t[i, r] * shift
-        c_row = i * size + offset if i < r else local
-        s_row = c_row + 1
-        sine_sign = -1.0 if i < r else 1.0  # coefficients (c, s) of w against (real, imaginary) parts of a
-        term = t[i, r] * fed_back
-        term_omega = t_omega[i, r] * fed_back
-        term_xi = t_xi[i, r] * fed_back
-        if i == r:
-            for j in range(r):
-                g = force[j, offset] - 1j * force[j, offset + 1]
-                g_omega = by_frequency[j, offset] - 1j * by_frequency[j, offset + 1]
-                g_scale = by_scale[j, offset] - 1j * by_scale[j, offset + 1]
-                term -= t[i, j] * g
-                term_omega -= t_omega[i, j] * g + t[i, j] * g_omega
-                term_xi -= t_xi[i, j] * g
-                scale = t[i, j] * g_scale
-                jacobian[c_row, unknowns] += scale.real
-                jacobian[s_row, unknowns] += scale.imag
-                for b in range(size):
-                    change = t[i, j] * (derivative[j, offset, b] - 1j * derivative[j, offset + 1, b])
-                    jacobian[c_row, j * size + b] += change.real
-                    jacobian[s_row, j * size + b] += change.imag
-            residual[c_row] += a.real
-            residual[s_row] += a.imag
-            jacobian[c_row, local] += 1.0
-            jacobian[s_row, local + 1] += 1.0
-        residual[c_row] -= term.real
-        residual[s_row] -= sine_sign * term.imag
-        jacobian[c_row, local + 2] -= term_omega.real
-        jacobian[s_row, local + 2] -= sine_sign * term_omega.imag
-        jacobian[c_row, local + 3] -= term_xi.real
-        jacobian[s_row, local + 3] -= sine_sign * term_xi.imag
-        jacobian[c_row, local] -= from_mode.real
-        jacobian[s_row, local] -= sine_sign * from_mode.imag
-        jacobian[c_row, local + 1] += from_mode.imag
-        jacobian[s_row, local + 1] -= sine_sign * from_mode.real
-
-    # Modal mass of the fundamental: η_1ᴴ η_1 = q².
-    s = 1j * omega
-    inverse = modal_inverse(s, excitation, shift, retained_mode, linear)
-    forcing = np.zeros(modes, dtype=np.complex128)
-    forcing[retained_mode] = fed_back
-    for j in range(r):
-        g = force[j, offset] - 1j * force[j, offset + 1]
-        for k in range(modes):
-            forcing[k] -= local_rows[j, k] * g
-    modal = inverse @ forcing
-    weights = np.conj(modal) @ inverse
-    by_omega = 0j
-    by_xi = 0j
-    for k in range(modes):
-        slope = 0j
-        for m in range(modes):
-            slope += (damping[k, m] - excitation * mass[k, m] + 2.0 * s * mass[k, m]) * modal[m]
-        by_omega -= weights[k] * 1j * slope
-        by_xi += weights[k] * s * modal[k]
-    norm_row = local + 2
-    residual[norm_row] = 0.5 * (np.sum(modal.real**2 + modal.imag**2) - 1.0)
-    jacobian[norm_row, local] = (weights[retained_mode] * shift).real
-    jacobian[norm_row, local + 1] = (weights[retained_mode] * shift * 1j).real
-    for j in range(r):
-        along = 0j
-        for k in range(modes):
-            along += weights[k] * local_rows[j, k]
-        for b in range(size):
-            change = derivative[j, offset, b] - 1j * derivative[j, offset + 1, b]
-            jacobian[norm_row, j * size + b] = jacobian[norm_row, j * size + b] - (along * change).real
-        by_omega -= along * (by_frequency[j, offset] - 1j * by_frequency[j, offset + 1])
-        g_scale = by_scale[j, offset] - 1j * by_scale[j, offset + 1]
-        jacobian[norm_row, unknowns] -= (along * g_scale).real
-    jacobian[norm_row, local + 2] = by_omega.real
-    jacobian[norm_row, local + 3] = by_xi.real
+    t, t_omega = transfers.transfer[fundamental], transfers.by_frequency[fundamental]
+    t_xi = transfers.by_excitation[fundamental]
+    _add_fundamental(point, shift, t, t_omega, t_xi, forces, residual, jacobian)
+    modal = _set_modal_mass(point, shift, retained_mode, local_rows, linear, forces, residual, jacobian)
 
     # Phase of the motion: a is real.
     residual[local + 3] = a.imag

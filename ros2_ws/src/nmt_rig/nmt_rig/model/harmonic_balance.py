@@ -23,6 +23,7 @@ from scipy.linalg import eigh
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.numerics.kernels import njit
+from nmt_rig.model.aft import ScaledForces
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.damping_ports import MOST_PORTS, is_small, port_directions, split_damping
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -65,6 +66,22 @@ class OutputTables(NamedTuple):
     velocity: FloatArray
     acceleration: FloatArray
     feedthrough: FloatArray
+
+
+class Responses(NamedTuple):
+    """What an impedance Z of one order answers.
+
+    Attributes:
+        to_inputs: (N, p) Z⁻¹ inputs.
+        to_rows: (o, N) rows Z⁻¹.
+        mass: (N, p) M Z⁻¹ inputs.
+        slope: (N, p) ∂Z/∂s Z⁻¹ inputs.
+    """
+
+    to_inputs: ComplexArray
+    to_rows: ComplexArray
+    mass: ComplexArray
+    slope: ComplexArray
 
 
 class Transfers(NamedTuple):
@@ -198,6 +215,92 @@ def modal_inverse(
 
 
 @njit(cache=True)
+def diagonal_responses(
+    s: complex, self_excitation: float, shift: complex, mode: int, modal: ModalTables, inputs: FloatArray,
+    rows: ComplexArray,
+) -> Responses:  # fmt: skip
+    """Responses of a diagonal impedance; arguments as for `modal_inverse`."""
+    mass, damping = modal.mass, modal.damping
+    size, columns, outputs = mass.shape[0], inputs.shape[1], rows.shape[0]
+    inverse = modal_inverse(s, self_excitation, shift, mode, modal)
+    response = np.empty((size, columns), dtype=np.complex128)
+    adjoint = np.empty((outputs, size), dtype=np.complex128)
+    impedance_response = np.empty((size, columns), dtype=np.complex128)
+    mass_response = np.empty((size, columns), dtype=np.complex128)
+    for k in range(size):
+        slope = damping[k, k] - self_excitation * mass[k, k] + 2.0 * s * mass[k, k]
+        for j in range(columns):
+            response[k, j] = inverse[k, k] * inputs[k, j]
+            impedance_response[k, j] = slope * response[k, j]
+            mass_response[k, j] = mass[k, k] * response[k, j]
+        for i in range(outputs):
+            adjoint[i, k] = rows[i, k] * inverse[k, k]
+    return Responses(response, adjoint, mass_response, impedance_response)
+
+
+@njit(cache=True)
+def port_responses(
+    s: complex, self_excitation: float, shift: complex, mode: int, modal: ModalTables, directions: ComplexArray,
+    inputs: ComplexArray, rows: ComplexArray,
+) -> Responses:  # fmt: skip
+    """Responses of an impedance that is diagonal but for its ports (Woodbury).
+
+    Args:
+        s, self_excitation, shift, mode, modal: as for `modal_inverse`.
+        directions: those of the ports.
+        inputs, rows: as for `transfer_matrices` and `Responses`.
+    """
+    ports, masses = modal.ports, np.diag(modal.mass)
+    count, size, columns, outputs = ports.directions.shape[1], masses.size, inputs.shape[1], rows.shape[0]
+    directions_over = np.empty((size, count), dtype=np.complex128)
+    damping = ports.damping
+    own = ports.stiffness + (damping - self_excitation * masses) * s + masses * (s * s)
+    if mode >= 0:
+        own[mode] += shift
+    response = np.empty((size, columns), dtype=np.complex128)
+    adjoint = np.empty((outputs, size), dtype=np.complex128)
+    for k in range(size):
+        for j in range(count):
+            directions_over[k, j] = directions[k, j] / own[k]
+        for j in range(columns):
+            response[k, j] = inputs[k, j] / own[k]
+        for i in range(outputs):
+            adjoint[i, k] = rows[i, k] / own[k]
+    between = ports.between_stiffness + s * ports.between_damping
+    unit = np.eye(count).astype(np.complex128)
+    closed = np.linalg.solve(unit + between @ (directions.T @ directions_over), between)
+    response -= directions_over @ (closed @ (directions.T @ response))
+    adjoint -= ((adjoint @ directions) @ closed) @ directions_over.T
+    mass_response = np.empty((size, columns), dtype=np.complex128)
+    impedance_response = directions @ (ports.between_damping.astype(np.complex128) @ (directions.T @ response))
+    for k in range(size):
+        for j in range(columns):
+            mass_response[k, j] = masses[k] * response[k, j]
+            impedance_response[k, j] += damping[k] * response[k, j]
+            impedance_response[k, j] += (2.0 * s - self_excitation) * mass_response[k, j]
+    return Responses(response, adjoint, mass_response, impedance_response)
+
+
+@njit(cache=True)
+def full_responses(
+    s: complex, self_excitation: float, shift: complex, mode: int, modal: ModalTables, inputs: ComplexArray,
+    rows: ComplexArray,
+) -> Responses:  # fmt: skip
+    """Responses of an impedance of any form; arguments as for `modal_inverse`."""
+    mass, damping = modal.mass, modal.damping
+    impedance = modal.stiffness + (damping - self_excitation * mass) * s + mass * (s * s)
+    if mode >= 0:
+        impedance[mode, mode] += shift
+    response = np.ascontiguousarray(np.linalg.solve(impedance, inputs))
+    adjoint = np.ascontiguousarray(np.linalg.solve(impedance.T, rows.T).T)
+    real, imag = np.ascontiguousarray(response.real), np.ascontiguousarray(response.imag)
+    mass_response = mass @ real + 1j * (mass @ imag)
+    damping_response = damping @ real + 1j * (damping @ imag)
+    impedance_response = damping_response + (2.0 * s - self_excitation) * mass_response
+    return Responses(response, adjoint, mass_response, impedance_response)
+
+
+@njit(cache=True)
 def transfer_matrices(
     angular_frequency: float,
     self_excitation: float,
@@ -217,76 +320,27 @@ def transfer_matrices(
         inputs: (N, p) modal input vectors.
         shift, shifted_mode: modal stiffness added to one mode in order 1 only (−1: none).
     """
-    mass, damping, stiffness, diagonal, ports = modal
-    outputs = out.displacement.shape[0]
-    columns = inputs.shape[1]
-    size = mass.shape[0]
-    transfer = np.empty((orders.size, outputs, columns), dtype=np.complex128)
-    by_frequency = np.empty((orders.size, outputs, columns), dtype=np.complex128)
-    by_excitation = np.empty((orders.size, outputs, columns), dtype=np.complex128)
+    shape = (orders.size, out.displacement.shape[0], inputs.shape[1])
+    transfer = np.empty(shape, dtype=np.complex128)
+    by_frequency = np.empty(shape, dtype=np.complex128)
+    by_excitation = np.empty(shape, dtype=np.complex128)
     complex_inputs = inputs.astype(np.complex128)
-    count = ports.directions.shape[1]
-    directions = np.ascontiguousarray(ports.directions.astype(np.complex128))
-    directions_over = np.empty((size, count), dtype=np.complex128)
-    unit = np.eye(count).astype(np.complex128)
-    masses = np.diag(mass)
+    directions = np.ascontiguousarray(modal.ports.directions.astype(np.complex128))
     for position in range(orders.size):
         n = orders[position]
         s = 1j * n * angular_frequency
         mode = shifted_mode if n == 1 else -1
         rows = out.displacement + s * out.velocity + s * s * out.acceleration
         row_slopes = out.velocity + 2.0 * s * out.acceleration
-        if diagonal:
-            inverse = modal_inverse(s, self_excitation, shift, mode, modal)
-            response = np.empty((size, columns), dtype=np.complex128)
-            adjoint = np.empty((outputs, size), dtype=np.complex128)
-            impedance_response = np.empty((size, columns), dtype=np.complex128)
-            mass_response = np.empty((size, columns), dtype=np.complex128)
-            for k in range(size):
-                slope = damping[k, k] - self_excitation * mass[k, k] + 2.0 * s * mass[k, k]
-                for j in range(columns):
-                    response[k, j] = inverse[k, k] * inputs[k, j]
-                    impedance_response[k, j] = slope * response[k, j]
-                    mass_response[k, j] = mass[k, k] * response[k, j]
-                for i in range(outputs):
-                    adjoint[i, k] = rows[i, k] * inverse[k, k]
-        elif count > 0:
-            own = ports.stiffness + (ports.damping - self_excitation * masses) * s + masses * (s * s)
-            if mode >= 0:
-                own[mode] += shift
-            response = np.empty((size, columns), dtype=np.complex128)
-            adjoint = np.empty((outputs, size), dtype=np.complex128)
-            for k in range(size):
-                for j in range(count):
-                    directions_over[k, j] = directions[k, j] / own[k]
-                for j in range(columns):
-                    response[k, j] = complex_inputs[k, j] / own[k]
-                for i in range(outputs):
-                    adjoint[i, k] = rows[i, k] / own[k]
-            between = ports.between_stiffness + s * ports.between_damping
-            closed = np.linalg.solve(unit + between @ (directions.T @ directions_over), between)
-            response -= directions_over @ (closed @ (directions.T @ response))
-            adjoint -= ((adjoint @ directions) @ closed) @ directions_over.T
-            mass_response = np.empty((size, columns), dtype=np.complex128)
-            impedance_response = directions @ (ports.between_damping.astype(np.complex128) @ (directions.T @ response))
-            for k in range(size):
-                for j in range(columns):
-                    mass_response[k, j] = masses[k] * response[k, j]
-                    impedance_response[k, j] += ports.damping[k] * response[k, j]
-                    impedance_response[k, j] += (2.0 * s - self_excitation) * mass_response[k, j]
+        if modal.diagonal:
+            found = diagonal_responses(s, self_excitation, shift, mode, modal, inputs, rows)
+        elif directions.shape[1] > 0:
+            found = port_responses(s, self_excitation, shift, mode, modal, directions, complex_inputs, rows)
         else:
-            impedance = stiffness + (damping - self_excitation * mass) * s + mass * (s * s)
-            if mode >= 0:
-                impedance[mode, mode] += shift
-            response = np.ascontiguousarray(np.linalg.solve(impedance, complex_inputs))
-            adjoint = np.ascontiguousarray(np.linalg.solve(impedance.T, rows.T).T)
-            real, imag = np.ascontiguousarray(response.real), np.ascontiguousarray(response.imag)
-            mass_response = mass @ real + 1j * (mass @ imag)
-            damping_response = damping @ real + 1j * (damping @ imag)
-            impedance_response = damping_response + (2.0 * s - self_excitation) * mass_response
-        transfer[position] = rows @ response + out.feedthrough
-        by_frequency[position] = (1j * n) * (row_slopes @ response - adjoint @ impedance_response)
-        by_excitation[position] = s * (adjoint @ mass_response)
+            found = full_responses(s, self_excitation, shift, mode, modal, complex_inputs, rows)
+        transfer[position] = rows @ found.to_inputs + out.feedthrough
+        by_frequency[position] = (1j * n) * (row_slopes @ found.to_inputs - found.to_rows @ found.slope)
+        by_excitation[position] = s * (found.to_rows @ found.mass)
     return Transfers(transfer, by_frequency, by_excitation)
 
 
@@ -317,7 +371,7 @@ def add_transferred(
 @njit(cache=True)
 def local_balance(
     displacement: FloatArray,
-    forces: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    forces: ScaledForces,
     transfers: Transfers,
     orders: IntArray,
     offsets: IntArray,

@@ -10,24 +10,80 @@ forces and slopes of all of them.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.numerics.kernels import njit
-from nmt_rig.model.couplings import BOUC_WEN, FORCE_FACTOR, LUGRE
+from nmt_core.numerics.kernels import loop_step, njit
+from nmt_rig.model.couplings import coupling_response
 from nmt_rig.model.element_kernels import frozen, next_branch_here, piece_here
 from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.structure import Array
 
 JENKINS = Jenkins.kind
+# Columns of the parameters of a Jenkins element.
+STIFFNESS = Jenkins.parameter_names().index("tangential_stiffness")
+SLIP_FORCE = Jenkins.parameter_names().index("slip_force")
+# Places in `Memory.counters`.
+SUB_STEPS, CORNERS = 0, 1
+# Rows of `pair`, and of `start_weights`.
+_XX, _XY, _YX, _YY = 0, 1, 2, 3
+_INPUT_START, _INPUT_END, _FIRST_FORCE = 0, 1, 2
 _NEWTON_STEPS = 25
 _NEWTON_TOLERANCE = 1e-13
 _SLOPE_TOLERANCE = 1e-9
 _SMALLEST = 1e-290
 
 Integers = NDArray[np.int64]
+
+
+class LinearMotion(NamedTuple):
+    """The linear motion over sub-steps of step / 2^level, as in the `Propagator`.
+
+    Attributes:
+        modal: whether `pair` moves the state on, else `dense` does.
+        pair: (K+1, 4, pairs).
+        dense: (K+1, Z, Z).
+        start_weights, end_weights: (K+1, 2 + 2 ports, Z), (K+1, 2 ports, Z).
+        port_rows, port_input: (3 own + 4 couplings, Z), (3 own + 4 couplings,).
+        compliance: (K+1, 3 own + 4 couplings, 2 ports).
+    """
+
+    modal: bool
+    pair: Array
+    dense: Array
+    start_weights: Array
+    end_weights: Array
+    port_rows: Array
+    port_input: Array
+    compliance: Array
+
+
+class PortForces(NamedTuple):
+    """What acts at the ports: elements at the first ones, each coupling at one of those behind.
+
+    Attributes:
+        kinds, parameters: (elements,), (elements, PARAMETER_COUNT).
+        element_port: (elements,) port of each element.
+        coupling_kinds, coupling_parameters: (couplings,), (couplings, COUPLING_PARAMETERS).
+        affine: all elements are piecewise linear, and there are no couplings.
+    """
+
+    kinds: Integers
+    parameters: Array
+    element_port: Integers
+    coupling_kinds: Integers
+    coupling_parameters: Array
+    affine: bool
+
+
+class OutputRows(NamedTuple):
+    """Outputs C (outputs, Z), D_g (outputs, ports) and D_u (outputs,)."""
+
+    state: Array
+    force: Array
+    input: Array
 
 
 class Memory(NamedTuple):
@@ -39,7 +95,7 @@ class Memory(NamedTuple):
         branch: (elements,) sticking 0, slipping ±1; open 0, closed ±1.
         slider: (elements,) m.
         dissipated: (elements,) energy lost in sliders, J.
-        counters: [sub-steps, corners].
+        counters: (2,) sub-steps and corners so far, at `SUB_STEPS` and `CORNERS`.
     """
 
     forces: Array
@@ -48,6 +104,26 @@ class Memory(NamedTuple):
     slider: Array
     dissipated: Array
     counters: Integers
+
+
+class SubStep(NamedTuple):
+    """A sub-step that may be refused.
+
+    Attributes:
+        state: (Z,) at its end.
+        forces: (2 ports,) port forces and slopes there.
+        free, seen: (3 own + 4 couplings,) what ports see there, without and with these forces.
+        tangents: (ports, 2) of the forces.
+        jacobian, residual: (2 ports, 2 ports), (2 ports,) of Newton's method.
+    """
+
+    state: Array
+    forces: Array
+    free: Array
+    seen: Array
+    tangents: Array
+    jacobian: Array
+    residual: Array
 
 
 @njit(cache=True)
@@ -78,72 +154,29 @@ def solve_in_place(matrix: Array, right: Array, n: int) -> None:
         right[i] /= matrix[i, i]
 
 
-@njit(cache=True)
-def coupling_response(kind: int, p: Array, first: float, second: float) -> tuple[float, float, float]:
-    """f, ∂f/∂y₁ and ∂f/∂y₂ of one coupling.
-
-    Args:
-        kind: code of the coupling.
-        p: (COUPLING_PARAMETERS,) parameters.
-        first, second: y₁ and y₂.
-    """
-    if kind == FORCE_FACTOR:
-        share = first * (p[1] + p[2] * first)
-        return p[0] * share * second, p[0] * (p[1] + 2.0 * p[2] * first) * second, p[0] * share
-    if kind == BOUC_WEN:
-        v, z = first, second
-        reach = abs(z) / p[0]
-        side = 1.0 if v * z > 0.0 else -1.0
-        weight = p[2] * side + 1.0 - p[2]
-        power = reach ** p[1]
-        by_z = 0.0
-        if z != 0.0:
-            by_z = v * weight * p[1] * power / z
-        return v * power * weight, power * weight, by_z
-    if kind == LUGRE:
-        v, z = first, second
-        ratio = v / p[3]
-        bump = (p[2] - p[1]) * np.exp(-ratio * ratio)
-        level = p[1] + bump
-        side = 1.0 if v > 0.0 else -1.0
-        f = p[0] * abs(v) * z / level
-        by_v = p[0] * z / level * (side + abs(v) * bump * 2.0 * ratio / (p[3] * level))
-        return f, by_v, p[0] * abs(v) / level
-    return 0.0, 0.0, 0.0
-
-
-@njit(cache=True, forceinline=True)
+@loop_step
 def port_forces(
-    kinds: Integers,
-    parameters: Array,
-    element_port: Integers,
-    branch: Integers,
-    slider: Array,
-    coupling_kinds: Integers,
-    coupling_parameters: Array,
-    kinematics: Array,
-    own: int,
-    forces: Array,
-    tangents: Array,
+    acting: PortForces, branch: Integers, slider: Array, kinematics: Array, forces: Array, tangents: Array
 ) -> None:
     """Forces, slopes and tangents of all ports for what elements and couplings see.
 
     Args:
-        kinds, parameters, element_port, branch, slider: (elements,…) description and memory.
-        coupling_kinds, coupling_parameters: (couplings,…).
+        acting: elements and couplings.
+        branch, slider: (elements,) memory.
         kinematics: (3 own + 4 couplings,) displacements, velocities, accelerations of the elements' ports, then what
             the couplings observe, then its rates.
-        own: number of ports of elements.
         forces: (2 ports,) overwritten: forces (N), slopes (N/s).
         tangents: (ports, 2) overwritten: with respect to displacement and velocity, or to y₁ and y₂.
     """
+    kinds, parameters, coupling_kinds = acting.kinds, acting.parameters, acting.coupling_kinds
     ports = tangents.shape[0]
+    own = ports - coupling_kinds.size
     for q in range(ports):
         forces[q] = 0.0
         tangents[q, 0] = 0.0
         tangents[q, 1] = 0.0
     for e in range(kinds.size):
-        q = element_port[e]
+        q = acting.element_port[e]
         g, g_w, g_v = frozen(kinds[e], parameters, e, branch[e], kinematics[q], kinematics[own + q], slider[e])
         forces[q] += g
         tangents[q, 0] += g_w
@@ -155,7 +188,7 @@ def port_forces(
         rate = first + 2 * coupling_kinds.size
         q = own + k
         f, f_1, f_2 = coupling_response(
-            coupling_kinds[k], coupling_parameters[k], kinematics[first], kinematics[first + 1]
+            coupling_kinds[k], acting.coupling_parameters[k], kinematics[first], kinematics[first + 1]
         )
         forces[q] = f
         tangents[q, 0] = f_1
@@ -163,64 +196,333 @@ def port_forces(
         forces[ports + q] = f_1 * kinematics[rate] + f_2 * kinematics[rate + 1]
 
 
-@njit(cache=True, forceinline=True)
-def accept(
-    kinds: Integers,
-    parameters: Array,
-    element_port: Integers,
-    branch: Integers,
-    slider: Array,
-    dissipated: Array,
-    before: Array,
-    after: Array,
-    ports: int,
-    corner: bool,
+@loop_step
+def move_free(motion: LinearMotion, level: int, u0: float, u1: float, forces: Array, state: Array, end: Array) -> None:
+    """The state (Z,) at the end of a sub-step by all that is known at its start, for the input at its ends.
+
+    Indices are written out in full: a view in this loop would cost more than the arithmetic.
+    """
+    pair, weights, dense = motion.pair, motion.start_weights, motion.dense
+    size = state.size
+    pairs = size // 2
+    one = forces.size == 2
+    if motion.modal and one:
+        g0 = forces[0]
+        s0 = forces[1]
+        for i in range(pairs):
+            j = pairs + i
+            x = state[i]
+            y = state[j]
+            end[i] = (
+                (pair[level, _XX, i] * x + pair[level, _XY, i] * y)
+                + (weights[level, _INPUT_START, i] * u0 + weights[level, _INPUT_END, i] * u1)
+                + (weights[level, _FIRST_FORCE, i] * g0 + weights[level, _FIRST_FORCE + 1, i] * s0)
+            )
+            end[j] = (
+                (pair[level, _YX, i] * x + pair[level, _YY, i] * y)
+                + (weights[level, _INPUT_START, j] * u0 + weights[level, _INPUT_END, j] * u1)
+                + (weights[level, _FIRST_FORCE, j] * g0 + weights[level, _FIRST_FORCE + 1, j] * s0)
+            )
+        return
+    if motion.modal:
+        for i in range(pairs):
+            j = pairs + i
+            x = state[i]
+            y = state[j]
+            end[i] = (pair[level, _XX, i] * x + pair[level, _XY, i] * y) + (
+                weights[level, _INPUT_START, i] * u0 + weights[level, _INPUT_END, i] * u1
+            )
+            end[j] = (pair[level, _YX, i] * x + pair[level, _YY, i] * y) + (
+                weights[level, _INPUT_START, j] * u0 + weights[level, _INPUT_END, j] * u1
+            )
+    else:
+        for i in range(size):
+            total = weights[level, _INPUT_START, i] * u0 + weights[level, _INPUT_END, i] * u1
+            for j in range(size):
+                total += dense[level, i, j] * state[j]
+            end[i] = total
+    for c in range(forces.size):
+        value = forces[c]
+        for i in range(size):
+            end[i] += weights[level, _FIRST_FORCE + c, i] * value
+
+
+@loop_step
+def see_free(motion: LinearMotion, rows: int, lanes: int, u1: float, end: Array, free: Array) -> None:
+    """What the ports see (the first `rows`) at the end of a sub-step without the forces there.
+
+    Args:
+        rows: how many are wanted.
+        lanes: so many terms are summed four at a time.
+        u1: input at the end.
+        end, free: as in `SubStep`.
+    """
+    port_rows = motion.port_rows
+    for r in range(rows):
+        total0 = motion.port_input[r] * u1
+        total1 = 0.0
+        total2 = 0.0
+        total3 = 0.0
+        for i in range(0, lanes, 4):
+            total0 += port_rows[r, i] * end[i]
+            total1 += port_rows[r, i + 1] * end[i + 1]
+            total2 += port_rows[r, i + 2] * end[i + 2]
+            total3 += port_rows[r, i + 3] * end[i + 3]
+        for i in range(lanes, end.size):
+            total0 += port_rows[r, i] * end[i]
+        free[r] = (total0 + total1) + (total2 + total3)
+
+
+@loop_step
+def see_with_forces(compliance: Array, level: int, rows: int, sub: SubStep) -> None:
+    """What the ports see at the end of a sub-step with the forces there, the first `rows` of `sub.seen`."""
+    for r in range(rows):
+        total = sub.free[r]
+        for c in range(sub.forces.size):
+            total += compliance[level, r, c] * sub.forces[c]
+        sub.seen[r] = total
+
+
+@loop_step
+def solve_one_port(
+    compliance: Array, level: int, acting: PortForces, branch: Integers, slider: Array, sub: SubStep
 ) -> None:
-    """Move the sliders that slip with their ports, count what they lose; past a corner, take the branches that fit."""
+    """Force and slope at the end of a sub-step of one port with piecewise linear elements, in closed form."""
+    k_sum = 0.0
+    g_rest = 0.0
+    for e in range(acting.kinds.size):
+        own_k, own_rest = piece_here(acting.kinds[e], acting.parameters, e, branch[e], slider[e])
+        k_sum += own_k
+        g_rest += own_rest
+    w = sub.free[0]
+    v = sub.free[1]
+    if k_sum == 0.0:
+        g1 = g_rest
+        s1 = 0.0
+    else:
+        a11 = 1.0 - k_sum * compliance[level, 0, 0]
+        a12 = -k_sum * compliance[level, 0, 1]
+        a21 = -k_sum * compliance[level, 1, 0]
+        a22 = 1.0 - k_sum * compliance[level, 1, 1]
+        right1 = g_rest + k_sum * w
+        right2 = k_sum * v
+        scale = 1.0 / (a11 * a22 - a12 * a21)
+        g1 = scale * (a22 * right1 - a12 * right2)
+        s1 = scale * (a11 * right2 - a21 * right1)
+    sub.forces[0] = g1
+    sub.forces[1] = s1
+    sub.seen[0] = w + (compliance[level, 0, 0] * g1 + compliance[level, 0, 1] * s1)
+    sub.seen[1] = v + (compliance[level, 1, 0] * g1 + compliance[level, 1, 1] * s1)
+
+
+@loop_step
+def newton_equations(compliance: Array, level: int, couplings: int, sub: SubStep) -> None:
+    """Jacobian of Newton's method for the forces and slopes of all ports, from their tangents."""
+    jacobian, tangents = sub.jacobian, sub.tangents
+    ports = tangents.shape[0]
+    own = ports - couplings
+    for q in range(ports):
+        if q < own:
+            first, second = q, own + q
+            rate_first, rate_second = own + q, 2 * own + q
+        else:
+            first = 3 * own + 2 * (q - own)
+            second = first + 1
+            rate_first, rate_second = first + 2 * couplings, second + 2 * couplings
+        for c in range(2 * ports):
+            jacobian[q, c] = -(
+                tangents[q, 0] * compliance[level, first, c] + tangents[q, 1] * compliance[level, second, c]
+            )
+            jacobian[ports + q, c] = -(
+                tangents[q, 0] * compliance[level, rate_first, c] + tangents[q, 1] * compliance[level, rate_second, c]
+            )
+        jacobian[q, q] += 1.0
+        jacobian[ports + q, ports + q] += 1.0
+
+
+@loop_step
+def is_settled(change: Array, forces: Array, before: Array) -> bool:
+    """Whether a step of Newton's method (2 ports,) ends it, for the forces at the end and the start of a sub-step."""
+    ports = forces.size // 2
+    settled = True
+    for q in range(ports):
+        scale_g = abs(forces[q]) + abs(before[q])
+        scale_s = abs(forces[ports + q]) + abs(before[ports + q])
+        # The slope's tangents leave out second derivatives. NaN counts as not settled.
+        if not abs(change[q]) <= _NEWTON_TOLERANCE * scale_g + _SMALLEST:
+            settled = False
+        if not abs(change[ports + q]) <= _SLOPE_TOLERANCE * scale_s + _SMALLEST:
+            settled = False
+    return settled
+
+
+@loop_step
+def solve_ports(compliance: Array, level: int, rows: int, acting: PortForces, memory: Memory, sub: SubStep) -> bool:
+    """Forces and slopes of all ports at the end of a sub-step by Newton's method; whether they were found."""
+    forces, residual = sub.forces, sub.residual
+    count = forces.size
+    for q in range(count):
+        forces[q] = memory.forces[q]
+    solved = False
+    for _ in range(_NEWTON_STEPS):
+        see_with_forces(compliance, level, rows, sub)
+        port_forces(acting, memory.branch, memory.slider, sub.seen, residual, sub.tangents)
+        for q in range(count):
+            residual[q] -= forces[q]
+        newton_equations(compliance, level, acting.coupling_kinds.size, sub)
+        solve_in_place(sub.jacobian, residual, count)
+        for q in range(count):
+            forces[q] += residual[q]
+        solved = acting.affine or is_settled(residual, forces, memory.forces)
+        if solved:
+            break
+    see_with_forces(compliance, level, rows, sub)
+    return solved
+
+
+@loop_step
+def passes_corner(acting: PortForces, branch: Integers, slider: Array, own: int, seen: Array) -> bool:
+    """Whether an element's branch does not fit what its port sees at the end of a sub-step."""
+    corner = False
+    for e in range(acting.kinds.size):
+        q = acting.element_port[e]
+        new = next_branch_here(acting.kinds[e], acting.parameters, e, branch[e], seen[q], seen[own + q], slider[e])
+        if new != branch[e]:
+            corner = True
+    return corner
+
+
+@loop_step
+def take_state(motion: LinearMotion, level: int, one: bool, sub: SubStep, state: Array) -> None:
+    """The state at the end of a sub-step with the forces there; `one`: of one port without couplings."""
+    weights, end, forces = motion.end_weights, sub.state, sub.forces
+    if one:
+        g1 = forces[0]
+        s1 = forces[1]
+        for i in range(state.size):
+            state[i] = end[i] + (weights[level, 0, i] * g1 + weights[level, 1, i] * s1)
+    else:
+        for c in range(forces.size):
+            value = forces[c]
+            for i in range(state.size):
+                end[i] += weights[level, c, i] * value
+        for i in range(state.size):
+            state[i] = end[i]
+
+
+@loop_step
+def slip_along(parameters: Array, e: int, memory: Memory, before: float, after: float) -> None:
+    """Move the slider of a slipping Jenkins element with its port, from `before` to `after`; count what it loses."""
+    side = memory.branch[e]
+    memory.dissipated[e] += side * parameters[e, SLIP_FORCE] * (after - before)
+    memory.slider[e] = after - side * parameters[e, SLIP_FORCE] / parameters[e, STIFFNESS]
+
+
+@loop_step
+def begin_slip(parameters: Array, e: int, memory: Memory, side: int, w: float) -> None:
+    """Put the slider of a Jenkins element that begins to slip where its port, at w, has it; count what that loses."""
+    slipped = w - side * parameters[e, SLIP_FORCE] / parameters[e, STIFFNESS]
+    memory.dissipated[e] += side * parameters[e, SLIP_FORCE] * (slipped - memory.slider[e])
+    memory.slider[e] = slipped
+
+
+@loop_step
+def move_elements(acting: PortForces, memory: Memory, own: int, corner: bool, seen: Array) -> None:
+    """Move the sliders that slip with their ports; past a corner, take the branches that fit."""
+    kinds, parameters, branch, slider = acting.kinds, acting.parameters, memory.branch, memory.slider
     for e in range(kinds.size):
-        q = element_port[e]
+        q = acting.element_port[e]
         if kinds[e] == JENKINS and branch[e] != 0:
-            dissipated[e] += branch[e] * parameters[e, 1] * (after[q] - before[q])
-            slider[e] = after[q] - branch[e] * parameters[e, 1] / parameters[e, 0]
+            slip_along(parameters, e, memory, memory.kinematics[q], seen[q])
         if corner:
-            new = next_branch_here(kinds[e], parameters, e, branch[e], after[q], after[ports + q], slider[e])
+            new = next_branch_here(kinds[e], parameters, e, branch[e], seen[q], seen[own + q], slider[e])
             if new != branch[e] and branch[e] == 0 and kinds[e] == JENKINS:
-                slipped = after[q] - new * parameters[e, 1] / parameters[e, 0]
-                dissipated[e] += new * parameters[e, 1] * (slipped - slider[e])
-                slider[e] = slipped
+                begin_slip(parameters, e, memory, new, seen[q])
             branch[e] = new
+
+
+@loop_step
+def accept(
+    motion: LinearMotion, acting: PortForces, memory: Memory, level: int, corner: bool, rows: int, sub: SubStep,
+    state: Array,
+) -> None:  # fmt: skip
+    """Take over the end of a sub-step: state, sliders, branches past a corner, forces and what the ports see."""
+    ports, couplings = sub.tangents.shape[0], acting.coupling_kinds.size
+    take_state(motion, level, ports == 1 and couplings == 0, sub, state)
+    move_elements(acting, memory, ports - couplings, corner, sub.seen)
+    if corner:
+        memory.counters[CORNERS] += 1
+        port_forces(acting, memory.branch, memory.slider, sub.seen, sub.forces, sub.tangents)
+    for q in range(2 * ports):
+        memory.forces[q] = sub.forces[q]
+    for r in range(rows):
+        memory.kinematics[r] = sub.seen[r]
+    memory.counters[SUB_STEPS] += 1
+
+
+@loop_step
+def widest_level(position: int, levels: int) -> int:
+    """Halvings of the widest sub-step that starts at a tick and stays on the dyadic grid."""
+    level = levels
+    while level > 0 and position % ((1 << levels) >> (level - 1)) == 0:
+        level -= 1
+    return level
+
+
+@loop_step
+def is_bounded(state: Array) -> bool:
+    """Whether a state (Z,) is finite, and far from what is not."""
+    good = True
+    for i in range(state.size):
+        if not abs(state[i]) < 1e300:
+            good = False
+    return good
+
+
+@loop_step
+def write_outputs(
+    rows: OutputRows, inputs: Array, history: Array, force_history: Array, lanes: int, outputs: Array
+) -> None:
+    """Outputs sample by sample in the inner loop: vectorised without changing the order of a sample's sum."""
+    samples = inputs.size - 1
+    for o in range(outputs.shape[0]):
+        for k in range(samples):
+            outputs[o, k] = rows.input[o] * inputs[k]
+        for i in range(0, lanes, 4):
+            c0 = rows.state[o, i]
+            c1 = rows.state[o, i + 1]
+            c2 = rows.state[o, i + 2]
+            c3 = rows.state[o, i + 3]
+            for k in range(samples):
+                outputs[o, k] += (c0 * history[i, k] + c1 * history[i + 1, k]) + (
+                    c2 * history[i + 2, k] + c3 * history[i + 3, k]
+                )
+        for i in range(lanes, rows.state.shape[1]):
+            for k in range(samples):
+                outputs[o, k] += rows.state[o, i] * history[i, k]
+        for q in range(rows.force.shape[1]):
+            for k in range(samples):
+                outputs[o, k] += rows.force[o, q] * force_history[q, k]
+
+
+@njit(cache=True, inline="always")
+def room_for_sub_step(ports: int, state: Array, memory: Memory) -> SubStep:
+    """Work space."""
+    return SubStep(
+        state.copy(), memory.forces.copy(), memory.kinematics.copy(), memory.kinematics.copy(), np.zeros((ports, 2)),
+        np.zeros((2 * ports, 2 * ports)), np.zeros(2 * ports),
+    )  # fmt: skip
 
 
 @njit(cache=True)
 def integrate(
-    modal: bool,
-    pair: Array,
-    dense: Array,
-    start_weights: Array,
-    end_weights: Array,
-    port_rows: Array,
-    port_input: Array,
-    port_feedthrough: Array,
-    compliance: Array,
-    kinds: Integers,
-    parameters: Array,
-    element_port: Integers,
-    coupling_kinds: Integers,
-    coupling_parameters: Array,
-    affine: bool,
-    levels: int,
+    motion_tables: tuple[Any, ...],
+    force_tables: tuple[Any, ...],
+    output_tables: tuple[Array, Array, Array],
+    memory_tables: tuple[Any, ...],
     substeps: int,
     inputs: Array,
     state: Array,
-    forces: Array,
-    kinematics: Array,
-    branch: Integers,
-    slider: Array,
-    dissipated: Array,
-    counters: Integers,
-    outputs_state: Array,
-    outputs_force: Array,
-    outputs_input: Array,
     history: Array,
     force_history: Array,
     outputs: Array,
@@ -228,44 +530,33 @@ def integrate(
     """Integrate one block; outputs are taken at the samples, before each step.
 
     Args:
-        affine: all elements are piecewise linear, and there are no couplings.
+        motion_tables, force_tables, output_tables: `LinearMotion`, `PortForces` and `OutputRows` of the system as plain
+            tuples, which come from Python sooner than named ones.
+        memory_tables: likewise the `Memory`, updated.
+        substeps: per sample.
         inputs: (n + 1,) input at the samples and one beyond; straight between them.
         state: (Z,) working state, updated.
-        forces: (2 ports,) port forces and slopes at the present time, updated.
-        kinematics: (3 own + 4 couplings,) of the ports at the present time, see `port_forces`, updated.
-        branch, slider, dissipated: (elements,) memory and energy lost in sliders (J), updated.
-        counters: [sub-steps, corners], updated.
-        outputs_state, outputs_force, outputs_input: C (outputs, Z), D_g (outputs, ports), D_u (outputs,).
         history, force_history: (Z, ≥ n) and (ports, ≥ n) work space.
         outputs: (outputs, n) overwritten.
 
     Returns:
         False where the state stopped being finite or Newton's method failed.
     """
-    samples = inputs.size - 1
-    size = state.size
-    pairs = size // 2
-    ports = port_feedthrough.shape[1]
-    elements = kinds.size
-    couplings = coupling_kinds.size
-    own = ports - couplings
-    trial = state.copy()
-    force_trial = forces.copy()
-    kin_free = kinematics.copy()
-    kin_trial = kinematics.copy()
-    tangents = np.zeros((ports, 2))
-    jacobian = outputs_state[:0, :0].copy()
-    residual = forces.copy()
-    if ports > 0:
-        jacobian = compliance[0, : 2 * ports, : 2 * ports].copy()
+    motion, acting = LinearMotion(*motion_tables), PortForces(*force_tables)
+    memory = Memory(*memory_tables)
+    levels = motion.compliance.shape[0] - 1
+    # By names of their own: in a loop each look into a tuple would count references.
+    forces, branch, slider, compliance = memory.forces, memory.branch, memory.slider, motion.compliance
+    size, ports, couplings = state.size, forces.size // 2, acting.coupling_kinds.size
+    sub = room_for_sub_step(ports, state, memory)
+    end, free, seen, affine = sub.state, sub.free, sub.seen, acting.affine
     ticks = 1 << levels
     # Accelerations of the ports matter only to elements that depend on velocity.
-    rows = 2 * ports if affine else kinematics.size
+    rows = 2 * ports if affine else memory.kinematics.size
     # Sums are taken four terms at a time, of systems with couplings one at a time.
     lanes = size - size % 4 if couplings == 0 else 0
     good = True
-
-    for k in range(samples):
+    for k in range(inputs.size - 1):
         for i in range(size):
             history[i, k] = state[i]
         for q in range(ports):
@@ -279,216 +570,20 @@ def integrate(
                 width = ticks >> level
                 u0 = u_start + increment * (position / ticks)
                 u1 = u_start + increment * ((position + width) / ticks)
-                # Free motion: everything known at the start of the sub-step. Indices are written out in full:
-                # a view in this loop would cost more than the arithmetic.
-                if modal:
-                    if ports == 1:
-                        g0 = forces[0]
-                        s0 = forces[1]
-                        for i in range(pairs):
-                            j = pairs + i
-                            x = state[i]
-                            y = state[j]
-                            trial[i] = (
-                                (pair[level, 0, i] * x + pair[level, 1, i] * y)
-                                + (start_weights[level, 0, i] * u0 + start_weights[level, 1, i] * u1)
-                                + (start_weights[level, 2, i] * g0 + start_weights[level, 3, i] * s0)
-                            )
-                            trial[j] = (
-                                (pair[level, 2, i] * x + pair[level, 3, i] * y)
-                                + (start_weights[level, 0, j] * u0 + start_weights[level, 1, j] * u1)
-                                + (start_weights[level, 2, j] * g0 + start_weights[level, 3, j] * s0)
-                            )
-                    else:
-                        for i in range(pairs):
-                            j = pairs + i
-                            x = state[i]
-                            y = state[j]
-                            trial[i] = (pair[level, 0, i] * x + pair[level, 1, i] * y) + (
-                                start_weights[level, 0, i] * u0 + start_weights[level, 1, i] * u1
-                            )
-                            trial[j] = (pair[level, 2, i] * x + pair[level, 3, i] * y) + (
-                                start_weights[level, 0, j] * u0 + start_weights[level, 1, j] * u1
-                            )
-                else:
-                    for i in range(size):
-                        total = start_weights[level, 0, i] * u0 + start_weights[level, 1, i] * u1
-                        for j in range(size):
-                            total += dense[level, i, j] * state[j]
-                        trial[i] = total
-                if ports != 1 or not modal:
-                    for c in range(2 * ports):
-                        value = forces[c]
-                        for i in range(size):
-                            trial[i] += start_weights[level, 2 + c, i] * value
-                for r in range(rows):
-                    total0 = port_input[r] * u1
-                    total1 = 0.0
-                    total2 = 0.0
-                    total3 = 0.0
-                    for i in range(0, lanes, 4):
-                        total0 += port_rows[r, i] * trial[i]
-                        total1 += port_rows[r, i + 1] * trial[i + 1]
-                        total2 += port_rows[r, i + 2] * trial[i + 2]
-                        total3 += port_rows[r, i + 3] * trial[i + 3]
-                    for i in range(lanes, size):
-                        total0 += port_rows[r, i] * trial[i]
-                    kin_free[r] = (total0 + total1) + (total2 + total3)
-
-                # Port forces at the end: implicit. One port of piecewise linear elements in closed form,
-                # otherwise Newton's method on forces and slopes.
-                solved = ports == 0
+                move_free(motion, level, u0, u1, forces, state, end)
+                see_free(motion, rows, lanes, u1, end, free)
+                solved = True
                 if ports == 1 and affine:
-                    k_sum = 0.0
-                    g_rest = 0.0
-                    for e in range(elements):
-                        own_k, own_rest = piece_here(kinds[e], parameters, e, branch[e], slider[e])
-                        k_sum += own_k
-                        g_rest += own_rest
-                    w = kin_free[0]
-                    v = kin_free[1]
-                    if k_sum == 0.0:
-                        g1 = g_rest
-                        s1 = 0.0
-                    else:
-                        a11 = 1.0 - k_sum * compliance[level, 0, 0]
-                        a12 = -k_sum * compliance[level, 0, 1]
-                        a21 = -k_sum * compliance[level, 1, 0]
-                        a22 = 1.0 - k_sum * compliance[level, 1, 1]
-                        right1 = g_rest + k_sum * w
-                        right2 = k_sum * v
-                        scale = 1.0 / (a11 * a22 - a12 * a21)
-                        g1 = scale * (a22 * right1 - a12 * right2)
-                        s1 = scale * (a11 * right2 - a21 * right1)
-                    force_trial[0] = g1
-                    force_trial[1] = s1
-                    kin_trial[0] = w + (compliance[level, 0, 0] * g1 + compliance[level, 0, 1] * s1)
-                    kin_trial[1] = v + (compliance[level, 1, 0] * g1 + compliance[level, 1, 1] * s1)
-                    solved = True
+                    solve_one_port(compliance, level, acting, branch, slider, sub)
                 elif ports > 0:
-                    for q in range(2 * ports):
-                        force_trial[q] = forces[q]
-                    for _ in range(_NEWTON_STEPS):
-                        for r in range(rows):
-                            total = kin_free[r]
-                            for c in range(2 * ports):
-                                total += compliance[level, r, c] * force_trial[c]
-                            kin_trial[r] = total
-                        port_forces(
-                            kinds, parameters, element_port, branch, slider, coupling_kinds, coupling_parameters,
-                            kin_trial, own, residual, tangents,
-                        )  # fmt: skip
-                        for q in range(2 * ports):
-                            residual[q] -= force_trial[q]
-                        for q in range(ports):
-                            if q < own:
-                                first, second = q, own + q
-                                rate_first, rate_second = own + q, 2 * own + q
-                            else:
-                                first = 3 * own + 2 * (q - own)
-                                second = first + 1
-                                rate_first, rate_second = first + 2 * couplings, second + 2 * couplings
-                            for c in range(2 * ports):
-                                jacobian[q, c] = -(
-                                    tangents[q, 0] * compliance[level, first, c]
-                                    + tangents[q, 1] * compliance[level, second, c]
-                                )
-                                jacobian[ports + q, c] = -(
-                                    tangents[q, 0] * compliance[level, rate_first, c]
-                                    + tangents[q, 1] * compliance[level, rate_second, c]
-                                )
-                            jacobian[q, q] += 1.0
-                            jacobian[ports + q, ports + q] += 1.0
-                        solve_in_place(jacobian, residual, 2 * ports)
-                        for q in range(2 * ports):
-                            force_trial[q] += residual[q]
-                        solved = True
-                        if not affine:
-                            for q in range(ports):
-                                scale_g = abs(force_trial[q]) + abs(forces[q])
-                                scale_s = abs(force_trial[ports + q]) + abs(forces[ports + q])
-                                # The slope's tangents leave out second derivatives. NaN counts as not solved.
-                                if not abs(residual[q]) <= _NEWTON_TOLERANCE * scale_g + _SMALLEST:
-                                    solved = False
-                                if not abs(residual[ports + q]) <= _SLOPE_TOLERANCE * scale_s + _SMALLEST:
-                                    solved = False
-                        if solved:
-                            break
-                    for r in range(rows):
-                        total = kin_free[r]
-                        for c in range(2 * ports):
-                            total += compliance[level, r, c] * force_trial[c]
-                        kin_trial[r] = total
-
-                corner = False
-                for e in range(elements):
-                    q = element_port[e]
-                    if (
-                        next_branch_here(
-                            kinds[e], parameters, e, branch[e], kin_trial[q], kin_trial[own + q], slider[e]
-                        )
-                        != branch[e]
-                    ):
-                        corner = True
+                    solved = solve_ports(compliance, level, rows, acting, memory, sub)
+                corner = passes_corner(acting, branch, slider, ports - couplings, seen)
                 if (corner or not solved) and level < levels:
                     level += 1
                     continue
-                if not solved:
-                    good = False
-
-                # Accept the sub-step.
-                if ports == 1 and couplings == 0:
-                    g1 = force_trial[0]
-                    s1 = force_trial[1]
-                    for i in range(size):
-                        state[i] = trial[i] + (end_weights[level, 0, i] * g1 + end_weights[level, 1, i] * s1)
-                else:
-                    for c in range(2 * ports):
-                        value = force_trial[c]
-                        for i in range(size):
-                            trial[i] += end_weights[level, c, i] * value
-                    for i in range(size):
-                        state[i] = trial[i]
-                accept(
-                    kinds, parameters, element_port, branch, slider, dissipated, kinematics, kin_trial, own, corner
-                )  # fmt: skip
-                if corner:
-                    counters[1] += 1
-                    port_forces(
-                        kinds, parameters, element_port, branch, slider, coupling_kinds, coupling_parameters,
-                        kin_trial, own, force_trial, tangents,
-                    )  # fmt: skip
-                for q in range(2 * ports):
-                    forces[q] = force_trial[q]
-                for r in range(rows):
-                    kinematics[r] = kin_trial[r]
-                counters[0] += 1
+                good = good and solved
+                accept(motion, acting, memory, level, corner, rows, sub, state)
                 position += width
-                # Widest sub-step that starts here and stays on the dyadic grid.
-                level = levels
-                while level > 0 and position % (ticks >> (level - 1)) == 0:
-                    level -= 1
-
-    # Outputs sample by sample in the inner loop: vectorised without changing the order of a sample's sum.
-    for o in range(outputs.shape[0]):
-        for k in range(samples):
-            outputs[o, k] = outputs_input[o] * inputs[k]
-        for i in range(0, lanes, 4):
-            c0 = outputs_state[o, i]
-            c1 = outputs_state[o, i + 1]
-            c2 = outputs_state[o, i + 2]
-            c3 = outputs_state[o, i + 3]
-            for k in range(samples):
-                outputs[o, k] += (c0 * history[i, k] + c1 * history[i + 1, k]) + (
-                    c2 * history[i + 2, k] + c3 * history[i + 3, k]
-                )
-        for i in range(lanes, size):
-            for k in range(samples):
-                outputs[o, k] += outputs_state[o, i] * history[i, k]
-        for q in range(ports):
-            for k in range(samples):
-                outputs[o, k] += outputs_force[o, q] * force_history[q, k]
-    for i in range(size):
-        if not abs(state[i]) < 1e300:
-            good = False
-    return good
+                level = widest_level(position, levels)
+    write_outputs(OutputRows(*output_tables), inputs, history, force_history, lanes, outputs)
+    return good and is_bounded(state)

@@ -11,12 +11,47 @@ hysteretic memory is the displacement at the last slip → stick turning point, 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_core.numerics.kernels import njit
+from nmt_core.numerics.kernels import loop_step, njit
+from nmt_rig.model.local_elements.element import (
+    CONTACT_GAP,
+    CONTACT_SIDE,
+    CONTACT_STIFFNESS,
+    SLIDER_SLIP,
+    SLIDER_STIFFNESS,
+)
 
 TWO_PI = 2.0 * np.pi
+# Columns of the phases of a slider, see `jenkins_phases`.
+SLIP_FROM, SLIP_FORCE, ANCHOR, OFFSET_FORCE = 0, 1, 2, 3
+_NEVER_SLIPPED = -1.0
+
+
+class Waves(NamedTuple):
+    """cos(kθ) and sin(kθ), or integrals of them, in the last direction for k = 0 … highest; one row for each corner
+    where there are several.
+    """
+
+    cosines: FloatArray
+    sines: FloatArray
+
+
+class SlidingForces(NamedTuple):
+    """Integrals of the forces of all sliders with cos(kθ) and sin(kθ), by what the forces go with.
+
+    Attributes:
+        motion: stiffness of what goes with w.
+        rest: of what goes with nothing.
+        anchored: (corners,) of what goes with w at the corner where the present sticking began.
+    """
+
+    motion: Waves
+    rest: Waves
+    anchored: Waves
 
 
 @njit(cache=True)
@@ -241,13 +276,13 @@ def jenkins_phases(
     """Stick and slip of one Jenkins element between successive turning points of the periodic motion.
 
     Args:
-        phases: (count, 4) overwritten, per piece: angle at which slip starts (the right end if it sticks), slip force
-            ±μN (0 if it sticks), number of the turning point at which the present sticking began (−1: it never
-            slipped), and the force offset g − k_t w while it sticks, N.
+        phases: (count, 4) overwritten, per piece: `SLIP_FROM` angle at which slip starts (the right end if it sticks),
+            `SLIP_FORCE` ±μN (0 if it sticks), `ANCHOR` number of the turning point at which the present sticking began
+            (−1: it never slipped), and `OFFSET_FORCE` g − k_t w while it sticks, N.
     """
     count = corner_angles.size - 1
     current = stiffness * corner_values[0]
-    anchor = -1.0
+    anchor = _NEVER_SLIPPED
     offset_force = 0.0
     if abs(current) > limit:
         current = limit if current > 0.0 else -limit
@@ -256,17 +291,17 @@ def jenkins_phases(
     for period in range(2):
         for p in range(count):
             right = corner_angles[p + 1]
-            phases[p, 0] = right
-            phases[p, 1] = 0.0
-            phases[p, 2] = anchor
-            phases[p, 3] = offset_force
+            phases[p, SLIP_FROM] = right
+            phases[p, SLIP_FORCE] = 0.0
+            phases[p, ANCHOR] = anchor
+            phases[p, OFFSET_FORCE] = offset_force
             trial = stiffness * corner_values[p + 1] + offset_force
             if abs(trial) <= limit:
                 continue
             slip_force = limit if trial > 0.0 else -limit
             if period == 1:
                 level = (slip_force - offset_force) / stiffness
-                phases[p, 0] = level_crossing(
+                phases[p, SLIP_FROM] = level_crossing(
                     coefficients,
                     orders,
                     offsets,
@@ -276,9 +311,166 @@ def jenkins_phases(
                     corner_values[p + 1],
                     level,
                 )
-            phases[p, 1] = slip_force
+            phases[p, SLIP_FORCE] = slip_force
             anchor = p + 1.0
             offset_force = slip_force - stiffness * corner_values[p + 1]
+
+
+@njit(cache=True)
+def largest_motion(coefficients: FloatArray, orders: IntArray, offsets: IntArray) -> float:
+    """A bound on |w|: the sum of the amplitudes of all orders."""
+    bound = 0.0
+    for position in range(orders.size):
+        offset = offsets[position]
+        if orders[position] == 0:
+            bound += abs(coefficients[offset])
+        else:
+            bound += np.hypot(coefficients[offset], coefficients[offset + 1])
+    return bound
+
+
+@loop_step
+def add_phase(
+    phase: FloatArray, stiffness: float, p: int, angles: FloatArray, at: Waves, slip: Waves, into: SlidingForces
+) -> None:
+    """Add the integrals of one slider over one piece, from corner p to the next.
+
+    Args:
+        phase: (4,) of the piece, see `jenkins_phases`.
+        stiffness: of the slider, N/m.
+        angles, at: the corners (count + 1,), rad, and their waves (count + 1, ·).
+        slip: work space for the waves where slip starts.
+        into: added to.
+    """
+    waves, rest, anchored = into.motion, into.rest, into.anchored
+    slip_from, slip_force, offset_force = phase[SLIP_FROM], phase[SLIP_FORCE], phase[OFFSET_FORCE]
+    anchor = int(phase[ANCHOR])
+    tables = waves.cosines.size
+    if slip_force != 0.0:
+        turn(slip_from, slip.cosines, slip.sines)
+        rest.cosines[0] += slip_force * (angles[p + 1] - slip_from)
+        for k in range(1, tables):
+            rest.cosines[k] += slip_force * (at.sines[p + 1, k] - slip.sines[k]) / k
+            rest.sines[k] += slip_force * (slip.cosines[k] - at.cosines[p + 1, k]) / k
+    else:
+        for k in range(tables):
+            slip.cosines[k] = at.cosines[p + 1, k]
+            slip.sines[k] = at.sines[p + 1, k]
+    # From here on the integrals over the sticking part.
+    width = slip_from - angles[p]
+    waves.cosines[0] += stiffness * width
+    if anchor >= 0:
+        rest.cosines[0] += offset_force * width
+        anchored.cosines[anchor, 0] += stiffness * width
+    for k in range(1, tables):
+        even = (slip.sines[k] - at.sines[p, k]) / k
+        odd = (at.cosines[p, k] - slip.cosines[k]) / k
+        waves.cosines[k] += stiffness * even
+        waves.sines[k] += stiffness * odd
+        if anchor >= 0:
+            rest.cosines[k] += offset_force * even
+            rest.sines[k] += offset_force * odd
+            anchored.cosines[anchor, k] += stiffness * even
+            anchored.sines[anchor, k] += stiffness * odd
+
+
+@njit(cache=True)
+def add_sliders(
+    coefficients: FloatArray,
+    orders: IntArray,
+    offsets: IntArray,
+    corner_angles: FloatArray,
+    corner_values: FloatArray,
+    jenkins: FloatArray,
+    amplitude: float,
+    waves: Waves,
+    force: FloatArray,
+    derivative: FloatArray,
+) -> None:
+    """Add the Jenkins elements that slip.
+
+    Args:
+        amplitude: bound on |w|, m; below its slip displacement an element is left out.
+        waves: integrals of the stiffness of what goes with w, added to.
+        force: (size,) integrals of all other forces with the basis functions, added to.
+        derivative: (size, size) of these by the coefficients, added to; (0, 0) where it is not wanted.
+    """
+    size, tables = coefficients.size, waves.cosines.size
+    count = corner_angles.size - 1
+    rest = Waves(np.zeros(tables), np.zeros(tables))
+    anchored = Waves(np.zeros((count + 1, tables)), np.zeros((count + 1, tables)))
+    at = Waves(np.empty((count + 1, tables)), np.empty((count + 1, tables)))
+    slip = Waves(np.empty(tables), np.empty(tables))
+    into = SlidingForces(waves, rest, anchored)
+    phases = np.empty((count, 4))
+    corner_cosines, corner_sines = at.cosines, at.sines
+    for p in range(count + 1):
+        turn(corner_angles[p], corner_cosines[p], corner_sines[p])
+    for e in range(jenkins.shape[0]):
+        stiffness = jenkins[e, SLIDER_STIFFNESS]
+        limit = jenkins[e, SLIDER_SLIP]
+        if stiffness * amplitude <= limit:
+            continue
+        jenkins_phases(coefficients, orders, offsets, corner_angles, corner_values, stiffness, limit, phases)
+        for p in range(count):
+            add_phase(phases[p], stiffness, p, corner_angles, at, slip, into)
+    integrals = np.zeros(size)
+    basis_integrals(rest.cosines, rest.sines, orders, offsets, integrals)
+    for i in range(size):
+        force[i] += integrals[i]
+    anchor_basis = np.zeros(size)
+    anchored_cosines, anchored_sines = anchored.cosines, anchored.sines
+    for p in range(count + 1 if derivative.size > 0 else 0):
+        basis_integrals(anchored_cosines[p], anchored_sines[p], orders, offsets, integrals)
+        basis_integrals(corner_cosines[p], corner_sines[p], orders, offsets, anchor_basis)
+        for i in range(size):
+            for j in range(size):
+                derivative[i, j] -= integrals[i] * anchor_basis[j]
+
+
+@njit(cache=True)
+def add_contacts(
+    coefficients: FloatArray,
+    orders: IntArray,
+    offsets: IntArray,
+    corner_angles: FloatArray,
+    corner_values: FloatArray,
+    contacts: FloatArray,
+    amplitude: float,
+    waves: Waves,
+    force: FloatArray,
+) -> None:
+    """Add the contacts that close; arguments as for `add_sliders`."""
+    size, tables = coefficients.size, waves.cosines.size
+    piece_cosines, piece_sines, integrals = np.zeros(tables), np.zeros(tables), np.zeros(size)
+    for e in range(contacts.shape[0]):
+        stiffness = contacts[e, CONTACT_STIFFNESS]
+        gap = contacts[e, CONTACT_GAP]
+        side = contacts[e, CONTACT_SIDE]
+        if amplitude <= gap:
+            continue
+        for p in range(corner_angles.size - 1):
+            left = corner_angles[p]
+            right = corner_angles[p + 1]
+            before = side * corner_values[p] - gap
+            after = side * corner_values[p + 1] - gap
+            if before <= 0.0 and after <= 0.0:
+                continue
+            if before < 0.0 or after < 0.0:
+                crossing = level_crossing(
+                    coefficients, orders, offsets, left, right, corner_values[p], corner_values[p + 1], side * gap
+                )
+                if before < 0.0:
+                    left = crossing
+                else:
+                    right = crossing
+            add_interval(waves.cosines, waves.sines, left, right, stiffness)
+            piece_cosines[:] = 0.0
+            piece_sines[:] = 0.0
+            add_interval(piece_cosines, piece_sines, left, right, -stiffness * side * gap)
+            basis_integrals(piece_cosines, piece_sines, orders, offsets, integrals)
+            for i in range(size):
+                force[i] += integrals[i]
 
 
 @njit(cache=True)
@@ -310,133 +502,34 @@ def add_piecewise_forces(
     size = coefficients.size
     wanted = derivative.size > 0
     tables = 2 * orders[-1] + 1
-    cosines = np.zeros(tables)
-    sines = np.zeros(tables)
-    raw_derivative = np.zeros((size, size))
+    waves = Waves(np.zeros(tables), np.zeros(tables))
+    raw_derivative = np.zeros((size, size) if wanted else (0, 0))
     raw_force = np.zeros(size)
-    piece_cosines = np.zeros(tables)
-    piece_sines = np.zeros(tables)
-    integrals = np.zeros(size)
-    anchor_basis = np.zeros(size)
-
-    amplitude = 0.0
-    mean = 0.0
-    for position in range(orders.size):
-        if orders[position] == 0:
-            mean = coefficients[offsets[position]]
-            amplitude += abs(mean)
-        else:
-            amplitude += np.hypot(coefficients[offsets[position]], coefficients[offsets[position] + 1])
+    amplitude = largest_motion(coefficients, orders, offsets)
 
     # Bounds on |w| decide the cheap cases: every element sticks, every contact is open.
-    pending = False
+    slipping = False
     for e in range(jenkins.shape[0]):
-        if jenkins[e, 0] * amplitude <= jenkins[e, 1]:
-            cosines[0] += jenkins[e, 0] * TWO_PI
+        if jenkins[e, SLIDER_STIFFNESS] * amplitude <= jenkins[e, SLIDER_SLIP]:
+            waves.cosines[0] += jenkins[e, SLIDER_STIFFNESS] * TWO_PI
         else:
-            pending = True
+            slipping = True
+    touching = False
     for e in range(contacts.shape[0]):
-        if amplitude > contacts[e, 1]:
-            pending = True
-
-    if pending:
-        corner_angles, corner_values = corners(coefficients, orders, offsets, slope_basis)
-        count = corner_angles.size - 1
-        slipping = False
-        for e in range(jenkins.shape[0]):
-            slipping = slipping or jenkins[e, 0] * amplitude > jenkins[e, 1]
-        # Integrals of what does not go with w, and by the turning point whose displacement it goes with.
-        rest_cosines = np.zeros(tables)
-        rest_sines = np.zeros(tables)
-        anchored_cosines = np.zeros((count + 1 if slipping else 0, tables))
-        anchored_sines = np.zeros((count + 1 if slipping else 0, tables))
-        corner_cosines = np.empty((count + 1 if slipping else 0, tables))
-        corner_sines = np.empty((count + 1 if slipping else 0, tables))
-        slip_cosines = np.empty(tables)
-        slip_sines = np.empty(tables)
-        phases = np.empty((count, 4))
-        for p in range(corner_cosines.shape[0]):
-            turn(corner_angles[p], corner_cosines[p], corner_sines[p])
-        for e in range(jenkins.shape[0]):
-            stiffness = jenkins[e, 0]
-            limit = jenkins[e, 1]
-            if stiffness * amplitude <= limit:
-                continue
-            jenkins_phases(coefficients, orders, offsets, corner_angles, corner_values, stiffness, limit, phases)
-            for p in range(count):
-                slip_from = phases[p, 0]
-                slip_force = phases[p, 1]
-                anchor = int(phases[p, 2])
-                offset_force = phases[p, 3]
-                if slip_force != 0.0:
-                    turn(slip_from, slip_cosines, slip_sines)
-                    rest_cosines[0] += slip_force * (corner_angles[p + 1] - slip_from)
-                    for k in range(1, tables):
-                        rest_cosines[k] += slip_force * (corner_sines[p + 1, k] - slip_sines[k]) / k
-                        rest_sines[k] += slip_force * (slip_cosines[k] - corner_cosines[p + 1, k]) / k
-                else:
-                    for k in range(tables):
-                        slip_cosines[k] = corner_cosines[p + 1, k]
-                        slip_sines[k] = corner_sines[p + 1, k]
-                # From here on the integrals over the sticking part.
-                width = slip_from - corner_angles[p]
-                cosines[0] += stiffness * width
-                if anchor >= 0:
-                    rest_cosines[0] += offset_force * width
-                    anchored_cosines[anchor, 0] += stiffness * width
-                for k in range(1, tables):
-                    even = (slip_sines[k] - corner_sines[p, k]) / k
-                    odd = (corner_cosines[p, k] - slip_cosines[k]) / k
-                    cosines[k] += stiffness * even
-                    sines[k] += stiffness * odd
-                    if anchor >= 0:
-                        rest_cosines[k] += offset_force * even
-                        rest_sines[k] += offset_force * odd
-                        anchored_cosines[anchor, k] += stiffness * even
-                        anchored_sines[anchor, k] += stiffness * odd
+        if amplitude > contacts[e, CONTACT_GAP]:
+            touching = True
+    if slipping or touching:
+        angles, values = corners(coefficients, orders, offsets, slope_basis)
         if slipping:
-            basis_integrals(rest_cosines, rest_sines, orders, offsets, integrals)
-            for i in range(size):
-                raw_force[i] += integrals[i]
-        for p in range(anchored_cosines.shape[0] if wanted else 0):
-            basis_integrals(anchored_cosines[p], anchored_sines[p], orders, offsets, integrals)
-            basis_integrals(corner_cosines[p], corner_sines[p], orders, offsets, anchor_basis)
-            for i in range(size):
-                for j in range(size):
-                    raw_derivative[i, j] -= integrals[i] * anchor_basis[j]
-
-        for e in range(contacts.shape[0]):
-            stiffness = contacts[e, 0]
-            gap = contacts[e, 1]
-            side = contacts[e, 2]
-            if amplitude <= gap:
-                continue
-            for p in range(count):
-                left = corner_angles[p]
-                right = corner_angles[p + 1]
-                before = side * corner_values[p] - gap
-                after = side * corner_values[p + 1] - gap
-                if before <= 0.0 and after <= 0.0:
-                    continue
-                if before < 0.0 or after < 0.0:
-                    crossing = level_crossing(
-                        coefficients, orders, offsets, left, right, corner_values[p], corner_values[p + 1], side * gap
-                    )
-                    if before < 0.0:
-                        left = crossing
-                    else:
-                        right = crossing
-                add_interval(cosines, sines, left, right, stiffness)
-                piece_cosines[:] = 0.0
-                piece_sines[:] = 0.0
-                add_interval(piece_cosines, piece_sines, left, right, -stiffness * side * gap)
-                basis_integrals(piece_cosines, piece_sines, orders, offsets, integrals)
-                for i in range(size):
-                    raw_force[i] += integrals[i]
+            add_sliders(
+                coefficients, orders, offsets, angles, values, jenkins, amplitude, waves, raw_force, raw_derivative
+            )
+        if touching:
+            add_contacts(coefficients, orders, offsets, angles, values, contacts, amplitude, waves, raw_force)
 
     # The terms proportional to w share one Gram matrix; the virgin offset terms are already separate.
     gram = np.zeros((size, size))
-    add_gram(cosines, sines, orders, offsets, gram)
+    add_gram(waves.cosines, waves.sines, orders, offsets, gram)
     for i in range(size):
         scale = 1.0 / np.pi
         if orders[0] == 0 and i == offsets[0]:

@@ -12,7 +12,15 @@ import numpy as np
 from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
 from nmt_rig.model.contact_kernel import Motion, Places, integrate_contacts
 from nmt_rig.model.couplings import COUPLING_PARAMETERS
-from nmt_rig.model.integration_kernel import Memory, integrate, port_forces
+from nmt_rig.model.integration_kernel import (
+    CORNERS,
+    SUB_STEPS,
+    LinearMotion,
+    Memory,
+    PortForces,
+    integrate,
+    port_forces,
+)
 from nmt_rig.model.local_elements.element import PARAMETER_COUNT, LocalElement
 from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.propagator import propagator, state_space
@@ -108,7 +116,24 @@ class TimeIntegrator:
         self._reach = rows.max(axis=0) if ports else np.zeros(rows.shape[1])
         c, self._d_ports, self._d_input = self._space.output(self._outputs)
         self._c = np.ascontiguousarray(c @ self._propagator.from_working)
-        self.__dict__.pop("_contact_tables", None)
+        for tables in ("_contact_tables", "_tables"):
+            self.__dict__.pop(tables, None)
+
+    @property
+    def _acting(self) -> PortForces:
+        return PortForces(
+            self._kinds, self._parameters, self._space.element_port, self._coupling_kinds, self._coupling_parameters,
+            self._affine,
+        )  # fmt: skip
+
+    @cached_property
+    def _tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[Array, Array, Array]]:
+        """`LinearMotion`, `PortForces` and `OutputRows` of the matrices and elements taken last, as plain tuples."""
+        p = self._propagator
+        motion = LinearMotion(
+            p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.compliance
+        )
+        return tuple(motion), tuple(self._acting), (self._c, self._d_ports, self._d_input)
 
     @cached_property
     def _contact_tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[Array, Array, Array]]:
@@ -129,7 +154,7 @@ class TimeIntegrator:
         ports = space.directions.shape[0]
         stiffest = np.zeros(ports)
         for element, port in zip(space.elements, space.element_port, strict=True):
-            stiffest[port] += element.parameters[0]
+            stiffest[port] += max(element.piece(*element.values, branch, 0.0)[0] for branch in (-1, 0, 1))
         gains = np.zeros(self._levels + 1)
         for level, share in enumerate(np.abs(compliance)):
             width = step / 2.0**level  # takes slopes and velocities to forces and displacements
@@ -209,10 +234,7 @@ class TimeIntegrator:
             return
         # Twice: the accelerations in the slopes depend on the forces.
         for _ in range(2):
-            port_forces(
-                self._kinds, self._parameters, self._space.element_port, branch, slider, self._coupling_kinds,
-                self._coupling_parameters, kinematics, ports, forces, np.zeros((total, 2)),
-            )  # fmt: skip
+            port_forces(self._acting, branch, slider, kinematics, forces, np.zeros((total, 2)))
             kinematics[:] = p.port_rows @ self._state + p.port_feedthrough @ forces[:total]
 
     def _settle_own_forces(self) -> None:
@@ -269,12 +291,15 @@ class TimeIntegrator:
             return self._moved(n, good, result)
         try:
             good = integrate(
-                p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input,
-                p.port_feedthrough, p.compliance, self._kinds, self._parameters, self._space.element_port,
-                self._coupling_kinds, self._coupling_parameters, self._affine, self._levels, self.substeps, inputs,
-                self._state, *self._memory, self._c, self._d_ports, self._d_input, self._history, self._force_history,
+                *self._tables,
+                tuple(self._memory),
+                self.substeps,
+                inputs,
+                self._state,
+                self._history,
+                self._force_history,
                 result,
-            )  # fmt: skip
+            )
         except ZeroDivisionError:  # a force without bound has no slope
             good = False
         return self._moved(n, good, result)
@@ -307,12 +332,12 @@ class TimeIntegrator:
     @property
     def steps(self) -> int:
         """Sub-steps taken since the start."""
-        return int(self._memory.counters[0])
+        return int(self._memory.counters[SUB_STEPS])
 
     @property
     def corners(self) -> int:
         """Corners of local elements passed since the start."""
-        return int(self._memory.counters[1])
+        return int(self._memory.counters[CORNERS])
 
 
 def _local(system: ElectromechanicalSystem) -> list[LocalElement]:

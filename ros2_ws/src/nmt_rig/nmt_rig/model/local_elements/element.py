@@ -31,6 +31,9 @@ from nmt_rig.model.structure import Array, Structure
 from nmt_rig.rig_section import Name, Point, Section
 
 PARAMETER_COUNT = 4
+# Columns of tables of ``sliders`` and of ``contacts``.
+SLIDER_STIFFNESS, SLIDER_SLIP = 0, 1
+CONTACT_STIFFNESS, CONTACT_GAP, CONTACT_SIDE = 0, 1, 2
 
 Response = tuple[float, float, float]
 
@@ -173,6 +176,14 @@ class ElementSection(Section):
         """Values of the own keys: frequencies in Hz become rad/s, all else is taken as it is."""
         values = [(key, getattr(self, key)) for key in self.own_keys()]
         return [2.0 * np.pi * value if key.endswith("_hz") else value for key, value in values]
+
+    @property
+    def soft_at_rest(self) -> bool:
+        """Whether its force is smooth and of higher than the first order: the modes at rest do not know it."""
+        if not hasattr(self.element, "response") or hasattr(self.element, "next_branch"):
+            return False
+        _, by_displacement, by_velocity = self.element.response(*self.own_values(), 0.0, 0.0)
+        return bool(by_displacement == 0.0 and by_velocity == 0.0)
 
     def elements(self, structure: Structure) -> tuple[LocalElement, ...]:
         """Local elements that it stands for.

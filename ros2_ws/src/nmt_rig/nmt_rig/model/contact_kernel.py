@@ -682,8 +682,10 @@ def narrowed(position: int, goal: int, level: int, levels: int) -> int:
 @loop_step
 def next_level(position: int, goal: int, levels: int) -> int:
     """Halvings of the widest sub-step that starts at a tick, stays on the dyadic grid and does not pass the goal."""
-    level = widest_level(position, levels)
-    return narrowed(position, goal, level, levels) if position <= goal else level
+    level: int = widest_level(position, levels)
+    if position <= goal:
+        level = narrowed(position, goal, level, levels)
+    return level
 
 
 @loop_step
@@ -790,4 +792,5 @@ def integrate_contacts(
                 fresh = not corner
                 position += width
                 level = next_level(position, goal, levels)
-    return is_bounded(state)
+    bounded: bool = is_bounded(state)
+    return bounded

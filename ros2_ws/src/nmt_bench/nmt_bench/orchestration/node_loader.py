@@ -46,6 +46,7 @@ PREPARED = (
     "nmt_plant.devices.guarded_device",
     "nmt_plant.devices.hardware_rig",
     "nmt_plant.plant_core",
+    "nmt_plant.plant_settings",
     "nmt_plant.real_time",
     "nmt_plant.devices.simulated_rig",
     "nmt_pll.loop_core",

@@ -15,7 +15,7 @@ A field may hold settings itself, see :func:`group`; as parameters they stand be
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import Field, dataclass, field, fields, is_dataclass
+from dataclasses import Field, dataclass, field, fields
 from functools import cache
 from inspect import get_annotations
 from typing import Any, TypeVar, cast
@@ -91,7 +91,7 @@ def _kept_parameters(kind: Any) -> tuple[tuple[tuple[str, ...], Parameter], ...]
 
 
 def _found_parameters(kind: type) -> Iterator[tuple[tuple[str, ...], Parameter]]:
-    for item in _fields(kind):
+    for item in ordered_fields(kind):
         if _GROUP in item.metadata:
             inner, prefix = item.metadata[_GROUP]
             for path, own in _parameters(inner):
@@ -106,13 +106,12 @@ def _parameter(item: Field[Any]) -> Parameter:
     return Parameter(item.name, default, meaning.unit, meaning.description, meaning.low, meaning.high, meaning.choices)
 
 
-def _fields(kind: type) -> list[Field[Any]]:
+def ordered_fields(kind: Any) -> list[Field[Any]]:
     """Fields of a class before those of its bases."""
     found = {item.name: item for item in fields(kind)}
     names: dict[str, None] = {}
     for one in kind.__mro__:
-        if is_dataclass(one):
-            names |= dict.fromkeys(get_annotations(one))
+        names |= dict.fromkeys(get_annotations(one) if one is not object else ())
     return [found[name] for name in names if name in found]
 
 

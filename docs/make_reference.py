@@ -29,13 +29,13 @@ DOCS = Path(__file__).resolve().parent
 MESSAGES = DOCS.parent / "ros2_ws" / "src" / "nmt_msgs"
 REGION = re.compile(r"(<!-- generated: (\w+) ([\w./-]+) -->\n).*?(<!-- end -->)", re.S)
 
-NODE_MODULES = {
-    "plant": "nmt_plant.plant_node",
-    "pll": "nmt_pll.pll_node",
-    "sequencer": "nmt_sequencer.sequencer_node",
-    "extract": "nmt_extract.extract_node",
-    "recorder": "nmt_record.bag.recorder_node",
-    "topic_bridge": "nmt_plant.topic_bridge_node",
+NODE_SETTINGS = {
+    "plant": "nmt_plant.plant_settings:PlantSettings",
+    "pll": "nmt_pll.pll_settings:PllSettings",
+    "sequencer": "nmt_sequencer.sequencer_settings:SequencerSettings",
+    "extract": "nmt_extract.extraction_settings:ExtractSettings",
+    "recorder": "nmt_record.bag.recorder_settings:RecorderSettings",
+    "topic_bridge": "nmt_plant.topic_bridge:TopicBridgeSettings",
 }
 
 # What the keys of a rig file mean; units and ranges come from the models.
@@ -379,11 +379,17 @@ def _message_part(text: str) -> str:
 
 def parameters_table(name: str) -> str:
     """Parameters of a node, or ``common`` for those that all nodes have. Needs ROS 2."""
+    from nmt_core.nodes.node_settings import NodeSettings
     from nmt_core.nodes.parameters import markdown_table
+    from nmt_core.settings import parameters_of
 
+    common = parameters_of(NodeSettings)
     if name == "common":
-        return markdown_table(importlib.import_module("nmt_core.base_node").COMMON_PARAMETERS)
-    return markdown_table(importlib.import_module(NODE_MODULES[name]).PARAMETERS)
+        return markdown_table(common)
+    module, _, kind = NODE_SETTINGS[name].partition(":")
+    return markdown_table(
+        item for item in parameters_of(getattr(importlib.import_module(module), kind)) if item not in common
+    )
 
 
 def rig_table(name: str) -> str:

@@ -16,15 +16,12 @@ from nmt_bench.hardware.hardware_checks import keep_check
 from nmt_bench.orchestration.bench_files import write_bench_files
 from nmt_core.errors import BenchError
 from nmt_core.messages.run_announcement import RunAnnouncement
-from nmt_core.nodes.parameters import check_values
 from nmt_diagnose.observations.origin import origin_of
 from nmt_plant.devices.hardware_rig import HARDWARE_LEAD, device_of
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.bag.run_recorder import PARAMETERS, RunRecorder, described_run
+from nmt_record.bag.run_recorder import RunRecorder, described_run
 from nmt_rig.rig import load_rig
 from nmt_session.node_plan import NodePlan
-
-OF_THE_NODE = ("expected_peers", "pacing", "reader_lead")  # parameters of the recorder that its bag does not need
 
 
 @pytest.fixture
@@ -45,10 +42,9 @@ def rig_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def recorded(plan: NodePlan, run_json: str | None = None) -> Bag:
     """The bag of a run that ends at once."""
-    given = {name: value for name, value in plan.values["recorder"].items() if name not in OF_THE_NODE}
-    recorder = RunRecorder(check_values(PARAMETERS, given, "recorder"), run_json=run_json)
+    recorder = RunRecorder(plan.recorder, run_json=run_json)
     recorder.close("done", "")
-    return Bag.open(Path(given["output"]))
+    return Bag.open(Path(plan.recorder.output))
 
 
 def test_the_nodes_drive_the_converter_and_the_bag_names_it(rig_file: Path, tmp_path: Path) -> None:
@@ -67,26 +63,25 @@ def test_the_nodes_drive_the_converter_and_the_bag_names_it(rig_file: Path, tmp_
 
 def test_a_further_goal_on_the_same_nodes_is_of_the_same_device(rig_file: Path, tmp_path: Path) -> None:
     plan = write_bench_files(str(rig_file), tmp_path / "out", tmp_path / "out")
-    given = {name: value for name, value in plan.values["recorder"].items() if name not in OF_THE_NODE}
     second = RunAnnouncement("goal 2", "again", {"levels": [0.1]})
-    bag = recorded(plan, described_run(check_values(PARAMETERS, given, "recorder"), second))
+    bag = recorded(plan, described_run(plan.recorder, second))
     assert bag.run_start is not None
     assert (bag.run_start["run_id"], bag.run_start["device"]) == ("again", "portaudio")
 
 
 @pytest.mark.parametrize(
-    ("rig", "device", "named", "driven"),
+    ("rig", "device", "named"),
     [
-        ("own", "simulated", "simulated rig", None),
-        ("beam", "simulated", "simulated rig", None),
-        ("beam", "", "", None),  # a plant of one's own may take the place of the bench's
+        ("own", "simulated", "simulated rig"),
+        ("beam", "simulated", "simulated rig"),
+        ("beam", "", ""),  # a plant of one's own may take the place of the bench's
     ],
 )
 def test_what_is_simulated_by_wish_is_called_so(
-    rig: str, device: str, named: str, driven: str | None, rig_file: Path, tmp_path: Path
+    rig: str, device: str, named: str, rig_file: Path, tmp_path: Path
 ) -> None:
     plan = write_bench_files(str(rig_file) if rig == "own" else rig, tmp_path / "out", tmp_path / "out", device=device)
-    assert plan.values["plant"].get("device") == driven
+    assert plan.plant.device == ""
     assert plan.run["device"] == named
 
 
@@ -95,7 +90,7 @@ def test_the_ports_of_the_simulated_specimen_are_called_so(rig_file: Path, tmp_p
     keep_check(rig, device_of(rig, "portaudio"), {"time": time.time(), "passed": True, "delay_samples": 0})
     plan = write_bench_files("beam", tmp_path / "out", tmp_path / "out", device="portaudio")
     assert plan.run["device"] == "portaudio (nmt_specimen)"
-    assert plan.values["plant"]["device"] == "portaudio"
+    assert plan.plant.device == "portaudio"
 
 
 Refusal = Callable[[Path], tuple[list[str], str]]

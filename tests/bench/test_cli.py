@@ -8,13 +8,12 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from bench.synthetic_bag import write_bag
 
 from nmt_bench import cli
-from nmt_bench.commands import json_output, output_folder
+from nmt_bench.commands import json_output, output_folder, run_command
 from nmt_core.errors import BenchError
 from nmt_rig.rig import rig_names
 
@@ -349,16 +348,13 @@ def test_a_missing_module_of_our_own_is_a_fault(
 
 def test_demo_is_the_run_of_the_beam(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     seen = []
-    pretended = ModuleType("run_command")
-    pretended.USAGE = "A test.\n\nrig\n--out DIR :text\n--force\n"  # type: ignore[attr-defined]
-    pretended.run = lambda arguments: seen.append(arguments) or 7  # type: ignore[attr-defined, func-returns-value]
-    monkeypatch.setitem(sys.modules, "nmt_bench.commands.run_command", pretended)
+    monkeypatch.setattr(run_command, "run", lambda options: seen.append(options) or 7)  # type: ignore[func-returns-value]
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out" / "demo").mkdir(parents=True)
     (tmp_path / "out" / "demo" / "modal.csv").write_text("an earlier demo")
     assert cli.main(["demo"]) == 7
     assert seen[0].rig == "beam"
-    assert seen[0].out == str(Path("out") / "demo-2")
+    assert seen[0] == run_command.RunOptions(rig="beam", out=Path("out") / "demo-2")
 
 
 @pytest.mark.campaign

@@ -138,7 +138,7 @@ def a_bench(folder: Path, monkeypatch: pytest.MonkeyPatch, **texts: str) -> Call
     for name, text in texts.items():
         script(folder / "prefix" / "lib" / packages[name] / name, text)
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(folder / "prefix"))
-    plan: Any = SimpleNamespace(values=dict.fromkeys(texts), write_parameters=lambda path: path.write_text("{}"))
+    plan: Any = SimpleNamespace(settings=dict.fromkeys(texts), write_parameters=lambda path: path.write_text("{}"))
     environment = {"ROS_DOMAIN_ID": "77", "HERE": "a b\nc"}
     return lambda loader, held=None: NodeProcesses(plan, folder / "out", environment, loader, held)
 

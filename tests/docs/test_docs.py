@@ -135,7 +135,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     ]
     assert len(files) > 5
     wanted = {("message", name) for name in files}
-    wanted |= {("parameters", name) for name in ("common", *make_reference.NODE_MODULES)}
+    wanted |= {("parameters", name) for name in ("common", *make_reference.NODE_SETTINGS)}
     wanted |= {("options", name) for name in all_commands()}
     sections = {name for name, kind in vars(rig).items() if isinstance(kind, type) and issubclass(kind, rig.Section)}
     sections -= {"AttachmentSection"}

@@ -20,8 +20,10 @@ from nmt_core.base_node import SAMPLES_QOS
 from nmt_core.errors import BenchError
 from nmt_core.messages.records import LevelCommand, LoopStatus
 from nmt_core.messages.wire import LEVEL, LOCK_EVENT, MODAL_POINT, BlockReader, BlockWriter, write_status
+from nmt_core.settings import settings_of
 from nmt_core.vocabulary import LoopState
 from nmt_extract.extract_node import ExtractNode
+from nmt_extract.extraction_settings import ExtractSettings
 from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag
 from nmt_msgs.msg import Frequency, Level, LockEvent, ModalPoint
@@ -71,7 +73,7 @@ class Stage:
         self.node = None
         self.executor = EventsExecutor(context=self.context)
         try:
-            self.node = ExtractNode(values, context=self.context)
+            self.node = ExtractNode(settings_of(ExtractSettings, values, "extract"), context=self.context)
         except BaseException:
             self.close()
             raise

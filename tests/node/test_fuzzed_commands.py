@@ -18,6 +18,7 @@ from nmt_core.messages.wire import BlockReader
 from nmt_core.vocabulary import LoopState
 from nmt_msgs import msg
 from nmt_plant.plant_node import PlantNode
+from nmt_plant.plant_settings import PlantSettings
 from nmt_record.bag.bag_reader import Bag
 
 LIMIT, RATE, BLOCK = 2.0, 10_000.0, 200
@@ -101,7 +102,7 @@ def test_a_plant_that_gets_nothing_but_nonsense_keeps_its_limits(seed: int) -> N
     rng = np.random.default_rng(seed)
     with Bench("beam", [0.3], overrides=RIG) as bench:
         plant = PlantNode(
-            values={"rig_file": str(bench.out / "rig.yaml"), "latency_blocks": 4},
+            PlantSettings(rig_file=str(bench.out / "rig.yaml"), latency_blocks=4),
             context=bench.context, namespace="fuzz",
         )  # fmt: skip
         bench._add("fuzzed", plant)

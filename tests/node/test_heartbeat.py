@@ -13,13 +13,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 
 from nmt_core.base_node import BenchNode, EndRequest
+from nmt_core.nodes.node_settings import NodeSettings
 
 
 @pytest.fixture
 def node(domain_id: int) -> Iterator[BenchNode]:
     context = Context()
     rclpy.init(context=context, domain_id=domain_id, args=[])
-    made = BenchNode("worker", (), {"hang_timeout": 1.5}, context=context)
+    made = BenchNode("worker", settings=NodeSettings(hang_timeout=1.5), context=context)
     yield made
     made.destroy_node()
     rclpy.shutdown(context=context)

@@ -27,10 +27,12 @@ from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.messages.run_announcement import RunAnnouncement
 from nmt_core.messages.wire import BlockReader, BlockWriter
 from nmt_core.nodes.liveness import HANG_LIMIT
+from nmt_core.settings import settings_of
 from nmt_msgs.msg import Drive, LockEvent, ModalPoint, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_record import Bag
 from nmt_record.bag.recorder_node import RecorderNode
+from nmt_record.bag.recorder_settings import RecorderSettings
 
 pytestmark = [
     pytest.mark.node,
@@ -105,7 +107,7 @@ class Stage:
 
     def start(self, **values):
         values = {"output": str(self.path), "run_json": json.dumps(RUN), "rig_yaml": "name: beam\n", **values}
-        self.recorder = RecorderNode(values, context=self.context)
+        self.recorder = RecorderNode(settings_of(RecorderSettings, values, "recorder"), context=self.context)
         self.executor.add_node(self.recorder)
         self.until(lambda: self.rig.lock.get_subscription_count() and self.rig.run_state.get_subscription_count())
         self.until(lambda: all(self.rig.blocks[name].get_subscription_count() for name in ("force", "acceleration")))
@@ -509,7 +511,7 @@ def test_destroying_the_node_closes_the_bag(stage):
 def test_wrong_parameters_are_refused_and_leave_nothing(stage, values, sentence):
     given = {"output": str(stage.path), "run_json": "{}", "rig_yaml": "a", **values}
     with pytest.raises(BenchError, match=sentence):
-        RecorderNode(given, context=stage.context)
+        RecorderNode(settings_of(RecorderSettings, given, "recorder"), context=stage.context)
     assert not stage.path.exists()
 
 

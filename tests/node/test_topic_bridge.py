@@ -29,9 +29,11 @@ from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag
 from nmt_msgs.msg import LockEvent
+from nmt_plant.topic_bridge import TopicBridgeSettings
 from nmt_plant.topic_bridge_node import TopicBridgeNode
 from nmt_record import Bag
 from nmt_record.bag.recorder_node import RecorderNode
+from nmt_record.bag.recorder_settings import RecorderSettings
 
 pytestmark = [
     pytest.mark.node,
@@ -83,10 +85,10 @@ def test_a_bridged_topic_is_recorded_and_extracted_as_any(tmp_path: Path) -> Non
     executor = EventsExecutor(context=context)
     nodes: list[Node] = []
     try:
-        bridge = TopicBridgeNode({"table": str(tmp_path / "table.yaml"), "rig": "theirs"}, context=context)
+        bridge = TopicBridgeNode(TopicBridgeSettings(table=str(tmp_path / "table.yaml"), rig="theirs"), context=context)
         nodes.append(bridge)
         run = json.dumps({"run_id": "bridged", "device": "topic bridge"})
-        recorder = RecorderNode({"output": str(tmp_path / "bag"), "run_json": run}, context=context)
+        recorder = RecorderNode(RecorderSettings(output=str(tmp_path / "bag"), run_json=run), context=context)
         nodes.append(recorder)
         sensors = Sensors(context)
         nodes.append(sensors)
@@ -143,6 +145,6 @@ def test_a_type_that_is_not_installed_is_named(tmp_path: Path) -> None:
     rclpy.init(context=context, domain_id=DOMAIN)
     try:
         with pytest.raises(BenchError, match="lab_msgs/msg/Gauge is not installed"):
-            TopicBridgeNode({"table": str(tmp_path / "table.yaml")}, context=context)
+            TopicBridgeNode(TopicBridgeSettings(table=str(tmp_path / "table.yaml")), context=context)
     finally:
         rclpy.shutdown(context=context)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 from pathlib import Path
-from typing import Any
 
 import pytest
 import rclpy
@@ -17,6 +16,7 @@ from tiers import with_quick
 from nmt_bench.harness import Bench, Progress
 from nmt_core.errors import BenchError
 from nmt_core.nodes.liveness import HUNG
+from nmt_core.nodes.node_settings import NodeSettings
 from nmt_core.vocabulary import LoopState, ResultCode
 from nmt_msgs.action import RunLevels
 from nmt_pll.pll_node import PllNode
@@ -27,10 +27,10 @@ from nmt_session.node_plan import NODES, plan_nodes
 NAMESPACE = "second"
 
 
-def make_node(bench: Bench, name: str, values: dict[str, Any]) -> Node:
+def make_node(bench: Bench, name: str, settings: NodeSettings | None) -> Node:
     module, _, attribute = NODES[name][2].partition(":")
     node: Node = getattr(importlib.import_module(module), attribute)(
-        values=values, context=bench.context, namespace=NAMESPACE
+        settings, context=bench.context, namespace=NAMESPACE
     )
     return node
 
@@ -42,7 +42,7 @@ def test_a_node_that_hangs_ends_its_own_bench_only(name: str, tmp_path: Path) ->
         (tmp_path / "rig.yaml").write_text(test.rig_yaml, encoding="utf-8")
         plan = plan_nodes(test, tmp_path / "second", tmp_path / "rig.yaml")
         for other in NODES:
-            bench._add(f"{NAMESPACE}/{other}", make_node(bench, other, plan.values[other]))
+            bench._add(f"{NAMESPACE}/{other}", make_node(bench, other, plan.settings[other]))
         caller = Node("caller", context=bench.context, namespace=NAMESPACE, enable_rosout=False)
         bench._add("caller", caller)
         client = ActionClient(caller, RunLevels, "run_levels")
@@ -78,7 +78,7 @@ def test_a_node_that_hangs_ends_its_own_bench_only(name: str, tmp_path: Path) ->
 )
 def test_a_node_without_its_parameters_does_not_start(name: str, needed: str) -> None:
     with Bench("beam", [0.3]) as bench, pytest.raises(BenchError, match=f"/{NAMESPACE}/{name} needs .*'{needed}'"):
-        make_node(bench, name, {})
+        make_node(bench, name, None)
 
 
 @pytest.mark.parametrize("namespace", ["/", "/second", "/hall/second"])
@@ -92,7 +92,7 @@ def test_a_parameter_file_moves_with_its_namespace(namespace: str, tmp_path: Pat
         try:
             node = PllNode(context=context)
             assert node.heartbeat_name == f"{namespace}/pll".lstrip("/")
-            assert node.values["linear_json"] == plan.values["pll"]["linear_json"]
+            assert node.settings.linear_json == plan.pll.linear_json
             prefix = node.heartbeat_name.removesuffix("pll")
             assert node.watched_nodes == [f"{prefix}plant", f"{prefix}sequencer"]
             node.destroy_node()

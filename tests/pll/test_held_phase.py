@@ -13,7 +13,7 @@ from pll.plant_in_the_loop import LoopOnRig
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.paper_settings import PaperSettings, paper_settings_from
+from nmt_pll.paper_settings import PaperSettings
 from nmt_rig.rig_model import build_system
 
 CASES = [(0.1, 0.0), (-0.08, 0.0), (0.0, 6e-4), (0.05, -4e-4)]
@@ -72,7 +72,7 @@ def test_paper_loop_holds_the_phase_it_is_told(offset, latency):
 
 
 def test_the_paper_loop_takes_both_settings_from_the_shared_parameters():
-    settings = paper_settings_from({"phase_offset_rad": -0.2, "loop_latency_s": 1e-3})
+    settings = PaperSettings().beside(LoopSettings(phase_offset_rad=-0.2, loop_latency_s=1e-3))
     assert settings.held_lead(100.0) == pytest.approx(-0.1)
     with pytest.raises(BenchError, match="'loop_latency_s' of the paper's loop must be finite"):
         PaperSettings(loop_latency_s=math.inf)

@@ -11,10 +11,11 @@ import pytest
 from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.messages.command_judge import CommandSource
 from nmt_core.messages.records import LevelCommand, LoopStatus
-from nmt_core.nodes.parameters import check_values
+from nmt_core.settings import settings_of
 from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, TestKind, Waveform
 from nmt_pll.level_loop import LockWindow, LoopOutput
-from nmt_pll.loop_core import PARAMETERS, LoopAnswer, LoopCore, drive_command, lock_event, loop_status
+from nmt_pll.loop_core import LoopAnswer, LoopCore, drive_command, lock_event, loop_status
+from nmt_pll.pll_settings import PllSettings
 
 RATE, SIZE = 1000.0, 20
 LEVEL = LevelCommand(
@@ -24,7 +25,7 @@ VALUES = {"sample_rate": RATE, "block_samples": SIZE, "drive_point": 2, "settlin
 
 
 def core(**values: Any) -> LoopCore:
-    return LoopCore(check_values(PARAMETERS, {**VALUES, **values}, "pll"))
+    return LoopCore(settings_of(PllSettings, {**VALUES, **values}, "pll"))
 
 
 def pair(number: int) -> list[SampleBlock]:
@@ -97,7 +98,7 @@ def test_the_samples_of_a_plant_that_was_started_again_are_taken() -> None:
 
 def test_a_level_that_cannot_be_done_is_answered_by_a_lost_lock() -> None:
     told: list[str] = []
-    loop = LoopCore(check_values(PARAMETERS, VALUES, "pll"), lambda sentence, _: told.append(sentence))
+    loop = LoopCore(settings_of(PllSettings, VALUES, "pll"), lambda sentence, _: told.append(sentence))
     loop.take_level(LevelCommand(1, 0, 0.1, 0, 0.0))
     (answer,) = filter(None, map(loop.take_block, pair(0)))
     assert answer.statuses[0].state == LoopState.LOCK_LOST
@@ -148,7 +149,7 @@ def test_a_lock_event_names_the_unit_of_its_level(control: ControlKind, response
 
 def test_levels_come_from_one_source_and_zero_from_anybody() -> None:
     told: list[str] = []
-    loop = LoopCore(check_values(PARAMETERS, VALUES, "pll"), lambda sentence, _: told.append(sentence))
+    loop = LoopCore(settings_of(PllSettings, VALUES, "pll"), lambda sentence, _: told.append(sentence))
     own, stranger = CommandSource("01", "/sequencer"), CommandSource("02", "/stranger")
     feed(loop, 0, 3)
     assert loop.take_level(LEVEL, own) == ()

@@ -13,9 +13,11 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand
+from nmt_core.settings import parameters_of, settings_of
 from nmt_core.vocabulary import LoopState
 from nmt_pll.paper_loop import PaperLoop
-from nmt_pll.paper_settings import PaperSettings, paper_parameters, paper_settings_from
+from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.pll_settings import PllSettings
 
 RATE, BLOCK = 10_000.0, 200
 LINEAR = LinearDescription("model", 2, 0, (2,), (139.4,), (0.005,), ((1.0,),), 1.0, 140.0, 0.02, 0.043, 0.28, 5e-4)
@@ -144,10 +146,11 @@ def test_a_gap_of_signal_ends_a_lock_with_its_reason():
 
 
 def test_parameters_and_settings_name_the_same_things():
-    values = {parameter.name: parameter.default for parameter in paper_parameters()}
-    assert paper_settings_from(values) == PaperSettings()
-    assert paper_settings_from({"paper_gain": 94.2, "force_floor": 0.5, "cutoff": 3.0}).gain == 94.2
-    assert paper_settings_from({"force_floor": 0.5}).force_floor == 0.5
+    values = {parameter.name: parameter.default for parameter in parameters_of(PllSettings)}
+    assert settings_of(PllSettings, values, "pll") == PllSettings()
+    given = settings_of(PllSettings, {"paper_gain": 94.2, "force_floor": 0.5, "cutoff": 3.0}, "pll")
+    shared = given.paper_settings.beside(given.loop_settings)
+    assert (shared.gain, shared.force_floor) == (94.2, 0.5)
     with pytest.raises(BenchError, match="'gain'"):
         PaperSettings(gain=0.0)
     with pytest.raises(BenchError, match="'pole'"):

@@ -9,8 +9,8 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_core.nodes.parameters import check_values
-from nmt_pll.loop_settings import SIGNED_SETTINGS, LoopSettings, setting_parameters, settings_from
+from nmt_core.settings import parameters_of
+from nmt_pll.loop_settings import SIGNED_SETTINGS, LoopSettings, settings_from
 
 LINEAR = LinearDescription("test", 2, 1, (2,), (100.0, 700.0), (0.01, 0.02), ((1.0, 2.0),), 2.0, 690.0, 0.05, 0.04)
 
@@ -58,7 +58,7 @@ def test_cutoff_follows_the_target_mode_unless_given():
 
 
 def test_parameters_are_the_settings():
-    table = setting_parameters()
+    table = parameters_of(LoopSettings)
     assert [item.name for item in table] == [item.name for item in fields(LoopSettings)]
-    assert settings_from(check_values(table, {}, "pll")) == LoopSettings()
+    assert {"phase_offset_rad", "loop_latency_s"} == SIGNED_SETTINGS
     assert all(item.description.endswith(".") for item in table)

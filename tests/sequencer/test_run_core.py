@@ -9,10 +9,11 @@ from sequencer.bench import status
 
 from nmt_core.messages.command_judge import CommandSource
 from nmt_core.messages.records import DriveStop, LoopStatus
-from nmt_core.nodes.parameters import check_values
+from nmt_core.settings import settings_of
 from nmt_core.vocabulary import BlockFlag, LoopState, OutputState, ResultCode, RunPhase, StopCause
-from nmt_sequencer.run_core import PARAMETERS, RunCore
+from nmt_sequencer.run_core import RunCore
 from nmt_sequencer.run_machine import RunPlan
+from nmt_sequencer.sequencer_settings import SequencerSettings
 
 BLOCK, RATE = 100, 1000.0
 LOOP, STRANGER = CommandSource("01", "/pll"), CommandSource("02", "/stranger")
@@ -20,7 +21,7 @@ LOOP, STRANGER = CommandSource("01", "/pll"), CommandSource("02", "/stranger")
 
 def running(**values: Any) -> RunCore:
     given = {"sample_rate": RATE, "block_samples": BLOCK, **values}
-    core = RunCore(check_values(PARAMETERS, given, "sequencer"))
+    core = RunCore(settings_of(SequencerSettings, given, "sequencer"))
     core.start(RunPlan("run", (0.3,)))
     core.orders()
     return core

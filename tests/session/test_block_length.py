@@ -81,8 +81,8 @@ def test_the_chosen_length_is_in_rig_text_nodes_and_run():
     assert yaml.safe_load(plan.rig_yaml)["block_samples"] == block
     assert "# The virtual experiment" in plan.rig_yaml
     nodes = plan_nodes(plan, Path("bag"), Path("rig.yaml"))
-    assert {nodes.values[name]["block_samples"] for name in ("pll", "sequencer")} == {block}
-    assert nodes.values["sequencer"]["tick_blocks"] == tick_blocks(block / 1e4)
+    assert {nodes.pll.block_samples, nodes.sequencer.block_samples} == {block}
+    assert nodes.sequencer.tick_blocks == tick_blocks(block / 1e4)
     assert nodes.run["block"] == {"samples": block, "reason": plan.block_reason}
     assert "22.19 Hz" in plan.block_reason
 
@@ -135,5 +135,5 @@ def test_results_agree_with_those_of_short_blocks_at_little_more_bench_time():
 def test_the_loop_may_ask_for_no_more_than_the_rig_bears() -> None:
     test = plan_test("beam", [0.1], overrides=["limits.voltage_v=7.5"])
     plan = plan_nodes(test, Path("bag"), Path("rig.yaml"))
-    assert plan.values["pll"]["voltage_limit"] == 7.5
-    assert plan.values["plant"]["rig_file"] == "rig.yaml"
+    assert plan.pll.loop_settings.voltage_limit == 7.5
+    assert plan.plant.rig_file == "rig.yaml"

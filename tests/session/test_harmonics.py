@@ -105,8 +105,8 @@ def test_the_modal_target_gives_harmonics_the_power_that_the_mode_needs():
 
 def table(factor: complex) -> str:
     """Force per volt of the beam's model, times a factor, as the loop gets it."""
-    values = plan_nodes(plan_test("beam", [0.1], harmonics_control=9), Path("bag"), Path("rig.yaml")).values
-    rows = json.loads(values["pll"]["force_per_volt_json"])
+    plan = plan_nodes(plan_test("beam", [0.1], harmonics_control=9), Path("bag"), Path("rig.yaml"))
+    rows = json.loads(plan.pll.force_per_volt_json)
     turned = [(frequency, complex(real, imag) * factor) for frequency, real, imag in rows]
     return json.dumps([[frequency, value.real, value.imag] for frequency, value in turned])
 

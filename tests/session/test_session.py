@@ -21,7 +21,6 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.records import DriveCommand, LockEvent, LoopStatus, RunState
 from nmt_core.messages.wire import LOCK_EVENT
-from nmt_core.nodes.parameters import check_values
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState, PointStatus, Quantity, ResultCode, RunPhase, SteeringAct, Waveform
 from nmt_extract.offline import extract_bag
@@ -30,7 +29,6 @@ from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.oscillator import OscillatorBlock
 from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import load_rig
-from nmt_sequencer.run_core import PARAMETERS as SEQUENCER
 from nmt_sequencer.run_core import RunCore
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session import Progress, Session, TestPlan, plan_test
@@ -230,9 +228,9 @@ def test_refusals(tmp_path: Path) -> None:
     ],
 )
 def test_all_nodes_reckon_with_the_blocks_that_wait_at_the_output(pacing: str, latency: int, lead: int) -> None:
-    values = plan_nodes(one_level(pacing=pacing, latency_blocks=latency), Path("bag"), Path("rig.yaml")).values
-    assert [values[name]["latency_blocks"] for name in ("plant", "pll", "sequencer")] == [lead] * 3
-    assert ("output_record" in values["plant"]) == (pacing == "realtime")
+    plan = plan_nodes(one_level(pacing=pacing, latency_blocks=latency), Path("bag"), Path("rig.yaml"))
+    assert plan.plant.latency_blocks == plan.pll.loop_settings.latency_blocks == plan.sequencer.latency_blocks == lead
+    assert bool(plan.plant.output_record) == (pacing == "realtime")
 
 
 @pytest.mark.parametrize(
@@ -249,16 +247,16 @@ def test_the_loop_takes_its_input_joined_with_many_channels_or_past_the_middlewa
     pacing: str, channels: int, linked: bool, joined: bool
 ) -> None:
     plan = plan_test(large_rig(10, channels, 25_600.0), [0.3], pacing=pacing, linked=linked)
-    values = plan_nodes(plan, Path("bag"), Path("rig.yaml")).values
-    assert values["pll"].get("joined_input", False) is joined
-    assert {bool(values[name].get("linked")) for name in values} == {linked and pacing == "lockstep"}
-    assert values["plant"].get("loop_topics", []) == (["force", "acceleration"] if joined else [])
-    peers = values["pll"]["expected_peers"]
+    nodes = plan_nodes(plan, Path("bag"), Path("rig.yaml"))
+    assert nodes.pll.joined_input is joined
+    assert {settings.linked for settings in nodes.settings.values()} == {linked and pacing == "lockstep"}
+    assert nodes.plant.loop_topics == (("force", "acceleration") if joined else ("",))
+    peers = nodes.pll.expected_peers
     assert ("loop_input:1" in peers) is joined
     assert ("force:1" in peers) is not joined
     if joined:
-        assert values["plant"]["drive_point"] == plan.rig.drive_point
-        assert "loop_input:1" in values["plant"]["expected_peers"]
+        assert nodes.plant.drive_point == plan.rig.drive_point
+        assert "loop_input:1" in nodes.plant.expected_peers
 
 
 def absurd_levels() -> list[Any]:
@@ -270,9 +268,7 @@ def absurd_levels() -> list[Any]:
 
 def test_no_way_to_give_levels_passes_the_limit_or_ends_a_test() -> None:
     given = plan_nodes(one_level(), Path("bag"), Path("rig.yaml"))
-    known = {parameter.name for parameter in SEQUENCER}
-    values = {name: value for name, value in given.values["sequencer"].items() if name in known}
-    core = RunCore(check_values(SEQUENCER, values, "sequencer"))
+    core = RunCore(given.sequencer)
     change = SteeringAct.CHANGE_LEVELS
     ways: dict[str, Callable[[list[Any]], Any]] = {
         "page": lambda levels: session.steer(steering_request({"act": "change_levels", "levels": levels})),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nmt_core.errors import BenchError
+from nmt_core.options import option
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -20,21 +21,22 @@ PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "ramp", "command", 
 
 SUMMARY = "speed of this machine beside limits and peers"
 
-USAGE = f"""\
-Measures the plant's time integration, the harmonic-balance reference, the work per block of each node, reading and
-extracting bags, runs of very many levels, a diagnosis, ramped levels, whole commands, and the whole bench with its
-nodes in one process and in one process each, also with many channels, and what a Dask scheduler leaves of its
-workers' time. Each figure is printed beside its limit, or beside a peer measured in the same run, and the limits that
-were missed are named at the end. Takes some minutes on two idle cores.
 
---json FILE  also write the figures to this JSON file
---part {"|".join(PARTS)}...  measure this part only; may be repeated (default: all parts)
---seconds S =20  bench time of each timed run, s (default: 20); longer is steadier
---check  exit with code 1 if a limit is missed
-"""
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkOptions:
+    """Measures the plant's time integration, the harmonic-balance reference, the work per block of each node, reading
+    and extracting bags, runs of very many levels, a diagnosis, ramped levels, whole commands, and the whole bench
+    with its nodes in one process and in one process each, also with many channels, and what a Dask scheduler leaves
+    of its workers' time. Each figure is printed beside its limit, or beside a peer measured in the same run, and
+    the limits that were missed are named at the end. Takes some minutes on two idle cores."""
+
+    json: Path | None = option(None, "also write the figures to this JSON file", metavar="FILE")
+    part: tuple[str, ...] = option((), "measure this part only; may be repeated (default: all parts)", choices=PARTS)
+    seconds: float = option(20.0, "bench time of each timed run, s (default: 20); longer is steadier", metavar="S")
+    check: bool = option(False, "exit with code 1 if a limit is missed")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: BenchmarkOptions) -> int:
     """Measure and print.
 
     Returns:
@@ -43,10 +45,10 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: a wrong option.
     """
-    if not 1.0 <= arguments.seconds <= 3600.0:
-        raise BenchError(f"--seconds must be between 1 and 3600, got {arguments.seconds:g}.")
-    if arguments.json is not None and not arguments.json.absolute().parent.is_dir():
-        raise BenchError(f"The folder of {arguments.json} does not exist; make it or give another --json file.")
+    if not 1.0 <= options.seconds <= 3600.0:
+        raise BenchError(f"--seconds must be between 1 and 3600, got {options.seconds:g}.")
+    if options.json is not None and not options.json.absolute().parent.is_dir():
+        raise BenchError(f"The folder of {options.json} does not exist; make it or give another --json file.")
 
     from nmt_bench.commands.console import make_console
     from nmt_benchmark import benchmark_figures, channel_figures, scheduler_figures
@@ -65,18 +67,18 @@ def run(arguments: argparse.Namespace) -> int:
         "scheduler": scheduler_figures.scheduler_figures,
     }
     figures: list[Figure] = []
-    for name in arguments.part or PARTS:
+    for name in options.part or PARTS:
         with console.status(f"measuring: {name}"):
-            figures += parts[name](arguments.seconds)
+            figures += parts[name](options.seconds)
     console.print(figure_table(figures))
-    if arguments.json is not None:
+    if options.json is not None:
         text = json.dumps({"figures": [asdict(figure) for figure in figures]}, indent=1, ensure_ascii=False)
-        arguments.json.write_text(text + "\n", encoding="utf-8")
-        console.print(f"Figures in {arguments.json}")
+        options.json.write_text(text + "\n", encoding="utf-8")
+        console.print(f"Figures in {options.json}")
     missed = [figure for figure in figures if figure.met is False]
     if missed:
         console.print(f"Missed: {'; '.join(figure.name for figure in missed)}.")
-    return 1 if arguments.check and missed else 0
+    return 1 if options.check and missed else 0
 
 
 def figure_table(figures: Sequence[Figure]) -> Table:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import math
 import sys
 import time
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
 from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED
+from nmt_bench.commands.shared_options import jobs_option, scheduler_option, task_page_option
 from nmt_bench.commands.worker_count import worker_count
+from nmt_core.options import argument, needed_option, option
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,130 +26,144 @@ TOLERANCES = ("laboratory", "none")
 
 SUMMARY = "blind check of the diagnosis: make sealed cases, diagnose, score"
 
-USAGE = """\
-Checks the diagnosis on simulated tests whose truth it cannot know. 'make' seals the truth and writes bags, 'run'
-diagnoses them, 'score' opens the seal and compares; 'laboratory' does all of it with cases that others have made. All
-parts go on where they stopped.
-"""
-
-_RIG = f"--rig {'|'.join(RIGS)} =beam"
-_OUT = "--out DIR required  folder of the campaign"
-_RESULTS = "--results DIR  folder of the results (default: results in the campaign's folder)"
-_TOLERANCES = f"""\
---tolerances {"|".join(TOLERANCES)} ={TOLERANCES[0]}  measuring chain: gains, phases, delays, held drive and the like of
-    an ordinary laboratory, drawn for every case, or none (default: laboratory)"""
-
-PART_USAGE = {
-    "make": f"""\
-draw cases, seal their truth, record their bags
-
-{_RIG}  rig of the cases (default: beam)
---cases N =400  number of cases (default: 400)
---seed S :int required  seed: even for development, odd for a sealed campaign
---sealed  a sealed campaign; needs an odd seed
---kinds KIND,… =""  only these kinds of case: null, effect, open, compound, twin, withheld (default: all)
---batch N =0  make N more cases now, the others another time; the truth of all of them is sealed at once
-{_TOLERANCES}
-{_OUT}
-@jobs
-@task-page
-@scheduler
-""",
-    "run": f"""\
-diagnose all cases that have no result yet; the truth stays sealed
-
-{_OUT}
-{_RESULTS}
-@jobs
-@task-page
-@scheduler
---discard-bags  remove the bags of a case once it is diagnosed; hashes stay
---again  diagnose cases that have a result, too
-""",
-    "score": f"""\
-open the seal and compare the results with the truth
-
-{_OUT}
-{_RESULTS}
---again  score although the seal has been opened before; is noted
---train DIR  diagnosed development campaign that the generic classifier learns from
---measured  judge strengths by the noise that each case's recordings have, in place of the generator's
-@jobs
-@task-page
---docs FILE  write the score sheet as a page of the documentation, too
-""",
-    "explain": """\
-of an opened case: cost of model, winner and truth under the same noise, and what follows
-
-CASE  number of the case, as in its folder; of a laboratory its name
-| --out DIR  folder of the campaign
-| --laboratory DIR  folder of the cases of a laboratory that shares no code
-""",
-    "strengths": f"""\
-table of strengths of all effects of a rig, in standard deviations
-
-{_RIG}  the rig (default: beam)
-{_TOLERANCES}
---effects NAME,… =""  only these effects (default: all)
---table FILE  the table (default: the program's own)
-@jobs
-@task-page
-""",
-    "laboratory": """\
-import and diagnose the cases that another laboratory has made, and class the answers
-
-DIR >folder  a folder for each case: model.yaml, sidecar.yaml (or several) with its data, truth.yaml
---out DIR required  folder for the results (laboratory.csv, laboratory.json, a folder for each case)
---only NAME,… =""  only these cases (default: all)
---force  diagnose cases that have a result of the same program and files, too
---limit S =1800  processor time of an import or a diagnosis, s; beyond it the case is refused (default: 1800)
---keep-bags  keep what was imported
-@jobs
-@task-page
-""",
-}
-"""Line of help, then arguments and options of each part; see `nmt_bench.commands.bench_options.add_options`."""
+DESCRIPTION = (
+    "Checks the diagnosis on simulated tests whose truth it cannot know. 'make' seals the truth and writes "
+    "bags, 'run' diagnoses them, 'score' opens the seal and compares; 'laboratory' does all of it with cases "
+    "that others have made. All parts go on where they stopped."
+)
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Do one part.
+@dataclass(frozen=True, kw_only=True)
+class MakeOptions:
+    """draw cases, seal their truth, record their bags"""
 
-    Returns:
-        0 if all went well, 1 if some cases have no diagnosis.
+    rig: str = option("beam", "rig of the cases (default: beam)", choices=RIGS)
+    cases: int = option(400, "number of cases (default: 400)", metavar="N")
+    seed: int = needed_option("seed: even for development, odd for a sealed campaign", metavar="S")
+    sealed: bool = option(False, "a sealed campaign; needs an odd seed")
+    kinds: str = option(
+        "", "only these kinds of case: null, effect, open, compound, twin, withheld (default: all)", metavar="KIND,…"
+    )
+    batch: int = option(
+        0, "make N more cases now, the others another time; the truth of all of them is sealed at once", metavar="N"
+    )
+    tolerances: str = option(
+        TOLERANCES[0],
+        "measuring chain: gains, phases, delays, held drive and the like of an ordinary laboratory, drawn for"
+        " "
+        "every case, or none (default: laboratory)",
+        choices=TOLERANCES,
+    )
+    out: Path = needed_option("folder of the campaign", metavar="DIR")
+    jobs: int | None = jobs_option()
+    page: bool = task_page_option()
+    scheduler: str = scheduler_option()
 
-    Raises:
-        BenchError: a folder, seed or option is refused.
-    """
-    parts = {
-        "make": _make,
-        "run": _run,
-        "score": _score,
-        "explain": _explain,
-        "strengths": _strengths,
-        "laboratory": _laboratory,
-    }
-    status = parts[arguments.part](arguments)
-    return status
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """diagnose all cases that have no result yet; the truth stays sealed"""
+
+    out: Path = needed_option("folder of the campaign", metavar="DIR")
+    results: Path | None = option(
+        None, "folder of the results (default: results in the campaign's folder)", metavar="DIR"
+    )
+    jobs: int | None = jobs_option()
+    page: bool = task_page_option()
+    scheduler: str = scheduler_option()
+    discard_bags: bool = option(False, "remove the bags of a case once it is diagnosed; hashes stay")
+    again: bool = option(False, "diagnose cases that have a result, too")
 
 
-def _make(arguments: argparse.Namespace) -> int:
+@dataclass(frozen=True, kw_only=True)
+class ScoreOptions:
+    """open the seal and compare the results with the truth"""
+
+    out: Path = needed_option("folder of the campaign", metavar="DIR")
+    results: Path | None = option(
+        None, "folder of the results (default: results in the campaign's folder)", metavar="DIR"
+    )
+    again: bool = option(False, "score although the seal has been opened before; is noted")
+    train: Path | None = option(
+        None, "diagnosed development campaign that the generic classifier learns from", metavar="DIR"
+    )
+    measured: bool = option(
+        False, "judge strengths by the noise that each case's recordings have, in place of the generator's"
+    )
+    jobs: int | None = jobs_option()
+    page: bool = task_page_option()
+    docs: Path | None = option(None, "write the score sheet as a page of the documentation, too", metavar="FILE")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExplainOptions:
+    """of an opened case: cost of model, winner and truth under the same noise, and what follows"""
+
+    case: str = argument("number of the case, as in its folder; of a laboratory its name", metavar="CASE")
+    out: Path | None = option(None, "folder of the campaign", metavar="DIR", exclusive=True)
+    laboratory: Path | None = option(
+        None, "folder of the cases of a laboratory that shares no code", metavar="DIR", exclusive=True
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrengthsOptions:
+    """table of strengths of all effects of a rig, in standard deviations"""
+
+    rig: str = option("beam", "the rig (default: beam)", choices=RIGS)
+    tolerances: str = option(
+        TOLERANCES[0],
+        "measuring chain: gains, phases, delays, held drive and the like of an ordinary laboratory, drawn for"
+        " "
+        "every case, or none (default: laboratory)",
+        choices=TOLERANCES,
+    )
+    effects: str = option("", "only these effects (default: all)", metavar="NAME,…")
+    table: Path | None = option(None, "the table (default: the program's own)", metavar="FILE")
+    jobs: int | None = jobs_option()
+    page: bool = task_page_option()
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaboratoryOptions:
+    """import and diagnose the cases that another laboratory has made, and class the answers"""
+
+    folder: Path = argument(
+        "a folder for each case: model.yaml, sidecar.yaml (or several) with its data, truth.yaml", metavar="DIR"
+    )
+    out: Path = needed_option(
+        "folder for the results (laboratory.csv, laboratory.json, a folder for each case)", metavar="DIR"
+    )
+    only: str = option("", "only these cases (default: all)", metavar="NAME,…")
+    force: bool = option(False, "diagnose cases that have a result of the same program and files, too")
+    limit: float = option(
+        1800.0,
+        "processor time of an import or a diagnosis, s; beyond it the case is refused (default: 1800)",
+        metavar="S",
+    )
+    keep_bags: bool = option(False, "keep what was imported")
+    jobs: int | None = jobs_option()
+    page: bool = task_page_option()
+
+
+def _make(options: MakeOptions) -> int:
     from nmt_blind.cases.make import make_campaign
 
-    kinds = tuple(word.strip() for word in arguments.kinds.split(",") if word.strip())
-    with _bar(arguments, "making cases") as bar:
+    kinds = tuple(word.strip() for word in options.kinds.split(",") if word.strip())
+    with _bar(options, "making cases") as bar:
         made = make_campaign(
-            arguments.out,
-            arguments.rig,
-            arguments.cases,
-            arguments.seed,
+            options.out,
+            options.rig,
+            options.cases,
+            options.seed,
             kinds,
-            arguments.sealed,
-            worker_count(arguments),
-            arguments.tolerances,
-            arguments.scheduler,
+            options.sealed,
+            worker_count(options),
+            options.tolerances,
+            options.scheduler,
             on_seal=lambda digest: bar.say(f"seal of the truth: sha256 {digest}"),
             progress=lambda done, total: bar.update(done, total),
-            batch=arguments.batch,
+            batch=options.batch,
         )
     each = f"; {made.seconds / made.new:.2f} s of computing a new case" if made.new else ""
     bar.say(f"{made.cases} cases, {made.new} of them new{each}; {made.megabytes:.0f} MB of bags in {made.folder}")
@@ -157,17 +174,17 @@ def _make(arguments: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _run(options: RunOptions) -> int:
     from nmt_blind.campaign.run import run_campaign
 
-    with _bar(arguments, "diagnosing") as bar:
+    with _bar(options, "diagnosing") as bar:
         done = run_campaign(
-            arguments.out,
-            arguments.results,
-            worker_count(arguments),
-            arguments.scheduler,
-            arguments.discard_bags,
-            arguments.again,
+            options.out,
+            options.results,
+            worker_count(options),
+            options.scheduler,
+            options.discard_bags,
+            options.again,
             progress=lambda number, total, case: bar.update(number, total, case),
         )
     each = f", {done.seconds:.1f} s each (median)" if done.new else ""
@@ -179,38 +196,39 @@ def _run(arguments: argparse.Namespace) -> int:
     return EXIT_FAILED if done.failed else EXIT_DONE
 
 
-def _score(arguments: argparse.Namespace) -> int:
+def _score(options: ScoreOptions) -> int:
     from nmt_blind.campaign.score import score_campaign
     from nmt_blind.campaign.score_sheet import print_scores, write_sheets
 
     def measured(truth: dict[str, Any]) -> dict[str, float]:
         from nmt_blind.campaign.explain import measured_strengths
 
-        with _bar(arguments, "measuring strengths") as bar:
+        with _bar(options, "measuring strengths") as bar:
             return measured_strengths(
-                arguments.out,
+                options.out,
                 truth,
-                worker_count(arguments),
+                worker_count(options),
                 progress=lambda done, total, case: bar.update(done, total),
             )
 
     scores = score_campaign(
-        arguments.out, arguments.results, arguments.again, arguments.train, measured if arguments.measured else None
+        options.out, options.results, options.again, options.train, measured if options.measured else None
     )
-    files = write_sheets(scores, arguments.out, arguments.docs)
+    files = write_sheets(scores, options.out, options.docs)
     for line in print_scores(scores):
         _console().print(line)
     _console().print(f"written: {', '.join(str(file) for file in files)}")
     return EXIT_DONE
 
 
-def _explain(arguments: argparse.Namespace) -> int:
+def _explain(options: ExplainOptions) -> int:
     from nmt_blind.campaign.explain import explain_case, explain_foreign
 
-    if arguments.laboratory:
-        found = explain_foreign(arguments.laboratory, arguments.case, (sys.executable, "-m", "nmt_bench"))
+    if options.laboratory:
+        found = explain_foreign(options.laboratory, options.case, (sys.executable, "-m", "nmt_bench"))
     else:
-        found = explain_case(arguments.out, arguments.case)
+        assert options.out is not None  # the parser takes exactly one of the two
+        found = explain_case(options.out, options.case)
     null, winner, truth = found.costs
     console = _console()
     lines = [
@@ -230,32 +248,32 @@ def _explain(arguments: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def _strengths(arguments: argparse.Namespace) -> int:
+def _strengths(options: StrengthsOptions) -> int:
     from nmt_blind.cases.blind_rigs import blind_rig
     from nmt_blind.cases.strength_table import make_table, table_file
 
-    rig = blind_rig(arguments.rig)
-    names = tuple(word.strip() for word in arguments.effects.split(",") if word.strip())
-    with _bar(arguments, "measuring strengths") as bar:
+    rig = blind_rig(options.rig)
+    names = tuple(word.strip() for word in options.effects.split(",") if word.strip())
+    with _bar(options, "measuring strengths") as bar:
         table = make_table(
             rig,
             names,
-            worker_count(arguments),
-            arguments.table,
+            worker_count(options),
+            options.table,
             progress=lambda done, total, key: bar.update(done, total, str(key)),
-            tolerances=arguments.tolerances,
+            tolerances=options.tolerances,
         )
     weaker = sum(bool(curve["trouble"]) for curve in table.curves.values())
-    file = arguments.table or table_file(rig, arguments.tolerances)
+    file = options.table or table_file(rig, options.tolerances)
     bar.say(f"{len(table.curves)} curves in {file}; {weaker} end below 4,096 standard deviations")
     return EXIT_DONE
 
 
-def _laboratory(arguments: argparse.Namespace) -> int:
+def _laboratory(options: LaboratoryOptions) -> int:
     from nmt_blind.campaign.foreign_run import print_lines, run_laboratory, write_tables
 
-    only = tuple(word.strip() for word in arguments.only.split(",") if word.strip())
-    with _bar(arguments, "diagnosing") as bar:
+    only = tuple(word.strip() for word in options.only.split(",") if word.strip())
+    with _bar(options, "diagnosing") as bar:
 
         def progress(done: int, total: int, newest: str) -> None:
             if newest:
@@ -263,17 +281,17 @@ def _laboratory(arguments: argparse.Namespace) -> int:
             bar.update(done, total)
 
         lines = run_laboratory(
-            arguments.folder,
-            arguments.out,
+            options.folder,
+            options.out,
             (sys.executable, "-m", "nmt_bench"),
-            worker_count(arguments),
+            worker_count(options),
             only,
-            arguments.force,
-            arguments.limit,
-            arguments.keep_bags,
+            options.force,
+            options.limit,
+            options.keep_bags,
             progress,
         )
-        files = write_tables(lines, arguments.out)
+        files = write_tables(lines, options.out)
     console = _console()
     for line in print_lines(lines):
         console.print(line, soft_wrap=True, markup=False, highlight=False)
@@ -287,12 +305,20 @@ def _console() -> Any:
     return make_console()
 
 
+class _WithPage(Protocol):
+    """Options of a part that has ``--page``."""
+
+    @property
+    def page(self) -> bool:
+        """Whether there is a page."""
+
+
 @contextlib.contextmanager
-def _bar(arguments: argparse.Namespace, title: str) -> Iterator[_Bar]:
+def _bar(options: _WithPage, title: str) -> Iterator[_Bar]:
     """The progress of a part, in the terminal and on its page."""
     from nmt_bench.page.task_feed import task_page
 
-    with task_page(arguments.page, f"Blind check: {title}", _console()) as page, _Bar(title, page) as bar:
+    with task_page(options.page, f"Blind check: {title}", _console()) as page, _Bar(title, page) as bar:
         yield bar
 
 
@@ -333,3 +359,14 @@ class _Bar:
         """A line above the bar."""
         self._page.step(sentence)
         self._console.print(sentence, soft_wrap=True)
+
+
+PART_COMMANDS = {
+    "make": _make,
+    "run": _run,
+    "score": _score,
+    "explain": _explain,
+    "strengths": _strengths,
+    "laboratory": _laboratory,
+}
+"""What does each part; its options are those that it takes."""

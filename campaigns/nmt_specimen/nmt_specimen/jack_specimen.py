@@ -10,7 +10,6 @@ it answers, and ends with its standard input or a signal.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gc
 import os
@@ -27,6 +26,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_plant.specimen import Specimen, write_port
 from nmt_rig.device_sections import SPECIMEN
+from nmt_specimen.specimen_options import PortOptions
 from nmt_specimen.specimen_process import answer, hurry, main_of, specimen_of
 
 _PRIORITY = 20
@@ -178,23 +178,23 @@ class JackSpecimen:
         write_port(path, self._specimen.output_range * self._record[:count].astype(np.float64), self.record_times)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: PortOptions) -> int:
     """Start server and specimen, answer until told to end.
 
     Raises:
         BenchError: rig, option or JACK are refused.
     """
-    rig, _, specimen, record = specimen_of(arguments, "portaudio", 1e-6 * arguments.clock_ppm)
+    rig, _, specimen, record = specimen_of(options, "portaudio", 1e-6 * options.clock_ppm)
     if rig.sample_rate_hz != round(rig.sample_rate_hz):
         raise BenchError(f"JACK needs a whole number of samples a second, got {rig.sample_rate_hz:g} Hz.")
     load_jack()
     server_name = os.environ.get(SERVER_VARIABLE, "default")
     server = None
     if not is_running(server_name):
-        period = arguments.period or max(rig.block_samples // 2, 32)
-        server = JackServer(server_name, int(rig.sample_rate_hz), period, arguments.log)
+        period = options.period or max(rig.block_samples // 2, 32)
+        server = JackServer(server_name, int(rig.sample_rate_hz), period, options.log)
     try:
-        client = JackSpecimen(specimen, arguments.name, record)
+        client = JackSpecimen(specimen, options.name, record)
         if client.sample_rate != rig.sample_rate_hz:
             client.close()
             raise BenchError(
@@ -205,14 +205,14 @@ def run(arguments: argparse.Namespace) -> int:
         client.start()
         priority = "" if server is None else (", real-time priority" if server.real_time else ", no real-time priority")
         answer(
-            f"{rig.name} behind JACK client {arguments.name}, {client.sample_rate} Hz, channels "
+            f"{rig.name} behind JACK client {options.name}, {client.sample_rate} Hz, channels "
             f"{', '.join(specimen.channels)}{priority}",
             client.gone.is_set,
             lambda: bool(client.failure),
         )
         client.close()
-        if arguments.record is not None:
-            client.write_record(arguments.record)
+        if options.record is not None:
+            client.write_record(options.record)
         sys.stdout.write(
             f"ended: {client.recorded} samples, {client.xruns} xruns{client.failure and ', '}{client.failure}\n"
         )

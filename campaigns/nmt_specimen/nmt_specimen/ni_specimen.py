@@ -12,7 +12,6 @@ stops and idles at zero volts where the client has asked for that, else it keeps
 
 from __future__ import annotations
 
-import argparse
 import gc
 import math
 import re
@@ -31,6 +30,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_plant.specimen import Specimen, write_port
 from nmt_rig.device_sections import StopInputSection
+from nmt_specimen.specimen_options import PortOptions
 from nmt_specimen.specimen_process import answer, hurry, main_of, specimen_of
 
 _MOST_AT_ONCE = 200  # samples
@@ -392,31 +392,31 @@ def make_server(hardware: Hardware, names: str, address: str) -> tuple[Any, int]
     return server, port
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: PortOptions) -> int:
     """Serve until told to end.
 
     Raises:
         BenchError: rig, option or address are refused.
     """
-    rig, device, specimen, record = specimen_of(arguments, "nidaqmx")
+    rig, device, specimen, record = specimen_of(options, "nidaqmx")
     specimen.respond(np.zeros(32))  # compiled, or loaded, before the first sample is due
     hurry()  # before there are threads, which inherit it
     stop = getattr(device, "stop_input", None)
-    line = None if stop is None else _stop_line(stop, arguments.stop_file)
-    hardware = Hardware(specimen, float(rig.sample_rate_hz), 1e-6 * arguments.clock_ppm, record, line)
+    line = None if stop is None else _stop_line(stop, options.stop_file)
+    hardware = Hardware(specimen, float(rig.sample_rate_hz), 1e-6 * options.clock_ppm, record, line)
     names = sorted({str(entry.port).partition("/")[0] for entry in device.ports})
-    server, port = make_server(hardware, ", ".join(names), arguments.address)
+    server, port = make_server(hardware, ", ".join(names), options.address)
     gc.collect()
     gc.freeze()
-    host = arguments.address.rpartition(":")[0]
+    host = options.address.rpartition(":")[0]
     answer(
         f"{rig.name} behind {', '.join(names)} at {host}:{port}, {rig.sample_rate_hz:g} Hz, channels "
         f"{', '.join(specimen.channels)}",
         meanwhile=hardware.keep_up,
     )
     server.stop(0.5)
-    if arguments.record is not None:
-        write_port(arguments.record, *hardware.at_the_port())
+    if options.record is not None:
+        write_port(options.record, *hardware.at_the_port())
     return 0
 
 

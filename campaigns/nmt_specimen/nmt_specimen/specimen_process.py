@@ -13,36 +13,34 @@ import threading
 from collections.abc import Callable, Sequence
 
 from nmt_core.errors import BenchError
-from nmt_core.text.option_table import declare
+from nmt_core.options import add_options, options_of
 from nmt_plant.devices.hardware_rig import device_of
 from nmt_plant.specimen import Specimen
 from nmt_plant.specimen_faults import parse_fault
 from nmt_rig.device_sections import AnyDevice
 from nmt_rig.rig import Rig, load_rig
-from nmt_specimen.specimen_options import PORTS
+from nmt_specimen.specimen_options import PortOptions
 
 _PRIORITY = 5
 
 
-def specimen_of(
-    arguments: argparse.Namespace, kind: str, clock_error: float = 0.0
-) -> tuple[Rig, AnyDevice, Specimen, int]:
+def specimen_of(options: PortOptions, kind: str, clock_error: float = 0.0) -> tuple[Rig, AnyDevice, Specimen, int]:
     """The rig, its converter, what answers behind the ports, and the most samples of the drive port to keep.
 
     Args:
-        arguments: as of `specimen_options.PORTS`.
+        options: of the ports.
         kind: of the converter.
         clock_error: as of `Specimen`.
 
     Raises:
         BenchError: rig or option are refused.
     """
-    changes = [*arguments.set, *([f"exciter.point={arguments.exciter}"] if arguments.exciter is not None else [])]
-    rig = load_rig(arguments.rig, changes)
+    changes = [*options.set, *([f"exciter.point={options.exciter}"] if options.exciter is not None else [])]
+    rig = load_rig(options.rig, changes)
     device = rig.device if rig.device is not None and rig.device.kind == kind else device_of(rig, kind)
-    faults = [parse_fault(text) for text in arguments.fault]
-    specimen = Specimen(rig, device, arguments.bits, arguments.noise, clock_error, arguments.delay, faults)
-    return rig, device, specimen, 0 if arguments.record is None else round(arguments.record_s * rig.sample_rate_hz)
+    faults = [parse_fault(text) for text in options.fault]
+    specimen = Specimen(rig, device, options.bits, options.noise, clock_error, options.delay, faults)
+    return rig, device, specimen, 0 if options.record is None else round(options.record_s * rig.sample_rate_hz)
 
 
 def hurry() -> None:
@@ -74,9 +72,7 @@ def answer(ready: str, *ends: Callable[[], bool], meanwhile: Callable[[], None] 
         told.wait(0.1)
 
 
-def main_of(
-    name: str, text: str | None, run: Callable[[argparse.Namespace], int], arguments: Sequence[str] | None
-) -> int:
+def main_of(name: str, text: str | None, run: Callable[[PortOptions], int], arguments: Sequence[str] | None) -> int:
     """Run a specimen's process; one sentence and exit code 2 for what the user can fix.
 
     Args:
@@ -86,9 +82,9 @@ def main_of(
         arguments: of the process; None = the command line's.
     """
     parser = argparse.ArgumentParser(prog=f"nmt_plant.{name}", description=text)
-    declare(parser, PORTS)
+    add_options(parser, PortOptions)
     try:
-        return run(parser.parse_args(arguments))
+        return run(options_of(PortOptions, parser.parse_args(arguments)))
     except BenchError as error:
         sys.stderr.write(f"{error}\n")
         return 2

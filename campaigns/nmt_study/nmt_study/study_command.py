@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED
+from nmt_bench.commands.shared_options import jobs_option, scheduler_option, task_page_option
 from nmt_bench.commands.worker_count import worker_count
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
+from nmt_core.options import argument, option
 from nmt_study import STUDIES
 
 if TYPE_CHECKING:
@@ -28,28 +29,37 @@ _LISTED = "\n".join(f"  {name:<18}{summary}" for name, (_, summary) in STUDIES.i
 
 SUMMARY = "the paper's studies, all cases, compared with references"
 
-USAGE = f"""\
-Runs the cases of a study through the bench's nodes in lockstep, in parallel over the cores, and compares every level
-with two references: EPMC (error of the method) and the single-point phase-resonant test (error of the test). A
-finished case is kept; the same command again goes on where it stopped.
 
-NAME {"|".join((*STUDIES, "all"))}  name of the study, or all
---out DIR  folder for the results (study.csv, report.html, cases/); one of the same study is gone on with (default:
-    out/study-NAME)
---force  start over in a folder that has results
---quick  few, short cases: shows that it works, no more
-@jobs
-@scheduler
-@task-page
---keep-bags  keep the recording of every case in bags/
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions:
+    """Runs the cases of a study through the bench's nodes in lockstep, in parallel over the cores, and compares every
+    level with two references: EPMC (error of the method) and the single-point phase-resonant test (error of the
+    test). A finished case is kept; the same command again goes on where it stopped."""
 
-studies:
-{_LISTED}
-  {"all":<18}all of them, each in a folder of its own
-"""
+    EPILOG: ClassVar[str] = f"studies:\n{_LISTED}\n  {'all':<18}all of them, each in a folder of its own"
+
+    name: str = argument("name of the study, or all", metavar="NAME", choices=(*STUDIES, "all"))
+    out: Path | None = option(
+        None,
+        "folder for the results (study.csv, report.html, cases/); one of the same study is gone on with "
+        "(default:"
+        " out/study-NAME)",
+        metavar="DIR",
+    )
+    force: bool = option(False, "start over in a folder that has results")
+    quick: bool = option(False, "few, short cases: shows that it works, no more")
+    jobs: int | None = jobs_option()
+    scheduler: str = scheduler_option()
+    page: bool = task_page_option()
+    keep_bags: bool = option(False, "keep the recording of every case in bags/")
+
+    @property
+    def results_folder(self) -> Path:
+        """Where the results go."""
+        return Path("out") / f"study-{self.name}" if self.out is None else self.out
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: StudyOptions) -> int:
     """Run the study, write table and report, print the summary.
 
     Returns:
@@ -58,48 +68,46 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: the folder holds something else, or an option is refused.
     """
-    jobs = worker_count(arguments)
-    if arguments.out is None:
-        arguments.out = Path("out") / f"study-{arguments.name}"
+    jobs = worker_count(options)
     from nmt_bench.commands.console import make_console
     from nmt_bench.page.task_feed import task_page
 
     console = make_console()
     began = time.monotonic()
-    with task_page(arguments.page, f"Study {arguments.name}", console) as page:
-        if arguments.name == "all":
-            complete = _run_all(arguments, jobs, console, page)
+    with task_page(options.page, f"Study {options.name}", console) as page:
+        if options.name == "all":
+            complete = _run_all(options, jobs, console, page)
         else:
-            complete, *_ = _run_study(arguments.name, arguments.out, arguments, jobs, console, page)
+            complete, *_ = _run_study(options.name, options.results_folder, options, jobs, console, page)
         page.tell(outcome=f"The study is done{'' if complete else ', but some of its cases have no result'}.")
     from nmt_report.quantity_format import duration
 
-    console.print(f"{duration(time.monotonic() - began)}; results in {arguments.out}")
+    console.print(f"{duration(time.monotonic() - began)}; results in {options.results_folder}")
     return EXIT_DONE if complete else EXIT_FAILED
 
 
-def _run_all(arguments: argparse.Namespace, jobs: int, console: Any, page: TaskFeed) -> bool:
+def _run_all(options: StudyOptions, jobs: int, console: Any, page: TaskFeed) -> bool:
     from nmt_study.case_store import CaseStore
     from nmt_study.study_report import index_page
     from nmt_study.study_table import study_csv
 
-    CaseStore(arguments.out, "all", arguments.force)
-    shutil.rmtree(arguments.out / "cases", ignore_errors=True)
+    CaseStore(options.results_folder, "all", options.force)
+    shutil.rmtree(options.results_folder / "cases", ignore_errors=True)
     complete, entries, rows = True, [], []
     for name in STUDIES:
         whole, title, summary, findings, study_rows = _run_study(
-            name, arguments.out / name, arguments, jobs, console, page
+            name, options.results_folder / name, options, jobs, console, page
         )
         complete = complete and whole
         entries.append((name, title, summary, findings))
         rows += study_rows
-    write_whole(arguments.out / "study.csv", study_csv(rows))
-    write_whole(arguments.out / "report.html", index_page(entries, arguments.quick))
+    write_whole(options.results_folder / "study.csv", study_csv(rows))
+    write_whole(options.results_folder / "report.html", index_page(entries, options.quick))
     return complete
 
 
 def _run_study(
-    name: str, folder: Path, arguments: argparse.Namespace, jobs: int, console: Any, page: TaskFeed
+    name: str, folder: Path, options: StudyOptions, jobs: int, console: Any, page: TaskFeed
 ) -> tuple[bool, str, list[SummaryRow], Sequence[Finding], list[Any]]:
     from nmt_report.svg import figure_style
     from nmt_study.case_store import CaseStore
@@ -108,16 +116,16 @@ def _run_study(
     from nmt_study.study_table import level_rows, study_csv, summary_row
 
     module = load_study(name)
-    store = CaseStore(folder, name, arguments.force)
-    cases = module.cases(arguments.quick)
+    store = CaseStore(folder, name, options.force)
+    cases = module.cases(options.quick)
     todo = store.missing(cases)
     done = len(cases) - len(todo)
     text = f"{module.TITLE}: {len(cases)} cases"
     console.print(text + (f", {done} of them done before" if done else ""), style="bold")
     progress = _Progress(console, len(todo), page)
     page.step(f"{module.TITLE}: cases", 0, len(todo))
-    bags = folder / "bags" if arguments.keep_bags else None
-    reports = run_cases(name, cases, store, jobs, bags, progress.case_done, arguments.scheduler)
+    bags = folder / "bags" if options.keep_bags else None
+    reports = run_cases(name, cases, store, jobs, bags, progress.case_done, options.scheduler)
     failures = [report for report in reports if report.result is None]
     results = [result for case in cases if (result := store.load(case)) is not None]
     if not results:
@@ -128,12 +136,12 @@ def _run_study(
     summary = [summary_row(result, own) for result, own in zip(results, rows, strict=True)]
     with figure_style():
         output = module.show(results)
-    if arguments.quick:
+    if options.quick:
         # Few and short cases show that a study works; they carry no conclusion.
         output = replace(output, findings=[replace(finding, holds=None) for finding in output.findings])
     table = [row for own in rows for row in own] + list(output.extra_rows)
     write_whole(folder / "study.csv", study_csv(table))
-    page_text = study_page(name, module.TITLE, results, summary, table, output, arguments.quick)
+    page_text = study_page(name, module.TITLE, results, summary, table, output, options.quick)
     write_whole(folder / "report.html", page_text)
     print_summary(console, summary, output.findings)
     for report in failures:

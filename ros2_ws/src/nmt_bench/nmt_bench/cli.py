@@ -1,6 +1,7 @@
 """The command line: picks the command, loads only its module, and turns every end into an exit code.
 
-Each command is a module with ``USAGE``, its description and options, and ``run(arguments) -> int``. Nothing but the
+Each command is a module with ``run(options) -> int`` and the class of these options, see
+`nmt_bench.commands.command_options`. Nothing but the
 chosen command's module is imported, so help and refusals come at once; what few ends need is imported where they need
 it. Further commands come from whatever is installed with entry points in the group ``nmt.commands``, as are the
 campaigns; their modules have a ``SUMMARY``, too.
@@ -159,9 +160,9 @@ def build_parser(*wanted: str | None, further: Mapping[str, str] | None = None) 
     for name, summary in listed.items():
         options = subparsers.add_parser(name, help=summary, add_help=name in wanted)
         if name in wanted:
-            from nmt_bench.commands.bench_options import add_options
+            from nmt_bench.commands.command_options import add_command
 
-            add_options(options, _load(name))
+            add_command(options, _load(name))
     return parser
 
 
@@ -213,12 +214,14 @@ class _End:
 
 def _document(words: Sequence[str], end: _End, status: int) -> str:
     """What ``--json`` prints."""
+    from nmt_bench.commands.command_options import command_options
     from nmt_bench.commands.json_output import json_document, json_refusal
 
     if end.arguments is None or end.sentence is not None:
         return json_refusal(_command_of(words), status, end.sentence)
     module = _load(end.arguments.command)
-    return json_document(end.arguments, module, status)
+    options = command_options(module, end.arguments)
+    return json_document(end.arguments.command, options, module, status)
 
 
 def _command_of(words: Sequence[str]) -> str | None:
@@ -280,7 +283,9 @@ def run_parsed(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: a mistake that the user can fix.
     """
-    status = int(_load(arguments.command).run(arguments))
+    from nmt_bench.commands.command_options import run_command
+
+    status = run_command(_load(arguments.command), arguments)
     sys.stdout.flush()
     return status
 

@@ -191,9 +191,9 @@ class Bench:
             for name, (_, _, where) in NODES.items():
                 module, _, attribute = where.partition(":")
                 kind = getattr(importlib.import_module(module), attribute)
-                node = kind(values=self.plan.values[name], context=self.context)
+                node = kind(self.plan.settings[name], context=self.context)
                 self._add(name, node)
-        self.client = _RunClient(self.context, tuple(self.plan.values), self.test.pacing == "lockstep")
+        self.client = _RunClient(self.context, tuple(self.plan.settings), self.test.pacing == "lockstep")
         self._add("client", self.client)
         thresholds = gc.get_threshold()
         # A collection would look at all that the program around the bench holds, a fifth of a second in a large one.

@@ -1,4 +1,4 @@
-"""What every node of the bench shares: parameters from a table, quality of service, diagnostics and ``main``."""
+"""What every node of the bench shares: settings from parameters, quality of service, diagnostics and ``main``."""
 
 from __future__ import annotations
 
@@ -37,10 +37,12 @@ from nmt_core.nodes.identity import Identity
 from nmt_core.nodes.launcher_watch import LauncherWatch
 from nmt_core.nodes.link import Link, serve, serve_late
 from nmt_core.nodes.liveness import READY, Liveness
-from nmt_core.nodes.parameters import Parameter, ParameterValue, check_values, parameter_table
+from nmt_core.nodes.node_settings import NodeSettings
+from nmt_core.nodes.parameters import Parameter
 from nmt_core.nodes.shared_memory import remove_dead_segments
 from nmt_core.nodes.transport import LINK_PERIOD, Outlet, Transport
 from nmt_core.processes.memory import calm_collector, return_large_memory
+from nmt_core.settings import parameters_of, settings_of, values_of
 
 RCLError = rclpy_implementation.RCLError
 
@@ -63,36 +65,18 @@ _LAST_MEMORY = 1.5  # s that shared memory of killed nodes is waited for, to be 
 _HURRY = 1.0  # s after which a second request to end is not the echo of the first
 _INSTANCES = itertools.count(1)
 _LOOK_BEATS = 4  # heartbeats between two looks of a node at work for publishers that do not belong here
-PACING = Parameter(
-    "pacing",
-    "realtime",
-    "",
-    "lockstep: the run waits for its nodes, and wall time ends nothing; realtime: paced by the converter.",
-    choices=("lockstep", "realtime"),
-)
-"""For nodes that watch others or wait for them; plant and sequencer have lockstep as their default."""
-COMMON_PARAMETERS = (PACING, *parameter_table("""\
-expected_peers =[""]  Endpoints that must be connected before the node calls itself ready, as 'topic:count'; empty =
-    none.
-watched_nodes =[""]  Nodes whose heartbeat this node watches, in its own namespace unless they begin with a slash;
-    empty = none.
-silence_timeout =2.0 (s) 0.5..  Real time: wall time without a heartbeat after which a watched node is lost.
-hang_timeout =10.0 (s) 1.0..  Real time: wall time that the node may be at one piece of work; beyond it the node calls
-    itself hung.
-linked =False  Lockstep: the nodes, all on this host, hand on the sample path past the middleware.
-"""))  # fmt: skip
 
 
 class BenchNode(Node):  # type: ignore[misc]
-    """A node whose parameters come from a table and whose counters go to ``/diagnostics``.
+    """A node whose parameters are the fields of its settings and whose counters go to ``/diagnostics``.
 
     A heartbeat on ``/diagnostics`` says ``ready`` once every expected peer is connected in both directions; the
     sequencer starts a run only when all nodes it watches are ready, so that no first sample is lost.
 
     Args:
         name: default node name.
-        table: the node's parameters.
-        values: values that take the place of the table's defaults (launch-free use); ROS overrides win over them.
+        kind: class of the node's settings.
+        settings: take the place of the defaults (launch-free use); ROS overrides win over them.
         **kwargs: forwarded to :class:`rclpy.node.Node`.
 
     Raises:
@@ -106,20 +90,18 @@ class BenchNode(Node):  # type: ignore[misc]
     def __init__(
         self,
         name: str,
-        table: Sequence[Parameter],
-        values: dict[str, Any] | None = None,
+        kind: type[NodeSettings] = NodeSettings,
+        settings: NodeSettings | None = None,
         **kwargs: Any,
     ) -> None:
         kwargs.setdefault("start_parameter_services", True)
         kwargs.setdefault("enable_rosout", True)
         super().__init__(name, **kwargs)
-        own = {parameter.name for parameter in table}
-        common = [parameter for parameter in COMMON_PARAMETERS if parameter.name not in own]
-        self.values = self._declare((*table, *common), dict(values or {}))
+        self.settings = self._declare(kind, settings)
         self.counters: dict[str, int | float | str] = {}
         self.received = 0
-        self.expected_peers = _parse_peers(self.values["expected_peers"], self.get_name())
-        linked = self.values["linked"] and self.values["pacing"] == "lockstep"
+        self.expected_peers = _parse_peers(self.settings.expected_peers, self.get_name())
+        linked = self.settings.linked and self.settings.pacing == "lockstep"
         self.link = _link_of(self) if linked else None
         self.transport = Transport(self.get_name(), self.link)
         self.identity = Identity(_NodeGraph(self), self.transport.peers)
@@ -127,25 +109,30 @@ class BenchNode(Node):  # type: ignore[misc]
             self._tell_failure = self.link.sender("diagnostics")
         # Guard, heartbeat and tick must go on whatever becomes of ROS time.
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        watched: Any = self.values["watched_nodes"]
+        watched = self.settings.watched_nodes
         self.watched_nodes: list[str] = [self._in_own_namespace(name) for name in watched if name]
-        silence: Any = self.values["silence_timeout"]
         self.instance = f"{socket.gethostname()} process {os.getpid()} node {next(_INSTANCES)}"
-        self.in_lockstep = self.values["pacing"] == "lockstep"
+        self.in_lockstep = self.settings.pacing == "lockstep"
         self.liveness = Liveness(
-            self.watched_nodes, float(silence), self.heartbeat_name, self.instance, lockstep=self.in_lockstep
+            self.watched_nodes,
+            self.settings.silence_timeout,
+            self.heartbeat_name,
+            self.instance,
+            lockstep=self.in_lockstep,
         )
         self._told = ""
         if self.watched_nodes:
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50, raw=True)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        hang: Any = self.values["hang_timeout"]
+        hang = self.settings.hang_timeout
         starting = NodeStatus(self.heartbeat_name, self.instance, message="starting")
-        self.heartbeat = Heartbeat(starting, self._publish_status, float(hang), self.in_lockstep, RCLError)
+        self.heartbeat = Heartbeat(starting, self._publish_status, hang, self.in_lockstep, RCLError)
         self._beats = 0
         self._beat_timer = self.steady_timer(HEARTBEAT_PERIOD, self._beat)
 
-    def _declare(self, table: Sequence[Parameter], values: dict[str, Any]) -> dict[str, ParameterValue]:
+    def _declare(self, kind: type[NodeSettings], settings: NodeSettings | None) -> NodeSettings:
+        """Declare the parameters, and read them back once: from here on they are settings with types."""
+        table = parameters_of(kind)
         known = {parameter.name for parameter in table}
         unknown = set(self._parameter_overrides) - known - {"use_sim_time"}
         if unknown:
@@ -153,21 +140,20 @@ class BenchNode(Node):  # type: ignore[misc]
                 f"Parameter '{sorted(unknown)[0]}' is not known to {self.get_name()}; "
                 f"it knows {', '.join(sorted(known))}."
             )
-        needed = [name for name in self.NEEDED if name not in values and name not in self._parameter_overrides]
+        needed = [name for name in self.NEEDED if settings is None and name not in self._parameter_overrides]
         if needed:
             raise BenchError(
                 f"{self.get_fully_qualified_name()} needs the parameter '{needed[0]}'; start it with "
                 "'--ros-args --params-file FILE' and a file of './nmt params' that names this node."
             )
+        defaults = values_of(kind() if settings is None else settings)
         given: dict[str, Any] = {}
         for item in table:
-            default = values.pop(item.name, item.default)
             try:
-                given[item.name] = self.declare_parameter(item.name, default, _descriptor(item)).value
+                given[item.name] = self.declare_parameter(item.name, defaults[item.name], _descriptor(item)).value
             except (InvalidParameterTypeException, InvalidParameterValueException) as error:
                 raise BenchError(f"Parameter '{item.name}' of {self.get_name()} is refused: {error}") from error
-        given.update(values)
-        return check_values(table, given, self.get_name())
+        return settings_of(kind, given, self.get_name())
 
     def bench_publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Outlet:
         """A publisher of serialised messages that counts among the node's endpoints."""
@@ -383,7 +369,7 @@ def _full_name(namespace: str, name: str) -> str:
     return f"{namespace.rstrip('/')}/{name}"
 
 
-def _parse_peers(entries: Any, owner: str) -> dict[str, int]:
+def _parse_peers(entries: Sequence[str], owner: str) -> dict[str, int]:
     expected = {}
     for entry in entries:
         if not entry:

@@ -8,7 +8,8 @@ from typing import Any
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, ReaderProgress, spin_node
 from nmt_core.messages.bundle import PLANT_BUNDLE, PLL_BUNDLE, read_bundle
 from nmt_core.messages.wire import MODAL_POINT
-from nmt_extract.extraction_core import PARAMETERS, ExtractionCore
+from nmt_extract.extraction_core import ExtractionCore
+from nmt_extract.extraction_settings import ExtractSettings
 from nmt_msgs.msg import Bundle, Frequency, Level, LockEvent, ModalPoint, SampleBlock
 
 _REST = 0.1  # s between two looks whether something has been taken and not told
@@ -21,7 +22,7 @@ class ExtractNode(BenchNode):
     Without a linear description, as in tests that come before there is one, it listens and publishes nothing.
 
     Args:
-        values: parameter values for launch-free use; see ``PARAMETERS``.
+        settings: for launch-free use; ROS overrides win over them.
         **kwargs: forwarded to :class:`rclpy.node.Node`.
 
     Raises:
@@ -31,13 +32,14 @@ class ExtractNode(BenchNode):
     # Nobody waits for this node block by block.
     BURST_PERIOD = 0.02
     NEEDED = ("linear_json",)
+    settings: ExtractSettings
 
-    def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
-        super().__init__("extract", PARAMETERS, values, **kwargs)
-        self.core = ExtractionCore(self.values)
+    def __init__(self, settings: ExtractSettings | None = None, **kwargs: Any) -> None:
+        super().__init__("extract", ExtractSettings, settings, **kwargs)
+        self.core = ExtractionCore(self.settings)
         self._publisher = self.bench_publisher(ModalPoint, "modal_point", SAMPLES_QOS)
         self._progress = ReaderProgress(self, "extract")
-        bundled: Any = self.values["bundled"]
+        bundled = self.settings.bundled
         self._bundled = {topic: self.core.callback(topic) for topic in self.core.topics if topic in bundled}
         for bundle in (PLANT_BUNDLE, PLL_BUNDLE) if self._bundled else ():
             self.bench_subscription(Bundle, bundle, self._on_bundle, SAMPLES_QOS, raw=True)

@@ -1,13 +1,16 @@
-"""Settings of the extraction; they travel as the ``extraction`` entry of a run's description."""
+"""Settings of the extraction and of its node; the former travel as the ``extraction`` entry of a run's description."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
+from nmt_core.nodes.node_settings import NodeSettings
+from nmt_core.settings import group, setting
 from nmt_extract.hysteresis import HysteresisLayout
 
 _TOPICS = tuple(quantity.topic for quantity in Quantity if quantity is not Quantity.UNKNOWN)
@@ -27,11 +30,13 @@ class ExtractionSettings:
         hysteresis: masses and points of a chain of three masses; None = no hysteresis damping.
     """
 
-    harmonics: int = 10
-    topics: tuple[str, ...] = ("force", "acceleration")
-    sub_windows: int = 10
-    minimum_periods: int = 3
-    power_balance: bool = False
+    harmonics: int = setting(10, "Number of harmonics H; 0..H are extracted.", low=1, high=200)
+    topics: tuple[str, ...] = setting(
+        ("force", "acceleration"), "Sample topics a window needs: force and the rig's response topics."
+    )
+    sub_windows: int = setting(10, "Sub-windows for the standard uncertainties.", low=3, high=1000)
+    minimum_periods: int = setting(3, "Windows of fewer whole periods are rejected.", unit="periods", low=3)
+    power_balance: bool = setting(False, "Balance of power for windows whose level still changes.")
     hysteresis: HysteresisLayout | None = None
 
     def __post_init__(self) -> None:
@@ -82,3 +87,33 @@ class ExtractionSettings:
         if data.get("hysteresis") is not None:
             data["hysteresis"] = HysteresisLayout.from_mapping(data["hysteresis"])
         return cls(**data)
+
+
+@dataclass(frozen=True)
+class ExtractSettings(NodeSettings):
+    """What the extraction node needs to know: the linear description, and how windows become points."""
+
+    linear_json: str = setting(
+        "", "Linear description of the rig as JSON, see the reference of linear.json; empty = nothing is extracted."
+    )
+    extraction: ExtractionSettings = group(ExtractionSettings)
+    bundled: tuple[str, ...] = setting(("",), "Topics that are taken from the bundles of plant and loop; empty = none.")
+    hysteresis_json: str = setting("", "Masses and points of a three-mass chain with a joint as JSON; empty = none.")
+    rig: str = setting("", "Name of the rig, for the log.")
+
+    @property
+    def whole_extraction(self) -> ExtractionSettings:
+        """Settings of the extraction with the layout that is given as JSON.
+
+        Raises:
+            BenchError: it is no layout.
+        """
+        if not self.hysteresis_json:
+            return self.extraction
+        try:
+            layout = json.loads(self.hysteresis_json)
+        except json.JSONDecodeError as error:
+            raise BenchError(f"Parameter 'hysteresis_json' of extract is not JSON: {error}.") from error
+        if not isinstance(layout, dict):
+            raise BenchError("Parameter 'hysteresis_json' of extract must be a JSON object.")
+        return replace(self.extraction, hysteresis=HysteresisLayout.from_mapping(layout))

@@ -17,14 +17,14 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, UInt64
 from std_srvs.srv import Trigger
 
-from nmt_core.base_node import READY, SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
+from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.bundle import LOOP_INPUT, PLANT_BUNDLE, BundleWriter
 from nmt_core.messages.command_judge import CommandSource
 from nmt_core.messages.run_announcement import TAKEN_TOPICS
 from nmt_core.messages.wire import DRIVE_STOP, MONITOR, RUN_STATE, BlockWriter, read_drive
-from nmt_core.nodes.parameters import parameter_table
+from nmt_core.nodes.liveness import READY
 from nmt_core.vocabulary import OutputState, RunPhase, StopCause
 from nmt_msgs.msg import Bundle, Drive, DriveStop, Monitor, RunState
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
@@ -33,28 +33,10 @@ from nmt_plant.devices.guarded_device import LEAST_LEAD, GuardedDevice
 from nmt_plant.devices.hardware_rig import HardwareRig, device_of
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.plant_core import PlantCore
+from nmt_plant.plant_settings import PlantSettings
 from nmt_plant.real_time import LatenessHistogram, computer_settings, priority_of, real_time_priority
-from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS
+from nmt_rig.device_sections import SIMULATED
 from nmt_rig.rig import Rig, load_rig
-
-PARAMETERS = parameter_table(f"""\
-rig_file =""  Rig file to simulate: a path, or the name of a rig that comes with the bench.
-pacing =lockstep lockstep|realtime  lockstep: every block waits for the drive computed from the one before; realtime:
-    paced by the converter.
-latency_blocks =0 (blocks) 0..100  Blocks of buffering between command and excitation; in real time at least the
-    {LEAST_LEAD} that wait at the output.
-output_record =""  Real time: file in which the process that owns the output says what the output does; empty = none.
-stop_file =""  File whose existence is the simulated rig's external stop input; empty = none.
-device ="" {'|'.join(('', *SIMULATED_OR_CONVERTERS))}  What is driven: simulated (also when empty), or the converter
-    of the rig file's section device, or a kind of it with the simulated specimen's ports: portaudio, nidaqmx.
-bundle_blocks =0 (blocks) 0..100  Blocks whose samples are also published together on {PLANT_BUNDLE}, for readers that
-    may be late; 0 = none.
-loop_topics =[""]  Topics whose channel at the drive point is also published, together, on {LOOP_INPUT}; empty = none.
-drive_point =0 0..  Point of the exciter, for loop_topics; 0 = all their channels.
-device_address =""  host:port of NI's gRPC device server; empty = as the rig file says.
-reader_lead =0.0 (s) 0.0..  Bench time in lockstep by which the plant may be ahead of recorder and extraction, as told
-    on {' and '.join(TAKEN_TOPICS.values())}; 0 = any.
-""")  # fmt: skip
 
 # Whoever publishes an emergency stop is heard, whatever quality of service was asked for; the first of these also hears
 # a stop that was latched before the plant came up.
@@ -75,7 +57,7 @@ class PlantNode(BenchNode):
     """Reads blocks from a device, publishes them, and hands drive commands to it.
 
     Args:
-        values: parameter values for launch-free use; see ``PARAMETERS``.
+        settings: for launch-free use; ROS overrides win over them.
         device: the device; None = the simulated rig of ``rig_file``.
         **kwargs: forwarded to :class:`rclpy.node.Node`.
 
@@ -83,16 +65,18 @@ class PlantNode(BenchNode):
         BenchError: no rig file, or one that is not usable.
     """
 
-    def __init__(self, values: dict[str, Any] | None = None, device: Device | None = None, **kwargs: Any) -> None:
-        super().__init__("plant", PARAMETERS, values, **kwargs)
+    settings: PlantSettings
+
+    def __init__(self, settings: PlantSettings | None = None, device: Device | None = None, **kwargs: Any) -> None:
+        super().__init__("plant", PlantSettings, settings, **kwargs)
         self._refuse_simulated_time()
         self._frame = "rig"
         self._priority: contextlib.ExitStack | None = None
-        self._kind = str(self.values["device"]).removeprefix(SIMULATED)
+        self._kind = self.settings.device.removeprefix(SIMULATED)
         if device is None:
-            if not self.values["rig_file"]:
+            if not self.settings.rig_file:
                 raise BenchError("The plant node needs the parameter 'rig_file': a path or the name of a rig.")
-            rig = load_rig(str(self.values["rig_file"]))
+            rig = load_rig(self.settings.rig_file)
             self._frame = rig.name
             device = self._converter(rig) if self._kind else self._simulated(rig)
         if not isinstance(device, GuardedDevice):
@@ -100,14 +84,14 @@ class PlantNode(BenchNode):
                 "The plant drives devices with an output guard only; derive "
                 f"{type(device).__name__} from GuardedDevice."
             )
-        if self.values["pacing"] == "realtime" and not device.is_owned:
+        if self.settings.pacing == "realtime" and not device.is_owned:
             raise BenchError(
                 "The plant runs in real time only where a process of its own owns the output; give "
                 f"{type(device).__name__} an 'output' (guarded_device.owned_output)."
             )
         self.device: GuardedDevice = device
-        lead = round(float(str(self.values["reader_lead"])) * device.sample_rate)
-        self.core = PlantCore(device, int(self.values["latency_blocks"]), self.in_lockstep, lead)
+        lead = round(self.settings.reader_lead * device.sample_rate)
+        self.core = PlantCore(device, self.settings.latency_blocks, self.in_lockstep, lead)
         self._lockstep = self.core.lockstep
         self._period = device.block_samples / device.sample_rate
         self._failed = self._second = ""
@@ -124,15 +108,15 @@ class PlantNode(BenchNode):
             self._publishers_by_quantity[int(quantity)] = (quantity.topic, publisher, BlockWriter(self._frame))
         self._loop_input: BundleWriter | None = None
         self._loop_writers: dict[int, BlockWriter] = {}
-        loop_topics: Any = self.values["loop_topics"]
+        loop_topics = self.settings.loop_topics
         if any(loop_topics):
-            self._loop_point = int(str(self.values["drive_point"]))
+            self._loop_point = self.settings.drive_point
             chosen = [quantity for quantity in self.core.quantities if quantity.topic in loop_topics]
             self._loop_writers = {int(quantity): BlockWriter(self._frame) for quantity in chosen}
             inputs = self.bench_publisher(Bundle, LOOP_INPUT, SAMPLES_QOS)
             self._loop_input = BundleWriter([quantity.topic for quantity in chosen], 1, inputs.publish)
         self._bundle: BundleWriter | None = None
-        bundled = int(str(self.values["bundle_blocks"]))
+        bundled = self.settings.bundle_blocks
         if bundled > 0:
             topics = [*(quantity.topic for quantity in self.core.quantities), "monitor"]
             bundles = self.bench_publisher(Bundle, PLANT_BUNDLE, SAMPLES_QOS)
@@ -155,23 +139,23 @@ class PlantNode(BenchNode):
             self._tick_timer = self.steady_timer(min(1.0e-3, self._period / 8.0), self._tick)
 
     def _simulated(self, rig: Rig) -> SimulatedRig:
-        stop_file = str(self.values["stop_file"])
-        if self.values["pacing"] != "realtime":
+        stop_file = self.settings.stop_file
+        if self.settings.pacing != "realtime":
             return SimulatedRig(rig, stop_file=stop_file)
-        lead = max(LEAST_LEAD, int(str(self.values["latency_blocks"])))
-        record = str(self.values["output_record"])
+        lead = max(LEAST_LEAD, self.settings.latency_blocks)
+        record = self.settings.output_record
         return SimulatedRig(rig, stop_file=stop_file, owned=True, lead_blocks=lead, record=record)
 
     def _converter(self, rig: Rig) -> HardwareRig:
-        if self.values["pacing"] != "realtime":
+        if self.settings.pacing != "realtime":
             raise BenchError("A converter's samples are the clock; give the plant the pacing realtime.")
-        section = device_of(rig, self._kind, str(self.values["device_address"]))
-        lead = max(LEAST_LEAD, int(str(self.values["latency_blocks"])))
+        section = device_of(rig, self._kind, self.settings.device_address)
+        lead = max(LEAST_LEAD, self.settings.latency_blocks)
         # For the life of the process: a block that comes late stops a real test.
         stack = contextlib.ExitStack()
         stack.enter_context(real_time_priority())
         self._priority = stack
-        return HardwareRig(rig, section, lead_blocks=lead, record=str(self.values["output_record"]))
+        return HardwareRig(rig, section, lead_blocks=lead, record=self.settings.output_record)
 
     def _refuse_simulated_time(self) -> None:
         """Refuse ``use_sim_time``, now and whenever it is set: a shaker moves in real time.

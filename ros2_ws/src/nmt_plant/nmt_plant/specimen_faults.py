@@ -25,8 +25,8 @@ FAULTS = {
     "permuted": "cables of two response channels are exchanged",
     "sensitivity": "the channel's sensitivity is 40 % too high",
     "late": "the channel is 3 ms late",
-    "no_drive": "the exciter does not move: amplifier off",
-    "rate": "the converter's clock is 1 % off",
+    "no_drive": "the exciter does not move: amplifier of",
+    "rate": "the converter's clock is 1 % of",
     "delay": "the delay moves by 40 samples now and then",
     "resonance": "the structure is 15 % stiffer than its file says",
 }

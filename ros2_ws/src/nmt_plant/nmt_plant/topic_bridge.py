@@ -23,15 +23,25 @@ from nmt_core.errors import BenchError
 from nmt_core.files.yaml_document import YamlDocument, read_document
 from nmt_core.messages.blocks import Quantity, SampleBlock
 from nmt_core.messages.stamped_samples import field_getter, interpolated
-from nmt_core.nodes.parameters import parameter_table
+from nmt_core.nodes.node_settings import NodeSettings
+from nmt_core.settings import setting
 
-PARAMETERS = parameter_table("""\
-table =""  Channel table: a YAML file, see the how-to on foreign topics.
-rig =""  Name of the rig, for the frame of the blocks.
-reference =""  Topic of samples of a plant that runs beside, such as force: its sample index is taken; empty = a clock
-    of its own, from the first message on.
-patience =1.0 (s) 0.05..  How far a topic may be behind the others before its samples count as missing.
-""")  # fmt: skip
+
+@dataclass(frozen=True)
+class TopicBridgeSettings(NodeSettings):
+    """Which topics become which channels."""
+
+    table: str = setting("", "Channel table: a YAML file, see the how-to on foreign topics.")
+    rig: str = setting("", "Name of the rig, for the frame of the blocks.")
+    reference: str = setting(
+        "",
+        "Topic of samples of a plant that runs beside, such as force: its sample index is taken; empty = a "
+        "clock of its own, from the first message on.",
+    )
+    patience: float = setting(
+        1.0, "How far a topic may be behind the others before its samples count as missing.", unit="s", low=0.05
+    )
+
 
 _QUANTITIES = ("force", "displacement", "velocity", "acceleration", "voltage", "current")
 _KEYS = ("topic", "type", "field", "quantity", "point", "scale", "delay_s", "name")

@@ -12,7 +12,7 @@ from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
 from nmt_core.errors import BenchError
 from nmt_core.messages.wire import BlockReader, BlockWriter
 from nmt_msgs.msg import SampleBlock
-from nmt_plant.topic_bridge import PARAMETERS, TopicBridge, read_channel_table
+from nmt_plant.topic_bridge import TopicBridge, TopicBridgeSettings, read_channel_table
 
 # Sensors are often published so; a reliable publisher is taken as well.
 _FOREIGN_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -23,7 +23,7 @@ class TopicBridgeNode(BenchNode):
     """Takes the topics of a channel table and publishes blocks on ``force``, ``acceleration`` and so on.
 
     Args:
-        values: parameters by name, see :data:`nmt_plant.topic_bridge.PARAMETERS`.
+        settings: for launch-free use; ROS overrides win over them.
         **kwargs: forwarded to :class:`rclpy.node.Node`.
 
     Raises:
@@ -33,8 +33,10 @@ class TopicBridgeNode(BenchNode):
     BURST_PERIOD = 0.02
     NEEDED = ("table",)
 
-    def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
-        super().__init__("topic_bridge", PARAMETERS, values, **kwargs)
+    settings: TopicBridgeSettings
+
+    def __init__(self, settings: TopicBridgeSettings | None = None, **kwargs: Any) -> None:
+        super().__init__("topic_bridge", TopicBridgeSettings, settings, **kwargs)
         try:
             self._set_up()
         except BaseException:
@@ -42,15 +44,15 @@ class TopicBridgeNode(BenchNode):
             raise
 
     def _set_up(self) -> None:
-        table = read_channel_table(Path(str(self.values["table"])))
-        reference = str(self.values["reference"])
-        self.bridge = TopicBridge(table, float(str(self.values["patience"])), bool(reference))
+        table = read_channel_table(Path(self.settings.table))
+        reference = self.settings.reference
+        self.bridge = TopicBridge(table, self.settings.patience, bool(reference))
         quantities = dict.fromkeys(channel.quantity for channel in table.channels)
         if reference in (quantity.topic for quantity in quantities):
             raise BenchError(
                 f"The reference '{reference}' is a topic that the bridge itself publishes; name another one."
             )
-        self._writers = {quantity: BlockWriter(str(self.values["rig"])) for quantity in quantities}
+        self._writers = {quantity: BlockWriter(self.settings.rig) for quantity in quantities}
         self._outlets = {
             quantity: self.bench_publisher(SampleBlock, quantity.topic, SAMPLES_QOS) for quantity in quantities
         }

@@ -396,7 +396,7 @@ class PhaseLockedLoop(LevelLoop):
 
     def _switch_off(self, level: LevelCommand, end: int, error: float, reason: str) -> LockWindow:
         """End the excitation at the lock; the window is the free decay from the switch-off on."""
-        self.machine.lock(end, f"{reason}; the drive is switched off")
+        self.machine.lock(end, f"{reason}; the drive is switched of")
         frequency = self.controller.output / (2.0 * math.pi)
         self._decaying = True
         self._amplitude = 0.0

@@ -2,46 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import SampleBlock
-from nmt_core.messages.bundle import LOOP_INPUT, PLL_BUNDLE
 from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.command_judge import LONGEST_AHEAD, CommandJudge
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveCommand, LevelCommand, LockEvent, LoopStatus
-from nmt_core.nodes.parameters import parameter_table
 from nmt_core.vocabulary import ControlKind, LoopState, Quantity, TestKind, Waveform
 from nmt_pll.harmonics_control import table_from_json
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop import PhaseLockedLoop
-from nmt_pll.loop_settings import LoopSettings, setting_parameters, settings_from
 from nmt_pll.paper_loop import PaperLoop
-from nmt_pll.paper_settings import paper_parameters, paper_settings_from
+from nmt_pll.pll_settings import PllSettings
 from nmt_pll.random_drive import RandomDrive
 from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
-
-PARAMETERS = (*parameter_table(f"""\
-linear_json =""  Linear description of the rig as JSON, see the reference of linear.json; empty = no phase is
-    controlled.
-force_per_volt_json =""  Force per volt of drive as JSON, rows of frequency (Hz), real and imaginary part (N/V); where
-    it says nothing, control of harmonics measures it before the first level.
-drive_point =0 0..  Point of the exciter if there is no linear description.
-sample_rate =10000.0 (Hz) 1.0..  Sample rate of the blocks.
-block_samples =200 (samples) 2..100000  Samples a block.
-response_topic =displacement displacement|velocity|acceleration  Topic of the drive-point response whose phase is
-    controlled.
-loop =adaptive adaptive|paper  adaptive: adaptive filter, closed-form gains, guard band; paper: product detector,
-    low-pass, PI.
-bundle_blocks =0 (blocks) 0..100  Blocks whose drive commands and states are also published together on {PLL_BUNDLE};
-    0 = none.
-joined_input =False  Take force and response at the drive point, joined, from {LOOP_INPUT} in place of their own
-    topics.
-settling_time =2.0 (s) 0.0..  Random test: between the end of the ramp and the window.
-"""), *setting_parameters(), *paper_parameters())  # fmt: skip
 
 
 def drive_command(output: LoopOutput, delay: int = 0) -> DriveCommand:
@@ -129,7 +106,7 @@ class LoopCore:
     the level begins, or at once if that has passed. So the acknowledgement tells the same however late the level comes.
 
     Args:
-        values: parameters of the node, complete; see ``PARAMETERS``.
+        settings: those of the node.
         complain: told in a sentence what is refused and why, and whether it may come with every block.
 
     Attributes:
@@ -142,17 +119,17 @@ class LoopCore:
         BenchError: a setting is refused.
     """
 
-    def __init__(self, values: Mapping[str, Any], complain: Callable[[str, bool], None] = lambda _, __: None) -> None:
-        self.values = values
-        self.sample_rate = float(values["sample_rate"])
-        self.block_samples = int(values["block_samples"])
-        self.response = Quantity[str(values["response_topic"]).upper()]
+    def __init__(self, settings: PllSettings, complain: Callable[[str, bool], None] = lambda _, __: None) -> None:
+        self.settings = settings
+        self.sample_rate = settings.sample_rate
+        self.block_samples = settings.block_samples
+        self.response = Quantity[settings.response_topic.upper()]
         self.loops = self._make_loops()
         self.loop: LevelLoop = next(iter(self.loops.values()))
         self.counters = dict.fromkeys(("gaps", "refused", "late_levels", "lock_losses"), 0)
         self.judge = CommandJudge(self.block_samples, horizon=round(LONGEST_AHEAD * self.sample_rate))
         self._complain = complain
-        self._delay = int(values["latency_blocks"]) * self.block_samples
+        self._delay = settings.loop_settings.latency_blocks * self.block_samples
         self._waiting: dict[bool, SampleBlock] = {}
         self._next_sample: int | None = None
         self._sequence = 0
@@ -163,18 +140,17 @@ class LoopCore:
 
     def _make_loops(self) -> dict[TestKind, LevelLoop]:
         """The loop for each kind of test; the phase is controlled only where a linear description is given."""
-        v = self.values
-        names = {item.name for item in fields(LoopSettings)}
-        settings = settings_from({name: value for name, value in v.items() if name in names})
+        settings = self.settings.loop_settings
         loops: list[LevelLoop] = []
-        drive_point = int(v["drive_point"])
-        if v["linear_json"]:
-            linear = LinearDescription.from_json(str(v["linear_json"]))
+        drive_point = self.settings.drive_point
+        if self.settings.linear_json:
+            linear = LinearDescription.from_json(self.settings.linear_json)
             drive_point = linear.drive_point
-            if v["loop"] == "paper":
-                loops.append(PaperLoop(linear, paper_settings_from(v), self.sample_rate, self.block_samples))
+            if self.settings.loop == "paper":
+                paper = self.settings.paper_settings.beside(settings)
+                loops.append(PaperLoop(linear, paper, self.sample_rate, self.block_samples))
             else:
-                known = table_from_json(str(v["force_per_volt_json"]))
+                known = table_from_json(self.settings.force_per_volt_json)
                 loops.append(PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples, known))
         loops.append(
             RandomDrive(
@@ -182,7 +158,7 @@ class LoopCore:
                 self.sample_rate,
                 self.block_samples,
                 settings.quiet_ramp,
-                float(v["settling_time"]),
+                self.settings.settling_time,
                 settings.latency_blocks,
             )
         )
@@ -206,7 +182,7 @@ class LoopCore:
         """
         loop = self.loops.get(level.test)
         label = level.test.label.replace("_", " ")
-        if loop is None and level.test.closes_phase_loop and not self.values["linear_json"]:
+        if loop is None and level.test.closes_phase_loop and not self.settings.linear_json:
             raise BenchError(
                 f"A {label} test needs a linear description: the parameter 'linear_json' of the pll node is empty."
             )

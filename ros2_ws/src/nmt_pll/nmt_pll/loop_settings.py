@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_core.nodes.parameters import Parameter
-
-# Settings that may be negative.
-SIGNED_SETTINGS = frozenset({"phase_offset_rad", "loop_latency_s"})
+from nmt_core.settings import parameters_of, setting
 
 
 @dataclass(frozen=True)
@@ -47,31 +45,59 @@ class LoopSettings:
             what a controller does whose channels are not matched in phase or time.
     """
 
-    cutoff: float = 0.0
-    harmonics: int = 7
-    imaginary_part: float = 0.0
-    proportional: float = 0.0
-    integral: float = 0.0
-    delay_margin: float = 0.25
-    start_frequency_hz: float = 0.0
-    guard_low: float = 0.4
-    guard_high: float = 1.15
-    phase_tolerance: float = math.radians(0.2)
-    frequency_tolerance: float = 1.0e-4
-    amplitude_tolerance: float = 2.0e-3
-    scatter_limit: float = math.radians(10.0)
-    dwell_periods: float = 10.0
-    unlock_tolerance: float = math.radians(10.0)
-    force_floor: float = 1.0e-4
-    response_floor: float = 0.0
-    latency_blocks: int = 0
-    quiet_ramp: float = 0.5
-    ramp_delay_periods: float = 0.0
-    switch_off_periods: float = 1.0
-    voltage_limit: float = 0.0
-    slew_limit: float = 0.0
-    phase_offset_rad: float = 0.0
-    loop_latency_s: float = 0.0
+    cutoff: float = setting(
+        0.0, "Cut-off of the adaptive filter; 0 = 0.15 of the target mode's frequency.", unit="rad/s", low=0.0
+    )
+    harmonics: int = setting(7, "Harmonics the filter tracks besides the mean.", low=0.0)
+    imaginary_part: float = setting(
+        0.0, "Imaginary part of the closed-form gains; 0 is the conservative choice.", low=0.0
+    )
+    proportional: float = setting(
+        0.0, "Fixed proportional gain; 0 = closed form, scheduled with the measured damping.", unit="1/s", low=0.0
+    )
+    integral: float = setting(0.0, "Fixed integral gain; 0 = as above.", unit="1/s^2", low=0.0)
+    delay_margin: float = setting(0.25, "Largest closed-loop bandwidth times dead time.", unit="rad", low=0.0)
+    start_frequency_hz: float = setting(
+        0.0, "First frequency; 0 = linear frequency of the target mode.", unit="Hz", low=0.0
+    )
+    guard_low: float = setting(0.4, "Lower end of the guard band as a factor of the linear frequency.", low=0.0)
+    guard_high: float = setting(1.15, "Upper end of the guard band as a factor of the linear frequency.", low=0.0)
+    phase_tolerance: float = setting(math.radians(0.2), "Largest mean phase error at lock.", unit="rad", low=0.0)
+    frequency_tolerance: float = setting(
+        1.0e-4, "Largest relative drift of the frequency over the dwell at lock.", low=0.0
+    )
+    amplitude_tolerance: float = setting(
+        2.0e-3, "Largest relative drift of the response amplitude over the dwell at lock.", low=0.0
+    )
+    scatter_limit: float = setting(
+        math.radians(10.0), "Largest standard deviation of the phase error at lock.", unit="rad", low=0.0
+    )
+    dwell_periods: float = setting(10.0, "Time over which the lock criteria must hold.", unit="periods", low=0.0)
+    unlock_tolerance: float = setting(
+        math.radians(10.0), "Mean phase error over the dwell that ends a lock.", unit="rad", low=0.0
+    )
+    force_floor: float = setting(1.0e-4, "Smallest force amplitude with a valid phase.", unit="N", low=0.0)
+    response_floor: float = setting(0.0, "Smallest response amplitude with a valid phase.", unit="m or m/s^2", low=0.0)
+    latency_blocks: int = setting(0, "Buffering between command and excitation.", unit="blocks", low=0.0)
+    quiet_ramp: float = setting(0.5, "Half-cosine to zero after a lost lock.", unit="s", low=0.0)
+    ramp_delay_periods: float = setting(
+        0.0, "Windows during the ramp so long after a level begins; 0 = after lock.", unit="periods", low=0.0
+    )
+    switch_off_periods: float = setting(
+        1.0, "Ring-down: half-cosine of the voltage to zero; at most 1.", unit="periods", low=0.0
+    )
+    voltage_limit: float = setting(
+        0.0, "Sweep and stepped sine give a level up that would need more; 0 = no limit.", unit="V", low=0.0
+    )
+    slew_limit: float = setting(
+        0.0, "Control of harmonics keeps drive and harmonics below it; 0 = no limit.", unit="V/s", low=0.0
+    )
+    phase_offset_rad: float = setting(
+        0.0, "Phase by which the held force leads the velocity; 0 = phase resonance.", unit="rad"
+    )
+    loop_latency_s: float = setting(
+        0.0, "Time by which the held force leads the velocity, besides the phase offset.", unit="s"
+    )
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -102,49 +128,11 @@ class LoopSettings:
         return self.cutoff or 0.15 * linear.frequencies_rad_s[linear.target_mode]
 
 
-_DESCRIPTIONS = {
-    "cutoff": ("rad/s", "Cut-off of the adaptive filter; 0 = 0.15 of the target mode's frequency."),
-    "harmonics": ("", "Harmonics the filter tracks besides the mean."),
-    "imaginary_part": ("", "Imaginary part of the closed-form gains; 0 is the conservative choice."),
-    "proportional": ("1/s", "Fixed proportional gain; 0 = closed form, scheduled with the measured damping."),
-    "integral": ("1/s^2", "Fixed integral gain; 0 = as above."),
-    "delay_margin": ("rad", "Largest closed-loop bandwidth times dead time."),
-    "start_frequency_hz": ("Hz", "First frequency; 0 = linear frequency of the target mode."),
-    "guard_low": ("", "Lower end of the guard band as a factor of the linear frequency."),
-    "guard_high": ("", "Upper end of the guard band as a factor of the linear frequency."),
-    "phase_tolerance": ("rad", "Largest mean phase error at lock."),
-    "frequency_tolerance": ("", "Largest relative drift of the frequency over the dwell at lock."),
-    "amplitude_tolerance": ("", "Largest relative drift of the response amplitude over the dwell at lock."),
-    "scatter_limit": ("rad", "Largest standard deviation of the phase error at lock."),
-    "dwell_periods": ("periods", "Time over which the lock criteria must hold."),
-    "unlock_tolerance": ("rad", "Mean phase error over the dwell that ends a lock."),
-    "force_floor": ("N", "Smallest force amplitude with a valid phase."),
-    "response_floor": ("m or m/s^2", "Smallest response amplitude with a valid phase."),
-    "latency_blocks": ("blocks", "Buffering between command and excitation."),
-    "quiet_ramp": ("s", "Half-cosine to zero after a lost lock."),
-    "ramp_delay_periods": ("periods", "Windows during the ramp so long after a level begins; 0 = after lock."),
-    "switch_off_periods": ("periods", "Ring-down: half-cosine of the voltage to zero; at most 1."),
-    "voltage_limit": ("V", "Sweep and stepped sine give a level up that would need more; 0 = no limit."),
-    "slew_limit": ("V/s", "Control of harmonics keeps drive and harmonics below it; 0 = no limit."),
-    "phase_offset_rad": ("rad", "Phase by which the held force leads the velocity; 0 = phase resonance."),
-    "loop_latency_s": ("s", "Time by which the held force leads the velocity, besides the phase offset."),
-}
+SIGNED_SETTINGS = frozenset(item.name for item in parameters_of(LoopSettings) if item.low is None)
+"""Settings that may be negative."""
 
 
-def setting_parameters() -> tuple[Parameter, ...]:
-    """The settings as node parameters; names, types and defaults are those of :class:`LoopSettings`."""
-    return tuple(
-        Parameter(
-            item.name,
-            item.default,  # type: ignore[arg-type]
-            *_DESCRIPTIONS[item.name],
-            low=None if item.name in SIGNED_SETTINGS else 0.0,
-        )
-        for item in fields(LoopSettings)
-    )
-
-
-def settings_from(values: dict[str, Any]) -> LoopSettings:
+def settings_from(values: Mapping[str, Any]) -> LoopSettings:
     """Settings from a mapping.
 
     Raises:

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields, replace
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_core.nodes.parameters import Parameter
-from nmt_pll.loop_settings import SIGNED_SETTINGS
-
-PAPER_PREFIX = "paper_"
+from nmt_core.settings import setting
+from nmt_pll.loop_settings import SIGNED_SETTINGS, LoopSettings
 
 
 @dataclass(frozen=True)
@@ -38,16 +34,24 @@ class PaperSettings:
         phase_offset_rad, loop_latency_s: φ₀ and τ of the phase the loop holds, arg F - arg v = φ₀ + ω τ.
     """
 
-    gain: float = 2.0 * math.pi
-    pole: float = 2.0 * math.pi
-    zero: float = math.pi
-    centre_frequency_hz: float = 0.0
-    closing_time: float = 1.0
-    waiting_time: float = 11.0
-    dwell_periods: float = 20.0
-    phase_tolerance: float = math.radians(1.0)
+    gain: float = setting(2.0 * math.pi, "K of the paper's loop.", unit="rad/s", low=0.0)
+    pole: float = setting(2.0 * math.pi, "a of its low-pass 1/(s + a).", unit="rad/s", low=0.0)
+    zero: float = setting(math.pi, "b of its controller K (s + b)/s.", unit="rad/s", low=0.0)
+    centre_frequency_hz: float = setting(
+        0.0, "Centre of its oscillator; 0 = linear frequency of the target mode.", unit="Hz", low=0.0
+    )
+    closing_time: float = setting(
+        1.0, "Hold of the first level's frequency after its ramp, before the loop closes.", unit="s", low=0.0
+    )
+    waiting_time: float = setting(11.0, "From the start of a level to its window.", unit="s", low=0.0)
+    dwell_periods: float = setting(
+        20.0, "End of the waiting time over which the phase error is averaged.", unit="periods", low=0.0
+    )
+    phase_tolerance: float = setting(
+        math.radians(1.0), "Largest mean phase error at which it reports lock.", unit="rad", low=0.0
+    )
+    unlock_tolerance: float = setting(math.radians(10.0), "Mean phase error that ends a lock.", unit="rad", low=0.0)
     scatter_limit: float = math.radians(10.0)
-    unlock_tolerance: float = math.radians(10.0)
     force_floor: float = 1.0e-4
     response_floor: float = 0.0
     quiet_ramp: float = 0.5
@@ -76,6 +80,10 @@ class PaperSettings:
             if getattr(self, name) <= 0:
                 raise BenchError(f"Setting '{name}' of the paper's loop must be positive.")
 
+    def beside(self, loop: LoopSettings) -> PaperSettings:
+        """These settings with the floors, the ramp and the held phase of the adaptive loop, which both loops share."""
+        return replace(self, **{name: getattr(loop, name) for name in _SHARED})
+
     def held_lead(self, angular_frequency: float) -> float:
         """Phase by which force leads velocity where the loop rests, rad, at ω in rad/s."""
         return self.phase_offset_rad + angular_frequency * self.loop_latency_s
@@ -85,37 +93,4 @@ class PaperSettings:
         return 2.0 * math.pi * self.centre_frequency_hz or linear.frequencies_rad_s[linear.target_mode]
 
 
-_DESCRIPTIONS = {
-    "gain": ("rad/s", "K of the paper's loop."),
-    "pole": ("rad/s", "a of its low-pass 1/(s + a)."),
-    "zero": ("rad/s", "b of its controller K (s + b)/s."),
-    "centre_frequency_hz": ("Hz", "Centre of its oscillator; 0 = linear frequency of the target mode."),
-    "closing_time": ("s", "Hold of the first level's frequency after its ramp, before the loop closes."),
-    "waiting_time": ("s", "From the start of a level to its window."),
-    "dwell_periods": ("periods", "End of the waiting time over which the phase error is averaged."),
-    "phase_tolerance": ("rad", "Largest mean phase error at which it reports lock."),
-    "unlock_tolerance": ("rad", "Mean phase error that ends a lock."),
-}
-
-
-def paper_parameters() -> tuple[Parameter, ...]:
-    """The paper's own settings as node parameters ``paper_<name>``; floors and quiet ramp are shared."""
-    return tuple(
-        Parameter(PAPER_PREFIX + item.name, item.default, *_DESCRIPTIONS[item.name], low=0.0)  # type: ignore[arg-type]
-        for item in fields(PaperSettings)
-        if item.name in _DESCRIPTIONS
-    )
-
-
-def paper_settings_from(values: Mapping[str, Any]) -> PaperSettings:
-    """Settings from a node's parameters; what does not concern the paper's loop is left out.
-
-    Raises:
-        BenchError: a value that :class:`PaperSettings` refuses.
-    """
-    chosen = {}
-    for item in fields(PaperSettings):
-        key = PAPER_PREFIX + item.name if item.name in _DESCRIPTIONS else item.name
-        if key in values:
-            chosen[item.name] = float(values[key])
-    return PaperSettings(**chosen)
+_SHARED = ("scatter_limit", "force_floor", "response_floor", "quiet_ramp", "phase_offset_rad", "loop_latency_s")

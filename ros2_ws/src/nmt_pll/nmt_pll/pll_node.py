@@ -15,7 +15,8 @@ from nmt_core.messages.command_judge import CommandSource
 from nmt_core.messages.records import LoopStatus
 from nmt_core.messages.wire import LEVEL, LOCK_EVENT, BlockReader, NodeStatus, write_drive, write_status
 from nmt_msgs import msg
-from nmt_pll.loop_core import PARAMETERS, LoopCore
+from nmt_pll.loop_core import LoopCore
+from nmt_pll.pll_settings import PllSettings
 
 _LONGEST_WAIT = 0.05  # s that a message waits for its bundle
 _LONGEST_END = 2.0  # s that the loop waits for the ramp to zero when it is told to end
@@ -25,7 +26,7 @@ class PllNode(BenchNode):
     """Closes the phase loop block by block; one Drive and one Frequency message answer each block.
 
     Args:
-        values: parameter values for launch-free use; see ``PARAMETERS``.
+        settings: for launch-free use; ROS overrides win over them.
         **kwargs: forwarded to :class:`rclpy.node.Node`.
 
     Raises:
@@ -33,22 +34,23 @@ class PllNode(BenchNode):
     """
 
     NEEDED = ("sample_rate", "block_samples", "watched_nodes")
+    settings: PllSettings
 
-    def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
-        super().__init__("pll", PARAMETERS, values, **kwargs)
-        self.core = LoopCore(self.values, self._complain)
+    def __init__(self, settings: PllSettings | None = None, **kwargs: Any) -> None:
+        super().__init__("pll", PllSettings, settings, **kwargs)
+        self.core = LoopCore(self.settings, self._complain)
         self._drive = self.bench_publisher(msg.Drive, "drive", SAMPLES_QOS)
         self._frequency = self.bench_publisher(msg.Frequency, "frequency", SAMPLES_QOS)
         self._lock = self.bench_publisher(msg.LockEvent, "lock", SAMPLES_QOS)
         self._bundle: BundleWriter | None = None
-        blocks = int(str(self.values["bundle_blocks"]))
+        blocks = self.settings.bundle_blocks
         if blocks > 0:
             bundles = self.bench_publisher(msg.Bundle, PLL_BUNDLE, SAMPLES_QOS)
             self._bundle = BundleWriter(("drive", "frequency"), blocks, bundles.publish)
             self.steady_timer(_LONGEST_WAIT, self._bundle.flush)
         self.command_subscription(msg.Level, "level", self._on_level, SAMPLES_QOS)
         self._inputs = {topic: self._reading(BlockReader()) for topic in ("force", self.core.response.topic)}
-        if self.values["joined_input"]:
+        if self.settings.joined_input:
             self.bench_subscription(msg.Bundle, LOOP_INPUT, self._on_input, SAMPLES_QOS, raw=True)
         else:
             for topic, take in self._inputs.items():
@@ -166,7 +168,7 @@ class PllNode(BenchNode):
 
     def update_counters(self) -> None:
         """Counters for the heartbeat."""
-        rate, block = float(self.values["sample_rate"]), int(self.values["block_samples"])
+        rate, block = self.settings.sample_rate, self.settings.block_samples
         self.counters.update(sample_rate=rate, block_samples=block, **self.core.counters)
 
 

@@ -12,17 +12,13 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.excitation import PEAK_FACTOR
-from nmt_core.nodes.parameters import Parameter
+from nmt_core.settings import parameters_of, setting
 from nmt_core.vocabulary import ControlKind, TestKind
 
 DIRECTIONS = ("up", "down", "both")
 SPACINGS = ("geometric", "linear")
 MAX_LEVELS = 1000
 MAX_LEVEL = 1e6  # in any unit: no laboratory has more
-LIMIT_PARAMETERS = tuple(
-    Parameter(f"largest_{kind}", 0.0, unit, f"Largest level of {kind} that the rig allows; 0 = none is given.", low=0.0)
-    for kind, unit in (("voltage", "V"), ("force", "N"), ("response", "unit of the response"))
-)
 
 _DECIMAL_COMMA = re.compile(r"(?<![\d.])0,\d|\d,\d+:|:\d+,\d")
 _SYNTAX = "write 'a:b:n' for n levels from a to b in geometric steps, 'a:b:n:linear' for equal steps, or a list 'a,b,c'"
@@ -107,14 +103,23 @@ class LevelLimits:
     Whoever takes levels asks here: the plan of a test, the goal of a run, a request to steer, the page.
     """
 
-    largest_voltage: float = 0.0
-    largest_force: float = 0.0
-    largest_response: float = 0.0
+    largest_voltage: float = setting(
+        0.0, "Largest level of voltage that the rig allows; 0 = none is given.", unit="V", low=0.0
+    )
+    largest_force: float = setting(
+        0.0, "Largest level of force that the rig allows; 0 = none is given.", unit="N", low=0.0
+    )
+    largest_response: float = setting(
+        0.0,
+        "Largest level of response that the rig allows; 0 = none is given.",
+        unit="unit of the response",
+        low=0.0,
+    )
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> LevelLimits:
-        """From the parameters of the sequencer, or from the description of a run; what is not there is no limit."""
-        return cls(*(float(values.get(parameter.name) or 0.0) for parameter in LIMIT_PARAMETERS))
+        """From the description of a run; what is not there is no limit."""
+        return cls(*(float(values.get(parameter.name) or 0.0) for parameter in parameters_of(cls)))
 
     def check(self, levels: Sequence[Any], control: int, test: TestKind, where: str = "Plan") -> list[float]:
         """The levels as a list of numbers.

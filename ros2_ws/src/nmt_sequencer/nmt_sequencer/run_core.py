@@ -12,33 +12,11 @@ from nmt_core.messages.excitation import Excitation
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
 from nmt_core.messages.run_announcement import RunAnnouncement
-from nmt_core.nodes.parameters import parameter_table
 from nmt_core.text.number_words import level_list
 from nmt_core.vocabulary import ControlKind, ResultCode, RunPhase, StopCause
-from nmt_sequencer.level_plan import LIMIT_PARAMETERS, LevelLimits
 from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
+from nmt_sequencer.sequencer_settings import SequencerSettings
 from nmt_sequencer.steering import SteeringRequest
-
-PARAMETERS = (*parameter_table("""\
-sample_rate =10000.0 (Hz) 1.0..  Sample rate of the rig.
-block_samples =200 (samples) 2..100000  Samples a block.
-pacing =lockstep lockstep|realtime  lockstep for simulated rigs, realtime for hardware.
-tick_blocks =5 (blocks) 1..1000  Blocks between two decisions.
-latency_blocks =0 (blocks) 0..100  Buffering between command and excitation.
-ramp =0.5 (s) 0.0..  Half-cosine between levels if the goal gives none.
-quiet_ramp =0.5 (s) 0.0..  Half-cosine to zero at the end of a run.
-window_periods =200 (periods) 1..1000000  Whole periods a window if the goal gives none.
-timeout =60.0 (s) 0.0..  Bench time a level may take to lock if the goal gives none.
-open_loop_abort =True  End a phase resonance test where a higher level would follow one that had no force or no
-    response.
-ready_timeout =30.0 (s) 0.1..  Time to wait for all watched nodes before a run; in lockstep only while they could
-    work.
-stall_timeout =20.0 (s) 1.0..  Time in which no block of a run may be answered, in lockstep while its nodes could
-    work; then the run is ended, except during a pause.
-recording =True  A run begins only when a recorder has opened a bag for it.
-points_timeout =30.0 (s) 0.0..  Time without any progress of extraction after which missing modal points are no longer
-    waited for after a run.
-"""), *LIMIT_PARAMETERS)  # fmt: skip
 
 # In real time a sequencer may join a loop that has run for long, and miss blocks that the loop could not answer.
 _LONGEST_BEFORE = 7 * 86400.0  # s
@@ -60,7 +38,7 @@ class RunCore:
     After every call publish what :meth:`acts`, then what :meth:`orders` and then what :meth:`state` returns.
 
     Args:
-        values: parameters of the node, complete; see ``PARAMETERS``.
+        settings: those of the node.
 
     Attributes:
         machine: the state machine of the run.
@@ -68,28 +46,28 @@ class RunCore:
         judge: whether a state of the loop can be meant.
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        self.values = values
+    def __init__(self, settings: SequencerSettings) -> None:
+        self.settings = settings
         self.machine = RunMachine(
             Pacing(
-                sample_rate=float(values["sample_rate"]),
-                block_samples=int(values["block_samples"]),
-                tick_blocks=int(values["tick_blocks"]),
-                lockstep=values["pacing"] == "lockstep",
-                quiet_ramp=float(values["quiet_ramp"]),
-                latency_blocks=int(values["latency_blocks"]),
+                sample_rate=settings.sample_rate,
+                block_samples=settings.block_samples,
+                tick_blocks=settings.tick_blocks,
+                lockstep=settings.pacing == "lockstep",
+                quiet_ramp=settings.quiet_ramp,
+                latency_blocks=settings.latency_blocks,
             ),
-            LevelLimits.of(values),
+            settings.limits,
         )
         self.points: dict[int, ModalPoint] = {}
         self._published: tuple[Any, ...] = ()
         self._extracted = (0, 0)  # samples that extraction has taken and points that have come, as last looked at
-        rate, block = float(values["sample_rate"]), int(values["block_samples"])
+        rate, block = settings.sample_rate, settings.block_samples
         lockstep = self.machine.pacing.lockstep
         self.judge = CommandJudge(
             block,
             horizon=round((LONGEST_AHEAD if lockstep else _LONGEST_BEFORE) * rate),
-            most_missing=int(values["latency_blocks"]) if lockstep else round(_LONGEST_STALL * rate / block),
+            most_missing=settings.latency_blocks if lockstep else round(_LONGEST_STALL * rate / block),
         )
 
     def plan(self, goal: Mapping[str, Any]) -> RunPlan:
@@ -101,21 +79,21 @@ class RunCore:
         Raises:
             BenchError: the goal is not acceptable.
         """
-        v = self.values
+        settings = self.settings
         plan = RunPlan(
             run_id=goal["run_id"] or time.strftime("run-%Y%m%d-%H%M%S"),
             levels=tuple(goal["levels"]),
             control=goal["control"] or ControlKind.VOLTAGE,
-            ramp=goal["ramp"] or float(v["ramp"]),
-            window_periods=goal["window_periods"] or int(v["window_periods"]),
-            timeout=goal["timeout"] or float(v["timeout"]),
+            ramp=goal["ramp"] or settings.ramp,
+            window_periods=goal["window_periods"] or settings.window_periods,
+            timeout=goal["timeout"] or settings.timeout,
             stop_on_lost_lock=goal["stop_on_lost_lock"],
-            open_loop_abort=bool(v["open_loop_abort"]),
+            open_loop_abort=settings.open_loop_abort,
             excitation=Excitation.from_goal(goal),
             frequencies_hz=tuple(goal["frequencies_hz"]),
             levels_without=frozenset(int(index) for index in goal.get("levels_without", ())),
         )
-        plan.check(float(v["sample_rate"]), self.machine.limits)
+        plan.check(settings.sample_rate, self.machine.limits)
         return plan
 
     def announcement(self, goal: str, plan: RunPlan) -> RunAnnouncement:
@@ -130,7 +108,7 @@ class RunCore:
             "frequencies_hz": [float(frequency) for frequency in plan.frequencies_hz],
             **plan.excitation.values,
             "test": plan.excitation.test.label,
-            "pacing": self.values["pacing"],
+            "pacing": self.settings.pacing,
         }
         if plan.levels_without:
             described["levels_without"] = sorted(plan.levels_without)

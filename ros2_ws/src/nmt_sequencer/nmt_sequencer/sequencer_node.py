@@ -33,8 +33,9 @@ from nmt_core.vocabulary import LoopState, ResultCode, RunPhase, SteeringAct
 from nmt_msgs import msg
 from nmt_msgs.action import RunLevels
 from nmt_msgs.srv import Steer
-from nmt_sequencer.run_core import PARAMETERS, RunCore
+from nmt_sequencer.run_core import RunCore
 from nmt_sequencer.run_machine import RunPlan
+from nmt_sequencer.sequencer_settings import SequencerSettings
 from nmt_sequencer.steering import SteeringRequest
 
 _GUARD_PERIOD = 0.1
@@ -50,15 +51,16 @@ class SequencerNode(BenchNode):
     """Runs plans of levels, one at a time; every end is a ramp to zero.
 
     Args:
-        values: parameter values for launch-free use; see ``PARAMETERS``.
+        settings: for launch-free use; ROS overrides win over them.
         **kwargs: forwarded to :class:`rclpy.node.Node`.
     """
 
     NEEDED = ("sample_rate", "block_samples", "watched_nodes")
+    settings: SequencerSettings
 
-    def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
-        super().__init__("sequencer", PARAMETERS, values, **kwargs)
-        self.core = RunCore(self.values)
+    def __init__(self, settings: SequencerSettings | None = None, **kwargs: Any) -> None:
+        super().__init__("sequencer", SequencerSettings, settings, **kwargs)
+        self.core = RunCore(self.settings)
         self.machine = self.core.machine
         self._pending: tuple[Any, RunPlan, float] | None = None
         self._announced = RunAnnouncement()
@@ -159,7 +161,7 @@ class SequencerNode(BenchNode):
     @property
     def _bag_is_open(self) -> bool:
         """Whether the recorder has opened a bag for the announced run, or none is asked for."""
-        return not self.values["recording"] or (self._bag.state == "open" and self._bag.goal == self._announced.goal)
+        return not self.settings.recording or (self._bag.state == "open" and self._bag.goal == self._announced.goal)
 
     def _result(self, goal_handle: Any) -> Any:
         machine = self.machine
@@ -191,7 +193,7 @@ class SequencerNode(BenchNode):
         recorded = self._bag_is_open
         if goal_handle.is_cancel_requested:
             self._refuse(plan, ResultCode.CANCELED, "Cancelled before the first level.")
-        elif self.values["recording"] and self._bag.state == "failed" and self._bag.goal == self._announced.goal:
+        elif self.settings.recording and self._bag.state == "failed" and self._bag.goal == self._announced.goal:
             why = self._bag.reason.rstrip(".")
             self._refuse(plan, ResultCode.REFUSED, f"The run would not be recorded: {why}.")
         elif not missing and self._other_timing():
@@ -203,7 +205,7 @@ class SequencerNode(BenchNode):
             self._still_for = self._waited = 0.0
             self.core.start(plan)
             self._publish_all()
-        elif self._waited > float(self.values["ready_timeout"]):
+        elif self._waited > self.settings.ready_timeout:
             what = [f"{name} ({state})" for name, state in missing.items()]
             what += [f"the peers of topic {topic}" for topic in own]
             what += [second] if second else []
@@ -211,7 +213,7 @@ class SequencerNode(BenchNode):
             self._refuse(
                 plan,
                 ResultCode.NODE_LOST,
-                f"Not ready within {self.values['ready_timeout']:g} s: {', '.join(what)}; start the missing "
+                f"Not ready within {self.settings.ready_timeout:g} s: {', '.join(what)}; start the missing "
                 "nodes and end those that do not belong here.",
             )
 
@@ -235,11 +237,12 @@ class SequencerNode(BenchNode):
 
     def _other_timing(self) -> str:
         """Which node works with other blocks than this one, as a sentence; empty where none says so."""
+        own = {name: str(getattr(self.settings, name)) for name in _TIMING}
         for name, said in sorted(self._timing.items()):
             for key, text in said.items():
-                if text != str(self.values[key]):
+                if text != own[key]:
                     return (
-                        f"Node {name} has {key} {text}, the sequencer {self.values[key]}: they would wait for each "
+                        f"Node {name} has {key} {text}, the sequencer {own[key]}: they would wait for each "
                         "other; start all nodes with the parameter file of one rig."
                     )
         return ""
@@ -433,10 +436,9 @@ class SequencerNode(BenchNode):
         elif self._goal is not None and self._pending is None and machine.phase == RunPhase.DONE:
             # Extraction is waited for as long as it moves, or could not.
             self._waited += passed
-            overdue = self._waited > float(self.values["points_timeout"])
-            gone = (
-                self.liveness.first_lost(time.monotonic()) or self.liveness.first_failure()[0]
-            )  # nobody is left to send them
+            overdue = self._waited > self.settings.points_timeout
+            # Nobody is left to send them.
+            gone = bool(self.liveness.first_lost(time.monotonic()) or self.liveness.first_failure()[0])
             given_up = self._end_is_asked_for and self._is_held_up(now)
             if overdue or gone or given_up or not self.core.missing_points:
                 self.core.account()
@@ -475,7 +477,7 @@ class SequencerNode(BenchNode):
             self._still_for = 0.0
             return
         self._still_for += passed
-        limit = float(self.values["stall_timeout"])
+        limit = self.settings.stall_timeout
         if self._still_for <= limit:
             return
         refused = f" Refused last: {self.core.judge.latest}" if self.core.judge.latest else ""

@@ -8,11 +8,11 @@ import math
 import platform
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, TypedDict, TypeVar
 
 import numpy as np
 
@@ -22,24 +22,30 @@ from nmt_core.messages.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.messages.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.messages.excitation import Excitation
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.nodes.node_settings import PACINGS, NodeSettings
+from nmt_core.nodes.parameters import ParameterValue
+from nmt_core.settings import parameters_of, values_of, with_values
 from nmt_core.vocabulary import AUTOMATIC, MOTIONS, ControlKind, HarmonicsTarget, TestKind
-from nmt_extract.extraction_settings import ExtractionSettings
+from nmt_extract.extraction_settings import ExtractionSettings, ExtractSettings
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_plant.devices.guarded_device import LEAST_LEAD
 from nmt_plant.devices.hardware_rig import HARDWARE_LEAD
+from nmt_plant.plant_settings import PlantSettings
 from nmt_plant.safety.output_guard import default_slew
 from nmt_pll.harmonics_control import MOST_HARMONICS
 from nmt_pll.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from
-from nmt_pll.paper_settings import PAPER_PREFIX, paper_parameters, paper_settings_from
+from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.pll_settings import PAPER_PREFIX, PllSettings
 from nmt_record.bag.bag_keys import SIMULATED_RIG, converter_name
+from nmt_record.bag.recorder_settings import RecorderSettings
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS, SPECIMEN
 from nmt_rig.linear_description import force_per_volt, linear_description
 from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import LevelLimits
+from nmt_sequencer.sequencer_settings import SequencerSettings
 
-PACINGS = ("lockstep", "realtime")
-
+S = TypeVar("S", bound=NodeSettings)
 STRATEGIES = ("stepped", "ramp")
 LOOP_TOPICS = ("drive", "frequency")
 """Topics of the loop with a message for every block."""
@@ -306,17 +312,31 @@ class TestPlan:
 
 @dataclass(frozen=True)
 class NodePlan:
-    """Parameters of every node of a test, and the run's self-description.
+    """Settings of every node of a test, and the run's self-description.
 
     Attributes:
-        values: parameters by node name.
+        plant, pll, sequencer, extract, recorder: settings of the node of that name.
         run: content of ``run.json``.
         goal: fields of the action goal.
     """
 
-    values: dict[str, dict[str, Any]]
+    plant: PlantSettings
+    pll: PllSettings
+    sequencer: SequencerSettings
+    extract: ExtractSettings
+    recorder: RecorderSettings
     run: dict[str, Any]
     goal: dict[str, Any]
+
+    @property
+    def settings(self) -> dict[str, NodeSettings]:
+        """Settings by node name."""
+        return {name: getattr(self, name) for name in NODES}
+
+    @property
+    def values(self) -> dict[str, dict[str, ParameterValue]]:
+        """Parameters by node name, as ROS takes them; complete."""
+        return {name: values_of(settings) for name, settings in self.settings.items()}
 
     def write_parameters(self, path: Path) -> None:
         """Write a parameter file that ``ros2 run … --ros-args --params-file`` takes for any of the nodes.
@@ -344,6 +364,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     linear_json = "" if linear is None else linear.to_json()
     response = _response_topic(rig)
     topics = _sample_topics(rig)
+    limits = level_limits(rig)
     extraction = ExtractionSettings(
         harmonics=_extracted_harmonics(test, linear),
         topics=_extraction_topics(rig, topics),
@@ -351,85 +372,85 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         hysteresis=_hysteresis_layout(rig),
     )
     layout = extraction.hysteresis
-    pll = _loop_values(test, linear, response)
-    timing = {"sample_rate": float(rig.sample_rate_hz), "block_samples": int(rig.block_samples)}
-    values: dict[str, dict[str, Any]] = {
-        "plant": {
-            "rig_file": str(rig_file),
-            "pacing": test.pacing,
-            "latency_blocks": test.lead_blocks,
-            "watched_nodes": ["pll", "sequencer"],
-            **({"reader_lead": _reader_lead(rig)} if test.pacing == "lockstep" else {}),
-            **({"device": test.device, "device_address": test.device_address} if test.is_on_hardware else {}),
-            **({"output_record": str(bag.absolute().parent / OUTPUT_RECORD)} if test.pacing == "realtime" else {}),
-        },
-        "pll": {
-            **timing,
-            "pacing": test.pacing,
-            "linear_json": linear_json,
-            "drive_point": rig.drive_point,
-            "response_topic": response,
-            "latency_blocks": test.lead_blocks,
-            "watched_nodes": ["plant", "sequencer"],
-            **_known_force(test, linear),
-            **pll,
-        },
-        "sequencer": {
-            **timing,
-            "pacing": test.pacing,
-            "latency_blocks": test.lead_blocks,
-            "tick_blocks": test.tick_blocks,
-            "watched_nodes": ["plant", "pll", "extract", "recorder"],
-            **vars(level_limits(rig)),
-        },
-        "extract": {
-            "pacing": test.pacing,
-            "rig": rig.name,
-            "linear_json": linear_json,
-            "harmonics": extraction.harmonics,
-            "topics": list(extraction.topics),
-            "power_balance": extraction.power_balance,
-            "hysteresis_json": "" if layout is None else json.dumps(layout.to_mapping()),
-        },
-        "recorder": {
-            "pacing": test.pacing,
-            "output": str(bag),
-            "chunk_messages": _chunk_messages(rig, len(topics)),
-            **({} if rig.recording is None else {"compression": rig.recording.compression}),
-        },
-    }
     bundle = _bundle_blocks(test, len(topics))
-    if bundle:
-        values["plant"]["bundle_blocks"] = values["pll"]["bundle_blocks"] = bundle
-        values["recorder"]["bundled"] = [*topics, "monitor", *LOOP_TOPICS]
-        values["extract"]["bundled"] = [*extraction.topics, "frequency"]
     linked = _is_linked(test)
-    if linked:
-        for name in ("plant", "pll", "sequencer", *(("recorder", "extract") if bundle else ())):
-            values[name]["linked"] = True
     wants_shape = test.excitation.harmonics_target == HarmonicsTarget.MODAL
     if wants_shape and linear is not None:
         check_modes(linear, f"The test of rig {rig.name}")
     joined = linked or (not wants_shape and _joins_loop_input(test, response))
+    for name in test.node_values:
+        if name not in NODES:
+            raise BenchError(f"Node '{name}' is not part of the bench; there are {', '.join(NODES)}.")
+    peers = expected_peers(topics, extraction.topics, response, bundle > 0, joined)
+    plant = PlantSettings(
+        rig_file=str(rig_file),
+        pacing=test.pacing,
+        latency_blocks=test.lead_blocks,
+        watched_nodes=("pll", "sequencer"),
+        reader_lead=_reader_lead(rig) if test.pacing == "lockstep" else 0.0,
+        device=test.device if test.is_on_hardware else "",
+        device_address=test.device_address if test.is_on_hardware else "",
+        output_record=str(bag.absolute().parent / OUTPUT_RECORD) if test.pacing == "realtime" else "",
+        bundle_blocks=bundle,
+        linked=linked,
+    )
     if joined:
-        values["plant"]["loop_topics"] = ["force", response]
-        values["plant"]["drive_point"] = 0 if wants_shape else int(rig.drive_point)
-        values["pll"]["joined_input"] = True
-    for name, extra in test.node_values.items():
-        if name not in values:
-            raise BenchError(f"Node '{name}' is not part of the bench; there are {', '.join(values)}.")
-        values[name].update(extra)
-    if test.strategy == "ramp":
-        values["pll"].setdefault("ramp_delay_periods", RAMP_DELAY)
+        point = 0 if wants_shape else int(rig.drive_point)
+        plant = replace(plant, loop_topics=("force", response), drive_point=point)
+    pll = PllSettings(
+        sample_rate=float(rig.sample_rate_hz),
+        block_samples=int(rig.block_samples),
+        pacing=test.pacing,
+        linear_json=linear_json,
+        drive_point=int(rig.drive_point),
+        response_topic=response,
+        watched_nodes=("plant", "sequencer"),
+        force_per_volt_json=_known_force(test, linear),
+        bundle_blocks=bundle,
+        linked=linked,
+        joined_input=joined,
+    )
+    sequencer = SequencerSettings(
+        sample_rate=float(rig.sample_rate_hz),
+        block_samples=int(rig.block_samples),
+        pacing=test.pacing,
+        latency_blocks=test.lead_blocks,
+        tick_blocks=test.tick_blocks,
+        watched_nodes=("plant", "pll", "extract", "recorder"),
+        limits=limits,
+        linked=linked,
+    )
+    extract = ExtractSettings(
+        pacing=test.pacing,
+        rig=rig.name,
+        linear_json=linear_json,
+        extraction=replace(extraction, hysteresis=None),
+        hysteresis_json="" if layout is None else json.dumps(layout.to_mapping()),
+        bundled=(*extraction.topics, "frequency") if bundle else ("",),
+        linked=linked and bundle > 0,
+    )
+    recorder = RecorderSettings(
+        pacing=test.pacing,
+        output=str(bag),
+        chunk_messages=_chunk_messages(rig, len(topics)),
+        bundled=(*topics, "monitor", *LOOP_TOPICS) if bundle else ("",),
+        linked=linked and bundle > 0,
+    )
+    if rig.recording is not None:
+        recorder = replace(recorder, compression=rig.recording.compression)
+    plant = _given(plant, test, "plant", peers)
+    pll = _given(_with_loops(pll, test, linear, response), test, "pll", peers)
+    sequencer = _given(sequencer, test, "sequencer", peers)
+    extract = _given(extract, test, "extract", peers)
+    recorder = _given(recorder, test, "recorder", peers)
     for lacking, does, what in (
         (test.strategy == "ramp", "waits at every level", "the strategy ramp"),
         (test.excitation.test is TestKind.RING_DOWN, "does not switch off", "a ring-down test"),
         (test.control != "voltage", "steps the voltage only", f"levels of {test.control}"),
     ):
-        if lacking and values["pll"].get("loop") == "paper":
+        if lacking and pll.loop == "paper":
             raise BenchError(f"The paper's loop {does}; use the adaptive loop for {what}.")
-    for name, peers in expected_peers(topics, extraction.topics, response, bundle > 0, joined).items():
-        values[name]["expected_peers"] = peers
+    nodes = {"plant": plant, "pll": pll, "sequencer": sequencer, "extract": extract, "recorder": recorder}
     goal = test.goal
     run = {
         "run_id": test.run_id,
@@ -439,20 +460,28 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
             **{key: value for key, value in goal.items() if key != "run_id"},
             "test": test.excitation.test.label,
             "pacing": test.pacing,
-            **vars(level_limits(rig)),
+            **vars(limits),
         },
         "block": {"samples": int(rig.block_samples), "reason": test.block_reason},
         "device": device,
         "exciter_point": rig.drive_point,
         "linear": None if linear is None else json.loads(linear_json),
         "extraction": extraction.to_mapping(),
-        "parameters": {name: dict(items) for name, items in values.items()},
+        "parameters": {name: values_of(settings) for name, settings in nodes.items()},
         "versions": versions(),
         "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
     }
-    values["recorder"]["run_json"] = json.dumps(run)
-    values["recorder"]["rig_yaml"] = test.rig_yaml
-    return NodePlan(values, run, goal)
+    recorder = replace(recorder, run_json=json.dumps(run), rig_yaml=test.rig_yaml)
+    return NodePlan(plant, pll, sequencer, extract, recorder, run, goal)
+
+
+def _given(settings: S, test: TestPlan, name: str, peers: Mapping[str, Sequence[str]]) -> S:
+    """The settings of a node with what the test says of them, and with the peers that it waits for.
+
+    Raises:
+        BenchError: the node has no such setting, or refuses its value.
+    """
+    return replace(with_values(settings, test.node_values.get(name, {}), name), expected_peers=tuple(peers[name]))
 
 
 def _plain(value: Any) -> Any:
@@ -572,13 +601,13 @@ def _extracted_harmonics(test: TestPlan, linear: LinearDescription | None) -> in
     return max(harmonics, min(wanted, below_nyquist))
 
 
-def _known_force(test: TestPlan, linear: LinearDescription | None) -> dict[str, Any]:
-    """Force per volt over the frequencies of controlled harmonics: of the linear test, beside it of the model.
+def _known_force(test: TestPlan, linear: LinearDescription | None) -> str:
+    """JSON of the force per volt at controlled harmonics: of the linear test, beside it of the model.
 
     On hardware nothing but the test is believed; what it does not cover is probed.
     """
     if not test.controlled_harmonics or linear is None:
-        return {}
+        return ""
     rows = [list(row) for row in linear.force_per_volt_rows]
     low, high = (rows[0][0], rows[-1][0]) if rows else (math.inf, math.inf)
     if not test.is_on_hardware:
@@ -586,7 +615,7 @@ def _known_force(test: TestPlan, linear: LinearDescription | None) -> dict[str, 
         beside = frequencies[(frequencies < low) | (frequencies > high)]
         for frequency, value in zip(beside, force_per_volt(test.rig, beside.tolist()), strict=True):
             rows.append([float(f"{x:.6g}") for x in (frequency, value.real, value.imag)])
-    return {"force_per_volt_json": json.dumps(sorted(rows))} if rows else {}
+    return json.dumps(sorted(rows)) if rows else ""
 
 
 def _hysteresis_layout(rig: Rig) -> HysteresisLayout | None:
@@ -626,10 +655,13 @@ def _response_topic(rig: Rig) -> str:
     )
 
 
-def _loop_values(test: TestPlan, linear: LinearDescription | None, response: str) -> dict[str, Any]:
-    """The rig's loop settings; amplitude floors default to a fraction of the linear estimate at the lowest level."""
+def _with_loops(pll: PllSettings, test: TestPlan, linear: LinearDescription | None, response: str) -> PllSettings:
+    """The settings with those that the rig gives the loops.
+
+    Amplitude floors default to a fraction of the linear estimate at the lowest level.
+    """
     values = dict(test.rig.pll)
-    loop = _paper_values(values)
+    chosen = _paper_values(values)
     if linear is not None:
         _add_floors(values, test, linear, response)
     if test.rig.limits.voltage_v is not None:
@@ -638,8 +670,10 @@ def _loop_values(test: TestPlan, linear: LinearDescription | None, response: str
         limits, rate = test.rig.limits, float(test.rig.sample_rate_hz)
         usual = 0.0 if limits.voltage_v is None else default_slew(float(limits.voltage_v), rate)
         values.setdefault("slew_limit", float(usual if limits.slew_v_s is None else limits.slew_v_s))
-    settings = settings_from({**values, "latency_blocks": test.lead_blocks})
-    return {**loop, **{name: type(getattr(settings, name))(value) for name, value in values.items()}}
+    if test.strategy == "ramp":
+        values.setdefault("ramp_delay_periods", RAMP_DELAY)
+    settings_from({**values, "latency_blocks": test.lead_blocks})
+    return with_values(pll, {"latency_blocks": test.lead_blocks, **chosen, **values}, "pll")
 
 
 def _add_floors(values: dict[str, Any], test: TestPlan, linear: LinearDescription, response: str) -> None:
@@ -658,12 +692,12 @@ def _paper_values(values: dict[str, Any]) -> dict[str, Any]:
     chosen: dict[str, Any] = {}
     if "loop" in values:
         chosen["loop"] = str(values.pop("loop"))
-    known = {parameter.name for parameter in paper_parameters()}
+    known = {PAPER_PREFIX + parameter.name for parameter in parameters_of(PaperSettings)}
     for name in [name for name in values if name.startswith(PAPER_PREFIX)]:
         if name not in known:
             raise BenchError(f"PLL setting '{name}' is not known; known are {', '.join(sorted(known))}.")
         chosen[name] = float(values.pop(name))
-    paper_settings_from(chosen)
+    PaperSettings(**{name.removeprefix(PAPER_PREFIX): value for name, value in chosen.items() if name != "loop"})
     return chosen
 
 

@@ -21,6 +21,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,27 +41,21 @@ from nmt_core.messages.wire import (
     write_drive,
     write_status,
 )
-from nmt_core.nodes.parameters import Parameter, check_values
+from nmt_core.settings import with_values
 from nmt_core.vocabulary import Quantity, ResultCode, RunPhase, SteeringAct
-from nmt_extract.extraction_core import PARAMETERS as EXTRACT_PARAMETERS
 from nmt_extract.extraction_core import ExtractionCore
 from nmt_plant.devices.device import Device, DeviceFault
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.plant_core import PlantCore
-from nmt_pll.loop_core import PARAMETERS as PLL_PARAMETERS
 from nmt_pll.loop_core import LoopCore
 from nmt_record.bag.bag_keys import SIMULATED_RIG
-from nmt_record.bag.run_recorder import PARAMETERS as RECORDER_PARAMETERS
 from nmt_record.bag.run_recorder import RunRecorder
-from nmt_sequencer.run_core import PARAMETERS as SEQUENCER_PARAMETERS
 from nmt_sequencer.run_core import RunCore
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session.node_plan import TestPlan, plan_nodes
 from nmt_session.run_result import Progress, RunResult
 
 _PROGRESS_PERIOD = 0.1  # s of wall time
-# Parameters that concern what a node does among others on the network.
-_NETWORK = frozenset(("expected_peers", "watched_nodes", "silence_timeout", "hang_timeout", "reader_lead", "linked"))
 
 _CODECS: dict[str, Any] = {
     "level": LEVEL,
@@ -171,15 +166,14 @@ class Session:
             run = self._description or self.plan.run
             rig_file.write_text(self.test.rig_yaml, encoding="utf-8")
             (self.out / "run.json").write_text(json.dumps(run, indent=2) + "\n", encoding="utf-8")
-            values = {**self.plan.values["recorder"], "run_json": json.dumps(run)}
-            self._recorder = RunRecorder(_complete(RECORDER_PARAMETERS, values, "recorder"), self._bench_time_ns)
+            settings = replace(self.plan.recorder, run_json=json.dumps(run))
+            self._recorder = RunRecorder(settings, self._bench_time_ns)
             self._cleanup.callback(self._recorder.close, "interrupted", "the session was left before its end")
-        values = {**self.plan.values["pll"], **self._loop_values}
-        self._loop = LoopCore(_complete(PLL_PARAMETERS, values, "pll"))
-        self._sequencer = RunCore(_complete(SEQUENCER_PARAMETERS, self.plan.values["sequencer"], "sequencer"))
+        self._loop = LoopCore(with_values(self.plan.pll, self._loop_values, "pll"))
+        self._sequencer = RunCore(self.plan.sequencer)
         self._extraction: ExtractionCore | None = None
         if self._extract:
-            self._extraction = ExtractionCore(_complete(EXTRACT_PARAMETERS, self.plan.values["extract"], "extract"))
+            self._extraction = ExtractionCore(self.plan.extract)
         self._writers = {quantity: BlockWriter(self.rig.name) for quantity in self._plant.quantities}
         self._loop_inputs = (Quantity.FORCE, self._loop.response)
 
@@ -445,10 +439,3 @@ class Session:
             yield
         finally:
             signal.signal(signal.SIGINT, before)
-
-
-def _complete(table: Sequence[Parameter], values: Mapping[str, Any], owner: str) -> dict[str, Any]:
-    """Values for all parameters of a node's table; what concerns other processes is left out."""
-    own = {parameter.name for parameter in table}
-    given = {key: value for key, value in values.items() if key not in _NETWORK and (key in own or key != "pacing")}
-    return dict(check_values(table, given, owner))

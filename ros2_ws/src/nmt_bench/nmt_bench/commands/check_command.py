@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.shared_options import dated_folder_option, hardware_option, replace_option
 from nmt_core.errors import BenchError
+from nmt_core.options import argument, option
 
 if TYPE_CHECKING:
     from nmt_plant.check.hardware_check import CheckResult
@@ -17,24 +20,25 @@ if TYPE_CHECKING:
 EXIT_PASSED, EXIT_FOUND = 0, 1
 
 
-USAGE = """\
-Listens to the converter, then drives it with noise of at most one hundredth of the drive's limit, and compares every
-channel with the rig's model: noise, mains, offset, overload, open or shorted channels, dead ICP supply, sign,
-exchanged channels, sensitivity and delay of each, response to the drive, headroom for the planned levels, clock, and
-frequency of each mode. A test on hardware begins only after a check that passed.
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions:
+    """Listens to the converter, then drives it with noise of at most one hundredth of the drive's limit, and compares
+    every channel with the rig's model: noise, mains, offset, overload, open or shorted channels, dead ICP supply,
+    sign, exchanged channels, sensitivity and delay of each, response to the drive, headroom for the planned levels,
+    clock, and frequency of each mode. A test on hardware begins only after a check that passed."""
 
-RIG  name of a rig (for example beam) or path of a rig file
-@output check.json, report.html
-@device-of-hardware
---levels PLAN  planned levels, V, as for './nmt run' (default: the rig's)
---linear FILE  linear.json whose resonance is expected
---exciter N  drive point (default: the rig's)
---set KEY=VALUE...  change a value of the rig file
---quiet  no progress display
-"""
+    rig: str = argument("name of a rig (for example beam) or path of a rig file", metavar="RIG")
+    out: Path = dated_folder_option("check.json, report.html", "check")
+    force: bool = replace_option()
+    device: str = hardware_option()
+    levels: str | None = option(None, "planned levels, V, as for './nmt run' (default: the rig's)", metavar="PLAN")
+    linear: Path | None = option(None, "linear.json whose resonance is expected", metavar="FILE")
+    exciter: int | None = option(None, "drive point (default: the rig's)", metavar="N")
+    set: tuple[str, ...] = option((), "change a value of the rig file", metavar="KEY=VALUE")
+    quiet: bool = option(False, "no progress display")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: CheckOptions) -> int:
     """Check, write and keep the result, print the table.
 
     Returns:
@@ -43,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: rig, option or device are refused, or the device failed.
     """
-    check_output(arguments.out, arguments.force)
+    check_output(options.out, options.force)
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.hardware_options import chosen_rig
     from nmt_bench.commands.linear_input import read_linear
@@ -56,15 +60,15 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_report.check_report import check_page
     from nmt_sequencer.level_plan import parse_levels
 
-    rig = chosen_rig(arguments)
-    kind, address = parsed_device(arguments.device, rig)
+    rig = chosen_rig(options)
+    kind, address = parsed_device(options.device, rig)
     if kind in ("", "simulated"):
         raise BenchError(
             f"Rig {rig.name} is simulated and has no converter to check; give --device portaudio or nidaqmx, or write "
             "a section 'device' into the rig file."
         )
-    linear = read_linear(arguments.linear) if arguments.linear is not None else None
-    levels = parse_levels(arguments.levels or rig.test.levels)
+    linear = read_linear(options.linear) if options.linear is not None else None
+    levels = parse_levels(options.levels or rig.test.levels)
     section = device_of(rig, kind, address)
     look_for_device(section, rig)
     console = make_console()
@@ -73,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         device.configure()
         device.start()
         with real_time_priority():
-            record = record_check(device, None if arguments.quiet else _progress(console))
+            record = record_check(device, None if options.quiet else _progress(console))
         result = evaluate_check(device, record, levels, 0.0 if linear is None else linear.frequency_hz)
         priority = _priority(device)
     except DeviceFault as error:
@@ -89,12 +93,12 @@ def run(arguments: argparse.Namespace) -> int:
         "priority": priority,
         **result.to_mapping(),
     }
-    with OutputFolder(arguments.out, arguments.force) as folder:
+    with OutputFolder(options.out, options.force) as folder:
         (folder / "check.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
         (folder / "report.html").write_text(check_page(document), encoding="utf-8")
     keep_check(rig, section, document)
     _show(result, console, section.check_valid_hours)
-    console.print(f"Results in {arguments.out}: check.json, report.html", soft_wrap=True)
+    console.print(f"Results in {options.out}: check.json, report.html", soft_wrap=True)
     return EXIT_PASSED if result.passed else EXIT_FOUND
 
 

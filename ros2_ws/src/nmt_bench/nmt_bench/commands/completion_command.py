@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+from dataclasses import dataclass
 
 from nmt_core.errors import BenchError
-
-USAGE = """\
-Prints a script that lets the shell complete commands and options with the tabulator key. bash: eval "$(./nmt
-completion bash)" in ~/.bashrc, with the launcher's full path. zsh: the same with zsh, after compinit, in ~/.zshrc.
-
-shell bash|zsh  for which shell
-"""
+from nmt_core.options import argument
 
 
-def run(arguments: argparse.Namespace) -> int:
+@dataclass(frozen=True, kw_only=True)
+class CompletionOptions:
+    """Prints a script that lets the shell complete commands and options with the tabulator key. bash: eval "$(./nmt
+    completion bash)" in ~/.bashrc, with the launcher's full path. zsh: the same with zsh, after compinit, in
+    ~/.zshrc."""
+
+    shell: str = argument("for which shell", choices=("bash", "zsh"))
+
+
+def run(options: CompletionOptions) -> int:
     """Print the script.
 
     Raises:
@@ -29,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise BenchError("'shtab' is not installed; type: pip install 'nmt[completion]'.") from error
     parser = build_parser(*all_commands())
     parser.prog = "nmt"
-    sys.stdout.write(shtab.complete(parser, arguments.shell) + "\n")
-    if arguments.shell == "bash":  # the launcher is called by its path
+    sys.stdout.write(shtab.complete(parser, options.shell) + "\n")
+    if options.shell == "bash":  # the launcher is called by its path
         sys.stdout.write("complete -o filenames -F _shtab_nmt ./nmt\n")
     return 0

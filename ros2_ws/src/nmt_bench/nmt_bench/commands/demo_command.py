@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
 from nmt_bench.commands.output_folder import free_folder
+from nmt_bench.commands.shared_options import page_option
+from nmt_core.options import option, option_made
 
 DEFAULT_FOLDER = Path("out") / "demo"
 
 
-USAGE = f"""\
-Runs the virtual experiment of the reference paper (Scheel et al. 2018): a cantilever beam with a friction joint on a
-Brüel & Kjær 4808 shaker, held at phase resonance while the level is stepped up. Every node is its own process;
-everything is recorded to a bag. Ends with a table of modal properties and a report.
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions:
+    """Runs the virtual experiment of the reference paper (Scheel et al. 2018): a cantilever beam with a friction joint
+    on a Brüel & Kjær 4808 shaker, held at phase resonance while the level is stepped up. Every node is its own
+    process; everything is recorded to a bag. Ends with a table of modal properties and a report.
 
---out DIR  folder for the results (default: {DEFAULT_FOLDER}, or the next free number after it)
---domain N  ROS domain, 1 to 100 (default: a free one)
---force  replace earlier results in the folder
-@page
+    The same test with your own settings: ./nmt run beam --out DIR
+    """
 
-The same test with your own settings: ./nmt run beam --out DIR
-"""
+    out: Path = option_made(
+        lambda: free_folder(DEFAULT_FOLDER),
+        f"folder for the results (default: {DEFAULT_FOLDER}, or the next free number after it)",
+        metavar="DIR",
+    )
+    domain: int | None = option(None, "ROS domain, 1 to 100 (default: a free one)", metavar="N")
+    force: bool = option(False, "replace earlier results in the folder")
+    page: bool = page_option()
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: DemoOptions) -> int:
     """Run the demo.
 
     Returns:
@@ -33,11 +40,9 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: as ``./nmt run``.
     """
-    from nmt_bench.cli import build_parser, run_parsed
+    from nmt_bench.commands.run_command import RunOptions
+    from nmt_bench.commands.run_command import run as run_test
 
-    folder = arguments.out if arguments.out is not None else free_folder(DEFAULT_FOLDER)
-    arguments.out = folder
-    words = ["run", "beam", "--out", str(folder)] + (["--force"] if arguments.force else [])
-    words += ["--domain", str(arguments.domain)] if arguments.domain is not None else []
-    words += ["--page"] if arguments.page else []
-    return run_parsed(build_parser("run").parse_args(words))
+    return run_test(
+        RunOptions(rig="beam", out=options.out, force=options.force, domain=options.domain, page=options.page)
+    )

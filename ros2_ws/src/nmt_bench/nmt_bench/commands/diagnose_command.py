@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nmt_bench.command_parser import EXIT_DONE
 from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.shared_options import dated_folder_option, jobs_option, replace_option, task_page_option
 from nmt_bench.commands.worker_count import worker_count
 from nmt_core.errors import BenchError
+from nmt_core.options import needed_option, option
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,34 +23,61 @@ if TYPE_CHECKING:
     from nmt_diagnose.inference.diagnosis import Diagnosis
 
 
-USAGE = """\
-Compares a rig file with recordings of the real rig: re-fits the model's own parameters, weighs every effect of the
-library at every place, and says where the gap lies, which effect causes it and how far it shrinks on data kept out of
-the fit; or that there is no gap, or that nothing in the library explains it.
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseOptions:
+    """Compares a rig file with recordings of the real rig: re-fits the model's own parameters, weighs every effect of
+    the library at every place, and says where the gap lies, which effect causes it and how far it shrinks on data
+    kept out of the fit; or that there is no gap, or that nothing in the library explains it."""
 
---model RIG required  name of a rig (for example beam) or path of a rig file
---real BAG... required  results folder or bag of './nmt run', 'linear' or 'import' on the real rig; may be repeated:
-    different tests tell more effects apart
---floor BAG...  repeat of a test among --real: what differs between the two no model can explain; may be repeated
---set KEY=VALUE...  change a value of the model before the diagnosis; may be repeated
---without EFFECT...  leave an effect out of the library; may be repeated
---hold-out TEST...  keep a test (named as its folder) out of every fit and judge the gap by it alone; may be repeated
-    (default: levels and whole tests in turn)
-@output diagnosis.json, report.html, model.yaml, observables.csv
---seed N =0  seed of the intervals (default: 0)
---calibration FILE  calibration file with uncertainties of the real sensors' sensitivities (default: what the bags
-    say, else ordinary tolerances)
---allow-own-model  take recordings that were simulated from the model itself, too: they show what a rig without a gap
-    looks like
---matters KIND=SIZE...  smallest relative size of a gap that matters, of frequency (default: 0.0005), damping (0.02),
-    response (0.02) or harmonics over the fundamental (0.001); may be repeated
-@jobs
---quiet  no progress display
-@task-page
-"""
+    model: str = needed_option("name of a rig (for example beam) or path of a rig file", metavar="RIG")
+    real: tuple[Path, ...] = needed_option(
+        "results folder or bag of './nmt run', 'linear' or 'import' on the real rig; may be repeated: "
+        "different "
+        "tests tell more effects apart",
+        metavar="BAG",
+    )
+    floor: tuple[Path, ...] = option(
+        (),
+        "repeat of a test among --real: what differs between the two no model can explain; may be repeated",
+        metavar="BAG",
+    )
+    set: tuple[str, ...] = option(
+        (), "change a value of the model before the diagnosis; may be repeated", metavar="KEY=VALUE"
+    )
+    without: tuple[str, ...] = option((), "leave an effect out of the library; may be repeated", metavar="EFFECT")
+    hold_out: tuple[str, ...] = option(
+        (),
+        "keep a test (named as its folder) out of every fit and judge the gap by it alone; may be repeated "
+        "(default: levels and whole tests in turn)",
+        metavar="TEST",
+    )
+    out: Path = dated_folder_option("diagnosis.json, report.html, model.yaml, observables.csv", "diagnose")
+    force: bool = replace_option()
+    seed: int = option(0, "seed of the intervals (default: 0)", metavar="N")
+    calibration: Path | None = option(
+        None,
+        "calibration file with uncertainties of the real sensors' sensitivities (default: what the bags say, "
+        "else"
+        " ordinary tolerances)",
+        metavar="FILE",
+    )
+    allow_own_model: bool = option(
+        False,
+        "take recordings that were simulated from the model itself, too: they show what a rig without a gap looks like",
+    )
+    matters: tuple[str, ...] = option(
+        (),
+        "smallest relative size of a gap that matters, of frequency (default: 0.0005), damping (0.02), "
+        "response "
+        "(0.02) or harmonics over the fundamental (0.001); may be repeated",
+        metavar="KIND=SIZE",
+    )
+    jobs: int | None = jobs_option()
+    quiet: bool = option(False, "no progress display")
+    page: bool = task_page_option()
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: DiagnoseOptions) -> int:
     """Diagnose, write the results, print the verdict.
 
     Returns:
@@ -56,10 +86,10 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: the rig, a bag or an option is refused.
     """
-    check_output(arguments.out, arguments.force)
-    if arguments.seed < 0:
-        raise BenchError(f"--seed must not be negative, got {arguments.seed}.")
-    jobs = worker_count(arguments)
+    check_output(options.out, options.force)
+    if options.seed < 0:
+        raise BenchError(f"--seed must not be negative, got {options.seed}.")
+    jobs = worker_count(options)
     # Each process works on one core, and sums come out alike whatever their number: set before NumPy is imported.
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
@@ -73,41 +103,41 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_report.diagnosis_files import write_diagnosis
     from nmt_rig.rig import load_rig
 
-    withheld = tuple(dict.fromkeys(name.strip().replace("-", "_").replace(" ", "_") for name in arguments.without))
+    withheld = tuple(dict.fromkeys(name.strip().replace("-", "_").replace(" ", "_") for name in options.without))
     for name in withheld:
         try:
             effect_named(name)
         except BenchError as error:
             raise BenchError(f"--without: {error}") from error
-    rig = load_rig(arguments.model, arguments.set)
-    calibration = None if arguments.calibration is None else read_calibration(arguments.calibration)
+    rig = load_rig(options.model, options.set)
+    calibration = None if options.calibration is None else read_calibration(options.calibration)
     console = make_console()
     started = time.monotonic()
     with (
-        task_page(arguments.page, f"Diagnosis of {rig.name}", console) as page,
-        DiagnosisProgress(console, arguments.quiet, page) as progress,
+        task_page(options.page, f"Diagnosis of {rig.name}", console) as page,
+        DiagnosisProgress(console, options.quiet, page) as progress,
     ):
-        held_out = tuple(dict.fromkeys(arguments.hold_out))
+        held_out = tuple(dict.fromkeys(options.hold_out))
         settings = DiagnosisSettings(
             withheld=withheld,
-            seed=arguments.seed,
+            seed=options.seed,
             hold_out=held_out,
             jobs=jobs,
-            allow_own_model=arguments.allow_own_model,
+            allow_own_model=options.allow_own_model,
             calibration=calibration,
-            matters=_matters(arguments.matters),
+            matters=_matters(options.matters),
         )
-        outcome = diagnose_bags(rig, arguments.real, arguments.floor, settings, progress.update)
+        outcome = diagnose_bags(rig, options.real, options.floor, settings, progress.update)
         progress.update("writing the report")
-        with OutputFolder(arguments.out, arguments.force) as folder:
-            remark = write_diagnosis(outcome, folder, arguments.model, arguments.set, arguments.floor)
+        with OutputFolder(options.out, options.force) as folder:
+            remark = write_diagnosis(outcome, folder, options.model, options.set, options.floor)
         page.tell(outcome=f"Diagnosed. {outcome.diagnosis.sentences[0] if outcome.diagnosis.sentences else ''}")
     show(outcome.diagnosis, console)
     if remark:
         console.print(remark, style="yellow", soft_wrap=True)
-    new = "" if remark else f" New rig file: {arguments.out / 'model.yaml'}"
+    new = "" if remark else f" New rig file: {options.out / 'model.yaml'}"
     console.print(f"Diagnosed in {time.monotonic() - started:.0f} s.{new}", soft_wrap=True)
-    console.print(f"Report: {(arguments.out / 'report.html').resolve()}", soft_wrap=True)
+    console.print(f"Report: {(options.out / 'report.html').resolve()}", soft_wrap=True)
     return EXIT_DONE
 
 

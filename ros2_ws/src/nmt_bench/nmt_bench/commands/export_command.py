@@ -2,57 +2,71 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
 from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.shared_options import dated_folder_option, replace_option
 from nmt_core.errors import BenchError
+from nmt_core.options import argument, option
 from nmt_record.exchange import FORMATS
 
 _OTHER_NAMES = {"hdf5": "h5", "hdf": "h5", "matlab": "mat", "uff58": "uff", "unv": "uff"}
 
-KINDS = {"format": lambda word: _OTHER_NAMES.get(word.lower(), word.lower())}
+
+def _format(word: str) -> str:
+    return _OTHER_NAMES.get(word.lower(), word.lower())
 
 
-USAGE = f"""\
-Writes the samples of a bag, and the frequency responses beside it, for other tools, together with a sidecar: './nmt
-import' of that gives a bag from which './nmt extract' computes the same results. With UFF the modes of a linear test,
-or of the levels of a run, come too: modes.uff with nodes, trace line and shapes (data sets 15, 82, 55).
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """Writes the samples of a bag, and the frequency responses beside it, for other tools, together with a sidecar:
+    './nmt import' of that gives a bag from which './nmt extract' computes the same results. With UFF the modes of a
+    linear test, or of the levels of a run, come too: modes.uff with nodes, trace line and shapes (data sets 15, 82,
+    55)."""
 
-BAG >source  rosbag2 folder, .mcap or .db3 file, or the results folder of a run, linear test or sweep
---format {"|".join(FORMATS)} :format =uff  uff: one dataset 58 a channel, binary (58b); csv; npz; h5: HDF5;
-    mat: MATLAB 5 (default: uff)
-@output data.FORMAT, sidecar.yaml, oscillator.csv, loop.csv, linear.json, rig.yaml, frf.uff, modes.uff
---ascii  UFF in ASCII: 13 digits instead of every bit
---segment N...  only the N-th segment (level) of the recording, into a folder segment-N; may be repeated
-"""
+    source: Path = argument(
+        "rosbag2 folder, .mcap or .db3 file, or the results folder of a run, linear test or sweep", metavar="BAG"
+    )
+    format: str = option(
+        "uff",
+        "uff: one dataset 58 a channel, binary (58b); csv; npz; h5: HDF5; mat: MATLAB 5 (default: uff)",
+        choices=FORMATS,
+        parse=_format,
+    )
+    out: Path = dated_folder_option(
+        "data.FORMAT, sidecar.yaml, oscillator.csv, loop.csv, linear.json, rig.yaml, frf.uff, modes.uff", "export"
+    )
+    force: bool = replace_option()
+    ascii: bool = option(False, "UFF in ASCII: 13 digits instead of every bit")
+    segment: tuple[int, ...] = option(
+        (), "only the N-th segment (level) of the recording, into a folder segment-N; may be repeated", metavar="N"
+    )
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: ExportOptions) -> int:
     """Export, print what was written.
 
     Raises:
         BenchError: nothing to export, no such segment, or the files cannot be written.
     """
-    check_output(arguments.out, arguments.force)
-    if arguments.ascii and arguments.format != "uff":
-        raise BenchError(f"--ascii is a form of UFF; leave it out for --format {arguments.format}.")
+    check_output(options.out, options.force)
+    if options.ascii and options.format != "uff":
+        raise BenchError(f"--ascii is a form of UFF; leave it out for --format {options.format}.")
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_record.exchange.exported_run import export_run
 
     console = make_console()
-    with WorkDisplay(console, ("exporting",)), OutputFolder(arguments.out, arguments.force) as folder:
-        exported = export_run(
-            arguments.source, folder, arguments.format, ascii_uff=arguments.ascii, only=arguments.segment
-        )
+    with WorkDisplay(console, ("exporting",)), OutputFolder(options.out, options.force) as folder:
+        exported = export_run(options.source, folder, options.format, ascii_uff=options.ascii, only=options.segment)
         files = list(exported.files)
-        if arguments.format == "uff" and _export_modes(arguments.source, folder):
+        if options.format == "uff" and _export_modes(options.source, folder):
             files.append("modes.uff")
     if exported.loss:
         console.print(exported.loss, style="yellow")
-    console.print(f"Results in {arguments.out}: {', '.join(files)}", soft_wrap=True)
+    console.print(f"Results in {options.out}: {', '.join(files)}", soft_wrap=True)
     return 0
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.shared_options import dated_folder_option, replace_option
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import json_value, read_text
+from nmt_core.options import argument, option
 from nmt_core.text.number_words import level_list
 
 if TYPE_CHECKING:
@@ -22,30 +24,52 @@ if TYPE_CHECKING:
     from nmt_record.exchange.calibration_file import CalibrationSheet
 
 
-USAGE = """\
-Extracts modal frequency, damping, amplitude and shape from every locked window of a recorded bag, with the code of
-the live node: the results are the same, bit for bit. Opens bags of killed recorders too and says what they lost.
+@dataclass(frozen=True, kw_only=True)
+class ExtractOptions:
+    """Extracts modal frequency, damping, amplitude and shape from every locked window of a recorded bag, with the code
+    of the live node: the results are the same, bit for bit. Opens bags of killed recorders too and says what they
+    lost."""
 
-BAG  rosbag2 folder (MCAP or SQLite), .mcap or .db3 file, or the results folder of a run
-@output modal.csv, modal.json, uncertainty.csv, uncertainty.json, report.html; of free decays alone decay.csv
---linear FILE  linear.json to use in place of the linear modes named in the bag
---harmonics H  highest harmonic to extract, 1 to 200 (default: as recorded in the bag)
---reference FILE  reference.csv of './nmt reference' to compare with in table and report
---calibration FILE  calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget
-    (default: what the bag says, else ordinary tolerances)
---model-run DIR  results folder of a run of the rig's model with its reference.csv: shows the error of single-point
-    excitation for the uncertainty budget
---no-report  write modal.csv and modal.json only
-"""
+    bag: Path = argument(
+        "rosbag2 folder (MCAP or SQLite), .mcap or .db3 file, or the results folder of a run", metavar="BAG"
+    )
+    out: Path = dated_folder_option(
+        "modal.csv, modal.json, uncertainty.csv, uncertainty.json, report.html; of free decays alone decay.csv",
+        "extract",
+    )
+    force: bool = replace_option()
+    linear: Path | None = option(
+        None, "linear.json to use in place of the linear modes named in the bag", metavar="FILE"
+    )
+    harmonics: int | None = option(
+        None, "highest harmonic to extract, 1 to 200 (default: as recorded in the bag)", metavar="H"
+    )
+    reference: Path | None = option(
+        None, "reference.csv of './nmt reference' to compare with in table and report", metavar="FILE"
+    )
+    calibration: Path | None = option(
+        None,
+        "calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget "
+        "(default: "
+        "what the bag says, else ordinary tolerances)",
+        metavar="FILE",
+    )
+    model_run: Path | None = option(
+        None,
+        "results folder of a run of the rig's model with its reference.csv: shows the error of single-point "
+        "excitation for the uncertainty budget",
+        metavar="DIR",
+    )
+    no_report: bool = option(False, "write modal.csv and modal.json only")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: ExtractOptions) -> int:
     """Extract, write the results, print the table.
 
     Raises:
         BenchError: no bag, nothing to extract in it, or the results cannot be written.
     """
-    check_output(arguments.out, arguments.force)
+    check_output(options.out, options.force)
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.linear_input import read_linear
@@ -56,28 +80,28 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_record.bag.bag_reader import Bag
     from nmt_report.run_data import read_reference
 
-    sheet = None if arguments.calibration is None else _calibration(arguments.calibration)
-    method = None if arguments.model_run is None else _method_error(arguments.model_run)
-    linear = read_linear(arguments.linear) if arguments.linear is not None else None
-    reference = read_reference(arguments.reference) if arguments.reference is not None else None
-    bag = Bag.open(arguments.bag)
-    settings = _settings(bag.run_start, arguments.harmonics)
+    sheet = None if options.calibration is None else _calibration(options.calibration)
+    method = None if options.model_run is None else _method_error(options.model_run)
+    linear = read_linear(options.linear) if options.linear is not None else None
+    reference = read_reference(options.reference) if options.reference is not None else None
+    bag = Bag.open(options.bag)
+    settings = _settings(bag.run_start, options.harmonics)
     console = make_console()
     if linear is None and _holds_decays_only(bag):
-        return _decays(bag, arguments, console)
+        return _decays(bag, options, console)
     with WorkDisplay(console, ("extracting",)):
         result = extract_opened_bag(bag, linear, settings)
     if not result.points:
-        raise BenchError(f"The bag {arguments.bag} gave no modal point; its run may have ended before the first lock.")
+        raise BenchError(f"The bag {options.bag} gave no modal point; its run may have ended before the first lock.")
     from nmt_extract.bag_budget import bag_budget
     from nmt_extract.uncertainty_budget import write_budget
 
     expected = None if reference is None else reference.at
     budgets, known = bag_budget(bag, result.points, result.linear, result.settings, sheet, method, expected)
-    with OutputFolder(arguments.out, arguments.force) as folder, WorkDisplay(console, ("writing the report",)):
+    with OutputFolder(options.out, options.force) as folder, WorkDisplay(console, ("writing the report",)):
         write_results(result.points, folder, result.inputs)
         write_budget(budgets, folder, known)
-        if not arguments.no_report:
+        if not options.no_report:
             from nmt_report.run_report import list_files, report_data_from_bag, write_report
 
             data = report_data_from_bag(bag, result.points, reference)
@@ -93,8 +117,8 @@ def run(arguments: argparse.Namespace) -> int:
 
         console.print(_comparison(result.points, list(bag.records("modal_point", MODAL_POINT))))
     written = ("modal.csv", "modal.json", "uncertainty.csv", "uncertainty.json", "hysteresis.csv", "report.html")
-    names = ", ".join(name for name in written if (arguments.out / name).exists())
-    console.print(f"Results in {arguments.out}: {names}")
+    names = ", ".join(name for name in written if (options.out / name).exists())
+    console.print(f"Results in {options.out}: {names}")
     return 0
 
 
@@ -104,7 +128,7 @@ def _holds_decays_only(bag: Bag) -> bool:
     return holds_decays_only(bag)
 
 
-def _decays(bag: Bag, arguments: argparse.Namespace, console: Console) -> int:
+def _decays(bag: Bag, options: ExtractOptions, console: Console) -> int:
     """Free decays of a recording without linear modes."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -115,7 +139,7 @@ def _decays(bag: Bag, arguments: argparse.Namespace, console: Console) -> int:
 
     with WorkDisplay(console, ("extracting",)):
         decays = free_decays(bag)
-    with OutputFolder(arguments.out, arguments.force) as folder:
+    with OutputFolder(options.out, options.force) as folder:
         write_decays(decays, folder / "decay.csv")
     table = Table(
         title="Free decays, of structure and all that hangs on it: mean ± standard uncertainty",
@@ -137,7 +161,7 @@ def _decays(bag: Bag, arguments: argparse.Namespace, console: Console) -> int:
         if decay.reason:
             console.print(f"Segment {decay.segment}, {decay.channel}: {decay.reason}", style="yellow")
 
-    console.print(f"Results in {arguments.out}: decay.csv")
+    console.print(f"Results in {options.out}: decay.csv")
     return 0
 
 

@@ -2,44 +2,50 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
 from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.shared_options import folder_option, replace_option
 from nmt_core.errors import BenchError
-
-USAGE = """\
-Draws every figure of a report anew at the width of a column, with letters of a stated size, and writes the plotted
-numbers beside it as a table with one point a row. Figures that take the page get two columns.
-
-DIR >source  results folder of any command with a report, or a report.html
---format FORMAT =svg,pdf,png  svg, pdf, png, eps; several by commas (default: all but eps)
---width WIDTH =85mm  width of a column, in mm, cm or in (default: 85mm)
---letters PT =7  letter size, points (default: 7)
---figure NAME...  only this figure; may be repeated (default: all)
-@output-undated FIGURE.svg, .pdf, .png, .csv; by default DIR/figures
-"""
+from nmt_core.options import argument, option
 
 
-def run(arguments: argparse.Namespace) -> int:
+@dataclass(frozen=True, kw_only=True)
+class FiguresOptions:
+    """Draws every figure of a report anew at the width of a column, with letters of a stated size, and writes the
+    plotted numbers beside it as a table with one point a row. Figures that take the page get two columns."""
+
+    source: Path = argument("results folder of any command with a report, or a report.html", metavar="DIR")
+    format: str = option(
+        "svg,pdf,png", "svg, pdf, png, eps; several by commas (default: all but eps)", metavar="FORMAT"
+    )
+    width: str = option("85mm", "width of a column, in mm, cm or in (default: 85mm)", metavar="WIDTH")
+    letters: float = option(7.0, "letter size, points (default: 7)", metavar="PT")
+    figure: tuple[str, ...] = option((), "only this figure; may be repeated (default: all)", metavar="NAME")
+    out: Path | None = folder_option("FIGURE.svg, .pdf, .png, .csv; by default DIR/figures")
+    force: bool = replace_option()
+
+
+def run(options: FiguresOptions) -> int:
     """Write the figures, print what was written.
 
     Raises:
         BenchError: no report, no such figure, a size out of its range, or the files cannot be written.
     """
-    source: Path = arguments.source
-    out: Path = arguments.out or (source if source.is_dir() else source.parent) / "figures"
-    width = _millimetres(arguments.width)
-    formats = list(dict.fromkeys(part.strip().lower().lstrip(".") for part in arguments.format.split(",")))
-    check_output(out, arguments.force)
+    source: Path = options.source
+    out: Path = options.out or (source if source.is_dir() else source.parent) / "figures"
+    width = _millimetres(options.width)
+    formats = list(dict.fromkeys(part.strip().lower().lstrip(".") for part in options.format.split(",")))
+    check_output(out, options.force)
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_report.figure_files import write_figures
 
     console = make_console()
-    with OutputFolder(out, arguments.force) as folder, WorkDisplay(console, ("reading the report",)):
-        written = write_figures(source, folder, formats, width, arguments.letters, arguments.figure)
+    with OutputFolder(out, options.force) as folder, WorkDisplay(console, ("reading the report",)):
+        written = write_figures(source, folder, formats, width, options.letters, options.figure)
     kinds = ", ".join([*formats, "csv"])
     for figure in written:
         console.print(f"{figure.name}: {figure.title}", soft_wrap=True)

@@ -2,42 +2,74 @@
 
 from __future__ import annotations
 
-import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Protocol
 
 from nmt_bench.hardware.chosen_device import check_command, checked_device, look_for_device, parsed_device
 from nmt_rig.device_sections import DEVICE_KINDS
 from nmt_rig.rig import Rig, load_rig
 
+if TYPE_CHECKING:
+    from nmt_session.node_plan import PlanSettings
 
-def rig_changes(arguments: argparse.Namespace) -> list[str]:
+
+class RigOptions(Protocol):
+    """Options that say which rig, and what of it is changed."""
+
+    @property
+    def rig(self) -> str:
+        """Name or path of the rig."""
+
+    @property
+    def set(self) -> tuple[str, ...]:
+        """``key=value`` texts."""
+
+    @property
+    def exciter(self) -> int | None:
+        """Drive point; None = the rig's."""
+
+
+class DeviceOptions(RigOptions, Protocol):
+    """Options that say what is driven, and by which clock."""
+
+    @property
+    def device(self) -> str:
+        """Kind of converter, see ``--device``."""
+
+    @property
+    def pacing(self) -> str:
+        """``lockstep`` or ``realtime``."""
+
+
+def rig_changes(options: RigOptions) -> list[str]:
     """``key=value`` texts of ``--set`` and ``--exciter``."""
-    return [*arguments.set, *([] if arguments.exciter is None else [f"exciter.point={arguments.exciter}"])]
+    return [*options.set, *([] if options.exciter is None else [f"exciter.point={options.exciter}"])]
 
 
-def chosen_rig(arguments: argparse.Namespace) -> Rig:
+def chosen_rig(options: RigOptions) -> Rig:
     """The rig with the command's changes.
 
     Raises:
         BenchError: the rig or a change is refused.
     """
-    return load_rig(arguments.rig, rig_changes(arguments))
+    return load_rig(options.rig, rig_changes(options))
 
 
-def device_settings(arguments: argparse.Namespace) -> dict[str, Any]:
+def device_settings(options: DeviceOptions, latency_blocks: int = 0) -> PlanSettings:
     """Pacing, latency and device of a bench; looks first whether the converter is there and its check has passed.
 
     Raises:
         BenchError: the device is not known, its driver or library is missing, it is not there, or its check is.
     """
-    rig = chosen_rig(arguments)
-    kind, address = parsed_device(arguments.device, rig)
-    own = getattr(arguments, "latency_blocks", 0)
+    rig = chosen_rig(options)
+    kind, address = parsed_device(options.device, rig)
     if kind not in DEVICE_KINDS:
-        return {"pacing": arguments.pacing, "latency_blocks": own}
+        return {"pacing": options.pacing, "latency_blocks": latency_blocks}
     from nmt_plant.devices.hardware_rig import device_of
 
     look_for_device(device_of(rig, kind, address), rig)
-    command = check_command(arguments.rig, arguments.device, rig_changes(arguments))
-    settings = {"pacing": "realtime", **checked_device(rig, arguments.device, command)}
-    return settings | ({"latency_blocks": own} if own else {})
+    command = check_command(options.rig, options.device, rig_changes(options))
+    settings = checked_device(rig, options.device, command)
+    settings["pacing"] = "realtime"
+    if latency_blocks:
+        settings["latency_blocks"] = latency_blocks
+    return settings

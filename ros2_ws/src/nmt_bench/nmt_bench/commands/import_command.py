@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.shared_options import dated_folder_option, replace_option
 from nmt_core.errors import BenchError
+from nmt_core.options import option, optional_argument
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -19,31 +21,42 @@ _DATA = (".csv", ".txt", ".tsv", ".dat", ".asc", ".npz", ".mat", ".h5", ".hdf5",
          ".tdms", ".mcap", ".db3", ".nc", ".nc4")  # fmt: skip
 
 
-USAGE = """\
-Reads time data, frequency responses and backbones measured elsewhere, and any ROS 2 bag, as a sidecar describes them,
-checks them, and writes a bag that './nmt extract' and './nmt diagnose' take. What cannot be right is refused with one
-sentence; what was fixed is said and kept in the bag.
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """Reads time data, frequency responses and backbones measured elsewhere, and any ROS 2 bag, as a sidecar describes
+    them, checks them, and writes a bag that './nmt extract' and './nmt diagnose' take. What cannot be right is
+    refused with one sentence; what was fixed is said and kept in the bag."""
 
-| SIDECAR?  YAML file that says what the columns of the data are
-| --init FILE  look into a file of data or a ROS 2 bag and write a sidecar beside it, with the ending .yaml; one for
-    each recording or topic
-@output bag/
-"""
+    sidecar: Path | None = optional_argument(
+        None, "YAML file that says what the columns of the data are", metavar="SIDECAR", exclusive=True
+    )
+    init: Path | None = option(
+        None,
+        "look into a file of data or a ROS 2 bag and write a sidecar beside it, with the ending .yaml; one "
+        "for "
+        "each recording or topic",
+        metavar="FILE",
+        exclusive=True,
+    )
+    out: Path = dated_folder_option("bag/", "import")
+    force: bool = replace_option()
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: ImportOptions) -> int:
     """Read, check, write the bag, print what was found.
 
     Raises:
         BenchError: the sidecar or the data is wrong, or the bag cannot be written.
     """
-    if arguments.init is not None:
-        return _init(arguments.init, arguments.force)
-    check_output(arguments.out, arguments.force)
+    if options.init is not None:
+        return _init(options.init, options.force)
+    sidecar = options.sidecar
+    assert sidecar is not None  # the parser takes exactly one of the two
+    check_output(options.out, options.force)
     from nmt_record.exchange.sidecar_template import no_sidecar
 
-    if not arguments.sidecar.is_file() or arguments.sidecar.suffix.lower() in _DATA:
-        raise no_sidecar(arguments.sidecar)
+    if not sidecar.is_file() or sidecar.suffix.lower() in _DATA:
+        raise no_sidecar(sidecar)
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.work_display import WorkDisplay
@@ -51,9 +64,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = make_console()
     with WorkDisplay(console, ("reading the data", "writing the bag")) as display:
-        imported, rig = read_data(arguments.sidecar)
+        imported, rig = read_data(sidecar)
         display.step()
-        with OutputFolder(arguments.out, arguments.force) as folder:
+        with OutputFolder(options.out, options.force) as folder:
             write_data(imported, rig, folder / "bag")
     if imported.channels:
         console.print(_channel_table(imported))
@@ -65,11 +78,11 @@ def run(arguments: argparse.Namespace) -> int:
         decays = imported.segments and all(segment.section.kind == "ring_down" for segment in imported.segments)
         without = "gives frequency and damping of each channel" if decays else "will need --linear FILE"
         console.print(f"No linear modes: './nmt extract' {without}.")
-    console.print(f"Results in {arguments.out}: bag")
+    console.print(f"Results in {options.out}: bag")
     if rig.text:
-        model = arguments.sidecar.parent / str(imported.sidecar.rig)
+        model = sidecar.parent / str(imported.sidecar.rig)
         name = model if model.is_file() else imported.sidecar.rig
-        console.print(f"What the model lacks: ./nmt diagnose --model {name} --real {arguments.out}", soft_wrap=True)
+        console.print(f"What the model lacks: ./nmt diagnose --model {name} --real {options.out}", soft_wrap=True)
     return 0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 from pathlib import Path
@@ -25,27 +24,28 @@ _RESULTS = {
 """The file in the results folder that holds a command's results."""
 
 
-def json_document(arguments: argparse.Namespace, module: ModuleType, status: int) -> str:
+def json_document(command: str, options: Any, module: ModuleType, status: int) -> str:
     """The document of a command that ended.
 
     Args:
-        arguments: of the command, parsed.
-        module: of the command; its function ``json_results(arguments)``, where it has one, gives the results.
+        command: its name.
+        options: its options; the results folder is their ``results_folder`` or, without one, their ``out``.
+        module: of the command; its function ``json_results(options)``, where it has one, gives the results.
         status: exit code.
 
     Returns:
         ``command``, ``exit_code``, ``out`` (the results folder), ``files`` (in it) and ``results``: the contents of the
         command's main file; None where there is none.
     """
-    out: Path | None = getattr(arguments, "out", None)
+    out: Path | None = getattr(options, "results_folder", None) or getattr(options, "out", None)
     files = sorted(item.name for item in out.iterdir()) if out is not None and out.is_dir() else []
     results: Any = None
     if hasattr(module, "json_results"):
-        results = module.json_results(arguments)
-    elif out is not None and _RESULTS.get(arguments.command) in files:
-        results = _contents(out / _RESULTS[arguments.command])
+        results = module.json_results(options)
+    elif out is not None and _RESULTS.get(command) in files:
+        results = _contents(out / _RESULTS[command])
     document = {
-        "command": arguments.command,
+        "command": command,
         "exit_code": status,
         "out": None if out is None else str(out),
         "files": files,

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-import argparse
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
 from nmt_bench.commands.bench_options import bench_of
 from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.shared_options import (
+    dated_folder_option,
+    device_option,
+    domain_option,
+    exciter_option,
+    one_process_option,
+    pacing_option,
+    page_option,
+    quiet_option,
+    replace_option,
+    seed_option,
+    set_option,
+)
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
+from nmt_core.options import option, optional_argument
 
 if TYPE_CHECKING:
     from nmt_extract.linear_evaluation import LinearTestResult
@@ -23,32 +37,49 @@ DEFAULT_BAND = "10:2000"
 _STEPS = "evaluating the recording", "writing the report"
 
 
-USAGE = f"""\
-Drives the rig with low random noise, at half the level first and then at the level, and finds the linear modes:
-averaged frequency responses, stabilisation diagram, fit, mass-normalised shapes, residuals, and the plant with its
-exciter. Give linear.json to './nmt run --linear': loop and extraction then need no model.
+@dataclass(frozen=True, kw_only=True)
+class LinearOptions:
+    """Drives the rig with low random noise, at half the level first and then at the level, and finds the linear modes:
+    averaged frequency responses, stabilisation diagram, fit, mass-normalised shapes, residuals, and the plant with
+    its exciter. Give linear.json to './nmt run --linear': loop and extraction then need no model."""
 
-RIG?  name of a rig (for example joint_resonator) or path of a rig file
-@output bag/, linear.json, frf.csv, report.html, rig.yaml, run.json
---bag BAG  evaluate a recording again instead of measuring
---level V  drive, V rms (default: the number of the rig's lowest test level)
---duration S ={DEFAULT_DURATION}  length of the record at each level, s (default: {DEFAULT_DURATION:g})
---band LOW:HIGH ={DEFAULT_BAND}  band of the noise, Hz (default: {DEFAULT_BAND})
---mode N  target: number of the fitted mode in the band, from 1 (default: the rig's test.mode, less one where a
-    suspension mode lies below the band)
---near HZ  target: the fitted mode nearest to this frequency
---modes N  most modes to keep (default: the rig's linear_modes)
---segment S  length of an averaged segment, s (default: a tenth of the record)
---no-half-level  leave out the record at half the level
---reference model|none =model  what the report compares with; linear.json never uses it (default: the rig's model)
-@rig
-@pacing
-@device
-@processes
-"""
+    rig: str = optional_argument("", "name of a rig (for example joint_resonator) or path of a rig file", metavar="RIG")
+    out: Path = dated_folder_option("bag/, linear.json, frf.csv, report.html, rig.yaml, run.json", "linear")
+    force: bool = replace_option()
+    bag: Path | None = option(None, "evaluate a recording again instead of measuring", metavar="BAG")
+    level: float | None = option(None, "drive, V rms (default: the number of the rig's lowest test level)", metavar="V")
+    duration: float = option(DEFAULT_DURATION, "length of the record at each level, s (default: 60)", metavar="S")
+    band: str = option(DEFAULT_BAND, "band of the noise, Hz (default: 10:2000)", metavar="LOW:HIGH")
+    mode: int | None = option(
+        None,
+        "target: number of the fitted mode in the band, from 1 (default: the rig's test.mode, less one where "
+        "a "
+        "suspension mode lies below the band)",
+        metavar="N",
+    )
+    near: float | None = option(None, "target: the fitted mode nearest to this frequency", metavar="HZ")
+    modes: int | None = option(None, "most modes to keep (default: the rig's linear_modes)", metavar="N")
+    segment: float | None = option(
+        None, "length of an averaged segment, s (default: a tenth of the record)", metavar="S"
+    )
+    no_half_level: bool = option(False, "leave out the record at half the level")
+    reference: str = option(
+        "model",
+        "what the report compares with; linear.json never uses it (default: the rig's model)",
+        choices=("model", "none"),
+    )
+    exciter: int | None = exciter_option()
+    seed: int | None = seed_option()
+    set: tuple[str, ...] = set_option()
+    pacing: str = pacing_option()
+    device: str = device_option()
+    one_process: bool = one_process_option()
+    domain: int | None = domain_option()
+    quiet: bool = quiet_option()
+    page: bool = page_option()
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: LinearOptions) -> int:
     """Measure, evaluate, write the results, print the modes.
 
     Returns:
@@ -57,32 +88,32 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: a wrong rig or option, or a record that cannot be evaluated.
     """
-    if (arguments.rig is None) == (arguments.bag is None):
+    if bool(options.rig) == (options.bag is not None):
         raise BenchError("Give either a rig to measure or --bag with a recording to evaluate.")
-    band = _band(arguments.band)
-    check_output(arguments.out, arguments.force)
+    band = _band(options.band)
+    check_output(options.out, options.force)
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.work_display import WorkDisplay
 
     console = make_console()
-    if arguments.bag is not None:
+    if options.bag is not None:
         from nmt_record.bag.bag_reader import Bag
 
-        bag = Bag.open(arguments.bag)
-        with WorkDisplay(console, _STEPS, arguments.quiet) as display:
-            evaluated = _evaluate(bag, arguments, band)
+        bag = Bag.open(options.bag)
+        with WorkDisplay(console, _STEPS, options.quiet) as display:
+            evaluated = _evaluate(bag, options, band)
             display.step()
-            with OutputFolder(arguments.out, arguments.force) as folder:
-                _write(*evaluated, folder, arguments)
-        _show(*evaluated, arguments, console)
+            with OutputFolder(options.out, options.force) as folder:
+                _write(*evaluated, folder, options)
+        _show(*evaluated, options, console)
         return EXIT_DONE
     from nmt_bench.orchestration.prepared_nodes import nodes_ahead
 
-    with nodes_ahead(not arguments.one_process):
-        return _measure(arguments, band, console)
+    with nodes_ahead(not options.one_process):
+        return _measure(options, band, console)
 
 
-def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: Any) -> int:
+def _measure(options: LinearOptions, band: tuple[float, float], console: Any) -> int:
     from nmt_bench.commands.run_command import measure, pace_line
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_bench.orchestration.interrupts import terminate_as_interrupt
@@ -91,26 +122,26 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
     from nmt_rig.rig import load_rig
     from nmt_sequencer.level_plan import parse_levels
 
-    rig = load_rig(arguments.rig, arguments.set)
-    level = arguments.level if arguments.level is not None else min(parse_levels(rig.test.levels))
+    rig = load_rig(options.rig, options.set)
+    level = options.level if options.level is not None else min(parse_levels(rig.test.levels))
     if not 0.0 < level < float("inf"):
         raise BenchError(f"--level must be positive, got {level:g} V.")
     bench = bench_of(
-        arguments,
+        options,
         # The lower level first: sliders that a higher one has moved would still be displaced.
-        [level] if arguments.no_half_level else [0.5 * level, level],
+        [level] if options.no_half_level else [0.5 * level, level],
         test="random",
         band_hz=band,
-        duration=arguments.duration,
+        duration=options.duration,
     )
-    with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
-        result = measure(bench, console, arguments.quiet, arguments.page)
+    with terminate_as_interrupt(), OutputFolder(options.out, options.force, live=True) as folder:
+        result = measure(bench, console, options.quiet, options.page)
         if result.bag is None or not result.bag.exists():
             console.print(result.message, style="yellow")
             return EXIT_FAILED
         try:
-            with WorkDisplay(console, _STEPS[:1], arguments.quiet):
-                evaluated = _evaluate(Bag.open(result.bag), arguments, band)
+            with WorkDisplay(console, _STEPS[:1], options.quiet):
+                evaluated = _evaluate(Bag.open(result.bag), options, band)
         except KeyboardInterrupt:
             console.print(
                 f"Stopped before the evaluation was done. The recording is in {folder / 'bag'}; './nmt linear --bag "
@@ -125,9 +156,9 @@ def _measure(arguments: argparse.Namespace, band: tuple[float, float], console: 
                 f"{str(error).rstrip('.')}. The recording is in {folder / 'bag'}; './nmt linear --bag' evaluates it "
                 "again."
             ) from error
-        with WorkDisplay(console, _STEPS[1:], arguments.quiet):
-            _write(*evaluated, folder, arguments)
-    _show(*evaluated, arguments, console)
+        with WorkDisplay(console, _STEPS[1:], options.quiet):
+            _write(*evaluated, folder, options)
+    _show(*evaluated, options, console)
     if result.code != ResultCode.SUCCEEDED:
         console.print(result.message, style="yellow")
     console.print(pace_line(result))
@@ -149,15 +180,13 @@ def _band(text: str) -> tuple[float, float]:
 # -- evaluation -------------------------------------------------------------------------------------------------------
 
 
-def _evaluate(
-    bag: Bag, arguments: argparse.Namespace, band: tuple[float, float]
-) -> tuple[LinearTestResult, Rig | None]:
+def _evaluate(bag: Bag, options: LinearOptions, band: tuple[float, float]) -> tuple[LinearTestResult, Rig | None]:
     """The recording's modes, and the rig it names; None where it names none."""
     from nmt_core.messages.blocks import Quantity
     from nmt_extract.linear_evaluation import evaluate_linear_test
 
     rig = _rig_of(bag)
-    drive, modes, rig_mode, quantity = arguments.exciter, arguments.modes, 1, None
+    drive, modes, rig_mode, quantity = options.exciter, options.modes, 1, None
     if rig is not None:
         drive = rig.drive_point if drive is None else drive
         modes = rig.extraction.linear_modes if modes is None else modes
@@ -166,14 +195,14 @@ def _evaluate(
     result = evaluate_linear_test(
         bag,
         # The band as it is by default gives way to that of the recording.
-        band_hz=None if arguments.band == DEFAULT_BAND else band,
+        band_hz=None if options.band == DEFAULT_BAND else band,
         modes=2 if modes is None else modes,
-        mode=arguments.mode,
-        near_hz=arguments.near,
+        mode=options.mode,
+        near_hz=options.near,
         rig_mode=rig_mode,
         drive_point=drive,
         quantity=quantity,
-        segment_s=arguments.segment,
+        segment_s=options.segment,
     )
     return result, rig
 
@@ -197,17 +226,17 @@ def _rig_of(bag: Bag) -> Rig | None:
 # -- results ----------------------------------------------------------------------------------------------------------
 
 
-def _write(result: LinearTestResult, rig: Rig | None, folder: Path, arguments: argparse.Namespace) -> None:
+def _write(result: LinearTestResult, rig: Rig | None, folder: Path, options: LinearOptions) -> None:
     from nmt_extract.linear_file import frf_table
     from nmt_report.linear_report import exact_modes, linear_page
 
     write_whole(folder / "linear.json", json.dumps(result.to_mapping(), indent=1) + "\n")
     write_whole(folder / "frf.csv", frf_table(result.test))
-    exact = exact_modes(rig) if rig is not None and arguments.reference == "model" else None
+    exact = exact_modes(rig) if rig is not None and options.reference == "model" else None
     write_whole(folder / "report.html", linear_page(result, rig, exact))
 
 
-def _show(result: LinearTestResult, rig: Rig | None, arguments: argparse.Namespace, console: Any) -> None:
+def _show(result: LinearTestResult, rig: Rig | None, options: LinearOptions, console: Any) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -215,7 +244,7 @@ def _show(result: LinearTestResult, rig: Rig | None, arguments: argparse.Namespa
     from nmt_report.quantity_format import plain, uncertain
 
     test = result.test
-    exact = exact_modes(rig) if rig is not None and arguments.reference == "model" else None
+    exact = exact_modes(rig) if rig is not None and options.reference == "model" else None
     table = Table(
         title="Linear modes: value ± standard uncertainty", title_justify="left", title_style="bold", box=SIMPLE_HEAD
     )
@@ -257,4 +286,4 @@ def _show(result: LinearTestResult, rig: Rig | None, arguments: argparse.Namespa
         console.print(result.check.sentence, style=style, soft_wrap=True)
     for line in result.remarks:
         console.print(line, style="yellow", soft_wrap=True)
-    console.print(f"Results in {arguments.out}: linear.json, frf.csv, report.html", soft_wrap=True)
+    console.print(f"Results in {options.out}: linear.json, frf.csv, report.html", soft_wrap=True)

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from nmt_core.options import option, optional_argument
 
 if TYPE_CHECKING:
     from nmt_bench.page.server import PageServer
 
 
-USAGE = """\
-Serves a page on 127.0.0.1 and prints its address. Beside running nodes it shows the test as it goes on and lets steer
-it; with a bag it replays the recording. Ctrl-C ends the page, not the test.
+@dataclass(frozen=True, kw_only=True)
+class PageOptions:
+    """Serves a page on 127.0.0.1 and prints its address. Beside running nodes it shows the test as it goes on and lets
+    steer it; with a bag it replays the recording. Ctrl-C ends the page, not the test."""
 
-BAG?  recording to replay (default: running nodes)
---port N =0  port on 127.0.0.1 (default: a free one)
---domain N  ROS domain of the nodes (default: that of ROS_DOMAIN_ID)
---namespace NAME =""  namespace of the nodes (default: none)
---task hidden
---no-reference  do not compute the model's backbone
-"""
+    bag: Path | None = optional_argument(None, "recording to replay (default: running nodes)", metavar="BAG")
+    port: int = option(0, "port on 127.0.0.1 (default: a free one)", metavar="N")
+    domain: int | None = option(None, "ROS domain of the nodes (default: that of ROS_DOMAIN_ID)", metavar="N")
+    namespace: str = option("", "namespace of the nodes (default: none)", metavar="NAME")
+    task: bool = option(False, "", hidden=True)
+    no_reference: bool = option(False, "do not compute the model's backbone")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: PageOptions) -> int:
     """Serve the page until Ctrl-C.
 
     Raises:
@@ -34,14 +37,14 @@ def run(arguments: argparse.Namespace) -> int:
     from nmt_bench.page.process import serve, serve_task
     from nmt_core.errors import BenchError
 
-    if not 0 <= arguments.port <= 65_535:
-        raise BenchError(f"--port must be from 0 to 65535, got {arguments.port}.")
-    if arguments.task:
-        asyncio.run(serve_task(tell_addresses, arguments.port))
+    if not 0 <= options.port <= 65_535:
+        raise BenchError(f"--port must be from 0 to 65535, got {options.port}.")
+    if options.task:
+        asyncio.run(serve_task(tell_addresses, options.port))
         return 0
-    reference = not arguments.no_reference
-    port, bag, domain = arguments.port, arguments.bag, arguments.domain
-    asyncio.run(serve(tell_addresses, port, bag, domain, arguments.namespace, reference))
+    reference = not options.no_reference
+    port, bag, domain = options.port, options.bag, options.domain
+    asyncio.run(serve(tell_addresses, port, bag, domain, options.namespace, reference))
     return 0
 
 

@@ -2,50 +2,57 @@
 
 from __future__ import annotations
 
-import argparse
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 from nmt_bench.commands.output_folder import OutputFolder, check_output
-
-USAGE = """\
-Writes what the nodes need to test a rig: nodes.yaml for '--ros-args --params-file', rig.yaml and run.json, and prints
-the commands that start the nodes and the run.
-
-RIG  name of a rig (for example beam) or path of a rig file
-@output nodes.yaml, rig.yaml, run.json
---exciter N  drive point (default: the rig's)
---levels PLAN  drive amplitudes in V, as in './nmt run' (default: the rig's)
---pacing lockstep|realtime =realtime  realtime: by the clock, as with hardware; lockstep: as fast as the machine goes
-    (default: realtime)
-@device
-@set
-"""
+from nmt_bench.commands.shared_options import dated_folder_option, device_option, replace_option, set_option
+from nmt_core.options import argument, option
 
 
-def run(arguments: argparse.Namespace) -> int:
+@dataclass(frozen=True, kw_only=True)
+class ParamsOptions:
+    """Writes what the nodes need to test a rig: nodes.yaml for '--ros-args --params-file', rig.yaml and run.json, and
+    prints the commands that start the nodes and the run."""
+
+    rig: str = argument("name of a rig (for example beam) or path of a rig file", metavar="RIG")
+    out: Path = dated_folder_option("nodes.yaml, rig.yaml, run.json", "params")
+    force: bool = replace_option()
+    exciter: int | None = option(None, "drive point (default: the rig's)", metavar="N")
+    levels: str | None = option(None, "drive amplitudes in V, as in './nmt run' (default: the rig's)", metavar="PLAN")
+    pacing: str = option(
+        "realtime",
+        "realtime: by the clock, as with hardware; lockstep: as fast as the machine goes (default: realtime)",
+        choices=("lockstep", "realtime"),
+    )
+    device: str = device_option()
+    set: tuple[str, ...] = set_option()
+
+
+def run(options: ParamsOptions) -> int:
     """Write the files and print the commands.
 
     Raises:
         BenchError: the rig or an option is refused, or the folder cannot be written.
     """
-    check_output(arguments.out, arguments.force)
+    check_output(options.out, options.force)
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.hardware_options import rig_changes
     from nmt_bench.orchestration.bench_files import write_bench_files
     from nmt_session.node_plan import NODES
 
-    out: Path = arguments.out.resolve()
-    with OutputFolder(arguments.out, arguments.force) as folder:
+    out: Path = options.out.resolve()
+    with OutputFolder(options.out, options.force) as folder:
         plan = write_bench_files(
-            arguments.rig,
+            options.rig,
             folder,
             out,
-            levels=arguments.levels,
-            pacing=arguments.pacing,
-            changes=rig_changes(arguments),
-            device=arguments.device,
+            levels=options.levels,
+            pacing=options.pacing,
+            changes=rig_changes(options),
+            device=options.device,
         )
     console = make_console()
     console.print("Start each node in a terminal of its own, the sequencer last:")

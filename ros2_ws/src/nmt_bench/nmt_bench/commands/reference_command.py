@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.shared_options import dated_folder_option, replace_option, set_option
 from nmt_core.errors import BenchError
+from nmt_core.options import argument, option
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -21,32 +23,41 @@ if TYPE_CHECKING:
 CONVERGENCE_ORDERS = (1, 3, 5, 7, 20, 61)
 
 
-USAGE = f"""\
-Computes modal frequency and damping over modal amplitude of a rig's model by the extended periodic motion concept
-(EPMC) with harmonic balance: what a perfect test of the mode would give. Give the file to './nmt extract --reference'
-to compare a test with it.
+@dataclass(frozen=True, kw_only=True)
+class ReferenceOptions:
+    """Computes modal frequency and damping over modal amplitude of a rig's model by the extended periodic motion
+    concept (EPMC) with harmonic balance: what a perfect test of the mode would give. Give the file to './nmt
+    extract --reference' to compare a test with it."""
 
-RIG  name of a rig (for example beam) or path of a rig file
-@output reference.csv, shapes.csv, report.html
-@set local_elements.0.slip_force_n=2
---harmonics H =7  highest harmonic order, 1 to 200 (default: 7)
---amplitudes q1:q2:n  modal amplitudes in m√kg: n values from q1 to q2 in geometric steps (default: 100 values that
-    cover the rig's levels generously)
---compare FILE  table with the columns of reference.csv to compare with, at its own amplitudes unless --amplitudes is
-    given
---convergence  also print how the result converges over {", ".join(map(str, CONVERGENCE_ORDERS))} harmonics
-"""
+    rig: str = argument("name of a rig (for example beam) or path of a rig file", metavar="RIG")
+    out: Path = dated_folder_option("reference.csv, shapes.csv, report.html", "reference")
+    force: bool = replace_option()
+    set: tuple[str, ...] = set_option("local_elements.0.slip_force_n=2")
+    harmonics: int = option(7, "highest harmonic order, 1 to 200 (default: 7)", metavar="H")
+    amplitudes: str | None = option(
+        None,
+        "modal amplitudes in m√kg: n values from q1 to q2 in geometric steps (default: 100 values that cover "
+        "the "
+        "rig's levels generously)",
+        metavar="q1:q2:n",
+    )
+    compare: Path | None = option(
+        None,
+        "table with the columns of reference.csv to compare with, at its own amplitudes unless --amplitudes is given",
+        metavar="FILE",
+    )
+    convergence: bool = option(False, "also print how the result converges over 1, 3, 5, 7, 20, 61 harmonics")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: ReferenceOptions) -> int:
     """Compute the backbone, write its tables and report.
 
     Raises:
         BenchError: a wrong rig, option or folder, or no solution.
     """
-    check_output(arguments.out, arguments.force)
-    if not 1 <= arguments.harmonics <= 200:
-        raise BenchError(f"--harmonics must be a whole number from 1 to 200, got {arguments.harmonics}.")
+    check_output(options.out, options.force)
+    if not 1 <= options.harmonics <= 200:
+        raise BenchError(f"--harmonics must be a whole number from 1 to 200, got {options.harmonics}.")
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.work_display import WorkDisplay
@@ -61,20 +72,20 @@ def run(arguments: argparse.Namespace) -> int:
     )
     from nmt_rig.rig import load_rig
 
-    amplitudes = _amplitudes(arguments.amplitudes) if arguments.amplitudes else None
-    given = read_reference(arguments.compare) if arguments.compare is not None else None
+    amplitudes = _amplitudes(options.amplitudes) if options.amplitudes else None
+    given = read_reference(options.compare) if options.compare is not None else None
     if given is not None and amplitudes is None:
         amplitudes = [float(q) for q in given.modal_amplitude]
-    rig = load_rig(arguments.rig, arguments.set)
+    rig = load_rig(options.rig, options.set)
     if amplitudes is None:
         amplitudes = [float(q) for q in default_amplitudes(rig)]
     console = make_console()
     steps = "compiling", f"computing {len(amplitudes)} points of the backbone", "writing the report"
-    with WorkDisplay(console, steps) as display, OutputFolder(arguments.out, arguments.force) as folder:
-        compute_reference(rig, arguments.harmonics, amplitudes[:: max(1, len(amplitudes) // 4)])
+    with WorkDisplay(console, steps) as display, OutputFolder(options.out, options.force) as folder:
+        compute_reference(rig, options.harmonics, amplitudes[:: max(1, len(amplitudes) // 4)])
         display.step()
         began = time.perf_counter()
-        reference = compute_reference(rig, arguments.harmonics, amplitudes)
+        reference = compute_reference(rig, options.harmonics, amplitudes)
         elapsed = time.perf_counter() - began
         display.step()
         shapes = point_shapes(rig, reference)
@@ -84,11 +95,11 @@ def run(arguments: argparse.Namespace) -> int:
     for line in _summary(reference):
         console.print(line)
     console.print(f"solved in {elapsed:.3f} s once compiled")
-    if given is not None:
-        console.print(_comparison(reference, given, arguments.compare), soft_wrap=True)
-    if arguments.convergence:
+    if given is not None and options.compare is not None:
+        console.print(_comparison(reference, given, options.compare), soft_wrap=True)
+    if options.convergence:
         console.print(_convergence(rig, reference))
-    console.print(f"Results in {arguments.out}: reference.csv, shapes.csv, report.html")
+    console.print(f"Results in {options.out}: reference.csv, shapes.csv, report.html")
     return 0
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 
-USAGE = """\
-Lists the rigs that every command takes by name, with where their files are: those in the folders of the variable
-NMT_RIG_PATH, then those that come with the bench. Copy a file to make a rig of your own.
+from nmt_core.options import option
 
---paths  also the path of each file
-"""
+
+@dataclass(frozen=True, kw_only=True)
+class RigsOptions:
+    """Lists the rigs that every command takes by name, with where their files are: those in the folders of the
+    variable NMT_RIG_PATH, then those that come with the bench. Copy a file to make a rig of your own."""
+
+    paths: bool = option(False, "also the path of each file")
 
 
 def rig_rows() -> list[dict[str, str]]:
@@ -30,12 +33,12 @@ def rig_rows() -> list[dict[str, str]]:
     return rows
 
 
-def json_results(arguments: argparse.Namespace) -> list[dict[str, str]]:
+def json_results(options: RigsOptions) -> list[dict[str, str]]:
     """What ``--json`` prints."""
     return rig_rows()
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: RigsOptions) -> int:
     """Print the list.
 
     Raises:
@@ -47,6 +50,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
     for row in rig_rows():
-        table.add_row(row["name"], row["description"], *([row["path"]] if arguments.paths else []))
+        table.add_row(row["name"], row["description"], *([row["path"]] if options.paths else []))
     make_console().print(table)
     return 0

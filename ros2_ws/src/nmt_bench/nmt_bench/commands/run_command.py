@@ -5,14 +5,30 @@ from __future__ import annotations
 import argparse
 import contextlib
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
 from nmt_bench.commands.bench_options import bench_of
 from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.shared_options import (
+    dated_folder_option,
+    device_option,
+    domain_option,
+    exciter_option,
+    latency_option,
+    one_process_option,
+    pacing_option,
+    page_option,
+    quiet_option,
+    replace_option,
+    seed_option,
+    set_option,
+)
 from nmt_bench.orchestration.interrupts import deferred_interrupts, terminate_as_interrupt
 from nmt_core.errors import BenchError
+from nmt_core.options import argument, option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,46 +37,6 @@ if TYPE_CHECKING:
     from nmt_record.exchange.calibration_file import CalibrationSheet
     from nmt_report.run_data import ReferenceCurve
     from nmt_session.run_result import RunResult
-
-
-USAGE = """\
-Tests a rig: the phase-locked loop holds phase resonance at the drive point, the level is stepped, and every locked
-window gives a modal point. Everything is recorded to a bag. Ctrl-C ramps the drive to zero, closes the bag and
-reports what was measured.
-
-RIG  name of a rig (for example beam) or path of a rig file
-@output bag/, modal.csv, modal.json, uncertainty.csv, report.html, rig.yaml, run.json
---linear FILE  linear.json of './nmt linear' for loop and extraction (default: the linear modes of the rig's model)
---levels PLAN  levels in the unit of --control: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or a
-    list a,b,c (default: the rig's, in V)
---strategy stepped|ramp =stepped  stepped: wait for lock at every level; ramp: lock once, then windows of 20 periods
-    during slow ramps, evaluated by the balance of power (default: stepped)
---control voltage|response|force =voltage  what the levels are: drive voltage (V), amplitude of the drive-point
-    response that is held (m or m/s^2), or force fundamental that is held (N) (default: voltage)
---direction up|down|both|given =given  order of the levels: up, down, up and down again, or as given (default)
---periods N  whole periods a window (default: the rig's)
---ramp S  half-cosine between levels, s (default: the rig's)
---timeout S  bench time a level may take to lock, s (default: the rig's)
---stop-on-lost-lock  end the test at the first level that does not lock
---harmonics-control H :harmonics  bring harmonics 2 to H of the force to their targets by harmonics of the drive; auto =
-    as many as the sample rate allows, at most 15; 0 = none (default: the rig's, else 0)
---harmonics-target force|modal  force: to zero; modal: to the ratio to the fundamental that modal power needs, for which
-    the linear description must have three modes (default: the rig's, else force)
---compare K :int  with control of harmonics: every K-th level is measured without it first, which tells by how much it
-    moves frequency and damping (default: never)
---pll adaptive|paper  phase-locked loop: adaptive filter with guard band, or the paper's (default: the rig's, else
-    adaptive)
-@pacing
-@device
-@latency
-@rig local_elements.0.slip_force_n=2
---reference FILE :text  reference.csv to compare with; 'none' for no comparison (default: computed from the rig's
-    model)
---calibration FILE  calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget
-    (default: section device of the rig file, else ordinary tolerances; none for a simulated rig)
---no-report  tables only; './nmt extract' makes a report of the bag at any time
-@processes
-"""
 
 
 def _harmonics(text: str) -> int | str:
@@ -72,10 +48,104 @@ def _harmonics(text: str) -> int | str:
         raise argparse.ArgumentTypeError(f"'{text}' is no number of harmonics; give one from 2 on, auto or 0") from None
 
 
-KINDS = {"harmonics": _harmonics}
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """Tests a rig: the phase-locked loop holds phase resonance at the drive point, the level is stepped, and every
+    locked window gives a modal point. Everything is recorded to a bag. Ctrl-C ramps the drive to zero, closes the
+    bag and reports what was measured."""
+
+    rig: str = argument("name of a rig (for example beam) or path of a rig file", metavar="RIG")
+    out: Path = dated_folder_option(
+        "bag/, modal.csv, modal.json, uncertainty.csv, report.html, rig.yaml, run.json", "run"
+    )
+    force: bool = replace_option()
+    linear: Path | None = option(
+        None,
+        "linear.json of './nmt linear' for loop and extraction (default: the linear modes of the rig's model)",
+        metavar="FILE",
+    )
+    levels: str | None = option(
+        None,
+        "levels in the unit of --control: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or"
+        " a "
+        "list a,b,c (default: the rig's, in V)",
+        metavar="PLAN",
+    )
+    strategy: str = option(
+        "stepped",
+        "stepped: wait for lock at every level; ramp: lock once, then windows of 20 periods during slow "
+        "ramps, "
+        "evaluated by the balance of power (default: stepped)",
+        choices=("stepped", "ramp"),
+    )
+    control: str = option(
+        "voltage",
+        "what the levels are: drive voltage (V), amplitude of the drive-point response that is held (m or "
+        "m/s^2),"
+        " or force fundamental that is held (N) (default: voltage)",
+        choices=("voltage", "response", "force"),
+    )
+    direction: str = option(
+        "given",
+        "order of the levels: up, down, up and down again, or as given (default)",
+        choices=("up", "down", "both", "given"),
+    )
+    periods: int | None = option(None, "whole periods a window (default: the rig's)", metavar="N")
+    ramp: float | None = option(None, "half-cosine between levels, s (default: the rig's)", metavar="S")
+    timeout: float | None = option(None, "bench time a level may take to lock, s (default: the rig's)", metavar="S")
+    stop_on_lost_lock: bool = option(False, "end the test at the first level that does not lock")
+    harmonics_control: int | str | None = option(
+        None,
+        "bring harmonics 2 to H of the force to their targets by harmonics of the drive; auto = as many as "
+        "the "
+        "sample rate allows, at most 15; 0 = none (default: the rig's, else 0)",
+        metavar="H",
+        parse=_harmonics,
+    )
+    harmonics_target: str | None = option(
+        None,
+        "force: to zero; modal: to the ratio to the fundamental that modal power needs, for which the linear "
+        "description must have three modes (default: the rig's, else force)",
+        choices=("force", "modal"),
+    )
+    compare: int | None = option(
+        None,
+        "with control of harmonics: every K-th level is measured without it first, which tells by how much it"
+        " "
+        "moves frequency and damping (default: never)",
+        metavar="K",
+    )
+    pll: str | None = option(
+        None,
+        "phase-locked loop: adaptive filter with guard band, or the paper's (default: the rig's, else adaptive)",
+        choices=("adaptive", "paper"),
+    )
+    pacing: str = pacing_option()
+    device: str = device_option()
+    latency_blocks: int = latency_option()
+    exciter: int | None = exciter_option()
+    seed: int | None = seed_option()
+    set: tuple[str, ...] = set_option("local_elements.0.slip_force_n=2")
+    reference: str | None = option(
+        None,
+        "reference.csv to compare with; 'none' for no comparison (default: computed from the rig's model)",
+        metavar="FILE",
+    )
+    calibration: Path | None = option(
+        None,
+        "calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget "
+        "(default: "
+        "section device of the rig file, else ordinary tolerances; none for a simulated rig)",
+        metavar="FILE",
+    )
+    no_report: bool = option(False, "tables only; './nmt extract' makes a report of the bag at any time")
+    one_process: bool = one_process_option()
+    domain: int | None = domain_option()
+    quiet: bool = quiet_option()
+    page: bool = page_option()
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: RunOptions) -> int:
     """Run the test, write the results, print the table.
 
     Returns:
@@ -84,45 +154,46 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: the rig, a level or an option is refused, or the nodes do not start.
     """
-    check_output(arguments.out, arguments.force)
+    check_output(options.out, options.force)
     from nmt_bench.orchestration.prepared_nodes import nodes_ahead
 
-    with nodes_ahead(not arguments.one_process):
-        return _run(arguments)
+    with nodes_ahead(not options.one_process):
+        return _run(options)
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _run(options: RunOptions) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.linear_input import check_fits, read_linear
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_core.vocabulary import PointStatus
     from nmt_record.exchange.calibration_file import read_calibration
 
-    linear = read_linear(arguments.linear) if arguments.linear is not None else None
-    sheet = None if arguments.calibration is None else read_calibration(arguments.calibration)
+    linear = read_linear(options.linear) if options.linear is not None else None
+    sheet = None if options.calibration is None else read_calibration(options.calibration)
     bench = bench_of(
-        arguments,
-        _levels(arguments),
-        window_periods=arguments.periods,
-        ramp=arguments.ramp,
-        timeout=arguments.timeout,
-        stop_on_lost_lock=arguments.stop_on_lost_lock,
-        node_values={"pll": {"loop": arguments.pll}} if arguments.pll else {},
-        control=arguments.control,
-        strategy=arguments.strategy,
+        options,
+        _levels(options),
+        window_periods=options.periods,
+        ramp=options.ramp,
+        timeout=options.timeout,
+        stop_on_lost_lock=options.stop_on_lost_lock,
+        node_values={"pll": {"loop": options.pll}} if options.pll else {},
+        control=options.control,
+        strategy=options.strategy,
         linear=linear,
-        harmonics_control=arguments.harmonics_control,
-        harmonics_target=arguments.harmonics_target,
-        compare=arguments.compare or 0,
+        harmonics_control=options.harmonics_control,
+        harmonics_target=options.harmonics_target,
+        compare=options.compare or 0,
+        latency_blocks=options.latency_blocks,
     )
     if linear is not None:
-        check_fits(linear, bench.rig, arguments.linear)
+        check_fits(linear, bench.rig, str(options.linear))
     console = make_console()
-    with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.force, live=True) as folder:
-        result = measure(bench, console, arguments.quiet, arguments.page)
-        with WorkDisplay(console, quiet=arguments.quiet):
+    with terminate_as_interrupt(), OutputFolder(options.out, options.force, live=True) as folder:
+        result = measure(bench, console, options.quiet, options.page)
+        with WorkDisplay(console, quiet=options.quiet):
             reference, unwritten, interrupted = evaluate(
-                result, bench, folder, arguments.reference, not arguments.no_report, sheet
+                result, bench, folder, options.reference, not options.no_report, sheet
             )
         _summarise(result, reference, console, folder, unwritten)
     if result.interrupted or interrupted:
@@ -179,14 +250,14 @@ def evaluate(
     return reference, unwritten, interrupted
 
 
-def _levels(arguments: argparse.Namespace) -> list[float] | str | None:
-    if arguments.direction == "given":
-        return arguments.levels  # type: ignore[no-any-return]
+def _levels(options: RunOptions) -> list[float] | str | None:
+    if options.direction == "given":
+        return options.levels
     from nmt_rig.rig import load_rig
     from nmt_sequencer.level_plan import directed, parse_levels
 
-    plan = arguments.levels or load_rig(arguments.rig, arguments.set).test.levels
-    return directed(parse_levels(plan), arguments.direction)
+    plan = options.levels or load_rig(options.rig, options.set).test.levels
+    return directed(parse_levels(plan), options.direction)
 
 
 def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunResult:
@@ -199,8 +270,8 @@ def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunR
         if page:
             from nmt_bench.page.page_process import page_process
 
-            arguments = ("--domain", str(bench.domain_id))
-            for line in stack.enter_context(page_process(bench.out / "log" / "page.log", arguments)).lines:
+            options = ("--domain", str(bench.domain_id))
+            for line in stack.enter_context(page_process(bench.out / "log" / "page.log", options)).lines:
                 console.print(line, soft_wrap=True)
         if quiet:
             return bench.run()

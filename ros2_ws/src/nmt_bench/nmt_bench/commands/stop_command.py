@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from nmt_core.errors import BenchError
+from nmt_core.options import option
 
 if TYPE_CHECKING:
     from nmt_core.messages.records import DriveStop
@@ -16,17 +17,22 @@ EXIT_STOPPED, EXIT_UNKNOWN = 0, 1
 _LAST_DOMAIN = 232
 
 
-USAGE = """\
-Takes the drive of every bench on this host to zero, or that of one domain, and holds it there until the service
-'reset' of its plant is called. Says what each plant answers. It is no substitute for the switch of the amplifier.
+@dataclass(frozen=True, kw_only=True)
+class StopOptions:
+    """Takes the drive of every bench on this host to zero, or that of one domain, and holds it there until the service
+    'reset' of its plant is called. Says what each plant answers. It is no substitute for the switch of the
+    amplifier."""
 
---domain N  ROS domain of the bench (default: those of all benches that './nmt' runs here, and ROS_DOMAIN_ID)
---namespace NAME =""  namespace of the bench (default: none)
---timeout S =5  s to wait for each bench (default: 5)
-"""
+    domain: int | None = option(
+        None,
+        "ROS domain of the bench (default: those of all benches that './nmt' runs here, and ROS_DOMAIN_ID)",
+        metavar="N",
+    )
+    namespace: str = option("", "namespace of the bench (default: none)", metavar="NAME")
+    timeout: float = option(5.0, "s to wait for each bench (default: 5)", metavar="S")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: StopOptions) -> int:
     """Stop and say what became of it.
 
     Returns:
@@ -35,19 +41,19 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: an option is out of range.
     """
-    if arguments.domain is not None and not 0 <= arguments.domain <= _LAST_DOMAIN:
-        raise BenchError(f"A ROS domain must be from 0 to {_LAST_DOMAIN}, got {arguments.domain}.")
-    if not 0.0 < arguments.timeout < 1e6:
-        raise BenchError(f"--timeout must be positive, got {arguments.timeout:g}.")
+    if options.domain is not None and not 0 <= options.domain <= _LAST_DOMAIN:
+        raise BenchError(f"A ROS domain must be from 0 to {_LAST_DOMAIN}, got {options.domain}.")
+    if not 0.0 < options.timeout < 1e6:
+        raise BenchError(f"--timeout must be positive, got {options.timeout:g}.")
     from nmt_bench.orchestration.bench_domain import domains_in_use
     from nmt_bench.orchestration.stop_node import send_stop
 
-    if arguments.domain is not None:
-        domains = [arguments.domain]
+    if options.domain is not None:
+        domains = [options.domain]
     else:
         own = os.environ.get("ROS_DOMAIN_ID", "0")
         domains = sorted({*domains_in_use(), int(own) if own.isdigit() else 0})
-    answers = {domain: send_stop(domain, arguments.namespace, arguments.timeout) for domain in domains}
+    answers = {domain: send_stop(domain, options.namespace, options.timeout) for domain in domains}
     for domain, answer in answers.items():
         if answer is not None or len(answers) == 1:
             sys.stdout.write(f"Domain {domain}: {_sentence(answer)}\n")

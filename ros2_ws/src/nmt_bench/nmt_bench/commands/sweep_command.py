@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
 from nmt_bench.commands.bench_options import bench_of
 from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.shared_options import (
+    dated_folder_option,
+    device_option,
+    domain_option,
+    exciter_option,
+    latency_option,
+    one_process_option,
+    pacing_option,
+    page_option,
+    quiet_option,
+    replace_option,
+    seed_option,
+    set_option,
+)
 from nmt_core.errors import BenchError
+from nmt_core.options import argument, needed_option, option
 
 if TYPE_CHECKING:
     from nmt_bench.harness import Bench
@@ -22,34 +37,48 @@ if TYPE_CHECKING:
 _MOST_STEPS = 2000
 
 
-USAGE = """\
-Sweeps the frequency slowly while a controller holds the amplitude of the force's fundamental, records everything, and
-finds the frequency responses of all sensors by order analysis. With --stepped the frequency stands still at N places
-instead. Where the rig is simulated, the steady response of its model (harmonic balance) is laid over the measurement.
+@dataclass(frozen=True, kw_only=True)
+class SweepOptions:
+    """Sweeps the frequency slowly while a controller holds the amplitude of the force's fundamental, records
+    everything, and finds the frequency responses of all sensors by order analysis. With --stepped the frequency
+    stands still at N places instead. Where the rig is simulated, the steady response of its model (harmonic
+    balance) is laid over the measurement."""
 
-RIG  name of a rig (for example joint_resonator) or path of a rig file
-@output-replace bag/, frf.csv, report.html, rig.yaml, run.json
---force F[,F2…] >levels required  amplitudes held, one sweep each: N; with --control voltage V, with --control
-    response m/s^2 or m
---from f1 >start required  first frequency, Hz
---to f2 >stop required  last frequency, Hz
---rate r =0.2  sweep rate, Hz/s, without sign (default: 0.2)
---stepped N  stand still at N evenly spaced frequencies instead of sweeping
---direction given|up|down =given  from the lower to the higher frequency, the reverse, or as given (default)
---control force|voltage|response =force  amplitude that is held (default: force)
---periods N  --stepped: whole periods a window (default: the rig's)
---ramp S  half-cosine to the amplitude, s (default: the rig's)
-@rig test.ramp_s=1
-@pacing
-@device
-@latency
---points N =400  frequencies of frf.csv (default: 400)
---reference model|none =model  what to compare with (default: the model)
-@processes
-"""
+    rig: str = argument("name of a rig (for example joint_resonator) or path of a rig file", metavar="RIG")
+    out: Path = dated_folder_option("bag/, frf.csv, report.html, rig.yaml, run.json", "sweep")
+    replace: bool = replace_option()
+    levels: str = needed_option(
+        "amplitudes held, one sweep each: N; with --control voltage V, with --control response m/s^2 or m",
+        name="--force",
+        metavar="F[,F2…]",
+    )
+    start: float = needed_option("first frequency, Hz", name="--from", metavar="f1")
+    stop: float = needed_option("last frequency, Hz", name="--to", metavar="f2")
+    rate: float = option(0.2, "sweep rate, Hz/s, without sign (default: 0.2)", metavar="r")
+    stepped: int | None = option(None, "stand still at N evenly spaced frequencies instead of sweeping", metavar="N")
+    direction: str = option(
+        "given",
+        "from the lower to the higher frequency, the reverse, or as given (default)",
+        choices=("given", "up", "down"),
+    )
+    control: str = option("force", "amplitude that is held (default: force)", choices=("force", "voltage", "response"))
+    periods: int | None = option(None, "--stepped: whole periods a window (default: the rig's)", metavar="N")
+    ramp: float | None = option(None, "half-cosine to the amplitude, s (default: the rig's)", metavar="S")
+    exciter: int | None = exciter_option()
+    seed: int | None = seed_option()
+    set: tuple[str, ...] = set_option("test.ramp_s=1")
+    pacing: str = pacing_option()
+    device: str = device_option()
+    latency_blocks: int = latency_option()
+    points: int = option(400, "frequencies of frf.csv (default: 400)", metavar="N")
+    reference: str = option("model", "what to compare with (default: the model)", choices=("model", "none"))
+    one_process: bool = one_process_option()
+    domain: int | None = domain_option()
+    quiet: bool = quiet_option()
+    page: bool = page_option()
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: SweepOptions) -> int:
     """Sweep, analyse, write the results, print the figures.
 
     Returns:
@@ -58,58 +87,59 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         BenchError: the rig, a level or an option is refused, or the nodes do not start.
     """
-    levels, start, stop = _checked(arguments)
-    check_output(arguments.out, arguments.replace, "replace")
+    levels, start, stop = _checked(options)
+    check_output(options.out, options.replace, "replace")
     from nmt_bench.orchestration.prepared_nodes import nodes_ahead
 
-    with nodes_ahead(not arguments.one_process):
-        return _measure(arguments, levels, start, stop)
+    with nodes_ahead(not options.one_process):
+        return _measure(options, levels, start, stop)
 
 
-def _measure(arguments: argparse.Namespace, levels: list[float], start: float, stop: float) -> int:
+def _measure(options: SweepOptions, levels: list[float], start: float, stop: float) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.run_command import measure
     from nmt_bench.orchestration.interrupts import terminate_as_interrupt
 
     bench = bench_of(
-        arguments,
-        ramp=arguments.ramp,
-        control=arguments.control,
-        **_excitation(arguments, levels, start, stop),
+        options,
+        ramp=options.ramp,
+        control=options.control,
+        latency_blocks=options.latency_blocks,
+        **_excitation(options, levels, start, stop),
     )
     console = make_console()
-    with terminate_as_interrupt(), OutputFolder(arguments.out, arguments.replace, live=True) as folder:
-        result = measure(bench, console, arguments.quiet, arguments.page)
-        return _finish(arguments, bench, result, levels, folder, console)
+    with terminate_as_interrupt(), OutputFolder(options.out, options.replace, live=True) as folder:
+        result = measure(bench, console, options.quiet, options.page)
+        return _finish(options, bench, result, levels, folder, console)
 
 
-def _checked(arguments: argparse.Namespace) -> tuple[list[float], float, float]:
+def _checked(options: SweepOptions) -> tuple[list[float], float, float]:
     """Levels and frequencies in the order of the test."""
     from nmt_sequencer.level_plan import parse_levels
 
-    levels = parse_levels(arguments.levels)
-    start, stop = arguments.start, arguments.stop
+    levels = parse_levels(options.levels)
+    start, stop = options.start, options.stop
     if not (0 < start < float("inf") and 0 < stop < float("inf") and start != stop):
         raise BenchError(f"--from and --to must be two different positive frequencies, got {start:g} and {stop:g} Hz.")
-    if arguments.direction != "given" and (start > stop) == (arguments.direction == "up"):
+    if options.direction != "given" and (start > stop) == (options.direction == "up"):
         start, stop = stop, start
-    if not 0 < arguments.rate < float("inf"):
-        raise BenchError(f"--rate must be positive, got {arguments.rate:g} Hz/s; --direction says which way.")
-    if arguments.stepped is not None and not 2 <= arguments.stepped <= _MOST_STEPS:
-        raise BenchError(f"--stepped needs 2 to {_MOST_STEPS} frequencies, got {arguments.stepped}.")
-    if not 10 <= arguments.points <= 100_000:
-        raise BenchError(f"--points must be 10 to 100000, got {arguments.points}.")
+    if not 0 < options.rate < float("inf"):
+        raise BenchError(f"--rate must be positive, got {options.rate:g} Hz/s; --direction says which way.")
+    if options.stepped is not None and not 2 <= options.stepped <= _MOST_STEPS:
+        raise BenchError(f"--stepped needs 2 to {_MOST_STEPS} frequencies, got {options.stepped}.")
+    if not 10 <= options.points <= 100_000:
+        raise BenchError(f"--points must be 10 to 100000, got {options.points}.")
     return levels, start, stop
 
 
-def _excitation(arguments: argparse.Namespace, levels: list[float], start: float, stop: float) -> dict[str, Any]:
+def _excitation(options: SweepOptions, levels: list[float], start: float, stop: float) -> dict[str, Any]:
     """Arguments of the bench that say what is done at the levels."""
     from nmt_rig.rig import load_rig
 
-    limit = load_rig(arguments.rig, arguments.set).limits.voltage_v
+    limit = load_rig(options.rig, options.set).limits.voltage_v
     values: dict[str, Any] = {"node_values": {"pll": {"voltage_limit": 0.95 * limit}}} if limit else {}
-    if arguments.stepped is None:
-        rate = arguments.rate if stop > start else -arguments.rate
+    if options.stepped is None:
+        rate = options.rate if stop > start else -options.rate
         return {
             **values,
             "test": "sweep",
@@ -118,19 +148,19 @@ def _excitation(arguments: argparse.Namespace, levels: list[float], start: float
             "rate_hz_s": rate,
             "frequency_end_hz": stop,
         }
-    step = (stop - start) / (arguments.stepped - 1)
-    frequencies = [start + k * step for k in range(arguments.stepped)]
+    step = (stop - start) / (options.stepped - 1)
+    frequencies = [start + k * step for k in range(options.stepped)]
     return {
         **values,
         "test": "stepped_sine",
         "levels": [level for level in levels for _ in frequencies],
         "frequencies_hz": tuple(frequencies * len(levels)),
-        "window_periods": arguments.periods,
+        "window_periods": options.periods,
     }
 
 
 def _finish(
-    arguments: argparse.Namespace, bench: Bench, result: RunResult, levels: list[float], folder: Path, console: Any
+    options: SweepOptions, bench: Bench, result: RunResult, levels: list[float], folder: Path, console: Any
 ) -> int:
     """Analyse the bag, write and print."""
     from nmt_bench.commands.run_command import pace_line
@@ -146,21 +176,21 @@ def _finish(
     if result.code != ResultCode.SUCCEEDED or "not" in result.message:
         remarks.append(result.message)
     steps = "analysing the recording", "computing the model's response", "writing the report"
-    with WorkDisplay(console, steps, arguments.quiet) as display:
+    with WorkDisplay(console, steps, options.quiet) as display:
         if result.bag is not None and result.bag.exists():
             try:
-                tables, more = responses_of_bag(Bag.open(result.bag), arguments.points)
+                tables, more = responses_of_bag(Bag.open(result.bag), options.points)
                 remarks += more
             except BenchError as error:
                 remarks.append(str(error))
         display.step()
-        models = _model(arguments, bench, tables, remarks) if tables else []
+        models = _model(options, bench, tables, remarks) if tables else []
         comparisons = compare(tables, models)
         forces = [held for held in map(held_force, tables) if held is not None]
         display.step()
         if tables:
             write_response_csv(tables, folder / "frf.csv")
-            text = _report(arguments, bench, result, tables, models, comparisons, forces, remarks)
+            text = _report(options, bench, result, tables, models, comparisons, forces, remarks)
             write_whole(folder / "report.html", text)
     for line in (*force_lines(forces), *comparison_lines(comparisons, "the model's steady response")):
         console.print(line)
@@ -176,14 +206,14 @@ def _finish(
 
 
 def _model(
-    arguments: argparse.Namespace, bench: Bench, tables: Sequence[FrequencyResponseTable], remarks: list[str]
+    options: SweepOptions, bench: Bench, tables: Sequence[FrequencyResponseTable], remarks: list[str]
 ) -> list[ModelResponse]:
     """The model's steady responses; none where the level was no force or none is wanted."""
-    if arguments.reference == "none" or any(table.level_unit != "N" for table in tables):
+    if options.reference == "none" or any(table.level_unit != "N" for table in tables):
         return []
     from nmt_report.response_analysis import model_responses
 
-    low, high = sorted((arguments.start, arguments.stop))
+    low, high = sorted((options.start, options.stop))
     try:
         return model_responses(bench.rig, [table.level for table in tables], low, high, tables[0].channels)
     except (BenchError, ArithmeticError, ValueError) as error:
@@ -281,7 +311,7 @@ COMPARISON_HEAD = (
 
 
 def _report(
-    arguments: argparse.Namespace,
+    options: SweepOptions,
     bench: Bench,
     result: RunResult,
     tables: Sequence[FrequencyResponseTable],
@@ -340,7 +370,7 @@ def _report(
         if comparisons
         else Markup("")
     )
-    stepped = arguments.stepped is not None
+    stepped = options.stepped is not None
     start, stop = (t.frequency_hz[[0, -1]] for t in (tables[0], tables[0]))
     page = ResponsePage(
         kicker="Stepped sine" if stepped else "Controlled sweep",
@@ -354,9 +384,9 @@ def _report(
         notices=remarks,
         facts=[
             ("Run", bench.test.run_id),
-            ("Held", {"force": "force", "voltage": "drive voltage", "response": "response"}[arguments.control]),
+            ("Held", {"force": "force", "voltage": "drive voltage", "response": "response"}[options.control]),
             ("Frequencies", f"{plain(float(start[0]), 2)} to {plain(float(stop[1]), 2)} Hz"),
-            ("Rate", f"{arguments.stepped} steps" if stepped else f"{arguments.rate:g} Hz/s"),
+            ("Rate", f"{options.stepped} steps" if stepped else f"{options.rate:g} Hz/s"),
             ("Exciter", f"at point {bench.rig.drive_point}"),
             ("Sampling", f"{bench.rig.sample_rate_hz:g} Hz"),
             ("Bench time", duration(result.bench_time)),

@@ -2,39 +2,49 @@
 
 from __future__ import annotations
 
-import argparse
 import math
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_bench.commands.shared_options import dated_folder_option, replace_option
+from nmt_core.options import needed_option, option
 
 if TYPE_CHECKING:
     from nmt_extract.synthesised_responses import SynthesisResult
 
 
-USAGE = """\
-Computes the frequency response near a resonance from nothing but the measured backbone (modal frequency, damping and
-shape over the modal amplitude) and the residuals of the other linear modes, and compares it with measured sweeps at
-the same force.
+@dataclass(frozen=True, kw_only=True)
+class SynthesisOptions:
+    """Computes the frequency response near a resonance from nothing but the measured backbone (modal frequency,
+    damping and shape over the modal amplitude) and the residuals of the other linear modes, and compares it with
+    measured sweeps at the same force."""
 
---backbone RUN_OUT required  results folder of './nmt run', or a modal.json
---linear FILE  linear.json of './nmt linear', for the other modes (default: the linear modes that the run used)
---sweep SWEEP_OUT...  results folder of './nmt sweep', or a frf.csv, to compare with; may be repeated
---levels F[,F2…]  forces, N (default: those of the sweeps)
---from f1 >start  first frequency, Hz (default: that of the sweeps)
---to f2 >stop  last frequency, Hz (default: that of the sweeps)
---points N =801  frequencies of synthesis.csv (default: 801)
-@output synthesis.csv, report.html
-"""
+    backbone: Path = needed_option("results folder of './nmt run', or a modal.json", metavar="RUN_OUT")
+    linear: Path | None = option(
+        None,
+        "linear.json of './nmt linear', for the other modes (default: the linear modes that the run used)",
+        metavar="FILE",
+    )
+    sweep: tuple[Path, ...] = option(
+        (), "results folder of './nmt sweep', or a frf.csv, to compare with; may be repeated", metavar="SWEEP_OUT"
+    )
+    levels: str | None = option(None, "forces, N (default: those of the sweeps)", metavar="F[,F2…]")
+    start: float | None = option(None, "first frequency, Hz (default: that of the sweeps)", name="--from", metavar="f1")
+    stop: float | None = option(None, "last frequency, Hz (default: that of the sweeps)", name="--to", metavar="f2")
+    points: int = option(801, "frequencies of synthesis.csv (default: 801)", metavar="N")
+    out: Path = dated_folder_option("synthesis.csv, report.html", "synthesis")
+    force: bool = replace_option()
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: SynthesisOptions) -> int:
     """Synthesise, compare, write, print.
 
     Raises:
         BenchError: files that are missing or do not go together, no force or no frequencies.
     """
-    check_output(arguments.out, arguments.force)
+    check_output(options.out, options.force)
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.sweep_command import comparison_lines
@@ -46,29 +56,29 @@ def run(arguments: argparse.Namespace) -> int:
     console = make_console()
     with WorkDisplay(console, ("computing the responses", "writing the report")) as display:
         result = synthesise(
-            arguments.backbone,
-            sweeps=arguments.sweep,
-            linear=arguments.linear,
-            forces=None if arguments.levels is None else parse_levels(arguments.levels),
-            low_hz=arguments.start,
-            high_hz=arguments.stop,
+            options.backbone,
+            sweeps=options.sweep,
+            linear=options.linear,
+            forces=None if options.levels is None else parse_levels(options.levels),
+            low_hz=options.start,
+            high_hz=options.stop,
         )
-        table = result.csv(arguments.points)
+        table = result.csv(options.points)
         display.step()
-        with OutputFolder(arguments.out, arguments.force) as folder:
+        with OutputFolder(options.out, options.force) as folder:
             write_whole(folder / "synthesis.csv", table)
-            write_whole(folder / "report.html", _report(arguments, result))
+            write_whole(folder / "report.html", _report(options, result))
     q = result.backbone.modal_amplitude
     console.print(f"Backbone of {q.size} amplitudes, q from {q[0]:.3g} to {q[-1]:.3g} m√kg; {result.others.origin}.")
     for line in comparison_lines(result.comparisons, "synthesis"):
         console.print(line)
     for line in result.remarks:
         console.print(line, style="yellow", soft_wrap=True)
-    console.print(f"Results in {arguments.out}: synthesis.csv, report.html")
+    console.print(f"Results in {options.out}: synthesis.csv, report.html")
     return 0
 
 
-def _report(arguments: argparse.Namespace, result: SynthesisResult) -> str:
+def _report(options: SynthesisOptions, result: SynthesisResult) -> str:
     from dataclasses import replace
 
     from markupsafe import Markup
@@ -104,15 +114,15 @@ def _report(arguments: argparse.Namespace, result: SynthesisResult) -> str:
     table = html_table(COMPARISON_HEAD, comparison_rows(comparisons), "Synthesis against the sweep. " + DEFINITIONS)
     page = ResponsePage(
         kicker="Synthesis from the backbone",
-        heading=str(result.inputs.get("rig") or arguments.backbone.name),
+        heading=str(result.inputs.get("rig") or options.backbone.name),
         subtitle="Single nonlinear mode over the measured amplitudes, and the other linear modes",
         verdict=(verdict, "partly" if remarks else "good"),
         notices=remarks,
         facts=[
-            ("Backbone", f"run {result.inputs.get('run_id') or arguments.backbone.name}"),
+            ("Backbone", f"run {result.inputs.get('run_id') or options.backbone.name}"),
             ("Amplitudes", f"{len(amplitudes)}, q from {amplitudes[0]:.3g} to {amplitudes[-1]:.3g} m√kg"),
             ("Other modes", result.others.origin),
-            ("Sweeps", ", ".join(path.name for path in arguments.sweep)),
+            ("Sweeps", ", ".join(path.name for path in options.sweep)),
         ],
         sections=[
             ("responses", "Frequency responses", html_figures(figures)),

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 from nmt_bench.hardware.hardware_checks import require_check
 from nmt_core.errors import BenchError
 from nmt_rig.device_sections import DEVICE_KINDS, SIMULATED_OR_CONVERTERS, AnyDevice
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_session.node_plan import PlanSettings
 
 
 def parsed_device(text: str, rig: Rig) -> tuple[str, str]:
@@ -28,7 +31,7 @@ def parsed_device(text: str, rig: Rig) -> tuple[str, str]:
     return kind, address
 
 
-def checked_device(rig: Rig, device: str, command: str) -> dict[str, Any]:
+def checked_device(rig: Rig, device: str, command: str) -> PlanSettings:
     """Settings of a test for what is driven: of a converter only where its check has passed.
 
     Args:

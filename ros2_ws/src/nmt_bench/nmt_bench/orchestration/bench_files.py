@@ -11,7 +11,7 @@ from nmt_core.errors import BenchError
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_snapshot import rig_text
 from nmt_sequencer.level_plan import parse_levels
-from nmt_session.node_plan import NodePlan, TestPlan, plan_nodes
+from nmt_session.node_plan import NodePlan, PlanSettings, TestPlan, plan_nodes
 
 
 def write_bench_files(
@@ -44,13 +44,13 @@ def write_bench_files(
     """
     rig = load_rig(rig_name, list(changes))
     text = rig_text(rig, rig_name, list(changes))
+    settings: PlanSettings = {"pacing": pacing, "linked": False}  # whoever starts the nodes chooses their hosts
+    settings.update(checked_device(rig, device, check_command(rig_name, device, changes)))
     test = TestPlan(
         rig=rig,
         rig_yaml=text,
         levels=tuple(parse_levels(levels or rig.test.levels)),
-        pacing=pacing,
-        linked=False,  # whoever starts the nodes chooses their hosts
-        **checked_device(rig, device, check_command(rig_name, device, changes)),
+        **settings,
     )
     plan = plan_nodes(test, out / "bag", out / "rig.yaml", test.device_name if test.device else "")
     try:

@@ -67,7 +67,7 @@ class NodeProcesses:
         self._log.mkdir(parents=True, exist_ok=True)
         self._plan.write_parameters(self._parameters)
         self._environment.setdefault("ROS_LOG_DIR", str(self._log))
-        commands = {name: self._command(name) for name in self._plan.values}
+        commands = {name: self._command(name) for name in self._plan.settings}
         with contextlib.ExitStack() as stack:
             logs = {name: stack.enter_context(open(self._log / f"{name}.log", "wb")) for name in commands}
             if self._loader is not None and self._loader.can_fork():

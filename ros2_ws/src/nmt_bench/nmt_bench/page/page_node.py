@@ -81,7 +81,7 @@ class PageNode(BenchNode):
 
     def __init__(self, view: LiveView, on_bag: Callable[[Path], None] = lambda _: None, **kwargs: Any) -> None:
         kwargs.setdefault("start_parameter_services", False)
-        super().__init__("page", (), None, **kwargs)
+        super().__init__("page", **kwargs)
         self._view, self._on_bag = view, on_bag
         self._reader = RecordReader()
         self._listening = False

@@ -1,16 +1,14 @@
-"""Declarative parameter tables: one table a node, from which descriptors, checks and documentation come."""
+"""Parameters of nodes: what ROS descriptors, checks and documentation are made from; see `nmt_core.settings`."""
 
 from __future__ import annotations
 
-import ast
 import math
 from array import array
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.text.text_table import entries
 
 ParameterValue = bool | int | float | str | list[float] | list[int] | list[str]
 
@@ -69,40 +67,12 @@ class Parameter:
             raise BenchError(f"{where} must be one of {', '.join(self.choices)}, got {value!r}.")
         return value  # type: ignore[no-any-return]
 
+    def renamed(self, name: str) -> Parameter:
+        """The same under another name."""
+        return replace(self, name=name)
+
     def _unit(self) -> str:
         return f" {self.unit}" if self.unit else ""
-
-
-def parameter_table(table: str) -> tuple[Parameter, ...]:
-    """Parameters from a table that says a line each: name, default, unit, range or choices, two spaces, description. ::
-
-    ramp =0.5 (s) 0.0..  Half-cosine between levels.
-    pacing =lockstep lockstep|realtime  What paces the run.
-    topics =["force"]  Indented lines go on with the description.
-    """
-    found = []
-    for head, description in entries(table):
-        name, default, *marks = head.split(" ")
-        settings: dict[str, Any] = {"unit": ""}
-        for mark in marks:
-            if mark.startswith("("):
-                settings["unit"] = mark[1:-1]
-            elif ".." in mark:
-                ends = zip(("low", "high"), mark.split(".."), strict=True)
-                settings |= {end: ast.literal_eval(number) for end, number in ends if number}
-            else:
-                settings["choices"] = tuple(mark.split("|"))
-        found.append(Parameter(name, _literal(default[1:]), description=description, **settings))
-    return tuple(found)
-
-
-def _literal(text: str) -> ParameterValue:
-    """The value that a text writes as Python does, or the text itself."""
-    try:
-        value: ParameterValue = ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text
-    return value
 
 
 def _of_kind(value: Any, kind: type, where: str) -> Any:
@@ -112,27 +82,6 @@ def _of_kind(value: Any, kind: type, where: str) -> Any:
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
         raise BenchError(f"{where} must be of type {kind.__name__}, got {value!r}.")
     return value
-
-
-def check_values(table: Sequence[Parameter], values: Mapping[str, Any], owner: str) -> dict[str, ParameterValue]:
-    """Complete and check a set of values against a table.
-
-    Args:
-        table: the node's parameters.
-        values: given values by name.
-        owner: name of the node, for messages.
-
-    Returns:
-        Every parameter of the table with its value.
-
-    Raises:
-        BenchError: unknown name, or a value that :meth:`Parameter.check` refuses.
-    """
-    known = {parameter.name for parameter in table}
-    for name in values:
-        if name not in known:
-            raise BenchError(f"Parameter '{name}' is not known to {owner}; it knows {', '.join(sorted(known))}.")
-    return {item.name: item.check(values.get(item.name, item.default), owner) for item in table}
 
 
 def markdown_table(table: Iterable[Parameter]) -> str:

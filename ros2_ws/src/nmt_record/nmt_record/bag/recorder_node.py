@@ -26,7 +26,8 @@ from nmt_msgs.msg import Bundle
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import Service, parse_topic
 from nmt_record.bag.message_definitions import local_definitions
-from nmt_record.bag.run_recorder import PARAMETERS, RunRecorder, described_run, free_path, why_unwritable
+from nmt_record.bag.recorder_settings import RecorderSettings
+from nmt_record.bag.run_recorder import RunRecorder, described_run, free_path, why_unwritable
 
 _QOS = {
     Service.SAMPLES: SAMPLES_QOS,
@@ -49,7 +50,7 @@ class RecorderNode(BenchNode):
     does is published, latched, on ``bag``, see :class:`nmt_core.messages.run_announcement.BagState`.
 
     Args:
-        values: parameters by name, see ``PARAMETERS``.
+        settings: for launch-free use; ROS overrides win over them.
         **kwargs: forwarded to :class:`rclpy.node.Node` (``context``, ``namespace``, …).
 
     Attributes:
@@ -61,9 +62,10 @@ class RecorderNode(BenchNode):
 
     # Nobody waits for this node block by block.
     BURST_PERIOD = 0.02
+    settings: RecorderSettings
 
-    def __init__(self, values: dict[str, Any] | None = None, **kwargs: Any) -> None:
-        super().__init__("recorder", PARAMETERS, values, **kwargs)
+    def __init__(self, settings: RecorderSettings | None = None, **kwargs: Any) -> None:
+        super().__init__("recorder", RecorderSettings, settings, **kwargs)
         try:
             self._set_up()
         except BaseException:
@@ -115,7 +117,7 @@ class RecorderNode(BenchNode):
         """Why no run could be recorded now; empty if one could, or is."""
         if self.writer.state == "open" and self.core.begun:
             return ""
-        why = why_unwritable(Path(self._recorder_values["output"]), int(self._recorder_values["least_free_mb"]))
+        why = why_unwritable(Path(self.settings.output), self.settings.least_free_mb)
         return f"cannot record: {why}" if why else ""
 
     def may_end(self, since: float) -> bool:
@@ -140,23 +142,20 @@ class RecorderNode(BenchNode):
         super().destroy_node()
 
     def _set_up(self) -> None:
-        values: dict[str, Any] = dict(self.values)
-        types = {kind: _message_class(kind) for kind in {parse_topic(text).message_type for text in values["topics"]}}
-        self._settle_time: float = values["settle_time"]
-        self._patience: float = values["patience"]
+        settings = self.settings
+        types = {kind: _message_class(kind) for kind in {parse_topic(text).message_type for text in settings.topics}}
         self._end_time: float | None = None
         self._last_time = self._last_own_time = time.monotonic()
         self._seen = 0.0  # time of the newest message when it was looked last
         self._is_drained = False
-        self._recorder_values = values
         self._announced = RunAnnouncement()
         self._goal = ""  # of the run that the newest bag is for
         self._refusal = ""  # why no bag was opened for it
-        self.core = RunRecorder(values)
+        self.core = RunRecorder(settings)
         self._state_publisher = self.create_publisher(String, BAG_TOPIC, STATE_QOS)
         self.identity.claim(BAG_TOPIC)
         self._progress = ReaderProgress(self, "recorder")
-        self._bundled = {topic: self._recording(topic) for topic in values["bundled"] if topic}
+        self._bundled = {topic: self._recording(topic) for topic in settings.bundled if topic}
         for topic in self.core.topics:
             if topic.name in self._bundled:
                 continue
@@ -173,7 +172,7 @@ class RecorderNode(BenchNode):
         self._announcement_subscription = self.create_subscription(
             String, ANNOUNCEMENT_TOPIC, self._on_announcement, STATE_QOS
         )
-        self.steady_timer(min(0.1, values["flush_interval"] / 2.0), self._watch)
+        self.steady_timer(min(0.1, settings.flush_interval / 2.0), self._watch)
         self.get_logger().info(f"Bag {self.writer.path} opened")
         self._publish_state("")
 
@@ -211,15 +210,15 @@ class RecorderNode(BenchNode):
             BenchError: it cannot be opened.
         """
         self._refusal = ""
-        values, output = self._recorder_values, Path(self._recorder_values["output"])
-        why = why_unwritable(output, int(values["least_free_mb"]))
+        settings, output = self.settings, Path(self.settings.output)
+        why = why_unwritable(output, settings.least_free_mb)
         if why:
             raise BenchError(f"The recorder cannot record: {why}.")
         if self.writer.state == "open":
             if self.core.run_id == announced.run_id:
                 return
             self.writer.discard()  # it says what another run would have been
-        self.core = RunRecorder(values, path=free_path(output), run_json=described_run(values, announced))
+        self.core = RunRecorder(settings, path=free_path(output), run_json=described_run(settings, announced))
         self.get_logger().info(f"Bag {self.writer.path} opened for run {announced.run_id}")
         self._end_time = None
 
@@ -292,11 +291,11 @@ class RecorderNode(BenchNode):
                 return
             # A source in real time goes on: what is stamped after the end of the run breaks no silence.
             own_silence = now - self._last_own_time
-            silent = silence >= self._settle_time
-            silent = silent or (own_silence >= self._settle_time and not self.core.awaits_points)
+            silent = silence >= self.settings.settle_time
+            silent = silent or (own_silence >= self.settings.settle_time and not self.core.awaits_points)
             if silent or since_end >= _LONGEST_END:
                 self.close("", "done")
-        elif silence >= self._patience or since_end >= self._patience + _LONGEST_END:
+        elif silence >= self.settings.patience or since_end >= self.settings.patience + _LONGEST_END:
             self.close(f"blocks up to sample {self.core.end_sample} did not arrive", "incomplete")
 
     def _close_in_lockstep(self, silence: float) -> None:
@@ -308,14 +307,14 @@ class RecorderNode(BenchNode):
         waits = (lacks or core.awaits_ramp) and self._plant_is_there
         # The sequencer waits for the points, and takes the announcement back when it has them.
         waits = waits or (self._announced.goal == self._goal != "" and self.count_publishers(ANNOUNCEMENT_TOPIC) > 0)
-        if silence < (HANG_LIMIT if waits else self._patience if lacks or core.awaits_points else 0.0):
+        if silence < (HANG_LIMIT if waits else self.settings.patience if lacks or core.awaits_points else 0.0):
             return
         self.close(f"blocks up to sample {end} did not arrive" if lacks else "", "incomplete" if lacks else "done")
 
     @property
     def _plant_is_there(self) -> bool:
         """Whether anybody is left who could send the ramp to zero."""
-        return self.count_publishers(PLANT_BUNDLE if "voltage" in self._bundled else "voltage") > 0
+        return bool(self.count_publishers(PLANT_BUNDLE if "voltage" in self._bundled else "voltage") > 0)
 
     def _failed(self, error: BenchError) -> None:
         self.get_logger().error(str(error))

@@ -7,42 +7,20 @@ import datetime
 import json
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_text
 from nmt_core.messages.cdr import read_stamp
 from nmt_core.messages.run_announcement import RunAnnouncement
 from nmt_core.messages.wire import DRIVE_STOP, RUN_STATE, BlockReader
-from nmt_core.nodes.parameters import parameter_table
 from nmt_core.vocabulary import ResultCode, RunPhase, StopCause
-from nmt_record.bag.bag_writer import COMPRESSIONS, BagWriter, parse_run
-from nmt_record.bag.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK, BenchTopic, parse_topic
+from nmt_record.bag.bag_writer import BagWriter, parse_run
+from nmt_record.bag.bench_topics import SAMPLE_BLOCK, BenchTopic, parse_topic
 from nmt_record.bag.gap_counter import GapCounter
 from nmt_record.bag.message_definitions import local_definitions
-
-_TOPICS = repr([topic.name for topic in BENCH_TOPICS]).replace(" ", "")
-
-PARAMETERS = parameter_table(f"""\
-output =""  Folder of the first bag, which must not exist; the bags of further runs get '-2', '-3', … added.
-topics ={_TOPICS}  Topics to record; those that are not of the bench as
-    'name:package/msg/Type'.
-bundled =[""]  Those of them that are taken from the bundles of plant and loop; empty = none.
-run_json =""  Self-description of the run, a JSON object.
-run_file =""  File with the same, instead of run_json.
-rig_yaml =""  The rig file as used, its text.
-rig_file =""  File with the same, instead of rig_yaml.
-chunk_messages =500 1..  Messages after which a chunk is written.
-flush_interval =0.5 (s) 0.01..  Wall time after which a chunk is written.
-compression =none {'|'.join(COMPRESSIONS)}  Compression of the chunks.
-split_bytes ={2**30} (byte) 0..  Size after which the bag goes on in another file; 0 = one file.
-split_duration =0.0 (s) 0.0..  Wall time after which it does so; 0 = one file.
-least_free_mb =16 (MB) 0..  Space on the disk without which no run can begin.
-settle_time =0.25 (s) 0.0..  In real time: silence before the bag of a done run closes.
-patience =2.0 (s) 0.1..  Silence after which missing blocks are given up.
-""")  # fmt: skip
+from nmt_record.bag.recorder_settings import RecorderSettings
 
 
 class RunRecorder:
@@ -51,7 +29,7 @@ class RunRecorder:
     The bag exists, with the run's start record in it, when the constructor returns.
 
     Args:
-        values: parameters of the node, complete; see ``PARAMETERS``.
+        settings: those of the node.
         clock: time in ns at which messages are received; None = wall time.
         path: folder of the bag; None = that of the parameters.
         run_json: self-description of the run; None = that of the parameters.
@@ -73,31 +51,31 @@ class RunRecorder:
 
     def __init__(
         self,
-        values: Mapping[str, Any],
+        settings: RecorderSettings,
         clock: Callable[[], int] | None = None,
         *,
         path: Path | None = None,
         run_json: str | None = None,
     ) -> None:
-        if not values["output"]:
+        if not settings.output:
             raise BenchError("Parameter 'output' of recorder must name the folder of the bag to create.")
-        self.topics: list[BenchTopic] = [parse_topic(text) for text in values["topics"]]
+        self.topics: list[BenchTopic] = [parse_topic(text) for text in settings.topics]
         self.gaps = GapCounter()
         self.malformed = 0
         self.late = 0
         self.end_sample: int | None = None
         self.after_end = False
         self._end_stamp: int | None = None
-        run_json = described_run(values) if run_json is None else run_json
+        run_json = described_run(settings) if run_json is None else run_json
         self.writer = BagWriter(
-            path or str(values["output"]),
+            path or settings.output,
             run_json=run_json,
-            rig_yaml=_text(values, "rig_yaml", "rig_file"),
-            chunk_messages=values["chunk_messages"],
-            flush_interval=values["flush_interval"],
-            compression=str(values["compression"]),
-            split_bytes=values["split_bytes"],
-            split_duration=values["split_duration"],
+            rig_yaml=_text("rig_yaml", settings.rig_yaml, "rig_file", settings.rig_file),
+            chunk_messages=settings.chunk_messages,
+            flush_interval=settings.flush_interval,
+            compression=settings.compression,
+            split_bytes=settings.split_bytes,
+            split_duration=settings.split_duration,
             clock=clock,
         )
         self.run_id = _run_id(run_json)
@@ -228,17 +206,17 @@ class RunRecorder:
         self.writer.write(topic, raw, None, stamp)
 
 
-def described_run(values: Mapping[str, Any], announced: RunAnnouncement | None = None) -> str:
+def described_run(settings: RecorderSettings, announced: RunAnnouncement | None = None) -> str:
     """Self-description of a run, a JSON text.
 
     Args:
-        values: parameters of the node; their description holds for the run that it names.
+        settings: those of the node; their description holds for the run that it names.
         announced: another run on the same nodes, whose name and plan take the place of those of the parameters.
 
     Raises:
         BenchError: the description in the parameters cannot be read.
     """
-    text = _text(values, "run_json", "run_file")
+    text = _text("run_json", settings.run_json, "run_file", settings.run_file)
     if announced is None or (text and _run_id(text) == announced.run_id):
         return text
     run = parse_run(text)
@@ -278,9 +256,8 @@ def _run_id(run_json: str) -> str:
     return str(parse_run(run_json).get("run_id", ""))
 
 
-def _text(values: Mapping[str, Any], text: str, file: str) -> str:
-    if values[text] and values[file]:
-        raise BenchError(f"Parameters '{text}' and '{file}' of recorder exclude each other; give one.")
-    if not values[file]:
-        return str(values[text])
-    return read_text(Path(values[file]), f"file of parameter '{file}' of recorder,")
+def _text(name: str, text: str, name_of_file: str, file: str) -> str:
+    """What a setting says, or the file that another one names."""
+    if text and file:
+        raise BenchError(f"Parameters '{name}' and '{name_of_file}' of recorder exclude each other; give one.")
+    return read_text(Path(file), f"file of parameter '{name_of_file}' of recorder,") if file else text

@@ -519,10 +519,11 @@ def effects_table(place: str) -> str:
 
 def priors_table(name: str) -> str:
     """Priors of the calibration parameters."""
-    from nmt_diagnose.effects.calibration import PRIORS, unit_of
+    from nmt_core.tolerances import MODEL_PRIORS
+    from nmt_diagnose.effects.calibration import unit_of
 
     lines = ["| key | unit | relative standard deviation | because |", "|---|---|---|---|"]
-    for key, (std, reason) in PRIORS.items():
+    for key, (std, reason) in MODEL_PRIORS.items():
         lines.append(f"| `{key}` | {unit_of(key)} | {100 * std:g} % | {_cell(reason)} |")
     return "\n".join(lines)
 

@@ -7,7 +7,8 @@ import pytest
 from diagnose.twin_tests import chain, level, locked, noise_test, rows_of
 
 from nmt_core.errors import BenchError
-from nmt_diagnose.effects.calibration import PRIORS, calibration_parameters
+from nmt_core.tolerances import MODEL_PRIORS
+from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.twin.forward import Forward
@@ -169,7 +170,7 @@ def test_every_parameter_of_these_structures_may_be_refitted():
     ]
     assert names["structure.modes.0.frequency_hz"].unit == "Hz"
     moved = names["structure.modes.1.modal_mass_kg"].apply(modal(), 1.0)
-    assert moved.structure.modes[1].modal_mass_kg == pytest.approx(0.25 * np.exp(PRIORS["modal_mass_kg"][0]))
+    assert moved.structure.modes[1].modal_mass_kg == pytest.approx(0.25 * np.exp(MODEL_PRIORS["modal_mass_kg"].std))
     factors = [p.name for p in calibration_parameters(matrices()) if p.name.startswith("structure")]
     assert factors == ["structure.mass_factor", "structure.stiffness_factor", "structure.damping_factor"]
     on_table = modal(exciter={"kind": "shaking_table", "point": 1})

@@ -14,8 +14,8 @@ from nmt_diagnose.inference.diagnose import model_alone, own_parameters
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.search import Found, Search
 from nmt_diagnose.inference.size import differs, disbelieved
-from nmt_diagnose.inference.tuned import CREDIBLE, INCREDIBLE
-from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig
 
@@ -43,13 +43,13 @@ def moved(found: Found, to: float) -> Found:
 def test_a_parameter_that_nobody_believes_is_named_with_its_distance() -> None:
     _, null = searched(MODEL)
     count = len(null.fit.parametrisation.calibration)
-    edge = float(norm.isf(INCREDIBLE / (2.0 * count)))  # Bonferroni
-    assert edge > CREDIBLE - 0.5
+    edge = float(norm.isf(THRESHOLDS.comparison.incredible_probability / (2.0 * count)))  # Bonferroni
+    assert edge > THRESHOLDS.comparison.credible_sigmas - 0.5
     assert disbelieved(moved(null, 0.99 * edge))[0] == ()
     (left,), chance = disbelieved(moved(null, -1.01 * edge))
     assert left.group == null.fit.parametrisation.calibration[1].name
     assert left.size == pytest.approx(1.01 * edge)
-    assert 0.0 < chance < INCREDIBLE
+    assert 0.0 < chance < THRESHOLDS.comparison.incredible_probability
     assert left.sentence.endswith("standard deviations from what is believed of it")
 
 
@@ -66,7 +66,7 @@ def test_an_effect_stands_in_for_an_error_of_the_chain_that_nobody_believes() ->
 
     assert taken(20.0, -2.0 * slope) == pytest.approx((-10.0, 400.0))
     assert taken(-20.0, 0.5 * slope) == pytest.approx((-40.0, 400.0))
-    assert taken(0.9 * CREDIBLE, slope) is None
+    assert taken(0.9 * THRESHOLDS.comparison.credible_sigmas, slope) is None
     other = np.random.default_rng(1).standard_normal(slope.size)
     assert taken(20.0, other) is None
 
@@ -75,6 +75,6 @@ def test_explanations_differ_by_what_matters_or_by_what_they_take_off_the_chain(
     search, null = searched(MODEL)
     never = {"frequency": 1.0, "damping": 1.0, "response": 1.0, "harmonics": 1.0}
     assert not differs(search.data, null, null, never)
-    bent = moved(null, 2.0 * CREDIBLE)
+    bent = moved(null, 2.0 * THRESHOLDS.comparison.credible_sigmas)
     assert differs(search.data, moved(null, 0.0), bent, never)
     assert not differs(search.data, bent, moved(null, 0.0), never)

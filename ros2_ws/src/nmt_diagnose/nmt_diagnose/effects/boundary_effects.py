@@ -11,6 +11,7 @@ from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import PlaceKind, Placement
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.effects.structure_effects import spots
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.model.local_elements.friction import JenkinsSection
 from nmt_rig.model.local_elements.iwan import IwanSection
@@ -19,9 +20,6 @@ from nmt_rig.rig import BeamSection, Rig
 
 # Slip displacement as multiples of the largest amplitude: above 1 the contact sticks and is a spring.
 SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
-# Neighbours differ by 8 % in slip displacement. Fewer, or parts of equal stiffness, leave so few sliders at small
-# amplitudes that each of them shows as a corner of χ².
-_NEW_JOINT_SLIDERS = 120
 CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp_lateral_stiffness_n_m"}
 _FRICTION_REFERENCE = "Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893"
 _POWER = EffectParameter("power", "1", "shape", grid=(0.5, 1.0))
@@ -133,7 +131,7 @@ def _with_new_joint(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     joint = with_local(
         rig, IwanSection, site,
         tangential_stiffness_n_m=values["kt"], slip_force_n=_joint_slip_force(values), exponent=values["power"] - 1.0,
-        sliders=_NEW_JOINT_SLIDERS, partition="ratio",
+        sliders=THRESHOLDS.candidates.joint_sliders, partition="ratio",
     )  # fmt: skip
     return _taken(joint, site, values)
 

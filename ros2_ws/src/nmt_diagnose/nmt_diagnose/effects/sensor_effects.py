@@ -12,6 +12,7 @@ from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import PlaceKind, Placement
 from nmt_diagnose.effects.rig_edit import with_value
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, SensorSection, TransverseSection
 from nmt_signals.channel_faults.mains_lines import MAINS_HZ
 
@@ -19,10 +20,6 @@ RESPONSES = ("displacement", "velocity", "acceleration")
 ALL = (*RESPONSES, "force")
 MEASUREMENT = "Ewins, Modal Testing (2000)"
 
-# Turn of the motion under test by a delay from which a fit begins there, too, rad.
-_MUCH_LATE = 0.3
-# Depth of clipping that is looked at where no samples stand at a level; what depth counts from where they do.
-_CLIP_DEPTH, _SEEN_DEPTH = 0.1, 0.5
 _STEP_BITS = 20
 
 
@@ -114,9 +111,12 @@ def _clip_sites(rig: Rig, operating: OperatingRange) -> Iterable[Site]:
     """Where samples stand at a level, that is where the search begins."""
     for index, sensor, channel in _sensors(rig, ALL):
         largest = operating.channels.get(channel, 0.0) * abs(sensor.gain)
-        depth, level = _CLIP_DEPTH, operating.limits.get(channel, 0.0)
+        depth, level = THRESHOLDS.candidates.clip_depth, operating.limits.get(channel, 0.0)
         if level > 0.0:
-            largest, depth = level * exp(_SEEN_DEPTH), _SEEN_DEPTH
+            largest, depth = (
+                level * exp(THRESHOLDS.candidates.clip_depth_at_level),
+                THRESHOLDS.candidates.clip_depth_at_level,
+            )
         if largest > 0.0:
             yield _site(rig, index, {"depth": depth}, reference=largest)
 
@@ -147,7 +147,7 @@ def _late(operating: OperatingRange, channels: Sequence[str]) -> tuple[float, ..
     """Common delay of channels that a fit from zero would not reach, s; none where it would."""
     known = [operating.delays[name] for name in channels if name in operating.delays]
     delay = median(known) if known else 0.0
-    return (delay,) if abs(delay) * operating.omega > _MUCH_LATE else ()
+    return (delay,) if abs(delay) * operating.omega > THRESHOLDS.candidates.large_delay_phase_rad else ()
 
 
 def _group_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:

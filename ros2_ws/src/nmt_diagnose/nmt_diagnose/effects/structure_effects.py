@@ -12,6 +12,7 @@ from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import with_value
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.local_elements.contacts import TwoSidedGapSection, UnilateralStopSection
 from nmt_rig.model.local_elements.dampers import (
     AmplitudeDamperSection,
@@ -25,11 +26,6 @@ from nmt_rig.rig import AddedMassSection, BeamSection, Rig
 
 # Gaps as multiples of the largest amplitude at their point: a stop that is not reached does nothing.
 GAP_GRID = (0.1, 0.3, 0.5, 0.7, 0.9)
-# Density of air, and the drag coefficient of a plate that swings by about its width, where it is largest.
-_AIR_KG_M3, _LARGEST_DRAG_COEFFICIENT = 1.2, 10.0
-_SHEET_KG_M2 = 2.7
-# Exponents of a power law beyond 1 that a rig file takes.
-_LARGEST_EXCESS = 9.0
 Sizes = Callable[[float, float, float], Mapping[str, float]]
 
 
@@ -100,8 +96,8 @@ def largest_air_drag(rig: Rig, operating: OperatingRange, point: int) -> float:
     if isinstance(structure, BeamSection):
         area = structure.length_m * structure.width_m
     else:
-        area = min(operating.effective_mass[point], operating.total_mass) / _SHEET_KG_M2
-    return 0.5 * _AIR_KG_M3 * _LARGEST_DRAG_COEFFICIENT * area
+        area = min(operating.effective_mass[point], operating.total_mass) / THRESHOLDS.candidates.least_sheet_kg_m2
+    return 0.5 * THRESHOLDS.candidates.air_density_kg_m3 * THRESHOLDS.candidates.largest_drag_coefficient * area
 
 
 def _drag_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -111,7 +107,7 @@ def _drag_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
 
 def _excess(values: Mapping[str, float]) -> float:
     """Exponent of a power-law damper beyond 1 that a rig file takes."""
-    return min(values["excess"], _LARGEST_EXCESS)
+    return min(values["excess"], THRESHOLDS.candidates.largest_power_excess)
 
 
 def _with_power_law(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:

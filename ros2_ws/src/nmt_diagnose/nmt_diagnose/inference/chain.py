@@ -17,22 +17,12 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
-from nmt_core.vocabulary import MOTIONS
+from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.placement import PlaceKind
 from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, PHASE_STEP, ChainTests, edited, later
 from nmt_diagnose.inference.modes_left_out import ModesLeftOut
 from nmt_diagnose.inference.shape_errors import ShapeErrors
-from nmt_diagnose.inference.tuned import (
-    AIM_STD,
-    DRIVE_HARMONIC_STD,
-    IMAGE_STD,
-    SCALE_STD,
-    SWEEP_SHIFT_STD,
-)
-from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import (
     BackboneTable,
     LockedLevel,
@@ -45,6 +35,7 @@ from nmt_diagnose.observations.conditions import (
 )
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.stepped_sine_twin import gain_error
 from nmt_diagnose.twin.twin_settings import TwinSettings
@@ -55,7 +46,6 @@ _COVERED = (PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest)
 _IMAGE = "image"
 # Orders of images that are followed, the nearest first; those beyond them are one constant for each channel.
 _IMAGE_ORDERS = (-1, 1, -2, 2)
-_FAR = 0.2  # largest change of a row by the mesh
 _GAIN_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-5, 1e-6
 
 
@@ -202,7 +192,7 @@ def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) 
         if chain is None and isinstance(test, SteppedSineTest):
             continue
         channel = test.channels[0] if isinstance(test, SteppedSineTest) else test.channel
-        gain = SCALE_STD if chain is None else chain.of(channel.name).gain
+        gain = TOLERANCES.amplitude_scale if chain is None else chain.of(channel.name).gain
         mine = observations.rows.test == number
         rows = observations.rows.take(mine)
         rows = replace(rows, test=np.zeros_like(rows.test))
@@ -374,7 +364,7 @@ class _Builder:
                 plain = self._measured(number, mine)
                 turned = np.exp(-1j * np.pi * (share + 2.0 * frequency * late))
                 image = np.where(frequency < 0.5 * rate, np.sin(np.pi * share) * turned / plain, 0.0)
-                added[-1, mine] = IMAGE_STD * size * image
+                added[-1, mine] = TOLERANCES.image_share * size * image
                 for k, order in enumerate(_IMAGE_ORDERS):
                     there = view.responses([channel], np.abs(order + share) * rate)[0]
                     there = np.where(order + share < 0.0, np.conj(there), there)
@@ -421,7 +411,13 @@ class _Builder:
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
             return {}
         # Near a sharp resonance or zero the change is no longer in proportion to the error.
-        return {"mesh": np.clip(np.nan_to_num(tests.forward.difference(moved, self.base.values)), -_FAR, _FAR)}
+        return {
+            "mesh": np.clip(
+                np.nan_to_num(tests.forward.difference(moved, self.base.values)),
+                -THRESHOLDS.misfit.largest_mesh_change,
+                THRESHOLDS.misfit.largest_mesh_change,
+            )
+        }
 
     def _aims(self) -> dict[str, FloatArray]:
         """What the loop of each test held, all levels alike: it measured with a chain of its own.
@@ -433,7 +429,9 @@ class _Builder:
             if isinstance(test, PhaseResonanceTest):
                 mine = self.rows.test == number
                 size = float(np.max(self._image_size[mine & (self.rows.part == Part.PHASE)], initial=0.0))
-                found[f"aim {test.name}"] = math.hypot(AIM_STD, size) * (mine & (self.rows.part == Part.PHASE_ERROR))
+                found[f"aim {test.name}"] = math.hypot(math.radians(TOLERANCES.loop_phase_deg), size) * (
+                    mine & (self.rows.part == Part.PHASE_ERROR)
+                )
         return found
 
     def _harmonics(self) -> dict[str, FloatArray]:
@@ -458,13 +456,13 @@ class _Builder:
                 slope = ((self.rows.test == number) & (self.rows.part == Part.LOG_FREQUENCY)).astype(np.float64)
             else:
                 continue
-            found[f"resonance in {test.name}"] = SWEEP_SHIFT_STD * slope
+            found[f"resonance in {test.name}"] = TOLERANCES.resonance_shift * slope
         return found
 
 
 def _distorted(level: LockedLevel, order: int, share: complex) -> LockedLevel:
     own = list(level.drive_harmonics) + [0j] * max(0, order - 1 - len(level.drive_harmonics))
-    own[order - 2] += DRIVE_HARMONIC_STD * share
+    own[order - 2] += TOLERANCES.drive_harmonic * share
     return replace(level, drive_harmonics=tuple(own))
 
 

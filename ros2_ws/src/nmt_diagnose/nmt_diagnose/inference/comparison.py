@@ -16,18 +16,8 @@ from nmt_diagnose.inference.fitting import Data, Metric
 from nmt_diagnose.inference.search import Found
 from nmt_diagnose.inference.size import Left, change_size, disbelieved, left_over, matters
 from nmt_diagnose.inference.sources import SourcePlace, places
-from nmt_diagnose.inference.tuned import (
-    CREDIBLE,
-    EQUIVALENT,
-    INCREDIBLE,
-    ORDINARY,
-    PRIOR_EFFECT,
-    PRIOR_NONE,
-    PRIOR_PAIR,
-    PRIOR_UNNAMED,
-    SOURCE_SIZES,
-)
 from nmt_diagnose.inference.warnings import beyond_limits
+from nmt_diagnose.thresholds import THRESHOLDS
 
 
 @dataclass(frozen=True)
@@ -143,7 +133,7 @@ def _source(
     pull, stiff = taken.T @ (precision * now), taken.T @ (precision[:, None] * taken)
     before = groups.cost(errors.squares, counts)
     gains, explained, change = [], 0.0, np.zeros(len(rest))
-    for size in SOURCE_SIZES:
+    for size in THRESHOLDS.comparison.source_sizes:
         weights, gain, fall, moved = errors.weights, -math.inf, 0.0, change
         for _ in range(3):
             weighted = rest * weights[:, None]
@@ -205,16 +195,20 @@ class Hypotheses:
         )
         # More than physics allows is as improbable as it is far beyond.
         each -= 0.5 * sum(far**2 for far in beyond_limits(found).values())
-        return each + math.log(PRIOR_EFFECT if len(found.candidates) == 1 else 2.0 * PRIOR_PAIR)
+        return each + math.log(
+            THRESHOLDS.comparison.prior_one_effect
+            if len(found.candidates) == 1
+            else 2.0 * THRESHOLDS.comparison.prior_two_effects
+        )
 
     def _left(self, found: Found) -> float:
         """ln of the probability that an explanation leaves noise and asks nothing of the model that nobody believes."""
         own, total = found.fit.errors, 0.0
         if left_over(self.data, found, self.data.observations.matters):
             chance = self.data.groups.chance(own.squares, self.data.counts)
-            total += min(0.0, math.log(max(chance, 1e-300) / ORDINARY))
+            total += min(0.0, math.log(max(chance, 1e-300) / THRESHOLDS.comparison.noise_probability))
         bent, chance = disbelieved(found)
-        return total + math.log(max(chance, 1e-300) / INCREDIBLE) if bent else total
+        return total + math.log(max(chance, 1e-300) / THRESHOLDS.comparison.incredible_probability) if bent else total
 
     def _against(self, found: Found) -> tuple[Left, ...]:
         """What speaks against an explanation as the whole of the gap."""
@@ -224,7 +218,7 @@ class Hypotheses:
     def _evidence(found: Found) -> float:
         """ln evidence; what the fit did not reach counts as if it had, parameters that nobody believes count twice."""
         own = found.fit
-        far = np.abs(own.theta[: len(own.parametrisation.calibration)]) - CREDIBLE
+        far = np.abs(own.theta[: len(own.parametrisation.calibration)]) - THRESHOLDS.comparison.credible_sigmas
         return own.log_evidence + 0.5 * own.promised - 0.5 * float(np.sum(np.maximum(far, 0.0) ** 2))
 
     @cached_property
@@ -235,12 +229,18 @@ class Hypotheses:
     def compared(self) -> Comparison:
         """Probabilities of everything."""
         zero = self._evidence(self.null)
-        none = math.log(PRIOR_NONE)
+        none = math.log(THRESHOLDS.comparison.prior_none)
         named = [self._evidence(own) - zero + self._prior(own) for own in self.named]
-        alone = [math.log(PRIOR_UNNAMED / max(1, len(self.alone))) + source.gain for source in self.alone]
+        alone = [
+            math.log(THRESHOLDS.comparison.prior_unnamed / max(1, len(self.alone))) + source.gain
+            for source in self.alone
+        ]
         best, count = self.best, len(named)
         behind = (
-            [max(named) + math.log(PRIOR_UNNAMED / len(self.behind)) + source.gain for source in self.behind]
+            [
+                max(named) + math.log(THRESHOLDS.comparison.prior_unnamed / len(self.behind)) + source.gain
+                for source in self.behind
+            ]
             if best is not None
             else []
         )
@@ -298,7 +298,11 @@ class Hypotheses:
         result = []
         while heads:
             first = heads[0]
-            mine = [item for item in heads if item is first or distance(first[2], item[2]) < EQUIVALENT]
+            mine = [
+                item
+                for item in heads
+                if item is first or distance(first[2], item[2]) < THRESHOLDS.comparison.equivalent_sigmas
+            ]
             heads = [item for item in heads if item not in mine]
             # With one effect more than another member an explanation says nothing new.
             members = [own for _, _, own in mine if not any(set(o.effects) < set(own.effects) for _, _, o in mine)]

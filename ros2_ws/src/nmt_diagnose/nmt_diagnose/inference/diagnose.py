@@ -32,27 +32,11 @@ from nmt_diagnose.inference.result_rows import calibration_rows, candidate_row, 
 from nmt_diagnose.inference.search import Found, Score, Search, best_of
 from nmt_diagnose.inference.sentences import likeness, sentences
 from nmt_diagnose.inference.size import Size, change_size, differs, left_over, matters, measured_size, worth
-from nmt_diagnose.inference.tuned import (
-    ALARM,
-    CHAIN_ROUNDS,
-    EXPLAINED,
-    FEWEST_LINES_LOST,
-    FINE_HARMONICS,
-    JUDGED,
-    MODE_CERTAIN,
-    MODE_EVERYWHERE,
-    OPEN,
-    RANDOM_LINES,
-    RECALIBRATION,
-    REFIT_REFRESHES,
-    REFIT_STEPS,
-    SEEN,
-    WORSE,
-)
 from nmt_diagnose.inference.warnings import warned, without_observables
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Forward, Prediction, traced
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_diagnose.twin.twin_settings import TwinSettings
@@ -144,7 +128,7 @@ def observed(
 ) -> Observations:
     """Rows of the bags with the noise that they show; arguments as for :func:`diagnose_bags`."""
     settings = settings or DiagnosisSettings()
-    reading = ObservationSettings(calibration=settings.calibration, lines=RANDOM_LINES)
+    reading = ObservationSettings(calibration=settings.calibration, lines=THRESHOLDS.fits.random_lines)
     found = read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
     return replace(found, matters=dict(settings.matters))
 
@@ -163,7 +147,9 @@ def find(
     modes = LowLevelModes(observations, rig)
     observations, given, null, data = model_alone(rig, observations, parameters, ~unseen, modes)
     operating = operating_range(rig, observations.tests, observations=observations)
-    beyond_effects = modes.disordered or modes.lacking(data, null.fit, MODE_CERTAIN, MODE_EVERYWHERE)
+    beyond_effects = modes.disordered or modes.lacking(
+        data, null.fit, THRESHOLDS.modes.certain_sigmas, THRESHOLDS.modes.certain_channel_share
+    )
     candidates = () if beyond_effects else library_candidates(rig, operating, settings.withheld)
     search = Search(data, rig, parameters, candidates, tell)
     tell(f"scanning {len(candidates)} candidates")
@@ -202,7 +188,7 @@ def find(
     explained: dict[str, float] = {}
     for source in beside:
         explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
-    best = best_named if best_named is not None and comparison.log_odds > ALARM else null
+    best = best_named if best_named is not None and comparison.log_odds > THRESHOLDS.verdict.alarm_log_odds else null
     for placement in best.explanation.placements:
         explained[placement.kind] = max(explained.get(placement.kind, 0.0), null.fit.cost - best.fit.cost)
     unmoved = best is first_null  # since the scan
@@ -257,7 +243,7 @@ def model_alone(
         observations = replace(observations, tests=traced(observations.tests, given))
         given = Forward(observations.tests, observations.rows).predict(rig, given)
         used = np.isfinite(given.values) & fitted
-        if used.sum() < FEWEST_LINES_LOST * fitted.sum():
+        if used.sum() < THRESHOLDS.fits.least_solved_share * fitted.sum():
             raise FitError("it has no solution for most of the observables")
         observations = _with_solver_error(observations, rig, given)
         own = Parametrisation(rig, tuple(parameters))
@@ -266,7 +252,7 @@ def model_alone(
         if modes.far_from(rig):
             nearer = fit(data, own, modes.start(own, own.zero)[0])
             found = nearer if nearer.cost < found.cost else found
-        for _ in range(CHAIN_ROUNDS):
+        for _ in range(THRESHOLDS.fits.chain_rounds):
             data = about(rig, observations, found, used)
             found = fit(data, own, found.theta, found.prediction)
     except (FitError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -276,7 +262,7 @@ def model_alone(
 
 def _with_solver_error(observations: Observations, rig: Rig, given: Prediction) -> Observations:
     """The observations with what harmonics that the harmonic balance leaves out change, as part of their floor."""
-    fine = Forward(observations.tests, observations.rows, TwinSettings(harmonics=FINE_HARMONICS))
+    fine = Forward(observations.tests, observations.rows, TwinSettings(harmonics=THRESHOLDS.fits.fine_harmonics))
     change = np.abs(np.nan_to_num(fine.difference(fine.predict(rig).values, given.values)))
     return replace(observations, floor=np.hypot(observations.floor, change))
 
@@ -291,7 +277,7 @@ def _visible(search: Search, scores: Sequence[Score], rig: Rig) -> tuple[Visible
     result = []
     for name, score in sorted(strongest.items()):
         candidate = search.candidates[score.candidate]
-        theta = at_strength(candidate, score.start, SEEN / score.reach)
+        theta = at_strength(candidate, score.start, THRESHOLDS.verdict.visible_sigmas / score.reach)
         told = Parametrisation(rig, (), (candidate,)).reported(theta, 0)
         values = {key: Value(value, math.nan, unit) for key, (value, unit) in told.items()}
         placement = candidate.site.placement
@@ -331,7 +317,7 @@ def diagnose_observations(
     whole = replace(data, used=data.used | (unseen & finite & np.isfinite(findings.given.values)))
     shares = {
         own.head.explanation: _closed(findings, whole, own.head, held, settings.seed)
-        for own in comparison.classes[:JUDGED]
+        for own in comparison.classes[: THRESHOLDS.verdict.judged_explanations]
     }
     share = None if leader is None else shares[leader.head.explanation]
     size = None if leader is None else measured_size(data, leader.head)
@@ -379,7 +365,11 @@ def diagnose_observations(
     said = sentences(
         verdict, where, ranking, explanation, gap, ahead, calibration, rest, leader.left if leader is not None else ()
     )
-    if size is not None and verdict in (Verdict.NONE, Verdict.CALIBRATION) and comparison.log_odds > ALARM:
+    if (
+        size is not None
+        and verdict in (Verdict.NONE, Verdict.CALIBRATION)
+        and comparison.log_odds > THRESHOLDS.verdict.alarm_log_odds
+    ):
         said = (*said, f"{size.sentence} {likeness(ranking[0], explanation)}")
     if findings.inadequate:
         said = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *said[1:2])
@@ -442,7 +432,7 @@ def _rig_of(found: Found, own: int) -> Rig:
 def _moved(findings: Findings, given: Errors, settings: DiagnosisSettings) -> bool:
     """Whether re-fitting the model's own parameters closed a gap that is there and matters."""
     data, null = findings.data, findings.null
-    if given.cost - null.fit.cost < RECALIBRATION:
+    if given.cost - null.fit.cost < THRESHOLDS.verdict.recalibration_cost_fall:
         return False
     count = sum(not isinstance(own, SharedDelay) for own in null.fit.parametrisation.calibration)
     try:
@@ -475,17 +465,19 @@ def _verdict(
         moved: re-fitting the model's own parameters closed a gap.
     """
     quiet = Verdict.CALIBRATION if moved else Verdict.NONE
-    if comparison.log_odds < ALARM:
+    if comparison.log_odds < THRESHOLDS.verdict.alarm_log_odds:
         return quiet
     named = leader is not None and leader.adequate and leader.probability >= max(comparison.unknown, comparison.none)
     if small and not (named and needed):
         return quiet
-    if leader is None or (share is not None and share.value < 0.0 and share.gain < -WORSE):
+    if leader is None or (
+        share is not None and share.value < 0.0 and share.gain < -THRESHOLDS.verdict.worse_prediction_sigmas
+    ):
         return Verdict.UNKNOWN
     if named:
         return quiet if size is not None and not matters(size, settings.matters) else Verdict.EFFECT
     # Something unnamed lies behind; what closes most of the gap all the same is a partial explanation.
-    most = share is not None and math.isfinite(share.value) and share.value >= EXPLAINED
+    most = share is not None and math.isfinite(share.value) and share.value >= THRESHOLDS.verdict.partial_closed_share
     return Verdict.EFFECT if most else Verdict.UNKNOWN
 
 
@@ -504,7 +496,7 @@ def _closed(findings: Findings, data: Data, best: Found, held: Sequence[Split], 
         if before is None or after is None or not rows.any():
             continue
         uncertain = after[1] * scale
-        if rms(uncertain[rows]) <= OPEN * rms(change[rows]):
+        if rms(uncertain[rows]) <= THRESHOLDS.verdict.open_prediction_share * rms(change[rows]):
             pairs.append((before[0] * scale, after[0] * scale / np.hypot(1.0, uncertain), rows))
     return closed(data.observations, pairs, seed)
 
@@ -530,7 +522,14 @@ def _unseen(fitted: Data, whole: Data, found: Found, split: Split) -> tuple[Floa
     own = found.fit
     try:
         refit = fit(
-            part, own.parametrisation, own.theta, own.prediction, own.jacobian, REFIT_STEPS, False, REFIT_REFRESHES
+            part,
+            own.parametrisation,
+            own.theta,
+            own.prediction,
+            own.jacobian,
+            THRESHOLDS.fits.refit_steps,
+            False,
+            THRESHOLDS.fits.refit_refreshes,
         )
     except FitError:
         return None

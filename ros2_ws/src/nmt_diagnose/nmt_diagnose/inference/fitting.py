@@ -18,25 +18,11 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.chain import linear_chain
 from nmt_diagnose.inference.misfit import Whitening, misfit_of
 from nmt_diagnose.inference.noise import Groups, groups_of, sigma_of
-from nmt_diagnose.inference.tuned import (
-    APPROACH,
-    APPROACH_STEPS,
-    BROYDEN_TRUST,
-    CONVERGED,
-    FIT_STEPS,
-    LARGEST_LOG_RATIO,
-    LARGEST_STEP,
-    POOR_GAIN,
-    REWEIGHTINGS,
-)
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_rig.rig import Rig
-
-_TRIALS = 6
-# Change of ln frequency that is large: a bandwidth of 1 %.
-_BANDWIDTH = 0.01
 
 
 class FitError(ArithmeticError):
@@ -154,7 +140,7 @@ class Data:
     def _over_measured(self, values: FloatArray) -> ComplexArray:
         """Predicted over measured response of each line, (k,)."""
         over = values[self.lines] - self.observations.values[self.lines]
-        return np.asarray(np.exp(np.minimum(over[0], LARGEST_LOG_RATIO) + 1j * over[1]))
+        return np.asarray(np.exp(np.minimum(over[0], THRESHOLDS.fits.largest_log_ratio) + 1j * over[1]))
 
     @property
     def counts(self) -> FloatArray:
@@ -242,11 +228,11 @@ def best_errors(data: Data, values: FloatArray, start: Errors | None = None) -> 
         near = at(start.chain)
         best = near if near.cost < best.cost else best
     slopes, damping = data.chain_slopes(values, best.chain), 0.0
-    for _ in range(REWEIGHTINGS):
+    for _ in range(THRESHOLDS.fits.most_reweightings):
         weighted = slopes * best.weights[:, None]
         normal = slopes.T @ weighted + np.eye(count)
         gradient = weighted.T @ best.left - best.chain
-        for _ in range(_TRIALS):
+        for _ in range(THRESHOLDS.fits.most_trials):
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
             trial = at(best.chain + step)
             if trial.cost < best.cost:
@@ -296,7 +282,7 @@ class Fitted:
     @property
     def converged(self) -> bool:
         """No step promises a fall that matters."""
-        return self.promised < CONVERGED
+        return self.promised < THRESHOLDS.fits.converged_cost_fall
 
 
 class Metric:
@@ -371,9 +357,9 @@ def fit(
     theta: FloatArray,
     start: Prediction | None = None,
     jacobian: FloatArray | None = None,
-    steps: int = FIT_STEPS,
+    steps: int = THRESHOLDS.fits.most_steps,
     exact: bool = True,
-    refreshes: int = FIT_STEPS,
+    refreshes: int = THRESHOLDS.fits.most_steps,
 ) -> Fitted:
     """Fit an explanation.
 
@@ -403,13 +389,13 @@ def fit(
     for _ in range(steps if theta.size else 0):
         normal, gradient = _normal(slopes, errors, theta, std)
         trial = None
-        for _ in range(_TRIALS):
+        for _ in range(THRESHOLDS.fits.most_trials):
             step = _bounded(normal, gradient, damping, theta, lower)
-            step *= min(1.0, LARGEST_STEP / max(float(np.max(np.abs(step) / std)), 1e-300))
+            step *= min(1.0, THRESHOLDS.fits.largest_step / max(float(np.max(np.abs(step) / std)), 1e-300))
             moved = np.maximum(theta + step, lower)
             step = moved - theta
             promised = float(2.0 * gradient @ step - step @ normal @ step)
-            if promised < 0.1 * CONVERGED:
+            if promised < 0.1 * THRESHOLDS.fits.converged_cost_fall:
                 break
             found = predicted(data, parametrisation, moved, prediction)
             if found is not None:
@@ -424,7 +410,7 @@ def fit(
         if trial is None:
             # Sensitivities from elsewhere may promise nothing where those at the estimate would lead on.
             settled = fresh
-            if fresh or refreshes <= 0 or not (exact or promised >= 0.1 * CONVERGED):
+            if fresh or refreshes <= 0 or not (exact or promised >= 0.1 * THRESHOLDS.fits.converged_cost_fall):
                 break
             slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True
             refreshes -= 1
@@ -435,12 +421,12 @@ def fit(
         fresh = False
         theta, prediction, errors, cost = moved, trial, own, total
         # A step that gains far less than it promised went over a bend: undamped ones would swing about the optimum.
-        damping = 0.1 * damping if gained > POOR_GAIN * promised else 10.0 * max(damping, 1e-3)
+        damping = 0.1 * damping if gained > THRESHOLDS.fits.damping_gain_ratio * promised else 10.0 * max(damping, 1e-3)
         # Broyden's update follows what a step showed; sensitivities are computed anew where one fell short of it.
-        if gained < BROYDEN_TRUST * promised and refreshes > 0:
+        if gained < THRESHOLDS.fits.broyden_least_gain_ratio * promised and refreshes > 0:
             slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True
             refreshes -= 1
-        if gained < 0.1 * CONVERGED:
+        if gained < 0.1 * THRESHOLDS.fits.converged_cost_fall:
             break
     if exact and not fresh:
         slopes = sensitivities(data, parametrisation, theta, prediction, errors)
@@ -512,9 +498,9 @@ def approach(
     Raises:
         FitError: the model cannot be solved at the start.
     """
-    for share in APPROACH:
+    for share in THRESHOLDS.fits.approach_shares:
         near = replace(data, sigma=np.hypot(data.sigma, share * _natural_size(data.observations)))
-        found = fit(near, parametrisation, theta, start, steps=APPROACH_STEPS, exact=False)
+        found = fit(near, parametrisation, theta, start, steps=THRESHOLDS.fits.approach_steps, exact=False)
         theta, start = found.theta, found.prediction
     return fit(data, parametrisation, theta, start)
 
@@ -523,7 +509,7 @@ def _natural_size(observations: Observations) -> FloatArray:
     """What is a large change of each row, (m,): a neper, a radian, a bandwidth of 1 %; 0 for what has no such size."""
     part, values = observations.rows.part, observations.values
     size = np.ones(len(observations.rows))
-    size[part == Part.LOG_FREQUENCY] = _BANDWIDTH
+    size[part == Part.LOG_FREQUENCY] = THRESHOLDS.fits.large_log_frequency
     size[part == Part.DAMPING] = np.abs(values[part == Part.DAMPING])
     size[np.isin(part, (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS))] = 0.0
     samples = part == Part.SAMPLE

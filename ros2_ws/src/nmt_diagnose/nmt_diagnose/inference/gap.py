@@ -8,10 +8,10 @@ import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
 
 NOISE = 1.0
 """Root mean square of residuals in standard deviations that the stated uncertainties allow."""
-_RESAMPLES = 1000
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def closed(
         return Closed(nan, nan, floor, nan, nan, nan)
     b, a, n = np.array(before_squares), np.array(after_squares), np.array(counts)
     generator = np.random.default_rng(seed)
-    draws = generator.integers(0, n.size, size=(_RESAMPLES, n.size))
+    draws = generator.integers(0, n.size, size=(THRESHOLDS.verdict.bootstrap_resamples, n.size))
     total = n[draws].sum(axis=1)
     sample = _share(np.sqrt(b[draws].sum(axis=1) / total), np.sqrt(a[draws].sum(axis=1) / total), floor)
     sample = sample[np.isfinite(sample)]

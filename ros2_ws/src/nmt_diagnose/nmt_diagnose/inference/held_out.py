@@ -19,10 +19,7 @@ from nmt_diagnose.observations.conditions import (
     SteppedSineTest,
 )
 from nmt_diagnose.observations.observables import Observations, Part
-
-_FEWEST_LEVELS = 4
-# Frequency responses at held amplitudes: levels from which they are held out by level, and the highest two of them.
-_FEWEST_SWEPT, _FEWEST_FOR_TWO = 3, 5
+from nmt_diagnose.thresholds import THRESHOLDS
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,7 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
         if not isinstance(test, PhaseResonanceTest | RingDownTest | BackboneTable | RecordTest) or not mine.any():
             continue
         levels = np.unique(rows.level[mine])
-        if levels.size < _FEWEST_LEVELS:
+        if levels.size < THRESHOLDS.verdict.held_out_fewest_levels:
             continue
         levelled |= mine
         odd |= mine & np.isin(rows.level, levels[1::2])
@@ -102,7 +99,7 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
     for group in swept:
         amplitudes = sorted({level for _, level in group})
         odd |= np.isin(rows.test, [number for number, level in group if level in amplitudes[1::2]])
-        upper = amplitudes[-1:] if len(amplitudes) < _FEWEST_FOR_TWO else amplitudes[-2:]
+        upper = amplitudes[-1:] if len(amplitudes) < THRESHOLDS.verdict.held_out_fewest_for_two else amplitudes[-2:]
         top |= np.isin(rows.test, [number for number, level in group if level in upper])
     if odd.any():
         result.append(Split("every second level", ~odd, odd))
@@ -128,4 +125,6 @@ def _swept(observations: Observations) -> list[list[tuple[int, float]]]:
         if isinstance(test, SteppedSineTest) and np.any(observations.rows.test == number):
             key = (test.drive_point, test.channels, test.reference, test.held)
             groups.setdefault(key, []).append((number, float(f"{np.median(test.levels):.3g}")))
-    return [g for g in groups.values() if len({level for _, level in g}) >= _FEWEST_SWEPT]
+    return [
+        g for g in groups.values() if len({level for _, level in g}) >= THRESHOLDS.verdict.held_out_fewest_responses
+    ]

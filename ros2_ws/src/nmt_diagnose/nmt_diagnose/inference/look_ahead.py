@@ -32,14 +32,11 @@ from nmt_diagnose.inference.search import Found
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.row_table import Place, RowTable
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_elements, build_structure
 
-_LEAST = 3.0
-_MOST = 99.0  # more says nothing more
-_DOUBTFUL = 0.05  # probability of no effect at all from which that competes
-_LINES = 80
 # Uncertainties of a kind of observable of which the tests at hand hold none.
 _TYPICAL = {
     Part.LOG_FREQUENCY: 3e-5,
@@ -49,7 +46,6 @@ _TYPICAL = {
     Part.REAL: 1e-3,
     Part.IMAG: 1e-3,
 }
-_TYPICAL_RESPONSE = 5e-3
 
 
 @dataclass(frozen=True)
@@ -87,8 +83,8 @@ def next_tests(
     found = []
     for proposal in proposals(rig, observations):
         sigma = _separation(proposal, competing)
-        if sigma >= _LEAST:
-            found.append(NextTest(proposal.text, proposal.command, names, min(sigma, _MOST)))
+        if sigma >= THRESHOLDS.next_test.least_sigmas:
+            found.append(NextTest(proposal.text, proposal.command, names, min(sigma, THRESHOLDS.next_test.most_sigmas)))
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
 
 
@@ -102,7 +98,7 @@ def _competing(comparison: Comparison, null: Found) -> list[Found]:
     if len(classes) > 1 and classes[1].probability > 0.02 * classes[0].probability:
         return [classes[0].head, classes[1].head]
     # One explanation stands alone: nothing is left to settle, unless it hardly beats having none.
-    return [classes[0].head, null] if comparison.none > _DOUBTFUL else []
+    return [classes[0].head, null] if comparison.none > THRESHOLDS.next_test.doubtful_probability else []
 
 
 def _separation(proposal: Proposal, competing: Sequence[Found]) -> float:
@@ -233,7 +229,7 @@ def _typical(
             mine |= observations.rows.test == number
     mine &= (observations.rows.part == part) & (observations.rows.harmonic == harmonic)
     if not mine.any():
-        return _TYPICAL_RESPONSE if kind is RandomTest else _TYPICAL[part]
+        return THRESHOLDS.next_test.typical_response_std if kind is RandomTest else _TYPICAL[part]
     amplitude = observations.rows.amplitude[mine]
     order = np.argsort(amplitude, kind="stable")
     sigma = observations.sigma[mine][order]
@@ -294,13 +290,13 @@ def _random(rig: Rig, observations: Observations, drives: Sequence[float]) -> Ob
     frequencies = _frequencies(rig)
     mode = max(1, rig.test.mode)
     top = min(0.35 * rig.sample_rate_hz, 3.0 * frequencies[min(frequencies.size - 1, mode + 1)])
-    lines = np.geomspace(0.4 * frequencies[mode - 1], top, _LINES)
+    lines = np.geomspace(0.4 * frequencies[mode - 1], top, THRESHOLDS.next_test.random_lines)
     table = RowTable()
     rms = drives[0] if drives else 0.05
     for number, line in enumerate(lines):
         place = Place(number, 0.0, float(line), rms)
         for channel in range(len(channels)):
             for part in (Part.LOG_MAGNITUDE, Part.PHASE):
-                table.add(part, 0.0, _TYPICAL_RESPONSE, 0.0, place, channel, 1)
+                table.add(part, 0.0, THRESHOLDS.next_test.typical_response_std, 0.0, place, channel, 1)
     test = RandomTest("proposed", rig.drive_point, channels, "voltage", lines, 0.1, "none", rms, 0.0, 60.0)
     return table.observations(test)

@@ -20,36 +20,14 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.fitting import Data, Fitted
-from nmt_diagnose.inference.tuned import (
-    MODE_ALIKE,
-    MODE_APART,
-    MODE_AROUND,
-    MODE_DAMPING_STD,
-    MODE_EDGE,
-    MODE_FREQUENCY_STD,
-    MODE_MISSED,
-    MODE_NEAR,
-    MODE_SAME,
-    MODE_SHARE,
-    MODE_UNLIKE,
-    STRAIN,
-)
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.lateness import lateness
 from nmt_diagnose.twin.rig_parts import rig_parts
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
-
-_ROUNDS = 20
-# Pairs of poles beside those of the modes: what noise and modes outside of the band need.
-_EXTRA = 3
-# Damping ratios beyond which a pole is no mode: of a measured one, and of the model's that it may be.
-_HIGHEST_MEASURED, _HIGHEST_DAMPING = 0.05, 0.3
-_FEWEST_LINES = 20
-# Residual of what has no such modes; most steps of a start.
-_NOWHERE, _STEPS = 1e3, 40
 
 
 @dataclass(frozen=True)
@@ -96,9 +74,13 @@ def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: 
     """
     scale = 2.0 * np.pi * frequency_hz[-1]
     s = 2j * np.pi * frequency_hz / scale
-    poles = np.geomspace(frequency_hz[0], frequency_hz[-1], expected + _EXTRA) / frequency_hz[-1] * (-0.01 + 1j)
+    poles = (
+        np.geomspace(frequency_hz[0], frequency_hz[-1], expected + THRESHOLDS.modes.extra_pole_pairs)
+        / frequency_hz[-1]
+        * (-0.01 + 1j)
+    )
     known = np.isfinite(responses)
-    for _ in range(_ROUNDS):
+    for _ in range(THRESHOLDS.modes.vector_fitting_rounds):
         basis = _basis(s, poles)
         columns, right = [], []
         for own, there in zip(responses, known, strict=True):
@@ -147,7 +129,12 @@ def _kept(
     spacing = np.interp(poles.imag * scale / (2.0 * np.pi), frequency_hz, np.gradient(frequency_hz))
     wide = -2.0 * poles.real * scale / (2.0 * np.pi) > 0.3 * spacing
     inside = (poles.imag > s[0].imag) & (poles.imag < s[-1].imag)
-    good = inside & wide & (damping < _HIGHEST_MEASURED) & (np.median(carried, axis=0) > MODE_SHARE)
+    good = (
+        inside
+        & wide
+        & (damping < THRESHOLDS.modes.highest_measured_damping)
+        & (np.median(carried, axis=0) > THRESHOLDS.modes.mode_share)
+    )
     order = np.flatnonzero(good)[np.argsort(poles.imag[good])]
     return Modes(poles[order] * scale, np.array(residues).T[order])
 
@@ -173,7 +160,7 @@ def modes_that_lack(
         found: its modes, k of them.
         which: the model's mode of each, -1 where it has none, (k,).
     """
-    low, high = MODE_EDGE * band_hz[0], band_hz[1] / MODE_EDGE
+    low, high = THRESHOLDS.modes.edge_ratio * band_hz[0], band_hz[1] / THRESHOLDS.modes.edge_ratio
     own = found.frequencies_hz
     return [
         (
@@ -196,7 +183,7 @@ def disorder(name: str, found: Modes, which: np.ndarray, likeness: FloatArray) -
     """
     own, result = found.frequencies_hz, []
     for a, b in pairwise(np.flatnonzero(which >= 0)):
-        if which[a] > which[b] and max(likeness[a, which[b]], likeness[b, which[a]]) < MODE_ALIKE:
+        if which[a] > which[b] and max(likeness[a, which[b]], likeness[b, which[a]]) < THRESHOLDS.modes.alike_mac:
             sentence = (
                 f"{name} has the modes at {own[a]:.4g} and {own[b]:.4g} Hz in the other order than the model; correct "
                 "the model first."
@@ -236,7 +223,9 @@ class LowLevelModes:
             advance = 2.0 * np.pi * rows.frequency_hz[row] * late.get((number, channel), 0.0)
             responses[channel, rows.level[row]] *= np.exp(1j * (observations.values[row] + advance))
         turned = rows.channel[(rows.test == number) & (rows.part == Part.PHASE)]
-        kept = (np.isfinite(responses).sum(axis=1) >= _FEWEST_LINES) & np.isin(np.arange(len(responses)), turned)
+        kept = (np.isfinite(responses).sum(axis=1) >= THRESHOLDS.modes.fewest_lines) & np.isin(
+            np.arange(len(responses)), turned
+        )
         model = self.modes(self.rig, test)
         if model is None or not kept.any():
             return
@@ -251,10 +240,12 @@ class LowLevelModes:
         own, theirs = linear_sum_assignment(apart + (1.0 - likeness))
         which = np.full(found.poles.size, -1)
         near = apart[own, theirs]
-        sure = (near < MODE_NEAR) | ((likeness[own, theirs] > MODE_UNLIKE) & (near < MODE_APART))
+        sure = (near < THRESHOLDS.modes.near_log_frequency) | (
+            (likeness[own, theirs] > THRESHOLDS.modes.unlike_mac) & (near < THRESHOLDS.modes.apart_log_frequency)
+        )
         which[own[sure]] = theirs[sure]
         for frequency, sentence in modes_that_lack(test.name, (lines[0], lines[-1]), found, which):
-            if all(abs(math.log(frequency / told)) >= MODE_SAME for told, _ in self._lacking):
+            if all(abs(math.log(frequency / told)) >= THRESHOLDS.modes.same_log_frequency for told, _ in self._lacking):
                 self._lacking.append((frequency, sentence))
         self.disordered += tuple(sentence for _, sentence in disorder(test.name, found, which, likeness))[:1]
         used = which >= 0
@@ -267,7 +258,11 @@ class LowLevelModes:
         return tuple(sentence for _, sentence in self._lacking)
 
     def lacking(
-        self, data: Data, found: Fitted, missed_from: float = MODE_MISSED, share: float = MODE_SHARE
+        self,
+        data: Data,
+        found: Fitted,
+        missed_from: float = THRESHOLDS.modes.missed_sigmas,
+        share: float = THRESHOLDS.modes.mode_share,
     ) -> tuple[str, ...]:
         """Sentences on modes that the model lacks: channels miss what is around them in the best fit.
 
@@ -283,7 +278,7 @@ class LowLevelModes:
         result = []
         for frequency, sentence in self._lacking:
             with np.errstate(divide="ignore", invalid="ignore"):
-                near = np.abs(np.log(rows.frequency_hz / frequency)) < MODE_AROUND
+                near = np.abs(np.log(rows.frequency_hz / frequency)) < THRESHOLDS.modes.around_log_frequency
             near &= data.used & np.isin(rows.part, (Part.LOG_MAGNITUDE, Part.PHASE)) & (rows.harmonic < 0)
             missed = []
             for channel in np.unique(rows.channel[near]):
@@ -309,7 +304,7 @@ class LowLevelModes:
             stiffness[:, None] * shown + damping[:, None] * shown * linear.poles
         )
         values, vectors = np.linalg.eig(state)
-        kept = (values.imag > 0.0) & (-values.real < _HIGHEST_DAMPING * np.abs(values))
+        kept = (values.imag > 0.0) & (-values.real < THRESHOLDS.modes.highest_model_damping * np.abs(values))
         order = np.flatnonzero(kept)[np.argsort(np.abs(values[kept]))]
         s = values[order]
         full = (linear.displacement[r:], linear.velocity[r:], linear.acceleration[r:])
@@ -350,23 +345,23 @@ class LowLevelModes:
                 known[key] = None if rig is None else self.modes(rig, test)
             modes = known[key]
             if modes is None or which.max() >= modes.poles.size:
-                result.append(np.full(2 * which.size, _NOWHERE))
+                result.append(np.full(2 * which.size, THRESHOLDS.modes.unpaired_residual))
                 continue
-            result.append(np.log(found.frequencies_hz / modes.frequencies_hz[which]) / MODE_FREQUENCY_STD)
+            result.append(np.log(found.frequencies_hz / modes.frequencies_hz[which]) / THRESHOLDS.modes.frequency_std)
             ratio = np.maximum(found.dampings, 1e-9) / np.maximum(modes.dampings[which], 1e-9)
-            result.append(np.log(ratio) / MODE_DAMPING_STD)
+            result.append(np.log(ratio) / THRESHOLDS.modes.damping_std)
         return np.concatenate(result)
 
     def strained(self, own: Parametrisation, theta: FloatArray) -> bool:
         """Whether parameters reach the measured modes only by values that are hard to believe, or not at all."""
-        return float(np.sum(self.left(own, theta) ** 2)) > own.size + 2.0 * STRAIN
+        return float(np.sum(self.left(own, theta) ** 2)) > own.size + 2.0 * THRESHOLDS.verdict.prior_cost_fall
 
     def start(self, own: Parametrisation, theta: FloatArray) -> tuple[FloatArray, float]:
         """Parameters that bring the model's modes to the measured ones from some others, and what is left, squared."""
         begin = np.where(np.isfinite(own.lower), np.maximum(theta, own.lower + 1e-6), theta)
         solved = least_squares(
             lambda values: self.left(own, values), begin, bounds=(own.lower, np.inf), x_scale=own.prior_std,
-            max_nfev=_STEPS,
+            max_nfev=THRESHOLDS.modes.start_steps,
         )  # fmt: skip
         return solved.x, 2.0 * float(solved.cost)
 

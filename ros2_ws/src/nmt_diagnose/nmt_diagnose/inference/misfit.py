@@ -16,15 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
-from nmt_diagnose.inference.tuned import (
-    LEVEL_LENGTH,
-    LINE_LENGTH,
-    MISFIT_INDEPENDENT,
-    MISFIT_SHARE,
-)
+from nmt_core.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.thresholds import THRESHOLDS
 
 _RESPONSE = (Part.LOG_MAGNITUDE, Part.PHASE, Part.SAMPLE)
 _HARMONICS = (Part.REAL, Part.IMAG)
@@ -59,7 +54,7 @@ def misfit_of(observations: Observations) -> Misfit:
     ]
     size[np.isin(rows.test, exact)] = 0.0
     size[rows.part == Part.SAMPLE] = 0.0
-    return Misfit(MISFIT_SHARE * size, MISFIT_INDEPENDENT * size)
+    return Misfit(THRESHOLDS.misfit.shared_share * size, THRESHOLDS.misfit.independent_share * size)
 
 
 def rows_of_kind(observations: Observations, kind: str) -> BoolArray:
@@ -141,8 +136,8 @@ def _where(observations: Observations) -> FloatArray:
     lines = [n for n, test in enumerate(observations.tests) if isinstance(test, RandomTest | SteppedSineTest)]
     by_line = np.isin(rows.test, lines)
     with np.errstate(invalid="ignore", divide="ignore"):
-        line = np.log(np.maximum(rows.frequency_hz, 1e-300)) / LINE_LENGTH
-        level = np.log(np.maximum(np.abs(rows.amplitude), 1e-300)) / LEVEL_LENGTH
+        line = np.log(np.maximum(rows.frequency_hz, 1e-300)) / THRESHOLDS.misfit.line_length
+        level = np.log(np.maximum(np.abs(rows.amplitude), 1e-300)) / THRESHOLDS.misfit.level_length
     return np.nan_to_num(np.where(by_line, line, level))
 
 

@@ -11,14 +11,9 @@ from nmt_diagnose.inference.chain_tests import FUNDAMENTAL, ChainTests
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest, Test
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Prediction
 from nmt_rig.rig import ModalSection
-
-# As shares of the static flexibility of the modes that the model has; frequency over the resonance's at which that is
-# taken.
-_ABOVE, _BELOW, _STATIC = 0.2, 0.05, 0.1
-# Measured over predicted magnitude, ln, at which nothing lies between them.
-_FAR = 1.0
 
 
 class ModesLeftOut:
@@ -65,8 +60,10 @@ class ModesLeftOut:
                 added[relative] /= self._between(test, number, mine, base)[relative]
                 changed = np.where(np.isin(part, (Part.PHASE, Part.IMAG)), added.imag, added.real)
                 share = frequency / np.max(frequency, initial=1.0)
-                columns[:3, mine] = _ABOVE * changed * share ** np.array([[0.0], [2.0], [4.0]])
-                columns[3, mine] = _BELOW * changed * (resonance / frequency) ** 2
+                columns[:3, mine] = (
+                    THRESHOLDS.misfit.static_share_above * changed * share ** np.array([[0.0], [2.0], [4.0]])
+                )
+                columns[3, mine] = THRESHOLDS.misfit.static_share_below * changed * (resonance / frequency) ** 2
             found += list(columns)
         return found
 
@@ -76,7 +73,7 @@ class ModesLeftOut:
         Over the V of the drive where the test refers to the voltage, or the model has no force at the drive point.
         """
         view = ModelView.of(self.rig, test.drive_point)
-        frequency = _STATIC * self.chain.resonance()
+        frequency = THRESHOLDS.misfit.static_frequency_ratio * self.chain.resonance()
         force = MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point, ideal=True)
         response, reference = view.responses((channel, force), np.array([frequency]))[:, 0]
         over = 1.0 if getattr(test, "reference", "") == "voltage" or not np.isfinite(reference) else abs(reference)
@@ -94,7 +91,7 @@ class ModesLeftOut:
         apart = self._logarithms(number, mine, difference)
         frequency = self.rows.frequency_hz[mine]
         apart -= 1j * frequency * float(frequency @ apart.imag) / max(float(frequency @ frequency), 1.0)
-        apart[np.abs(apart.real) > _FAR] *= 2.0
+        apart[np.abs(apart.real) > THRESHOLDS.misfit.large_log_ratio] *= 2.0
         return np.exp(self._logarithms(number, mine, base.values) + 0.5 * apart)
 
     def _logarithms(self, number: int, mine: IntArray, values: FloatArray) -> ComplexArray:

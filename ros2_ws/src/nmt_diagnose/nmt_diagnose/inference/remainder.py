@@ -12,13 +12,9 @@ from nmt_diagnose.inference.gap import NOISE, rms
 from nmt_diagnose.inference.residual_map import KINDS, channel_name, unit_of_kind
 from nmt_diagnose.observations.conditions import RandomTest, RecordTest
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
 
-_LEAST = 0.01
-_NAMED = 3
 _BANDS = ("lowest", "middle", "highest")
-# Share of the squares in one third of the levels from which it is that third where the rest lies.
-_MOST = 0.5
-_FEWEST_LEVELS = 3
 
 
 def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: BoolArray) -> Remainder | None:
@@ -30,7 +26,7 @@ def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: Boo
         after: residual of the held-out rows in standard deviations, shape (m,).
         rows: rows that were held out, shape (m,).
     """
-    if not math.isfinite(gap.closed) or 1.0 - gap.closed < _LEAST or gap.before <= NOISE:
+    if not math.isfinite(gap.closed) or 1.0 - gap.closed < THRESHOLDS.verdict.least_remainder or gap.before <= NOISE:
         return None
     found: list[tuple[float, Left]] = []
     good = rows & np.isfinite(after)
@@ -51,7 +47,7 @@ def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: Boo
     found.sort(key=lambda item: -item[0])
     where = tuple(
         Left(left.observable, left.levels, size / total, left.rms, left.rms_unit, left.unit)
-        for size, left in found[:_NAMED]
+        for size, left in found[: THRESHOLDS.verdict.remainder_observables]
         if total > 0.0 and size > 0.0
     )
     return Remainder(1.0 - gap.closed, 1.0 - gap.high, 1.0 - gap.low, where)
@@ -65,9 +61,13 @@ def _levels(observations: Observations, number: int, after: FloatArray, mine: In
     lines = isinstance(test, RandomTest)
     place = observations.rows.frequency_hz[mine] if lines else observations.rows.amplitude[mine]
     steps = np.unique(place)
-    if steps.size < _FEWEST_LEVELS:
+    if steps.size < THRESHOLDS.verdict.remainder_fewest_levels:
         return ""
     third = np.searchsorted(steps, place) * len(_BANDS) // steps.size
     squares = np.bincount(third, after[mine] ** 2, minlength=len(_BANDS))
     most = int(np.argmax(squares))
-    return f"{_BANDS[most]} {'lines' if lines else 'levels'}" if squares[most] > _MOST * squares.sum() else ""
+    return (
+        f"{_BANDS[most]} {'lines' if lines else 'levels'}"
+        if squares[most] > THRESHOLDS.verdict.remainder_third_share * squares.sum()
+        else ""
+    )

@@ -17,8 +17,7 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.observables import Observations, Part
-
-_BANDS = 10
+from nmt_diagnose.thresholds import THRESHOLDS
 
 
 def channels_of(test: Test) -> tuple[MeasuredChannel, ...]:
@@ -39,7 +38,9 @@ def level_groups(observations: Observations) -> FloatArray:
     for number, test in enumerate(observations.tests):
         mine = observations.rows.test == number
         if isinstance(test, RandomTest | SteppedSineTest) and mine.any():
-            groups[mine] = np.floor(observations.rows.level[mine] * _BANDS / (observations.rows.level[mine].max() + 1))
+            groups[mine] = np.floor(
+                observations.rows.level[mine] * THRESHOLDS.verdict.map_bands / (observations.rows.level[mine].max() + 1)
+            )
     return groups
 
 

@@ -18,8 +18,7 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.inference.residual_map import channel_name
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, Test
 from nmt_diagnose.observations.observables import Observations
-
-_LEAST_LEVELS = 5
+from nmt_diagnose.thresholds import THRESHOLDS
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ def _over_level(observations: Observations, residual: FloatArray, mine: BoolArra
         for harmonic in np.unique(rows.harmonic[mine & (rows.channel == channel)]):
             for part in np.unique(rows.part[mine & (rows.channel == channel) & (rows.harmonic == harmonic)]):
                 group = mine & (rows.channel == channel) & (rows.harmonic == harmonic) & (rows.part == part)
-                if int(group.sum()) < _LEAST_LEVELS:
+                if int(group.sum()) < THRESHOLDS.verdict.course_fewest_levels:
                     continue
                 x = np.argsort(np.argsort(rows.amplitude[group], kind="stable"), kind="stable").astype(np.float64)
                 basis, _ = np.linalg.qr(np.vander(x - x.mean(), 3))

@@ -19,8 +19,8 @@ from nmt_diagnose.inference.fitting import Data, Metric
 from nmt_diagnose.inference.gap import Closed
 from nmt_diagnose.inference.held_out import Split
 from nmt_diagnose.inference.search import Found
-from nmt_diagnose.inference.tuned import AS_LIKELY, RANKED
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
 
@@ -36,7 +36,7 @@ def ranked_rows(
         partial: state probabilities among the explanations of the library alone.
     """
     result = []
-    for group in comparison.classes[:RANKED]:
+    for group in comparison.classes[: THRESHOLDS.verdict.ranked_explanations]:
         head = group.head
         share = shares.get(head.explanation)
         placements = head.explanation.placements
@@ -107,7 +107,11 @@ def place_rows(comparison: Comparison, explained: Mapping[str, float]) -> tuple[
     for kind, p in sorted(kinds.items(), key=lambda item: -item[1]):
         if p > 0.005:
             best = max(details[kind].values())
-            detail = joined(sorted(what for what, q in details[kind].items() if what and q > AS_LIKELY * best))
+            detail = joined(
+                sorted(
+                    what for what, q in details[kind].items() if what and q > THRESHOLDS.verdict.as_likely_share * best
+                )
+            )
             result.append(PlaceShare(kind, detail, weights[kind] / total if total > 0.0 else p, p))
     return tuple(result)
 

@@ -17,7 +17,7 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate
-from nmt_diagnose.effects.parametrisation import SPREADS, STRENGTH_STD, Parametrisation
+from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.inference.candidate_starts import (
     at_strength,
@@ -28,34 +28,11 @@ from nmt_diagnose.inference.candidate_starts import (
 )
 from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, approach, fit, predicted, without_rows
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.tuned import (
-    ALIKE,
-    CLIMBED,
-    CONTINUED,
-    CREDIBLE,
-    FAR_BEHIND,
-    FINALISTS,
-    FIRST_EFFECTS,
-    FIRST_PLACES,
-    FIRST_REFRESHES,
-    HEADS,
-    LEAST_GAIN,
-    LOST,
-    OTHER_PLACES,
-    SAME_OPTIMUM,
-    SAME_STRAIN,
-    SECOND_EFFECTS,
-    SECOND_GAIN,
-    STRAINED,
-    WEAK,
-    WIDER_STRENGTH,
-)
 from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
 Told = Callable[[str], None]
-_SWITCHED_ON = 0.01  # scales of a strength: little, and more than rounding
-_SHOWN = 1.0  # standard deviations by which a strength of one scale has to show to first order
 
 
 @dataclass(frozen=True)
@@ -186,10 +163,10 @@ class Search:
         Far from rest, as for a delay of a good part of a turn, the change to first order leads away from it.
         """
         errors, size = own.errors, float(np.linalg.norm(column))
-        for j in np.flatnonzero(np.abs(errors.chain) > CREDIBLE):
+        for j in np.flatnonzero(np.abs(errors.chain) > THRESHOLDS.comparison.credible_sigmas):
             slope = errors.slopes[:, j]
             along = float(slope @ column)
-            if abs(along) > ALIKE * size * float(np.linalg.norm(slope)):
+            if abs(along) > THRESHOLDS.search.alike_cosine * size * float(np.linalg.norm(slope)):
                 return float(errors.chain[j]) * along / size**2, float(errors.chain[j]) ** 2
         return None
 
@@ -214,7 +191,7 @@ class Search:
             for (number, start), column in zip(chosen, self._slopes(base, chosen), strict=True):
                 candidate = self.candidates[number]
                 parameter = strength_parameter(candidate)
-                if parameter.even and not np.linalg.norm(column) > _SHOWN:
+                if parameter.even and not np.linalg.norm(column) > THRESHOLDS.search.first_order_sigmas:
                     other.append((number, at_strength(candidate, start, parameter.even)))
                 elif np.any(column != 0.0):
                     result.append((number, start, column, candidate.signed(parameter)))
@@ -247,7 +224,7 @@ class Search:
             return [np.zeros(self.data.sigma.size) for _ in chosen]
         return list(self.data.slopes(columns, base.fit.errors.values).T)
 
-    def added(self, base: Found, score: Score, lost: float = LOST) -> Found | None:
+    def added(self, base: Found, score: Score, lost: float = THRESHOLDS.search.lost_cost_rise) -> Found | None:
         """A candidate fitted on top of a fit; None where the model cannot be solved with it."""
         candidate = self.candidates[score.candidate]
         start = score.start.copy()
@@ -262,7 +239,15 @@ class Search:
             try:
                 jacobian = self._joined(base.fit, base.fit.jacobian, own, theta)
                 best = self.widened(
-                    fit(self.data, own, theta, base.fit.prediction, jacobian, exact=False, refreshes=FIRST_REFRESHES)
+                    fit(
+                        self.data,
+                        own,
+                        theta,
+                        base.fit.prediction,
+                        jacobian,
+                        exact=False,
+                        refreshes=THRESHOLDS.fits.first_refreshes,
+                    )
                 )
                 break
             except FitError:
@@ -292,7 +277,7 @@ class Search:
         own = found.fit
         try:
             own = fit(self.data, own.parametrisation, own.theta, own.prediction)
-            for _ in range(CONTINUED):
+            for _ in range(THRESHOLDS.fits.continuations):
                 if own.converged:
                     break
                 own = fit(self.data, own.parametrisation, own.theta, own.prediction)
@@ -303,7 +288,9 @@ class Search:
     def all_again(self, found: Sequence[Found]) -> list[Found]:
         """All explanations that are not far behind the best, fitted again, the best first."""
         most = max(own.fit.log_evidence for own in found)
-        near = [own for own in found if own.fit.log_evidence > most - FAR_BEHIND][:FINALISTS]
+        near = [own for own in found if own.fit.log_evidence > most - THRESHOLDS.search.far_behind_log_evidence][
+            : THRESHOLDS.search.finalists
+        ]
         fitted = sorted((self.again(own) for own in near), key=lambda own: -own.fit.log_evidence)
         return sorted([self.unbent(fitted[0]), *fitted[1:]], key=lambda own: -own.fit.log_evidence)
 
@@ -318,7 +305,13 @@ class Search:
             return found
         wider = replace(own, spreads=tuple(spreads))
         again = fit(
-            self.data, wider, found.theta, found.prediction, found.jacobian, exact=False, refreshes=FIRST_REFRESHES
+            self.data,
+            wider,
+            found.theta,
+            found.prediction,
+            found.jacobian,
+            exact=False,
+            refreshes=THRESHOLDS.fits.first_refreshes,
         )
         return again if again.log_evidence > found.log_evidence else found
 
@@ -338,7 +331,7 @@ class Search:
             if candidate.effect.name not in by_effect:
                 way = weights * score.column
                 way = way / max(float(np.linalg.norm(way)), 1e-300)
-                if all(abs(float(way @ other)) < ALIKE for other in ways):
+                if all(abs(float(way @ other)) < THRESHOLDS.search.alike_cosine for other in ways):
                     if len(ways) == effects:
                         continue
                     ways.append(way)
@@ -350,13 +343,23 @@ class Search:
 
     def singles(self, null: Found, scores: Sequence[Score]) -> list[Found]:
         """Explanations by one effect, the best first."""
-        wanted = self.chosen(null, scores, FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN)
+        wanted = self.chosen(
+            null,
+            scores,
+            THRESHOLDS.search.first_effects,
+            THRESHOLDS.search.first_locations,
+            THRESHOLDS.search.least_cost_fall,
+        )
         self.tell(f"fitting {len(wanted)} explanations")
         found = self._all(null, wanted)
         # To first order on the model alone many places do the same to the rows; fitted they differ.
-        likely = {score.candidate: score for score in reversed(scores) if score.gain > OTHER_PLACES * scores[0].gain}
+        likely = {
+            score.candidate: score
+            for score in reversed(scores)
+            if score.gain > THRESHOLDS.search.other_locations_share * scores[0].gain
+        }
         known = {own.explanation for own in found}
-        for best in best_by_effect(found)[:HEADS]:
+        for best in best_by_effect(found)[: THRESHOLDS.search.pair_heads]:
             for number in likely:
                 other = self.candidates[number]
                 if other.effect.name in best.effects and Explanation((other.cause,)) not in known:
@@ -376,7 +379,15 @@ class Search:
         own = self.parametrisation((other,), (_spread_of(float(theta[position])),))
         try:
             jacobian = self._joined(found.fit, found.fit.jacobian[:, : len(self.parameters)], own, theta)
-            fitted = fit(self.data, own, theta, found.fit.prediction, jacobian, exact=False, refreshes=FIRST_REFRESHES)
+            fitted = fit(
+                self.data,
+                own,
+                theta,
+                found.fit.prediction,
+                jacobian,
+                exact=False,
+                refreshes=THRESHOLDS.fits.first_refreshes,
+            )
             return Found((other,), self.widened(fitted))
         except FitError:
             return None
@@ -389,11 +400,13 @@ class Search:
             known: those among which heads have been chosen before.
         """
         found: list[Found] = []
-        before = {own.explanation for own in best_by_effect(known)[:HEADS]}
-        for single in best_by_effect(singles)[:HEADS]:
+        before = {own.explanation for own in best_by_effect(known)[: THRESHOLDS.search.pair_heads]}
+        for single in best_by_effect(singles)[: THRESHOLDS.search.pair_heads]:
             if single.explanation in before or at_rest(self.data, single):
                 continue
-            wanted = self.chosen(single, self.scores(single), SECOND_EFFECTS, 1, SECOND_GAIN)
+            wanted = self.chosen(
+                single, self.scores(single), THRESHOLDS.search.second_effects, 1, THRESHOLDS.search.second_cost_fall
+            )
             found += self._all(single, wanted)
         return best_of(found)
 
@@ -404,7 +417,7 @@ class Search:
         """
         result = []
         for own in found:
-            weak = [k for k in range(len(own.candidates)) if own.strength(k) < WEAK]
+            weak = [k for k in range(len(own.candidates)) if own.strength(k) < THRESHOLDS.search.weak_sigmas]
             if len(own.candidates) != 2 or len(weak) != 1:
                 continue
             kept = 1 - weak[0]
@@ -430,7 +443,11 @@ class Search:
                 climbed = self.climbed(number)
                 more = [] if climbed is None else [climbed]
                 # Where climbing ends in the optimum that was found before, there is no other to be looked for.
-                if climbed is None or not known or abs(climbed.fit.cost - min(known)) > SAME_OPTIMUM:
+                if (
+                    climbed is None
+                    or not known
+                    or abs(climbed.fit.cost - min(known)) > THRESHOLDS.search.same_optimum_cost
+                ):
                     given = self.from_given(number)
                     more += [] if given is None else [given]
                 found += more
@@ -441,24 +458,27 @@ class Search:
     def _worth_climbing(self, wanted: Sequence[Score], fits: Sequence[Found]) -> list[int]:
         """Candidates to climb with: the effects that the score test and the fits put first, each at its best place."""
         by_fit = sorted(fits, key=lambda own: -own.fit.log_evidence)
-        order = [self.candidates.index(own.candidates[0]) for own in by_fit[:CLIMBED]]
+        order = [self.candidates.index(own.candidates[0]) for own in by_fit[: THRESHOLDS.search.climbed_effects]]
         order += [score.candidate for score in wanted]
         result: dict[str, int] = {}
         for number in order:
             result.setdefault(self.candidates[number].effect.name, number)
-        return list(result.values())[:CLIMBED]
+        return list(result.values())[: THRESHOLDS.search.climbed_effects]
 
     def from_modes(self, null: Found, modes: LowLevelModes) -> list[Found]:
         """Explanations by one effect, fitted from where the model's modes are the measured ones; the best first."""
         own, theta = self.parametrisation(), null.fit.theta
         begun = [
-            (self.parametrisation((candidate,)), np.concatenate([theta, at_strength(candidate, first, _SWITCHED_ON)]))
+            (
+                self.parametrisation((candidate,)),
+                np.concatenate([theta, at_strength(candidate, first, THRESHOLDS.search.initial_strength)]),
+            )
             for candidate in self.candidates
             for first in starts_of(candidate)[:1]
         ]
         left = modes.promises(own, theta, begun)
         found = []
-        for number in np.argsort(left)[: FIRST_EFFECTS * FIRST_PLACES]:
+        for number in np.argsort(left)[: THRESHOLDS.search.first_effects * THRESHOLDS.search.first_locations]:
             wider, values = begun[number]
             try:
                 found.append(
@@ -477,10 +497,13 @@ class Search:
         """
         counts, learnt = self.data.counts, np.isfinite(self.data.groups.degrees)
         scales = np.sqrt(found.fit.errors.squares / np.maximum(counts, 1.0))
-        strained = learnt & (scales > STRAINED)
+        strained = learnt & (scales > THRESHOLDS.search.strained_scale)
         if null is not None and found is not null:
             before = np.sqrt(null.fit.errors.squares / np.maximum(counts, 1.0))
-            strained &= np.abs(np.log(np.maximum(scales, 1e-300) / np.maximum(before, 1e-300))) > SAME_STRAIN
+            strained &= (
+                np.abs(np.log(np.maximum(scales, 1e-300) / np.maximum(before, 1e-300)))
+                > THRESHOLDS.search.same_log_scale
+            )
         return bool(strained.any())
 
     def climbed(self, number: int) -> Found | None:
@@ -584,9 +607,18 @@ def at_rest(data: Data, found: Found) -> bool:
     """Whether a fit leaves noise only and bends neither parameters nor measuring chain: nothing asks for more."""
     own = found.fit
     pulls = np.concatenate([own.theta[: len(own.parametrisation.calibration)], own.errors.chain])
-    return not data.groups.excess(own.errors.squares, data.counts).any() and bool(np.all(np.abs(pulls) < CREDIBLE))
+    return not data.groups.excess(own.errors.squares, data.counts).any() and bool(
+        np.all(np.abs(pulls) < THRESHOLDS.comparison.credible_sigmas)
+    )
 
 
 def _spread_of(strength: float) -> float:
     """The narrowest part of a strength's prior that does not hold it back."""
-    return next((spread for spread in SPREADS if abs(strength) <= WIDER_STRENGTH * STRENGTH_STD * spread), SPREADS[-1])
+    return next(
+        (
+            spread
+            for spread in THRESHOLDS.fits.strength_spreads
+            if abs(strength) <= THRESHOLDS.search.wider_strength * THRESHOLDS.fits.strength_std * spread
+        ),
+        THRESHOLDS.fits.strength_spreads[-1],
+    )

@@ -10,6 +10,7 @@ from nmt_diagnose.effects.placement import Explanation
 from nmt_diagnose.inference.diagnosis import NULL, Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
 from nmt_diagnose.inference.gap import NOISE
 from nmt_diagnose.inference.size import Left
+from nmt_diagnose.thresholds import THRESHOLDS
 
 PLACES = {
     "structure": "the structure",
@@ -21,7 +22,6 @@ PLACES = {
     "controller": "the controller",
     "time": "a change over time",
 }
-_LIKELY = 0.9
 
 
 def sentences(
@@ -68,7 +68,9 @@ def sentences(
             f"the library; {_against(left)}, so something unnamed acts too"
         )
     else:
-        sure = "The cause is" if head.probability >= _LIKELY else "The most probable cause is"
+        sure = (
+            "The cause is" if head.probability >= THRESHOLDS.verdict.cause_probability else "The most probable cause is"
+        )
         which = f"{sure} {what}, probability {_sure(head.probability)}"
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"

@@ -13,8 +13,8 @@ from nmt_core.text.number_words import significant
 from nmt_diagnose.inference.candidate_starts import at_zero
 from nmt_diagnose.inference.fitting import Data, predicted
 from nmt_diagnose.inference.search import Found
-from nmt_diagnose.inference.tuned import INCREDIBLE, SEEN, STRAIN, SURE_EXCESS
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.thresholds import THRESHOLDS
 
 _KINDS: dict[str, tuple[Part, ...]] = {
     "frequency": (Part.LOG_FREQUENCY,),
@@ -108,7 +108,7 @@ def left_over(data: Data, found: Found, wanted: Mapping[str, float]) -> tuple[Le
         block, residual = block.ravel(), raw[mine]
         count = np.bincount(block).astype(np.float64)
         beyond = np.bincount(block, residual**2 - 1.0)
-        beyond = np.where(beyond > SURE_EXCESS * np.sqrt(2.0 * count), beyond, 0.0)
+        beyond = np.where(beyond > THRESHOLDS.verdict.excess_sigmas * np.sqrt(2.0 * count), beyond, 0.0)
         unit = np.abs(data.observations.values[mine]) if kind == "damping" else np.ones(residual.size)
         sizes = np.sqrt(beyond / np.maximum(np.bincount(block, (unit / data.sigma[mine]) ** 2), 1e-300))
         if np.any(rows.part[mine] == Part.SAMPLE):
@@ -131,7 +131,7 @@ def disbelieved(found: Found) -> tuple[tuple[Left, ...], float]:
     theta = np.abs(found.fit.theta[: len(parameters)])
     worst = int(np.argmax(theta))
     chance = min(1.0, len(parameters) * 2.0 * float(norm.sf(theta[worst])))
-    if chance >= INCREDIBLE:
+    if chance >= THRESHOLDS.comparison.incredible_probability:
         return (), chance
     return (Left(parameters[worst].name, "", float(theta[worst])),), chance
 
@@ -161,7 +161,7 @@ def _unbends(more: Found, less: Found) -> bool:
         )
         for own in (less, more)
     ]
-    return pulls[0] - pulls[1] > STRAIN
+    return pulls[0] - pulls[1] > THRESHOLDS.verdict.prior_cost_fall
 
 
 def _apart(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> bool:
@@ -199,7 +199,7 @@ def change_size(data: Data, change: FloatArray) -> Size:
             squares = np.where(whole > 0.0, squares / np.maximum(whole, 1e-300), squares)
         values[kind] = float(np.sqrt(np.max(squares)))
     rest = data.used & ~known
-    return Size(values, bool(np.any(np.abs(change[rest] / data.sigma[rest]) > SEEN)))
+    return Size(values, bool(np.any(np.abs(change[rest] / data.sigma[rest]) > THRESHOLDS.verdict.visible_sigmas)))
 
 
 def without_strength(found: Found) -> FloatArray:

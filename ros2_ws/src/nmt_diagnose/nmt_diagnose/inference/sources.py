@@ -19,14 +19,12 @@ from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.inference.residual_map import channels_of
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.influence import Source, SourceColumn
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.rig import Rig
 
-# Range of ln(level) and ln(line) over which a source keeps its size.
-_LEVEL_LENGTH, _LINE_LENGTH = 1.5, 0.7
-_KEPT = 0.01
 _FAMILIES: tuple[tuple[str, tuple[int, ...], bool], ...] = (
     ("fundamental", (1,), False),
     ("odd orders", (1, 3, 5), False),
@@ -108,12 +106,16 @@ def _families(
         groups.setdefault(replace(column, number=-1), []).append((column.number, position))
     drive = {key: _logs(observations, [n for n, _ in members], True) for key, members in level_groups.items()}
     smooth = {
-        key: _smooth(columns[:, [p for _, p in members]], drive[key], _LEVEL_LENGTH)
+        key: _smooth(columns[:, [p for _, p in members]], drive[key], THRESHOLDS.comparison.source_level_length)
         for key, members in level_groups.items()
     }
     shared = {key: columns[:, [p for _, p in members]].sum(axis=1)[:, None] for key, members in level_groups.items()}
     lines = [
-        _smooth(columns[:, [p for _, p in members]], _logs(observations, [n for n, _ in members], False), _LINE_LENGTH)
+        _smooth(
+            columns[:, [p for _, p in members]],
+            _logs(observations, [n for n, _ in members], False),
+            THRESHOLDS.comparison.source_line_length,
+        )
         for members in line_groups.values()
     ]
     result = []
@@ -141,6 +143,6 @@ def _smooth(columns: FloatArray, x: FloatArray, length: float) -> FloatArray:
     """Columns of smooth courses: principal functions of a Gaussian process over x, scaled by their size."""
     kernel = np.exp(-0.5 * ((x[:, None] - x[None, :]) / length) ** 2)
     values, vectors = np.linalg.eigh(kernel)
-    keep = values > _KEPT * values[-1]
+    keep = values > THRESHOLDS.comparison.source_least_eigenvalue * values[-1]
     result: FloatArray = columns @ (vectors[:, keep] * np.sqrt(values[keep]))
     return result

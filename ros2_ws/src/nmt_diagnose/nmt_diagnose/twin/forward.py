@@ -22,6 +22,7 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.backbone_twin import BackboneTwin
 from nmt_diagnose.twin.influence import Source, SourceColumn, random_influence, resonance_influence
 from nmt_diagnose.twin.parts_cache import PartsCache, joint_setup
@@ -33,8 +34,6 @@ from nmt_diagnose.twin.stepped_sine_twin import SteppedSineTwin, with_growth
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig, SensorSection
 
-# Relative distance within which a line of the observations is that of the mains.
-LINE_WIDTH = 0.01
 _OF_THE_CHANNEL = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
 
 
@@ -182,7 +181,7 @@ class Forward:
             values[row] = 0.0
             if own is not None and own.hum_amplitude != 0.0:
                 seen = own.hum_hz / (1.0 + rig.clock_error)
-                if abs(self.rows.frequency_hz[row] / seen - 1.0) < LINE_WIDTH:
+                if abs(self.rows.frequency_hz[row] / seen - 1.0) < THRESHOLDS.prediction.line_width:
                     values[row] = own.hum_amplitude
 
     def jacobian(

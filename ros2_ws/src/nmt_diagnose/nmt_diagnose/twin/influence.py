@@ -14,6 +14,7 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.twin.parts_cache import PartsCache
 from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin
@@ -21,10 +22,6 @@ from nmt_diagnose.twin.random_twin import RandomTwin
 from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import BeamSection, Rig
-
-# Share of the fundamental force (or of a channel's fundamental) that a unit source is.
-UNIT = 0.01
-
 
 SourceKind = Literal["structure", "joint", "clamp", "exciter", "force_sensor", "response_sensor", "controller", "time"]
 
@@ -180,14 +177,16 @@ def _level_sources(
     if model is None:
         row = twin.force_row if source.kind == "force_sensor" else twin.own_row(source.index)
         direct = np.zeros_like(channels)
-        direct[row, order] = UNIT * turn * channels[row, 1]
+        direct[row, order] = THRESHOLDS.prediction.unit_source_share * turn * channels[row, 1]
         residual = np.zeros(nz)
         if order == 1:
-            residual[-2] = twin.phase_change(row, UNIT * turn)
+            residual[-2] = twin.phase_change(row, THRESHOLDS.prediction.unit_source_share * turn)
         return [(residual, direct, 0)]
     t, _ = model.at(1j * order * state.omega)
     for k in range(count):
-        amount = UNIT * force * turn * np.exp(1j * np.angle(channels[twin.force_row, 1]))
+        amount = (
+            THRESHOLDS.prediction.unit_source_share * force * turn * np.exp(1j * np.angle(channels[twin.force_row, 1]))
+        )
         size = float(np.max(np.abs(t[: r + parts.channels.shape[0], r + 1 + k]))) or 1.0
         residual = np.zeros(nz)
         for i in range(r):
@@ -261,7 +260,7 @@ def _line_change(
             if (source.kind == "force_sensor" and is_force) or (
                 source.kind == "response_sensor" and not is_force and index == source.index
             ):
-                change[index] = UNIT * responses[index]
+                change[index] = THRESHOLDS.prediction.unit_source_share * responses[index]
         return change
     s = 1j * omega
     t, _ = model.at(s)
@@ -274,5 +273,5 @@ def _line_change(
     force = [row for row, section in enumerate(parts.sections) if section is not None and section.quantity == "force"]
     size = abs(full[force[0], 0]) if force else 1.0
     drive = full[own[-1], 0]
-    result: ComplexArray = UNIT * size * full[own[:-1], 1] / drive
+    result: ComplexArray = THRESHOLDS.prediction.unit_source_share * size * full[own[:-1], 1] / drive
     return result

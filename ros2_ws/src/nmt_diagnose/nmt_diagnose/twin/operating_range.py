@@ -24,6 +24,7 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.lateness import lateness
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
@@ -33,10 +34,6 @@ from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import BeamSection, ChainSection, Rig
 from nmt_rig.rig_model import build_system
-
-# Measured over modelled motion beyond which the model is no measure of it.
-_FAR_OFF = 2.0
-_MOST_JOINED = 4  # points; more pairs than that are more than recordings distinguish
 
 
 def operating_range(
@@ -343,7 +340,12 @@ def _as_measured(
             if name in names and abs(amplitudes[names.index(name)]) > 0.0
         ]
         ratio = float(np.median(ratios)) if ratios else 1.0
-        factor = ratio if ratio > 0.0 and not 1.0 / _FAR_OFF <= ratio <= _FAR_OFF else 1.0
+        factor = (
+            ratio
+            if ratio > 0.0
+            and not 1.0 / THRESHOLDS.prediction.far_off_ratio <= ratio <= THRESHOLDS.prediction.far_off_ratio
+            else 1.0
+        )
         result.append((parts, omega, drive, amplitudes * factor, unknowns * factor))
     return result
 
@@ -431,5 +433,5 @@ def _joined(rig: Rig, system: ElectromechanicalSystem) -> list[tuple[int, int]]:
     points = list(system.point_numbers)
     if isinstance(rig.structure, ChainSection):
         return list(pairwise(points))
-    few = len(points) <= min(_MOST_JOINED, system.structure_size)
+    few = len(points) <= min(THRESHOLDS.prediction.most_joined_points, system.structure_size)
     return list(combinations(points, 2)) if few and not isinstance(rig.structure, BeamSection) else []

@@ -34,6 +34,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.rig_parts import RigParts, shared_unknowns
@@ -43,8 +44,6 @@ from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
 
 HARMONICS = 5
-# Standard deviations of a magnitude up to which its error corrects the phase.
-_MOST_ERROR = 4.0
 
 
 @dataclass(frozen=True)
@@ -252,7 +251,11 @@ def with_growth(test: SteppedSineTest, state: SteppedSineState) -> SteppedSineTe
     further = -slope * (rest.real + state.moved) + turn * rest.imag - state.moved
     moved = state.moved + further / (slope**2 + turn**2 + 1.0)
     # What is many times the noise is no error of the amplitude.
-    moved = np.where(np.isfinite(moved), moved / (1.0 + (moved / (_MOST_ERROR * test.noise)) ** 4), 0.0)
+    moved = np.where(
+        np.isfinite(moved),
+        moved / (1.0 + (moved / (THRESHOLDS.prediction.largest_magnitude_sigmas * test.noise)) ** 4),
+        0.0,
+    )
     return replace(test, growth=growth, moved=np.where(solved, moved, moved_of(test)))
 
 
@@ -296,7 +299,7 @@ def whitened_difference(rest: ComplexArray, growth: ComplexArray, noise: FloatAr
     # The error of the first channel's magnitude, as far as the level tells it, and the part of it that stays unknown.
     error = (rest[:, 0].real * slope / sharpness)[:, None]
     if noise is not None:
-        most = _MOST_ERROR * noise[:, None]
+        most = THRESHOLDS.prediction.largest_magnitude_sigmas * noise[:, None]
         error = most * np.tanh(error / most)
     unknown = 1.0 - slope**2 / sharpness
     # Other responses follow the first in proportion: ∂ ln H ≈ 1 − ∂ ln R.

@@ -12,20 +12,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from nmt_core.messages.blocks import Quantity
+from nmt_core.blocks import Quantity
+from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_record.exchange.calibration_file import CalibrationSheet
 from nmt_record.exchange.channel_tolerances import (
-    CLOCK_STD,
-    DELAY_STD_S,
-    GAIN_STD,
     ChannelTolerance,
     Tolerances,
     is_simulated,
     tolerances,
 )
 
-SHARED_DELAY_STD_S = 1e-4
 _VOLTAGE = Quantity.VOLTAGE
 
 
@@ -45,12 +42,12 @@ class MeasuringChain:
     """
 
     channels: Mapping[str, ChannelTolerance] = field(default_factory=dict)
-    voltage_gain: float = GAIN_STD
-    shared_delay_s: float = SHARED_DELAY_STD_S
+    voltage_gain: float = TOLERANCES.gain
+    shared_delay_s: float = TOLERANCES.shared_delay_s
     hold_hz: float = math.inf
     images: bool = True
-    mains: float = 1e-3
-    clock: float = CLOCK_STD
+    mains: float = TOLERANCES.mains
+    clock: float = TOLERANCES.clock
 
     def of(self, channel: str) -> ChannelTolerance:
         """Tolerance of a channel."""
@@ -107,4 +104,4 @@ def table_chain(channels: Sequence[MeasuredChannel] = (), sheet: CalibrationShee
 def _shared_delay(stated: Tolerances) -> float:
     """Of the voltage's delay against the sensors nothing differs from one of all sensors together."""
     said = stated.of(_VOLTAGE, 0).delay_s
-    return said if said != DELAY_STD_S else SHARED_DELAY_STD_S
+    return said if said != TOLERANCES.delay_s else TOLERANCES.shared_delay_s

@@ -215,7 +215,7 @@ def test_springs_are_tried_between_points_too(kind: str, places: list[str]) -> N
         rig = rig.model_copy(update={"structure": structure})
     found = candidates(rig, operating_range(rig, []))
     springs = [own for own in found if own.effect.name == "cubic_stiffness"]
-    assert [own.site.placement.detail for own in springs] == places
+    assert [own.site.location.detail for own in springs] == places
     if "1-2" in places:
         changed = springs[-1].effect.change(rig, springs[-1].site, {"k": 1e9})
         assert (changed.local_elements[-1].point, changed.local_elements[-1].other_point) == (1, 2)

@@ -10,10 +10,10 @@ from diagnose.twin_observations import chain, observations_of_twin
 from scipy.stats import norm
 
 from nmt_diagnose.effects.library import candidates
-from nmt_diagnose.inference.diagnose import model_alone, own_parameters
+from nmt_diagnose.inference.diagnose import free_parameters, model_alone
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.search import Found, Search
-from nmt_diagnose.inference.size import differs, disbelieved
+from nmt_diagnose.inference.search import FittedExplanation, Search
+from nmt_diagnose.inference.size import differs, implausible_parameters
 from nmt_diagnose.observations.measuring_chain import MeasuringChain
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.operating_range import operating_range
@@ -22,11 +22,11 @@ from nmt_rig.rig import Rig
 MODEL = chain()
 
 
-def searched(truth: Rig) -> tuple[Search, Found]:
+def searched(truth: Rig) -> tuple[Search, FittedExplanation]:
     """The search on recordings of a rig, and the fit of the model alone."""
     found = observations_of_twin(truth, seed=3, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
     observations = replace(found, chains=tuple(MeasuringChain() for _ in found.tests))
-    parameters = own_parameters(MODEL, observations)
+    parameters = free_parameters(MODEL, observations)
     everything = np.ones(len(observations.rows), dtype=bool)
     modes = LowLevelModes(observations, MODEL)
     _, _, null, data = model_alone(MODEL, observations, parameters, everything, modes)
@@ -34,10 +34,10 @@ def searched(truth: Rig) -> tuple[Search, Found]:
     return Search(data, MODEL, parameters, library), null
 
 
-def moved(found: Found, to: float) -> Found:
+def moved(found: FittedExplanation, to: float) -> FittedExplanation:
     theta = np.zeros_like(found.fit.theta)
     theta[1] = to
-    return Found((), replace(found.fit, theta=theta))
+    return FittedExplanation((), replace(found.fit, theta=theta))
 
 
 def test_a_parameter_that_nobody_believes_is_named_with_its_distance() -> None:
@@ -45,8 +45,8 @@ def test_a_parameter_that_nobody_believes_is_named_with_its_distance() -> None:
     count = len(null.fit.parametrisation.calibration)
     edge = float(norm.isf(THRESHOLDS.comparison.incredible_probability / (2.0 * count)))  # Bonferroni
     assert edge > THRESHOLDS.comparison.credible_sigmas - 0.5
-    assert disbelieved(moved(null, 0.99 * edge))[0] == ()
-    (left,), chance = disbelieved(moved(null, -1.01 * edge))
+    assert implausible_parameters(moved(null, 0.99 * edge))[0] == ()
+    (left,), chance = implausible_parameters(moved(null, -1.01 * edge))
     assert left.group == null.fit.parametrisation.calibration[1].name
     assert left.size == pytest.approx(1.01 * edge)
     assert 0.0 < chance < THRESHOLDS.comparison.incredible_probability

@@ -33,11 +33,11 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import starts_of
-from nmt_diagnose.inference.diagnose import about, find, model_alone, observed, own_parameters
+from nmt_diagnose.inference.diagnose import about, find, free_parameters, model_alone, observed
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.fitting import FitError, approach, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.search import Found, Search
+from nmt_diagnose.inference.search import FittedExplanation, Search
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig, load_rig
@@ -178,7 +178,7 @@ def measured_strength(folder: Path, truth: Mapping[str, Any]) -> float:
         BenchError: the case has no bags, or they cannot be used.
     """
     rig, observations = _recorded(folder, str(truth["case"]), DiagnosisSettings(matters={}))
-    parameters = own_parameters(rig, observations)
+    parameters = free_parameters(rig, observations)
     everything = np.ones(len(observations.rows), dtype=bool)
     modes = LowLevelModes(observations, rig)
     _, _, null, data = model_alone(rig, observations, parameters, everything, modes)
@@ -233,7 +233,7 @@ def _named_strength(folder: Path, entry: Mapping[str, Any]) -> tuple[str, float]
         return case, math.nan
 
 
-def _each_left_out(search: Search, true: Found) -> list[Found]:
+def _each_left_out(search: Search, true: FittedExplanation) -> list[FittedExplanation]:
     """Fits with one effect less, one for each; those that have no solution are left out."""
     own, count = true.fit, len(search.parameters)
     result = []
@@ -247,7 +247,7 @@ def _each_left_out(search: Search, true: Found) -> list[Found]:
             fitted = approach(search.data, parametrisation, theta)
         except FitError:
             continue
-        result.append(Found(tuple(parametrisation.candidates), fitted))
+        result.append(FittedExplanation(tuple(parametrisation.candidates), fitted))
     return result
 
 
@@ -327,7 +327,7 @@ def follows(
     return "information" if sigma < _SEEN else "priors"
 
 
-def _fitted(search: Search, null: Found, rig: Rig, truth: Mapping[str, Any]) -> Found | None:
+def _fitted(search: Search, null: FittedExplanation, rig: Rig, truth: Mapping[str, Any]) -> FittedExplanation | None:
     """The truth fitted from its true parameters; None where the library lacks it or the model has no solution.
 
     Where the truth may be at one of several places, the one where it fits best.
@@ -342,8 +342,8 @@ def _fitted(search: Search, null: Found, rig: Rig, truth: Mapping[str, Any]) -> 
 
 
 def _fitted_at(
-    search: Search, null: Found, rig: Rig, truth: Mapping[str, Any], chosen: Sequence[Candidate]
-) -> Found | None:
+    search: Search, null: FittedExplanation, rig: Rig, truth: Mapping[str, Any], chosen: Sequence[Candidate]
+) -> FittedExplanation | None:
     """The truth at its places, fitted from its true parameters and those of the model alone or as it was given."""
     starts = [
         parameters_of(candidate, rig, effect.get("figures", {}))
@@ -360,7 +360,7 @@ def _fitted_at(
                 start[k] = math.log((value + parameter.offset) / (parameter.value + parameter.offset)) / parameter.std
         try:
             fitted = fit(search.data, own, np.concatenate([start, *starts]), None)
-            found.append(Found(tuple(chosen), search.widened(fitted)))
+            found.append(FittedExplanation(tuple(chosen), search.widened(fitted)))
         except FitError:
             continue
     return min(found, key=lambda fitted: fitted.fit.cost, default=None)
@@ -371,11 +371,11 @@ def _candidates(candidates: Sequence[Candidate], name: str, detail: str | Sequen
     mine = [candidate for candidate in candidates if candidate.effect.name == name]
     if isinstance(detail, str):
         spot = detail.split(" at ")[0].split(" with ")[0]
-        return [candidate for candidate in mine if candidate.site.placement.detail == spot][:1] or mine[:1]
+        return [candidate for candidate in mine if candidate.site.location.detail == spot][:1] or mine[:1]
     here = [
         candidate
         for candidate in mine
-        for place in (candidate.site.placement,)
+        for place in (candidate.site.location,)
         if {place.kind, place.detail, place.channel, *map(str, place.points)} & set(detail)
     ]
     return here or mine

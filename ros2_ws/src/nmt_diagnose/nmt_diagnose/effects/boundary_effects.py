@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from nmt_diagnose.effects.changes import Sites, has_friction, inverse, is_clamped, with_local
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Reported, Site
+from nmt_diagnose.effects.location import Location, LocationKind
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.effects.placement import PlaceKind, Placement
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.effects.structure_effects import spots
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -33,7 +33,7 @@ def _compliance_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     # 1 % of the static compliance of the tip.
     scales = {"rotation": 0.01 * beam.length_m / bending, "lateral": 0.01 * beam.length_m**3 / (3.0 * bending)}
     return tuple(
-        Site(Placement("boundary", detail=option), {"compliance": scale}, option=option)
+        Site(Location("boundary", detail=option), {"compliance": scale}, option=option)
         for option, scale in scales.items()
         if getattr(beam, CLAMP_KEYS[option]) is None
     )
@@ -51,16 +51,14 @@ def _clamp_friction_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ..
         "rotation": (0.05 * operating.omega**2 * operating.effective_inertia[1], operating.rotation[1]),
     }
     return tuple(
-        Site(Placement("boundary", detail=option), {"kt": kt, "slip_displacement": slip}, 1, option=option)
+        Site(Location("boundary", detail=option), {"kt": kt, "slip_displacement": slip}, 1, option=option)
         for option, (kt, slip) in sizes.items()
     )
 
 
 def _contact_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(
-        Site(
-            Placement.at("joint", point, other), {"kt": 0.05 * stiffness, "slip_displacement": amplitude}, point, other
-        )
+        Site(Location.at("joint", point, other), {"kt": 0.05 * stiffness, "slip_displacement": amplitude}, point, other)
         for point, other, amplitude, stiffness in spots(rig, operating)
         if not (is_clamped(rig) and point == 1)
     )
@@ -82,7 +80,7 @@ def _taken(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
 
 
 def _friction(
-    name: str, place: PlaceKind, sites: Sites, equation: str, keys: str, stuck_equation: str, stuck_keys: str
+    name: str, place: LocationKind, sites: Sites, equation: str, keys: str, stuck_equation: str, stuck_keys: str
 ) -> tuple[Effect, Effect]:
     """A slider with a spring beside what the model has, and one whose spring carries a part of the model's stiffness.
 
@@ -115,10 +113,10 @@ def _friction(
     return beside, stuck
 
 
-def joint_placement(element: ElementSection, nameless: str) -> Placement:
+def joint_location(element: ElementSection, nameless: str) -> Location:
     """Where a local element with friction sits; ``nameless`` is told of one without a name."""
     points = tuple(point for point in (element.point, element.other_point) if point)
-    return Placement("joint", points, detail=element.name or nameless)
+    return Location("joint", points, detail=element.name or nameless)
 
 
 def _new_joint_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -144,7 +142,7 @@ def _joint_slip_force(values: Mapping[str, float]) -> float:
 
 def _microslip_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(
-        Site(joint_placement(element, str(element.point)), {"spread": 0.3, "power": 1.0}, element.point, index=index)
+        Site(joint_location(element, str(element.point)), {"spread": 0.3, "power": 1.0}, element.point, index=index)
         for index, element in enumerate(rig.local_elements)
         if isinstance(element, JenkinsSection)
     )

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.linalg import eigh
 
 from nmt_core.tolerances import MODEL_PRIORS
+from nmt_diagnose.effects.location import LocationKind
 from nmt_diagnose.effects.modal_calibration import model_paths
-from nmt_diagnose.effects.placement import PlaceKind
 from nmt_diagnose.effects.rig_edit import Path, value_at, with_value
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import BeamSection, ChainSection, ForceSection, MatricesSection, Rig, ShakerSection
@@ -35,7 +35,7 @@ class CalibrationParameter:
     unit: str
     path: Path
     std: float
-    place: PlaceKind
+    place: LocationKind
     value: float
     offset: float = 0.0
 
@@ -100,7 +100,7 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
     """Parameters that the model of a rig has; keys that are zero or left out are no part of the model."""
     found: list[CalibrationParameter] = []
 
-    def add(path: Path, place: PlaceKind) -> None:
+    def add(path: Path, place: LocationKind) -> None:
         value = value_at(rig, path)
         key = next(str(part) for part in reversed(path) if isinstance(part, str))
         if isinstance(value, int | float) and value != 0.0:
@@ -123,7 +123,7 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
         for path in model_paths(structure):
             add(path, "structure")
     for index, element in enumerate(rig.local_elements):
-        place: PlaceKind = "exciter" if element.side == "exciter" else "joint" if element.friction else "structure"
+        place: LocationKind = "exciter" if element.side == "exciter" else "joint" if element.friction else "structure"
         for key in element.own_keys() if element.harmonic_balance else ():
             if key in MODEL_PRIORS and key not in element.not_calibrated:
                 add(("local_elements", index, key), place)
@@ -144,8 +144,8 @@ def mode_dampings(rig: Rig, lowest_hz: float, highest_hz: float) -> tuple[ModeDa
         rig: the model; modal structures and chains have dampings of their own in ``calibration_parameters``.
         lowest_hz, highest_hz: band of the tests.
     """
-    own = rig.structure
-    if not isinstance(own, BeamSection | MatricesSection) or getattr(own, "damping_ratios", None):
+    section = rig.structure
+    if not isinstance(section, BeamSection | MatricesSection) or getattr(section, "damping_ratios", None):
         return ()
     structure = build_structure(rig)
     if not np.any(structure.damping):
@@ -158,8 +158,8 @@ def mode_dampings(rig: Rig, lowest_hz: float, highest_hz: float) -> tuple[ModeDa
     )
     # One more for all above: together they are the flexibility that they add to the band, and its phase.
     wanted = [*map(int, near), *range(int(near[-1]) + 1, frequencies.size)[:1]] if near.size else []
-    given = list(own.damping_factors) or [1.0]
-    factors = [*given, *[given[-1]] * frequencies.size]
+    factors_given = list(section.damping_factors) or [1.0]
+    factors = [*factors_given, *[factors_given[-1]] * frequencies.size]
     return tuple(
         ModeDamping(
             f"structure.damping_factors.{mode}", "1", ("structure", "damping_factors"),

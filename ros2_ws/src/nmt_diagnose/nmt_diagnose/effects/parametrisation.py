@@ -98,10 +98,10 @@ class Parametrisation:
 
     def values(self, theta: FloatArray, candidate: int) -> dict[str, float]:
         """Parameters of a candidate, in their units."""
-        own = self.candidates[candidate]
+        added = self.candidates[candidate]
         return {
-            p.name: _value(p, own.site.scales[p.name], float(entry), own.lower(p))
-            for p, entry in zip(own.effect.parameters, theta[self.index_of(candidate)], strict=True)
+            p.name: _value(p, added.site.scales[p.name], float(entry), added.lower(p))
+            for p, entry in zip(added.effect.parameters, theta[self.index_of(candidate)], strict=True)
         }
 
     def rig(self, theta: FloatArray) -> Rig:
@@ -128,10 +128,10 @@ class Parametrisation:
 
     def reported(self, theta: FloatArray, candidate: int) -> Reported:
         """Parameters that a candidate is reported by, with units."""
-        own = self.candidates[candidate]
+        added = self.candidates[candidate]
         return {
-            name: (value, _unit_at(unit, own.site, self.base))
-            for name, (value, unit) in own.effect.reported(own.site, self.values(theta, candidate)).items()
+            name: (value, _unit_at(unit, added.site, self.base))
+            for name, (value, unit) in added.effect.reported(added.site, self.values(theta, candidate)).items()
         }
 
 

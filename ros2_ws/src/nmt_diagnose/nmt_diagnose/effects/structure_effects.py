@@ -9,8 +9,8 @@ from typing import Any
 
 from nmt_diagnose.effects.changes import added, kind_of, local_element, with_local
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
+from nmt_diagnose.effects.location import Location
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.local_elements.contacts import TwoSidedGapSection, UnilateralStopSection
@@ -50,7 +50,7 @@ def local_sites(
     """A site for each spot; ``sizes`` gives the scales from amplitude, effective stiffness and ω."""
     return tuple(
         Site(
-            Placement.at("structure", point, other), sizes(amplitude, stiffness, operating.omega), point, other,
+            Location.at("structure", point, other), sizes(amplitude, stiffness, operating.omega), point, other,
             reference=reference(amplitude, operating.omega),
         )
         for point, other, amplitude, stiffness in spots(rig, operating)
@@ -62,9 +62,9 @@ def _local(
     parameters: tuple[EffectParameter, ...], sizes: Sizes, reference: str, **more: Any,
 ) -> Effect:  # fmt: skip
     """An effect that is one local element; ``keys`` maps parameters to keys of its section."""
-    own: dict[str, Any] = {"sites": partial(local_sites, sizes=sizes), "change": local_element(section, keys)}
+    defaults: dict[str, Any] = {"sites": partial(local_sites, sizes=sizes), "change": local_element(section, keys)}
     kind = f"local_elements: {kind_of(section)}"
-    return Effect(name, "structure", equation, reference, kind, parameters, **(own | more))
+    return Effect(name, "structure", equation, reference, kind, parameters, **(defaults | more))
 
 
 def _spring(
@@ -120,7 +120,10 @@ def _with_power_law(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
 def _mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(
         Site(
-            Placement.at("structure", point), {"m": operating.typical_mass(point)}, point, own=_added_there(rig, point)
+            Location.at("structure", point),
+            {"m": operating.typical_mass(point)},
+            point,
+            existing=_added_there(rig, point),
         )
         for point in rig.structure.points
         if operating.displacement[point] > 1e-3 * max(operating.displacement.values())
@@ -167,7 +170,7 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
         name="structural_damping", place="structure", equation="K (1 + iη)",
         reference="Crandall, J. Sound Vib. 11 (1970) 3; as modal viscous damping ζ_r = η/2, exact at each resonance",
         keys="structure.loss_factor", parameters=(EffectParameter("eta", "1"),),
-        sites=lambda rig, operating: (Site(Placement("structure"), {"eta": 0.005}),),
+        sites=lambda rig, operating: (Site(Location("structure"), {"eta": 0.005}),),
         change=added("eta", "structure", "loss_factor"),
         equivalents={"viscous_damping": "several modes in a random test"},
     ),

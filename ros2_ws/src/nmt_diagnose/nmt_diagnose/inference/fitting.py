@@ -82,7 +82,7 @@ class Data:
             result -= self.added @ errors
         return np.where(self.used, np.nan_to_num(result) / self.sigma, 0.0)
 
-    def change(self, before: FloatArray, after: FloatArray, errors: Errors) -> FloatArray:
+    def change(self, before: FloatArray, after: FloatArray, errors: ChainErrors) -> FloatArray:
         """Change of what is compared from one prediction of the model, (m,), to another, over σ."""
         return self.difference(before, errors.chain) - self.difference(after, errors.chain)
 
@@ -112,8 +112,8 @@ class Data:
         """All columns over σ, whitened as far as they do not turn with lines; those added; those of lines."""
         added = self._scaled(self.added)
         plain = np.nan_to_num(self.chain, posinf=0.0, neginf=0.0)
-        whole = self._whitenings[0](self._scaled(plain) + added)
-        return whole, added, plain[self.lines[0]] + 1j * plain[self.lines[1]]
+        all_columns = self._whitenings[0](self._scaled(plain) + added)
+        return all_columns, added, plain[self.lines[0]] + 1j * plain[self.lines[1]]
 
     @cached_property
     def _whitenings(self) -> tuple[Whitening, Whitening]:
@@ -156,7 +156,7 @@ def lines_of(observations: Observations) -> IntArray:
     for row in np.flatnonzero(np.isin(rows.test, random) & np.isin(rows.part, (Part.LOG_MAGNITUDE, Part.PHASE))):
         key = int(rows.test[row]), int(rows.level[row]), int(rows.channel[row])
         pairs.setdefault(key, {})[int(rows.part[row])] = int(row)
-    both = [(own[int(Part.LOG_MAGNITUDE)], own[int(Part.PHASE)]) for own in pairs.values() if len(own) == 2]
+    both = [(parts[int(Part.LOG_MAGNITUDE)], parts[int(Part.PHASE)]) for parts in pairs.values() if len(parts) == 2]
     return np.array(both, dtype=np.int64).reshape(-1, 2).T
 
 
@@ -188,13 +188,13 @@ def data_about(
 
 
 @dataclass(frozen=True)
-class Errors:
+class ChainErrors:
     """Best errors of the chain and scales for one prediction.
 
     Attributes:
         chain: in standard deviations, (r,).
         slopes: derivatives by them, over σ, (m, r).
-        left: what they leave over σ, (m,).
+        residual: what they leave over σ, (m,).
         weights: 1/s² of each row, (m,).
         squares: Σ (e/σ)² of each group, (K,).
         cost: −2 ln of likelihood and prior of the errors.
@@ -203,25 +203,25 @@ class Errors:
 
     chain: FloatArray
     slopes: FloatArray
-    left: FloatArray
+    residual: FloatArray
     weights: FloatArray
     squares: FloatArray
     cost: float
     values: FloatArray
 
 
-def best_errors(data: Data, values: FloatArray, start: Errors | None = None) -> Errors:
+def best_chain_errors(data: Data, values: FloatArray, start: ChainErrors | None = None) -> ChainErrors:
     """Errors of the chain and scales that explain the observations best, given the model's values, (m,)."""
     groups, counts = data.groups, data.counts
     count = data.chain.shape[1]
 
-    def at(chain: FloatArray) -> Errors:
+    def at(chain: FloatArray) -> ChainErrors:
         left = data.difference(values, chain)
         squares = groups.sums(left * left)
         weights = groups.weights(squares, counts)[groups.of]
         cost = groups.cost(squares, counts) + float(chain @ chain)
         empty = np.zeros((0, 0))
-        return Errors(chain, empty, left, weights, squares, cost, values + data.chain @ chain)
+        return ChainErrors(chain, empty, left, weights, squares, cost, values + data.chain @ chain)
 
     best = at(np.zeros(count))
     if start is not None:
@@ -231,7 +231,7 @@ def best_errors(data: Data, values: FloatArray, start: Errors | None = None) -> 
     for _ in range(THRESHOLDS.fits.most_reweightings):
         weighted = slopes * best.weights[:, None]
         normal = slopes.T @ weighted + np.eye(count)
-        gradient = weighted.T @ best.left - best.chain
+        gradient = weighted.T @ best.residual - best.chain
         for _ in range(THRESHOLDS.fits.most_trials):
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
             trial = at(best.chain + step)
@@ -249,7 +249,7 @@ def best_errors(data: Data, values: FloatArray, start: Errors | None = None) -> 
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FitResult:
     """A fit.
 
     Attributes:
@@ -267,7 +267,7 @@ class Fitted:
     parametrisation: Parametrisation
     theta: FloatArray
     covariance: FloatArray
-    errors: Errors
+    errors: ChainErrors
     jacobian: FloatArray
     prediction: Prediction
     cost: float
@@ -301,7 +301,7 @@ class Metric:
         self._factor = _factor(self.normal)
         self._columns = columns
 
-    def rest(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def project(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What the columns leave of vectors (m, p), and how much of each column that takes, (k, p)."""
         along = self._weighted.T @ vectors
         taken = np.linalg.solve(self._factor.T, np.linalg.solve(self._factor, along))
@@ -336,7 +336,7 @@ def predicted(
 
 
 def sensitivities(
-    data: Data, parametrisation: Parametrisation, theta: FloatArray, near: Prediction, errors: Errors
+    data: Data, parametrisation: Parametrisation, theta: FloatArray, near: Prediction, errors: ChainErrors
 ) -> FloatArray:
     """∂f/∂θ over σ, (m, n).
 
@@ -360,7 +360,7 @@ def fit(
     steps: int = THRESHOLDS.fits.most_steps,
     exact: bool = True,
     refreshes: int = THRESHOLDS.fits.most_steps,
-) -> Fitted:
+) -> FitResult:
     """Fit an explanation.
 
     Args:
@@ -381,7 +381,7 @@ def fit(
     prediction = predicted(data, parametrisation, theta, start)
     if prediction is None:
         raise FitError("the model has no solution for the rows that are compared")
-    errors = best_errors(data, prediction.values)
+    errors = best_chain_errors(data, prediction.values)
     cost = errors.cost + float(np.sum((theta / std) ** 2))
     fresh = jacobian is None
     slopes = sensitivities(data, parametrisation, theta, prediction, errors) if jacobian is None else jacobian
@@ -399,8 +399,8 @@ def fit(
                 break
             found = predicted(data, parametrisation, moved, prediction)
             if found is not None:
-                own = best_errors(data, found.values, errors)
-                total = own.cost + float(np.sum((moved / std) ** 2))
+                chain_errors = best_chain_errors(data, found.values, errors)
+                total = chain_errors.cost + float(np.sum((moved / std) ** 2))
                 if total < cost:
                     trial = found
                     break
@@ -416,10 +416,10 @@ def fit(
             refreshes -= 1
             continue
         gained = cost - total
-        changed = data.change(prediction.values, trial.values, own)
+        changed = data.change(prediction.values, trial.values, chain_errors)
         slopes = slopes + np.outer(changed - slopes @ step, step) / float(step @ step)
         fresh = False
-        theta, prediction, errors, cost = moved, trial, own, total
+        theta, prediction, errors, cost = moved, trial, chain_errors, total
         # A step that gains far less than it promised went over a bend: undamped ones would swing about the optimum.
         damping = 0.1 * damping if gained > THRESHOLDS.fits.damping_gain_ratio * promised else 10.0 * max(damping, 1e-3)
         # Broyden's update follows what a step showed; sensitivities are computed anew where one fell short of it.
@@ -433,16 +433,18 @@ def fit(
     return _finished(parametrisation, theta, errors, slopes, prediction, cost, settled)
 
 
-def _normal(slopes: FloatArray, errors: Errors, theta: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _normal(
+    slopes: FloatArray, errors: ChainErrors, theta: FloatArray, std: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Normal matrix of θ with the chain marginalised, and the gradient.
 
     Errors of the chain are at their best to a tiny fall of the cost. Where θ and chain do nearly the same, what is left
     of the chain's own gradient is larger than that of θ, so that it is taken off.
     """
     metric = Metric(errors.slopes, np.ones(errors.chain.size), errors.weights)
-    rest, taken = metric.rest(slopes)
-    normal = rest.T @ (slopes * errors.weights[:, None]) + np.diag(std**-2.0)
-    left = errors.weights * errors.left
+    projected, taken = metric.project(slopes)
+    normal = projected.T @ (slopes * errors.weights[:, None]) + np.diag(std**-2.0)
+    left = errors.weights * errors.residual
     gradient = slopes.T @ left - theta / std**2 - taken.T @ (errors.slopes.T @ left - errors.chain)
     return 0.5 * (normal + normal.T), gradient
 
@@ -462,12 +464,12 @@ def _bounded(
 def _finished(
     parametrisation: Parametrisation,
     theta: FloatArray,
-    errors: Errors,
+    errors: ChainErrors,
     slopes: FloatArray,
     prediction: Prediction,
     cost: float,
     settled: bool,
-) -> Fitted:
+) -> FitResult:
     std = parametrisation.prior_std
     chain = Metric(errors.slopes, np.ones(errors.chain.size), errors.weights)
     normal, gradient = _normal(slopes, errors, theta, std)
@@ -476,7 +478,7 @@ def _finished(
     _, of_theta = np.linalg.slogdet(normal)
     log_evidence = -0.5 * cost - 0.5 * (chain.log_determinant + float(of_theta)) - float(np.sum(np.log(std)))
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    return Fitted(
+    return FitResult(
         parametrisation, theta, covariance, errors, slopes, prediction, cost,
         log_evidence + parametrisation.log_prior, promised,
     )  # fmt: skip
@@ -489,7 +491,7 @@ def without_rows(data: Data, used: BoolArray) -> Data:
 
 def approach(
     data: Data, parametrisation: Parametrisation, theta: FloatArray, start: Prediction | None = None
-) -> Fitted:
+) -> FitResult:
     """Fit an explanation from afar: first to a tenth of everything measured, then ever closer.
 
     Far from the optimum the learnt scale of a group of rows grows so large that the group hardly counts, and the fit

@@ -15,7 +15,7 @@ NOISE = 1.0
 
 
 @dataclass(frozen=True)
-class Closed:
+class ClosedShare:
     """How much of a gap is closed.
 
     Attributes:
@@ -47,7 +47,7 @@ def closed(
     pairs: list[tuple[FloatArray, FloatArray, BoolArray]],
     seed: int = 0,
     floor: float = 1.0,
-) -> Closed:
+) -> ClosedShare:
     """Pool held-out residuals of several splits and resample them in blocks that belong together.
 
     Args:
@@ -68,7 +68,7 @@ def closed(
             counts.append(int(block.sum()))
     if not counts:
         nan = float("nan")
-        return Closed(nan, nan, floor, nan, nan, nan)
+        return ClosedShare(nan, nan, floor, nan, nan, nan)
     b, a, n = np.array(before_squares), np.array(after_squares), np.array(counts)
     generator = np.random.default_rng(seed)
     draws = generator.integers(0, n.size, size=(THRESHOLDS.verdict.bootstrap_resamples, n.size))
@@ -82,7 +82,7 @@ def closed(
     fall = b - a
     scatter = float(np.sqrt(n.size) * np.std(fall))
     gain = float(fall.sum()) / scatter if scatter > 0.0 else 0.0
-    return Closed(before_rms, after_rms, floor, value, low, high, gain)
+    return ClosedShare(before_rms, after_rms, floor, value, low, high, gain)
 
 
 def _block(observations: Observations) -> IntArray:
@@ -91,9 +91,9 @@ def _block(observations: Observations) -> IntArray:
     many = np.bincount(observations.rows.test) > 0
     blocks = level.astype(np.int64).copy()
     for test in np.flatnonzero(many):
-        mine = (observations.rows.test == test) & lines
-        if np.unique(level[mine]).size > 60:
-            blocks[mine] = level[mine] * 10 // (int(level[mine].max()) + 1)
+        selected = (observations.rows.test == test) & lines
+        if np.unique(level[selected]).size > 60:
+            blocks[selected] = level[selected] * 10 // (int(level[selected].max()) + 1)
     return blocks
 
 

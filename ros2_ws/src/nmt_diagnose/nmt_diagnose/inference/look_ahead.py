@@ -21,14 +21,11 @@ import numpy as np
 from scipy.linalg import eigh
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import MOTIONS
-from nmt_diagnose.effects.placement import joined
+from nmt_diagnose.effects.location import joined
 from nmt_diagnose.inference.comparison import Comparison
 from nmt_diagnose.inference.diagnosis import NULL, NextTest
 from nmt_diagnose.inference.fitting import Metric
-from nmt_diagnose.inference.search import Found
+from nmt_diagnose.inference.search import FittedExplanation
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.row_table import Place, RowTable
@@ -65,7 +62,7 @@ class Proposal:
 
 
 def next_tests(
-    rig: Rig, observations: Observations, null: Found, comparison: Comparison, most: int = 3
+    rig: Rig, observations: Observations, null: FittedExplanation, comparison: Comparison, most: int = 3
 ) -> tuple[NextTest, ...]:
     """Tests that would tell the explanations that are left apart, best first.
 
@@ -88,7 +85,7 @@ def next_tests(
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
 
 
-def _competing(comparison: Comparison, null: Found) -> list[Found]:
+def _competing(comparison: Comparison, null: FittedExplanation) -> list[FittedExplanation]:
     """The two explanations that most need distinguishing: of one class, or the heads of the first two."""
     classes = comparison.classes
     if not classes:
@@ -101,17 +98,17 @@ def _competing(comparison: Comparison, null: Found) -> list[Found]:
     return [classes[0].head, null] if comparison.none > THRESHOLDS.next_test.doubtful_probability else []
 
 
-def _separation(proposal: Proposal, competing: Sequence[Found]) -> float:
+def _separation(proposal: Proposal, competing: Sequence[FittedExplanation]) -> float:
     """Least expected distance over all ordered pairs of competing hypotheses, standard deviations."""
     observations = proposal.observations
     forward = Forward(observations.tests, observations.rows)
     predictions, jacobians = [], []
     try:
         for competitor in competing:
-            own = competitor.fit
-            prediction = forward.predict(own.parametrisation.rig(own.theta))
+            fitted = competitor.fit
+            prediction = forward.predict(fitted.parametrisation.rig(fitted.theta))
             predictions.append(prediction.values)
-            slopes = forward.jacobian(own.parametrisation, own.theta, prediction)
+            slopes = forward.jacobian(fitted.parametrisation, fitted.theta, prediction)
             jacobians.append(slopes / observations.sigma[:, None])
     except (BenchError, ArithmeticError, np.linalg.LinAlgError):
         return 0.0
@@ -123,8 +120,8 @@ def _separation(proposal: Proposal, competing: Sequence[Found]) -> float:
             return 0.0
         root = _root(competing[j].fit.covariance)
         metric = Metric(jacobians[j][good] @ root, np.ones(root.shape[1]), np.ones(int(good.sum())))
-        rest, _ = metric.rest(difference[good][:, None])
-        worst = min(worst, math.sqrt(max(0.0, float(difference[good] @ rest[:, 0]))))
+        projected, _ = metric.project(difference[good][:, None])
+        worst = min(worst, math.sqrt(max(0.0, float(difference[good] @ projected[:, 0]))))
     return worst
 
 
@@ -223,16 +220,16 @@ def _typical(
     observations: Observations, kind: type[Test] | tuple[type, ...], part: Part, harmonic: int, fraction: float
 ) -> float:
     """Median uncertainty of a kind of observable in the tests at hand, near a level given as a fraction of all."""
-    mine = np.zeros(len(observations.rows), dtype=bool)
+    selected = np.zeros(len(observations.rows), dtype=bool)
     for number, test in enumerate(observations.tests):
         if isinstance(test, kind):
-            mine |= observations.rows.test == number
-    mine &= (observations.rows.part == part) & (observations.rows.harmonic == harmonic)
-    if not mine.any():
+            selected |= observations.rows.test == number
+    selected &= (observations.rows.part == part) & (observations.rows.harmonic == harmonic)
+    if not selected.any():
         return THRESHOLDS.next_test.typical_response_std if kind is RandomTest else _TYPICAL[part]
-    amplitude = observations.rows.amplitude[mine]
+    amplitude = observations.rows.amplitude[selected]
     order = np.argsort(amplitude, kind="stable")
-    sigma = observations.sigma[mine][order]
+    sigma = observations.sigma[selected][order]
     middle = round(fraction * (sigma.size - 1))
     reach = max(1, sigma.size // 6)
     return float(np.median(sigma[max(0, middle - reach) : middle + reach + 1]))

@@ -44,8 +44,8 @@ def misfit_of(observations: Observations) -> Misfit:
     rows = observations.rows
     size = np.zeros(len(rows))
     for kind, own in observations.matters.items():
-        mine = rows_of_kind(observations, kind)
-        size[mine] = own * (np.abs(observations.values[mine]) if kind == "damping" else 1.0)
+        selected = rows_of_kind(observations, kind)
+        size[selected] = own * (np.abs(observations.values[selected]) if kind == "damping" else 1.0)
     chains = (*observations.chains, *[None] * len(observations.tests))
     exact = [
         number
@@ -105,8 +105,8 @@ class Whitening:
         """Columns (m,) or (m, n) over standard deviations, whitened."""
         result = columns.copy()
         for index, root, _ in self._blocks:
-            own = columns[index]
-            result[index] = np.einsum("sij,sj->si", root, own) if columns.ndim == 1 else np.matmul(root, own)
+            block = columns[index]
+            result[index] = np.einsum("sij,sj->si", root, block) if columns.ndim == 1 else np.matmul(root, block)
         return result
 
     def back(self, residual: FloatArray) -> FloatArray:
@@ -120,14 +120,14 @@ class Whitening:
 def _series(observations: Observations, which: BoolArray) -> list[IntArray]:
     """Rows of one test, part, channel and order, for all of them."""
     rows = observations.rows
-    mine = np.flatnonzero(which)
-    if not mine.size:
+    selected = np.flatnonzero(which)
+    if not selected.size:
         return []
-    keys = np.stack([rows.test[mine], rows.part[mine], rows.channel[mine], rows.harmonic[mine]])
+    keys = np.stack([rows.test[selected], rows.part[selected], rows.channel[selected], rows.harmonic[selected]])
     _, group = np.unique(keys, axis=1, return_inverse=True)
     order = np.argsort(group.ravel(), kind="stable")
     ends = np.flatnonzero(np.diff(group.ravel()[order])) + 1
-    return [mine[own] for own in np.split(order, ends)]
+    return [selected[piece] for piece in np.split(order, ends)]
 
 
 def _where(observations: Observations) -> FloatArray:

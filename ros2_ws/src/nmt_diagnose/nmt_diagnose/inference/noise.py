@@ -146,11 +146,11 @@ def sigma_of(observations: Observations) -> FloatArray:
     for number, chain in enumerate(observations.chains):
         if chain is None:
             continue
-        mine = rows.test == number
-        held = mine & (rows.part == Part.PHASE_ERROR)
+        selected = rows.test == number
+        held = selected & (rows.part == Part.PHASE_ERROR)
         sigma[held] = np.hypot(sigma[held], math.radians(TOLERANCES.lock_phase_deg))
-        for channel in np.unique(rows.channel[mine & (rows.part == Part.LINE)]):
-            same = mine & (rows.channel == channel)
+        for channel in np.unique(rows.channel[selected & (rows.part == Part.LINE)]):
+            same = selected & (rows.channel == channel)
             sizes = observations.values[same & (rows.part == Part.LOG_MAGNITUDE)]
             lines = same & (rows.part == Part.LINE)
             if sizes.size:

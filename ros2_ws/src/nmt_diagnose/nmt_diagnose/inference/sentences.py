@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from nmt_core.text.number_words import percent, share_with_interval, significant, value_text
-from nmt_diagnose.effects.placement import Explanation
+from nmt_core.number_words import percent, share_with_interval, significant, value_text
+from nmt_diagnose.effects.location import Explanation
 from nmt_diagnose.inference.diagnosis import NULL, Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
 from nmt_diagnose.inference.gap import NOISE
-from nmt_diagnose.inference.size import Left
+from nmt_diagnose.inference.size import Objection
 from nmt_diagnose.thresholds import THRESHOLDS
 
 PLACES = {
@@ -33,7 +33,7 @@ def sentences(
     ahead: Sequence[NextTest],
     calibration: Sequence[Recalibrated],
     remainder: Remainder | None = None,
-    left: Sequence[Left] = (),
+    left: Sequence[Objection] = (),
 ) -> tuple[str, ...]:
     """Where, which, how far; and what would settle the rest if something is left open.
 
@@ -81,7 +81,7 @@ def _share_of(gap: Gap) -> str:
     return percent(gap.closed, 1) if math.isfinite(gap.closed) else "Most"
 
 
-def _against(left: Sequence[Left]) -> str:
+def _against(left: Sequence[Objection]) -> str:
     """What speaks against an explanation as the whole of the gap."""
     return left[0].sentence if left else "more than noise remains that it does not explain"
 
@@ -167,8 +167,8 @@ def _title(effect: str) -> str:
 
 
 def _at(explanation: Explanation | None) -> str:
-    placements = () if explanation is None else explanation.placements
-    details = [_detail(placement.detail) for placement in placements]
+    locations = () if explanation is None else explanation.locations
+    details = [_detail(location.detail) for location in locations]
     found = " and ".join(dict.fromkeys(part for part in details if part))
     return f" at {found}" if found else ""
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.effects.boundary_effects import joint_placement
-from nmt_diagnose.effects.placement import Placement
+from nmt_core.arrays import FloatArray
+from nmt_core.blocks import Quantity
+from nmt_diagnose.effects.boundary_effects import joint_location
+from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.residual_map import channels_of
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.observables import Observations
@@ -34,15 +34,15 @@ _FAMILIES: tuple[tuple[str, tuple[int, ...], bool], ...] = (
 
 
 @dataclass(frozen=True)
-class SourcePlace:
+class SourceLocation:
     """A place with the smooth responses to sources there.
 
     Attributes:
-        placement: where.
+        location: where.
         families: name and whitened columns (m, s) of each family of sources.
     """
 
-    placement: Placement
+    location: Location
     families: tuple[tuple[str, FloatArray], ...]
 
 
@@ -52,7 +52,7 @@ def places(
     prediction: Prediction,
     observations: Observations,
     whitened: Callable[[FloatArray], FloatArray],
-) -> list[SourcePlace]:
+) -> list[SourceLocation]:
     """Places where an unnamed source may sit, with what it could do.
 
     Args:
@@ -63,31 +63,31 @@ def places(
         whitened: takes changes (m, n) of the model's values and gives those of what is compared, over σ.
     """
     channels = {c.name: c for test in observations.tests for c in channels_of(test)}
-    wanted: list[tuple[Placement, Source]] = [
-        (Placement.at("structure", point), Source("structure", point)) for point in rig.structure.points
+    wanted: list[tuple[Location, Source]] = [
+        (Location.at("structure", point), Source("structure", point)) for point in rig.structure.points
     ]
-    wanted += [(joint_placement(element, f"element {k + 1}"), Source("joint", k)) for k, element in _joints(rig)]
-    wanted += [(Placement("boundary", detail="clamp"), Source("clamp")), (Placement("exciter"), Source("exciter"))]
-    wanted += [(Placement("force_sensor"), Source("force_sensor"))]
+    wanted += [(joint_location(element, f"element {k + 1}"), Source("joint", k)) for k, element in _joints(rig)]
+    wanted += [(Location("boundary", detail="clamp"), Source("clamp")), (Location("exciter"), Source("exciter"))]
+    wanted += [(Location("force_sensor"), Source("force_sensor"))]
     responses = sorted((c for c in channels.values() if c.quantity is not Quantity.FORCE), key=lambda c: c.name)
     wanted += [(_response(rig, channel), Source("response_sensor", channel=channel.name)) for channel in responses]
-    wanted += [(Placement("controller"), Source("controller")), (Placement("time"), Source("time"))]
+    wanted += [(Location("controller"), Source("controller")), (Location("time"), Source("time"))]
     result = []
-    for placement, source in wanted:
+    for location, source in wanted:
         columns, names = forward.influence(rig, prediction, source)
         changes = np.nan_to_num(whitened(columns), posinf=0.0, neginf=0.0)
         drift = source.kind == "time"
         families = (("drift", changes),) if drift else _families(changes, names, observations)
         families = tuple((name, block) for name, block in families if block.shape[1] and np.any(block))
         if families:
-            result.append(SourcePlace(placement, families))
+            result.append(SourceLocation(location, families))
     return result
 
 
-def _response(rig: Rig, channel: MeasuredChannel) -> Placement:
+def _response(rig: Rig, channel: MeasuredChannel) -> Location:
     """The sensor of a channel, at its point in the model where it is one of the model's."""
     points = [rig.sensor_point(sensor) for sensor in rig.sensors if rig.sensor_channel(sensor) == channel.name]
-    return Placement.on_channel("response_sensor", channel.name, points[0] if points else channel.point)
+    return Location.on_channel("response_sensor", channel.name, points[0] if points else channel.point)
 
 
 def _joints(rig: Rig) -> list[tuple[int, ElementSection]]:
@@ -130,12 +130,12 @@ def _families(
 def _logs(observations: Observations, numbers: Sequence[int], levels: bool) -> FloatArray:
     """ln of the drive of each level, or of the frequency of each line."""
     rows = observations.rows
-    own = rows.harmonic >= 0
+    with_order = rows.harmonic >= 0
     values = rows.amplitude if levels else rows.frequency_hz
     result = np.empty(len(numbers))
     for k, number in enumerate(numbers):
-        mine = values[own & (rows.level == number)]
-        result[k] = np.log(max(float(np.median(mine)), 1e-300)) if mine.size else 0.0
+        selected = values[with_order & (rows.level == number)]
+        result[k] = np.log(max(float(np.median(selected)), 1e-300)) if selected.size else 0.0
     return result
 
 

@@ -8,17 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.inference.search import Found
+from nmt_diagnose.inference.search import FittedExplanation
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 
 
 def warned(
     verdict: Verdict,
-    best: Found,
+    best: FittedExplanation,
     calibration: Sequence[Recalibrated],
     gap: Gap,
-    alike: Sequence[Found] = (),
+    alike: Sequence[FittedExplanation] = (),
 ) -> tuple[str, ...]:
     """Sentences of warning; empty where there is nothing to mind.
 
@@ -82,21 +82,21 @@ def without_observables(observations: Observations) -> tuple[str, ...]:
     )
 
 
-def beyond_limits(found: Found) -> dict[tuple[int, str], float]:
+def beyond_physical_limits(found: FittedExplanation) -> dict[tuple[int, str], float]:
     """Parameters of effects that are larger than physics allows: by how many standard deviations of the limit."""
-    own, result = found.fit.parametrisation, {}
+    parametrisation, result = found.fit.parametrisation, {}
     for index, candidate in enumerate(found.candidates):
-        values = own.values(found.fit.theta, index)
+        values = parametrisation.values(found.fit.theta, index)
         for name, limit in candidate.site.limits.items():
             if abs(values[name]) > limit:
                 result[index, name] = (abs(values[name]) / limit - 1.0) / THRESHOLDS.comparison.limit_std
     return result
 
 
-def _beyond_physics(found: Found) -> list[str]:
+def _beyond_physics(found: FittedExplanation) -> list[str]:
     """Sentences on parameters larger than physics allows."""
     result = []
-    for (index, name), far in beyond_limits(found).items():
+    for (index, name), far in beyond_physical_limits(found).items():
         if far > THRESHOLDS.comparison.credible_sigmas:
             candidate = found.candidates[index]
             value = found.fit.parametrisation.values(found.fit.theta, index)[name]

@@ -78,7 +78,7 @@ class SearchThresholds:
         "Share of the best fall of the cost from which the best effect is fitted at its other locations, too.",
         "",
     )  # fmt: skip
-    strained_scale: float = threshold(
+    noise_scale: float = threshold(
         2.0, "1",
         "Learnt scale of a group of rows from which explanations are also climbed from low levels.",
         "",

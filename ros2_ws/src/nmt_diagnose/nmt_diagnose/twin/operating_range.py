@@ -158,10 +158,12 @@ def _of_samples(observations: Observations, part: Part) -> dict[str, float]:
     return found
 
 
-Found = tuple[RigParts, float, float, np.ndarray, np.ndarray]
+FittedExplanation = tuple[RigParts, float, float, np.ndarray, np.ndarray]
 
 
-def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: TwinSettings) -> list[Found]:
+def _motions(
+    rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
+) -> list[FittedExplanation]:
     """Parts, ω, drive, channel amplitudes and unknowns at the ends of a test."""
     if isinstance(test, PhaseResonanceTest):
         return _resonant(rig, test, channels, settings)
@@ -179,7 +181,7 @@ def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settin
 
 def _resonant(
     rig: Rig, test: PhaseResonanceTest, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
-) -> list[Found]:
+) -> list[FittedExplanation]:
     wider = PhaseResonanceTest(
         test.name, test.drive_point, test.response_channel,
         (*(c for c in channels), *(c for c in test.channels if c.name not in {k.name for k in channels})),
@@ -189,7 +191,7 @@ def _resonant(
     empty = Rows(nothing, nothing, nothing, nothing, nothing, np.zeros(0), np.zeros(0), np.zeros(0))
     twin = PhaseResonanceTwin(wider, empty, settings)
     cache = PartsCache(settings)
-    found: list[Found] = []
+    found: list[FittedExplanation] = []
     solved = [
         (level, state)
         for level, state in zip(twin.levels, twin.solve(rig, cache, None), strict=True)
@@ -228,7 +230,7 @@ def _noise(
     omega: FloatArray,
     rms: float,
     ideal_force: bool,
-) -> list[Found]:
+) -> list[FittedExplanation]:
     """Rms of flat noise over the lines through the system linearised at rest."""
     cache = PartsCache(settings)
     parts = cache.parts(rig, Setup(drive_point, ideal_force, channels, FourierBasis.up_to(1)))
@@ -252,7 +254,7 @@ def _noise(
 
 def _stepped(
     rig: Rig, test: SteppedSineTest, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
-) -> list[Found]:
+) -> list[FittedExplanation]:
     """Lines of largest and smallest motion, in the shape that the system linearised at rest has at its resonance."""
     lead = test.channels[0]
     order = MOTIONS[lead.quantity]
@@ -262,7 +264,7 @@ def _stepped(
     every = (*channels, lead)
     parts = PartsCache(settings).parts(rig, Setup(test.drive_point, False, every, FourierBasis.up_to(1)))
     resting = _resting_frequencies(rig)
-    found: list[Found] = []
+    found: list[FittedExplanation] = []
     for line in (int(np.nanargmax(motion)), int(np.nanargmin(motion))):
         nearest = np.argmin(np.abs(np.log(resting / test.lines_hz[line])))
         omega = 2.0 * np.pi * float(resting[nearest])
@@ -279,7 +281,7 @@ def _given(
     channels: tuple[MeasuredChannel, ...],
     settings: TwinSettings,
     frequency_hz: float,
-) -> list[Found]:
+) -> list[FittedExplanation]:
     """Largest and smallest of the amplitudes of a test, through the system linearised at rest at its resonance."""
     cache = PartsCache(settings)
     own = next((c for c in channels if c.name == test.channel.name), None)
@@ -289,7 +291,7 @@ def _given(
     omega = 2.0 * np.pi * float(resting[np.argmin(np.abs(np.log(resting / frequency_hz)))])
     q, y = _resting_response(parts, omega)
     size = abs(y[[c.name for c in every].index(test.channel.name)])
-    found: list[Found] = []
+    found: list[FittedExplanation] = []
     for amplitude in (float(np.max(test.amplitudes)), float(np.min(test.amplitudes))):
         scale = amplitude / max(size, 1e-300)
         found.append((parts, omega, scale / parts.input_per_volt, y[: len(channels)] * scale, q * scale))
@@ -322,17 +324,17 @@ def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, observ
 
 
 def _as_measured(
-    motions: list[Found],
+    motions: list[FittedExplanation],
     channels: tuple[MeasuredChannel, ...],
     test: Test,
     number: int,
     observations: Observations | None,
-) -> list[Found]:
+) -> list[FittedExplanation]:
     """Motions of a test, scaled to what its own motion channels show where the model is off by more than a factor."""
     if observations is None or not motions:
         return motions
     names = [channel.name for channel in channels]
-    result: list[Found] = []
+    result: list[FittedExplanation] = []
     for parts, omega, drive, amplitudes, unknowns in motions:
         ratios = [
             size / abs(amplitudes[names.index(name)])

@@ -159,7 +159,7 @@ def _equal(a: object, b: object) -> bool:
     return a is b or a == b
 
 
-def _alike(rig: Rig, other: Rig, at_rest: bool) -> bool:
+def _alike(rig: Rig, other: Rig, leaves_noise_only: bool) -> bool:
     """Whether two rigs have the same local elements but for kinds and numbers of the nonlinear ones.
 
     ``at_rest`` asks for the same modes at rest, too.
@@ -170,7 +170,7 @@ def _alike(rig: Rig, other: Rig, at_rest: bool) -> bool:
         _equal(a, b)
         or (
             not {a.kind, b.kind} & {"linear_spring", "linear_damper"}
-            and (not at_rest or {a.kind, b.kind} <= SOFT_AT_REST)
+            and (not leaves_noise_only or {a.kind, b.kind} <= SOFT_AT_REST)
             and (a.point, a.other_point, a.rotation, a.side) == (b.point, b.other_point, b.rotation, b.side)
             and getattr(a, "remaining_stiffness_n_m", 0.0) == getattr(b, "remaining_stiffness_n_m", 0.0)
         )

@@ -22,6 +22,7 @@ from nmt_diagnose.inference.fitting import best_chain_errors, data_about, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups, groups_of
 from nmt_diagnose.inference.search import FittedExplanation, Score, Search
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.row_table import Place, RowTable

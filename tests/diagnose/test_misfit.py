@@ -14,7 +14,7 @@ from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.inference.misfit import Whitening, least_scale, misfit_of, rows_of_kind
 from nmt_diagnose.inference.noise import Groups
-from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 

@@ -14,7 +14,7 @@ from nmt_diagnose.inference.diagnose import free_parameters, model_alone
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.search import FittedExplanation, Search
 from nmt_diagnose.inference.size import differs, implausible_parameters
-from nmt_diagnose.observations.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig

@@ -100,15 +100,6 @@ class Effect:
     form: str = ""
     force: Literal["", "elastic", "dissipative"] = ""
 
-    def __reduce__(self) -> str | tuple[Any, ...]:
-        """An effect of the library goes to another process by its number; its functions need not be of a module."""
-        from nmt_diagnose.effects.library import effect_numbered, library
-
-        for number, effect in enumerate(library()):
-            if effect is self:
-                return effect_numbered, (number,)
-        return super().__reduce__()
-
     def apply(self, rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         """Rig with the effect; the same rig where all strengths are 0."""
         strengths = [values[p.name] for p in self.parameters if p.kind == "strength"]

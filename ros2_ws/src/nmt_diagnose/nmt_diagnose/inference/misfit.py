@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray, FloatArray, IntArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS

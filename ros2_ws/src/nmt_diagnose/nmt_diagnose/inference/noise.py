@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as fisher
 
-from nmt_core.arrays import BoolArray, FloatArray, IntArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.inference.misfit import least_scale
 from nmt_diagnose.observations.conditions import RandomTest

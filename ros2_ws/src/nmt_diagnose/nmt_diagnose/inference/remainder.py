@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nmt_core.arrays import BoolArray, FloatArray, IntArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.inference.diagnosis import Gap, Remainder, RemainderPart
 from nmt_diagnose.inference.gap import NOISE, rms
 from nmt_diagnose.inference.residual_map import KINDS, channel_name, unit_of_kind

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.location import Explanation, joined
 from nmt_diagnose.inference.chain import SharedDelay, scale_columns
 from nmt_diagnose.inference.comparison import Comparison

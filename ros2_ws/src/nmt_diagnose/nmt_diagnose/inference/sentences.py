@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from nmt_core.number_words import percent, share_with_interval, significant, value_text
+from nmt_core.text.number_words import percent, share_with_interval, significant, value_text
 from nmt_diagnose.effects.location import Explanation
 from nmt_diagnose.inference.diagnosis import NULL, Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
 from nmt_diagnose.inference.gap import NOISE

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.boundary_effects import joint_location
 from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.residual_map import channels_of

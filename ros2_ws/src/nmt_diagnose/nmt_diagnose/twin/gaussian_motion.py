@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.kernels import njit
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.equivalent_linear import NODES, Quadrature, equivalents_kernel
 from nmt_diagnose.twin.linear_model import Fractions, LinearModel

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from nmt_core.arrays import ComplexArray, FloatArray
-from nmt_core.kernels import njit
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.kernels import njit
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.assembly import ElectromechanicalSystem
 

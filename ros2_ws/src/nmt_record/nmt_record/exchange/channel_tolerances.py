@@ -13,7 +13,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from nmt_core.errors import BenchError
-from nmt_core.hardened import yaml_value
+from nmt_core.files.hardened import yaml_value
+from nmt_core.messages.blocks import Quantity
 from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import QUANTITIES
 from nmt_record.bag.bag_keys import SIMULATED_RIG

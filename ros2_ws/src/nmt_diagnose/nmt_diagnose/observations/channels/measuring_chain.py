@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from nmt_core.blocks import Quantity
+from nmt_core.messages.blocks import Quantity
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_record.exchange.calibration_file import CalibrationSheet

@@ -9,9 +9,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-
-MINIMUM_AVERAGES = 3
-"""Segments below which coherence says nothing (it is 1 for a single one)."""
+from nmt_signals.thresholds import SIGNAL_FITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +95,10 @@ def averaged_spectra(
     length = min(len(signals[name]) for name in names)
     step = max(1, round(segment_samples * (1.0 - overlap)))
     averages = 1 + (length - segment_samples) // step if length >= segment_samples else 0
-    if averages < MINIMUM_AVERAGES:
+    if averages < SIGNAL_FITS.fewest_averages:
         raise BenchError(
             f"The record of {length / sample_rate:.3g} s holds {averages} segments of "
-            f"{segment_samples / sample_rate:.3g} s; at least {MINIMUM_AVERAGES} are needed: record longer."
+            f"{segment_samples / sample_rate:.3g} s; at least {SIGNAL_FITS.fewest_averages} are needed: record longer."
         )
     window = np.hanning(segment_samples + 1)[:-1]
     frequency = np.fft.rfftfreq(segment_samples, 1.0 / sample_rate)

@@ -23,10 +23,8 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_signals.thresholds import SIGNAL_FITS
 
-MOST_LINES = 3000
-"""Lines beyond which only every second, third … one is used: they are plenty."""
-_STEPS = 40
 _PRECISIONS = (1e-4, 1e-6, 1e-9)
 _STARTS = (0.1j, 0.35 + 0.2j, -0.35 + 0.2j, 0.6j)
 
@@ -125,7 +123,7 @@ def fit_rational(
         BenchError: too few lines, a channel without signal, or no damped pole found.
     """
     use = np.flatnonzero(np.abs(frequency_hz - centre_hz) <= half_width_hz)
-    use = use[:: 1 + use.size // MOST_LINES]
+    use = use[:: 1 + use.size // SIGNAL_FITS.rational_most_lines]
     unknown = 2 * (poles + order + 1)
     lines = use.size
     if lines < 2 * unknown:
@@ -217,7 +215,7 @@ class _Problem:
         for precision in _PRECISIONS:
             q, r, rest = self.split(poles)
             cost = float(np.sum(np.abs(rest * weights) ** 2))
-            for _ in range(_STEPS):
+            for _ in range(SIGNAL_FITS.rational_steps):
                 table = self.table(q, r)
                 slopes = self.derivative(poles, table) * weights
                 slopes = slopes - q @ (q.conj().T @ slopes)

@@ -32,14 +32,13 @@ from nmt_diagnose.observations.observables import Observations, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, strangers
 from nmt_diagnose.observations.row_table import empty
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.observables import observable_tables
 from nmt_record.windows.segments import Segment, segments
 from nmt_rig.rig import Rig
 
 _LOCKED = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE)
-_FEW_LEVELS = 3
-_FEWEST_SAMPLES = 16
 
 
 def read_observations(
@@ -187,7 +186,7 @@ def _signals(
     stretches = read_windows(bag, usable)
     windows = []
     for segment, stretch in zip(usable, stretches, strict=True):
-        if stretch is None or stretch.samples < _FEWEST_SAMPLES:
+        if stretch is None or stretch.samples < THRESHOLDS.reading.stretch_fewest_samples:
             where = f"{name}: level {segment.level_index}"
             notes.append(f"{where} is left out: the bag has no samples of its window, or hardly any.")
         else:
@@ -232,7 +231,7 @@ def _signals(
                     phase_resonance_observations(own, mine, view, channels, settings, response, rate, "imported" in run)
                 )
                 levels = len(getattr(parts[-1].tests[0], "levels", ())) if parts[-1].tests else 0
-                if 0 < levels < _FEW_LEVELS:
+                if 0 < levels < THRESHOLDS.reading.few_levels:
                     notes.append(
                         f"{own}: {levels} level{'s' if levels > 1 else ''} cannot tell effects apart by how they grow "
                         "with amplitude; measure five or more."

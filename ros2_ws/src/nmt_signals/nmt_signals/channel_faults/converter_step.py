@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-
-_LOOKED_AT = 8192
-_FEWEST_VALUES = 8
-# Share of a step by which rounding of the numbers may move a value, and smallest step of a range.
-_OFF = 0.02
-_FINEST = 1e-7
+from nmt_signals.thresholds import CHANNEL_FAULTS
 
 
 def converter_step(samples: FloatArray) -> float:
@@ -21,14 +16,14 @@ def converter_step(samples: FloatArray) -> float:
     Args:
         samples: finite values, shape (samples,).
     """
-    values = np.unique(samples[:_LOOKED_AT])
+    values = np.unique(samples[: CHANNEL_FAULTS.step_samples])
     span = float(values[-1] - values[0])
     apart = np.diff(values)
-    apart = apart[apart > _FINEST * span]
-    if apart.size < _FEWEST_VALUES - 1:
+    apart = apart[apart > CHANNEL_FAULTS.finest_step * span]
+    if apart.size < CHANNEL_FAULTS.step_fewest_values - 1:
         return 0.0
     # The smallest distance is known to rounding only; the whole range counts many steps of it.
     near = float(np.median(apart[apart < 1.5 * apart.min()]))
     step = span / round(span / near)
     places = (values - values[0]) / step
-    return step if np.abs(places - np.round(places)).max() < _OFF else 0.0
+    return step if np.abs(places - np.round(places)).max() < CHANNEL_FAULTS.step_rounding else 0.0

@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-
-# Fewest repeated samples and their least share; steps of the signal, over the typical one, from which a repeat is none
-# of the signal's own.
-_FEWEST_REPEATS, _REPEATS_SHARE, _STEEP = 5, 1e-4, 0.5
-# Where noise and a coarse converter make repeats, they make as many steps of one value up, and as many down. Repeats
-# that are this many times as many are no chance.
-_CROWDED = 3.0
+from nmt_signals.thresholds import CHANNEL_FAULTS
 
 
 def repeated_share(*windows: FloatArray) -> float:
@@ -26,11 +20,15 @@ def repeated_share(*windows: FloatArray) -> float:
     """
     counts = [_counted(samples) for samples in windows]
     repeated, by_chance, steep = (sum(count[k] for count in counts) for k in range(3))
-    showing = sum(count[0] > _CROWDED * count[1] for count in counts)
-    if repeated < _FEWEST_REPEATS or repeated <= _CROWDED * by_chance or 2 * showing < len(counts):
+    showing = sum(count[0] > CHANNEL_FAULTS.repeats_crowding * count[1] for count in counts)
+    if (
+        repeated < CHANNEL_FAULTS.repeats_fewest
+        or repeated <= CHANNEL_FAULTS.repeats_crowding * by_chance
+        or 2 * showing < len(counts)
+    ):
         return 0.0
     share = repeated / steep
-    return share if share >= _REPEATS_SHARE else 0.0
+    return share if share >= CHANNEL_FAULTS.repeats_least_share else 0.0
 
 
 def _counted(samples: FloatArray) -> tuple[float, float, float]:
@@ -41,7 +39,7 @@ def _counted(samples: FloatArray) -> tuple[float, float, float]:
     around = np.abs(samples[3:] - samples[:-3])
     # What a limiter clips stays at its ends.
     inside = (samples[1:-2] > samples.min()) & (samples[1:-2] < samples.max())
-    steep = inside & (around > _STEEP * float(np.sqrt(np.mean(around**2))))
+    steep = inside & (around > CHANNEL_FAULTS.repeats_steepness * float(np.sqrt(np.mean(around**2))))
     if not steep.any() or np.unique(samples).size < 0.2 * samples.size:
         return 0.0, 0.0, 0.0
     between = np.abs(steps[1:-1])

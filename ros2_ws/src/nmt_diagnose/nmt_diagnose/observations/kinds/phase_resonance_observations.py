@@ -22,6 +22,7 @@ from nmt_diagnose.observations.noise.settling import Settling, settling
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_extract.uncertainty import sub_window_count
 from nmt_record.windows.segments import Segment
 from nmt_signals.channel_faults.clipping import clipping_level
@@ -37,22 +38,8 @@ from nmt_signals.harmonics import (
 from nmt_signals.sine_fit import fit_frequency
 
 _RESPONSES = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
-# A drift over the window that its noise makes once in 16 000 windows.
-_SIGNIFICANT_DRIFT = 4.0
-_FURTHEST_PHASE = math.radians(60.0)
-# Mean over the window of a transient over its change from begin to end: measured 1.8 on the joint resonator.
-_LEAN = 2.0
 # The line of the mains that is observed in any case; the other one only where it stands out by so many deviations.
 _COMMON_MAINS = MAINS_HZ[0]
-_STANDS_OUT = 6.0
-# A step of the converter below this share of the noise adds less than 1 % to it and is not observed; a step of a whole
-# deviation of the noise changes hardly any observable: its weight is that of four standard deviations.
-_HIDDEN_STEP = 0.3
-_STEP_SHARE = 0.25
-# Standard deviation of a clipping level that all levels of a test show, and what counts as the same, relative.
-_LIMIT_SHARE, _SAME_LIMIT = 0.1, 0.01
-# By how much of it the share of repeated samples may be off, all levels together.
-_REPEATS_SHARE = 0.1
 
 
 def wrapped(angle: FloatArray) -> FloatArray:
@@ -282,7 +269,7 @@ def _lean(single: FloatArray) -> float:
     time = (np.arange(count) + 0.5) / count - 0.5
     rest = single - single.mean() - drift * time
     scatter = float(rest @ rest) / max(1, count - 2) / float(time @ time)
-    return _LEAN * math.sqrt(max(0.0, drift * drift - scatter))
+    return THRESHOLDS.noise.lean_ratio * math.sqrt(max(0.0, drift * drift - scatter))
 
 
 @dataclass
@@ -472,7 +459,7 @@ def _mains(run: _Run, floors: Floors, table: RowTable) -> list[str]:
             _, values, deviations, least = np.array(found).T
             weights = 1.0 / (deviations**2 + least**2)
             mean = float(weights @ values / weights.sum())
-            stands_out = mean * math.sqrt(float(weights.sum())) > _STANDS_OUT
+            stands_out = mean * math.sqrt(float(weights.sum())) > THRESHOLDS.reading.hum_sigmas
             if stands_out:
                 unit = channel.quantity.unit
                 notes.append(f"{run.name}: channel {channel.name} has a line of {mean:.3g} {unit} at {hz:g} Hz.")
@@ -507,13 +494,15 @@ def _steps(run: _Run, cells: Sequence[_Cell], view: ModelView, table: RowTable) 
         total = float(np.median(variances))
         expected = believed.get(channel.name, 0.0)
         # A step that is as the model has it tells nothing.
-        if max(step, expected) <= _HIDDEN_STEP * math.sqrt(total) or math.isclose(step, expected, rel_tol=0.01):
+        if max(step, expected) <= THRESHOLDS.reading.hidden_step_share * math.sqrt(total) or math.isclose(
+            step, expected, rel_tol=0.01
+        ):
             continue
         if step > 0.0:
             size = f"{step:.3g} {channel.quantity.unit}"
             notes.append(f"{run.name}: channel {channel.name} is recorded in steps of {size}.")
         noise = math.sqrt(max(total - step**2 / 12.0, (0.1 * step) ** 2))
-        floor = _STEP_SHARE * noise * math.sqrt(len(found))
+        floor = THRESHOLDS.reading.step_std_share * noise * math.sqrt(len(found))
         for k in found:
             table.add(Part.STEP, step, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
     return notes
@@ -533,9 +522,9 @@ def _limits(run: _Run, view: ModelView, table: RowTable) -> None:
         }
         expected = believed.get(channel.name)
         for k, level in found.items():
-            if expected is None or not math.isclose(level, expected, rel_tol=_SAME_LIMIT):
+            if expected is None or not math.isclose(level, expected, rel_tol=THRESHOLDS.reading.same_limit_share):
                 # All levels together say it once.
-                floor = _LIMIT_SHARE / level * math.sqrt(len(found))
+                floor = THRESHOLDS.reading.limit_std_share / level * math.sqrt(len(found))
                 table.add(Part.LIMIT, 1.0 / level, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
 
 
@@ -549,7 +538,7 @@ def _repeats(run: _Run, table: RowTable) -> None:
         share = repeated_share(*own.values())
         for k in own if share > 0.0 else ():
             # All levels together say it once.
-            floor = _REPEATS_SHARE * share * math.sqrt(len(own))
+            floor = THRESHOLDS.reading.repeats_std_share * share * math.sqrt(len(own))
             table.add(Part.REPEATS, share, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
 
 
@@ -585,13 +574,13 @@ def _level(window: LockedWindow, drive_point: int, wanted: Quantity | None, leve
     without = wrapped(error(window.without) - value)
     variance = float(_jackknife(without))
     drift = float(_drift(wrapped(error(window.single) - value)))
-    if abs(value) > _FURTHEST_PHASE:
-        turned = abs(value) > math.pi - _FURTHEST_PHASE
+    if abs(value) > THRESHOLDS.reading.furthest_phase_rad:
+        turned = abs(value) > math.pi - THRESHOLDS.reading.furthest_phase_rad
         why = "force or response has the wrong sign" if turned else "not near resonance"
         return f"{where}: force and velocity are {math.degrees(value):.0f}° apart ({why}); it is left out."
     lean = _lean(wrapped(error(window.single) - value))
     std = math.sqrt(variance)
-    if abs(drift) > _SIGNIFICANT_DRIFT * math.sqrt(12.0) * std:
+    if abs(drift) > THRESHOLDS.noise.drift_sigmas * math.sqrt(12.0) * std:
         std = math.hypot(std, 0.5 * drift)
     return LockedLevel(
         index=segment.level_index,
@@ -684,7 +673,7 @@ def _moderate(cells: list[_Cell]) -> None:
         # Residuals over a deviation from d values have the variance d / (d − 2).
         for cell, variance in zip(group, variances * degrees / (degrees - 2.0), strict=True):
             cell.variance = float(variance)
-            if cell.drift**2 > _SIGNIFICANT_DRIFT**2 * 12.0 * cell.variance:
+            if cell.drift**2 > THRESHOLDS.noise.drift_sigmas**2 * 12.0 * cell.variance:
                 cell.variance += 0.25 * cell.drift**2
 
 

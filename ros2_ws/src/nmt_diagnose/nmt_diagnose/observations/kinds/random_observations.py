@@ -27,6 +27,7 @@ from nmt_diagnose.observations.noise.moderated_variance import moderated
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_diagnose.thresholds import THRESHOLDS
 
 ORDER = 4
 """Degree of the local polynomials."""
@@ -35,13 +36,6 @@ REACH = 10
 OFFSETS = np.arange(-REACH, REACH + 1)
 _PLACE = OFFSETS / REACH
 _POWERS = _PLACE[:, np.newaxis] ** np.arange(ORDER + 1)
-# A resonance is there where it raises the log-likelihood of the lines around it by so much.
-_SURE = 15.0
-# How often its place is improved, and how many of these steps are linear.
-_POLE_TURNS, _LINEAR_TURNS = 8, 3
-_FEWEST_LINES = 200
-_DRIVEN = 0.25
-_HIGHEST = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +97,7 @@ def local_fits(u: ComplexArray, y: ComplexArray, resonant: BoolArray | None = No
         own = _LocalFit(u[number], y[number], 0j)
         if resonant is None or resonant[number]:
             pole = _resonance(own)
-            if resonant is not None or pole.log_likelihood > own.log_likelihood + _SURE:
+            if resonant is not None or pole.log_likelihood > own.log_likelihood + THRESHOLDS.reading.random_curve_gain:
                 own = pole
                 found.resonant[number] = True
                 found.resonance[:, number] = own.resonance_variance()
@@ -179,8 +173,8 @@ class _LocalFit:
 def _resonance(plain: _LocalFit) -> _LocalFit:
     """The fit with the resonance that suits all responses best."""
     best = plain
-    for turn in range(_POLE_TURNS):
-        linear = turn < _LINEAR_TURNS
+    for turn in range(THRESHOLDS.reading.random_pole_steps):
+        linear = turn < THRESHOLDS.reading.random_linear_steps
         found = _LocalFit(plain.u, plain.y, best.linear_pole() if linear else best.better_pole())
         if not np.isfinite(found.log_likelihood) or found.log_likelihood <= best.log_likelihood:
             if linear:
@@ -208,7 +202,11 @@ def choose_bins(reference: FloatArray, response: FloatArray, sample_rate: float,
         return np.zeros(0, dtype=np.int64)
     frequency, power = welch(reference, sample_rate, nperseg=segment)
     _, cross = csd(reference, response, sample_rate, nperseg=segment)
-    driven = (power > _DRIVEN * power[1:].max()) & (frequency > 0.0) & (frequency < _HIGHEST * sample_rate)
+    driven = (
+        (power > THRESHOLDS.reading.random_driven_share * power[1:].max())
+        & (frequency > 0.0)
+        & (frequency < THRESHOLDS.reading.random_highest_share * sample_rate)
+    )
     if not driven.any():
         return np.zeros(0, dtype=np.int64)
     low, high = frequency[driven][0], frequency[driven][-1]
@@ -291,7 +289,7 @@ def random_observations(
         return empty((*notes, f"{name}: the random test is left out: {why}."))
     outputs = np.stack([stretch.row(recorded[channel.name])[part] for channel in present])
     outputs = outputs - outputs.mean(axis=1, keepdims=True)
-    if input_samples.size < _FEWEST_LINES * 2:
+    if input_samples.size < THRESHOLDS.reading.random_fewest_lines * 2:
         return empty((*notes, f"{name}: the random test is left out: {input_samples.size} samples are too few."))
     drive_point = view.rig.drive_point
     guide = next((row for row, c in enumerate(present) if c.point == drive_point and c.quantity in MOTIONS), 0)

@@ -23,31 +23,13 @@ from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_signals.decays.decay_hum import Hum, without_hum
 from nmt_signals.decays.decay_nodes import Node, nodes, ratio_at
-from nmt_signals.decays.decay_signal import (
-    FEWEST_PERIODS,
-    Ridge,
-    SlowAmplitude,
-    demodulated,
-    ridges,
-    slow_amplitude,
-)
+from nmt_signals.decays.decay_signal import Ridge, SlowAmplitude, demodulated, ridges, slow_amplitude
 from nmt_signals.decays.half_cycles import half_cycle_nodes
+from nmt_signals.thresholds import DECAYS
 
-_SWITCH_OFF = 1  # periods within which the drive goes to zero
-_WRONG_FREQUENCY = 1.6
-_SAME_LINE = 0.02  # relative distance of two frequencies that are one
-_SLOWLY = 0.01  # of the damping for each d ln ω / d ln A: what a model of a slow decay is wrong by
-_FEW_NODES, _RINGS_TOO = 3, 0.2
-_CROSS = 2.0  # shift by the motion in another mode over that by as much own motion, of a cubic spring
-_FEW = 3  # times the periods that spectra need: up to there turning points are tried
-_WIDTHS = (1, 2, 4)
-_NARROWER_PAYS = 0.5  # share of the uncertainty from which a narrower band is taken
-_COMPARED = 60  # amplitudes
-_LARGEST_STD = 0.03  # of ln ω
-_LARGEST_RATIO_STD = 0.1
-_WORST_DAMPING = 0.3  # relative uncertainty beyond which ln of amplitudes is no longer Gaussian
 _ORDER = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
 
 
@@ -106,11 +88,13 @@ def ring_down_observations(
     amplitudes = _add_nodes(table, decay.good, stretch, settings, decay.others)
     for index, other in enumerate(others, start=1):
         samples = stretch.row(other.name)
-        samples, _ = without_hum(samples - samples.mean(), stretch.sample_rate, decay.ridge, _SWITCH_OFF)
+        samples, _ = without_hum(
+            samples - samples.mean(), stretch.sample_rate, decay.ridge, THRESHOLDS.reading.decay_switch_off_periods
+        )
         values = demodulated(samples, decay.slow.cycles, decay.slow.width)[:: decay.slow.stride]
         for level, node in enumerate(decay.good):
             ratio, std = ratio_at(node, decay.slow, values)
-            if not std < _LARGEST_RATIO_STD:
+            if not std < THRESHOLDS.reading.decay_largest_ratio_std:
                 continue
             place = Place(level, stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
             size = math.log(abs(ratio) * node.amplitude)
@@ -140,9 +124,12 @@ def _add_nodes(
         std = math.hypot(node.omega_std / node.omega, bend * node.log_std, shift)
         table.add(Part.LOG_FREQUENCY, math.log(node.omega), std, floors.decay_log_frequency, place, 0, 1)
         # The shape follows that shift, and so the amplitude, as the other mode decays.
-        more = math.hypot(_CROSS * other * (node.damping - rest.damping), 4.0 * node.damping * shift)
-        std = math.hypot(node.rate_std / node.omega, more, _SLOWLY * bend * node.damping)
-        if std < max(_WORST_DAMPING * abs(node.damping), 1e-5):
+        more = math.hypot(
+            THRESHOLDS.reading.decay_cross_shift * other * (node.damping - rest.damping),
+            4.0 * node.damping * shift,
+        )
+        std = math.hypot(node.rate_std / node.omega, more, THRESHOLDS.reading.decay_slow_share * bend * node.damping)
+        if std < max(THRESHOLDS.reading.decay_worst_damping_std * abs(node.damping), 1e-5):
             table.add(Part.DAMPING, node.damping, std, floors.decay_damping * abs(node.damping), place, 0, 1)
     return [node.amplitude for node in good]
 
@@ -156,7 +143,7 @@ def _shift(node: Node, rest: Node, other: float) -> float:
 
     What bends the backbone sees their motion as well, but how much of it is not known.
     """
-    return abs(_CROSS * other * math.log(node.omega / rest.omega))
+    return abs(THRESHOLDS.reading.decay_cross_shift * other * math.log(node.omega / rest.omega))
 
 
 def _short_decay(
@@ -170,7 +157,10 @@ def _short_decay(
 ) -> Observations:
     """Observables of a decay of too few periods for spectra: by its turning points, where there are enough of them."""
     own, lowest = channels[channel.name], float(min(view.frequencies_hz))
-    if stretch.samples / stretch.sample_rate * lowest > _FEW * FEWEST_PERIODS:
+    if (
+        stretch.samples / stretch.sample_rate * lowest
+        > THRESHOLDS.reading.decay_few_spectral_periods * DECAYS.fewest_periods
+    ):
         return empty((f"{name}: the ring-down is left out: {reason}.",))
     try:
         good = half_cycle_nodes(stretch.row(channel.name), stretch.sample_rate, lowest)
@@ -199,17 +189,21 @@ def _decay(
     samples = samples - samples.mean()
     found_ridges = ridges(samples, stretch.sample_rate, channel.quantity)
     ridge = _chosen(found_ridges, frequency_hz, view, samples.size / stretch.sample_rate)
-    samples, hum = without_hum(samples, stretch.sample_rate, ridge, _SWITCH_OFF)
+    samples, hum = without_hum(samples, stretch.sample_rate, ridge, THRESHOLDS.reading.decay_switch_off_periods)
     best: _Decay | None = None
     reason = ""
-    for width in _WIDTHS:
+    for width in THRESHOLDS.reading.decay_widths:
         try:
             slow = slow_amplitude(samples, stretch.sample_rate, ridge, width)
         except BenchError as error:
             reason = reason or str(error)
             continue
-        found = nodes(slow, settings.decay_points, _SWITCH_OFF)
-        good = [node for node in found if node.omega > 0.0 and node.omega_std < _LARGEST_STD * node.omega]
+        found = nodes(slow, settings.decay_points, THRESHOLDS.reading.decay_switch_off_periods)
+        good = [
+            node
+            for node in found
+            if node.omega > 0.0 and node.omega_std < THRESHOLDS.reading.decay_largest_log_std * node.omega
+        ]
         if not good:
             reason = reason or "the decay does not stand out of the noise, or something else rings on"
             continue
@@ -231,8 +225,8 @@ def _in_others(good: list[Node], own: Ridge, found: list[Ridge], hum: tuple[Hum,
     total = np.zeros(own.time_s.size)
     for ridge in found:
         ratio = ridge.late_hz / own.late_hz
-        foreign = any(abs(ridge.late_hz / line.frequency_hz - 1.0) < _SAME_LINE for line in hum)
-        if ridge is own or foreign or abs(ratio - max(1.0, round(ratio))) < _SAME_LINE * ratio:
+        foreign = any(abs(ridge.late_hz / line.frequency_hz - 1.0) < THRESHOLDS.reading.decay_same_line for line in hum)
+        if ridge is own or foreign or abs(ratio - max(1.0, round(ratio))) < THRESHOLDS.reading.decay_same_line * ratio:
             continue
         energy = np.interp(own.time_s, ridge.time_s, np.where(ridge.clear, ridge.energy, 0.0))
         total += energy / np.maximum(own.energy, 1e-300) / max(1.0, ratio) ** 2
@@ -258,8 +252,8 @@ def _pays(narrower: _Decay, wider: _Decay, floor: float) -> bool:
     observables have, relative, tells nothing more either: else quiet small amplitudes outvote the large ones.
     """
     ends = [end for own in (narrower, wider) for node in own.good for end in _reach(own, node)]
-    grid = np.linspace(min(ends), max(ends), _COMPARED)
-    gain = _told(narrower, grid, floor) > _told(wider, grid, floor) / _NARROWER_PAYS**2
+    grid = np.linspace(min(ends), max(ends), THRESHOLDS.reading.decay_compared_amplitudes)
+    gain = _told(narrower, grid, floor) > _told(wider, grid, floor) / THRESHOLDS.reading.decay_narrower_gain**2
     return float(np.mean(gain)) > 0.5
 
 
@@ -291,14 +285,18 @@ def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView, seconds: f
         return min(found, key=lambda ridge: abs(math.log(ridge.frequency_hz[0] / frequency_hz)))
     for ridge in found:
         ratio = nearest_ratio(ridge.late_hz, view.frequencies_hz)
-        if 1.0 / _WRONG_FREQUENCY < ratio < _WRONG_FREQUENCY:
+        if (
+            1.0 / THRESHOLDS.reading.decay_wrong_frequency_ratio
+            < ratio
+            < THRESHOLDS.reading.decay_wrong_frequency_ratio
+        ):
             return ridge
     seen = ", ".join(f"{ridge.late_hz:.4g}" for ridge in found)
     lowest = float(min(view.frequencies_hz))
-    if seconds * lowest < FEWEST_PERIODS:
+    if seconds * lowest < DECAYS.fewest_periods:
         raise BenchError(
             f"its {seconds:.4g} s are {seconds * lowest:.2g} periods of the mode at {lowest:.4g} Hz, and a decay needs "
-            f"{FEWEST_PERIODS}"
+            f"{DECAYS.fewest_periods}"
         )
     modes = ", ".join(dict.fromkeys(f"{value:.4g}" for value in view.frequencies_hz[:4]))
     raise BenchError(f"it decays at {seen} Hz, where the model {view.rig.name} has no mode (it has {modes} Hz)")
@@ -307,13 +305,13 @@ def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView, seconds: f
 def _notes(name: str, decay: _Decay) -> list[str]:
     """What of a decay is not used, and why."""
     result = []
-    if len(decay.good) < _FEW_NODES:
+    if len(decay.good) < THRESHOLDS.reading.decay_few_nodes:
         result.append(
             f"{name}: frequency and damping could be read at {len(decay.good)} of the decay's amplitudes only, which "
             "say little of what changes with the amplitude: hit harder, or record nearer to where the mode moves."
         )
     most = math.sqrt(float(decay.others.max()))
-    if most > _RINGS_TOO:
+    if most > THRESHOLDS.reading.decay_other_mode_share:
         result.append(
             f"{name}: other modes ring too, with {100.0 * most:.0f} % of the mode's motion at its "
             "largest amplitude; what they change is part of the stated uncertainties."
@@ -331,7 +329,7 @@ def _notes(name: str, decay: _Decay) -> list[str]:
         for hum in decay.hum
     ]
     first = decay.nodes[0].first
-    if first > _SWITCH_OFF:
+    if first > THRESHOLDS.reading.decay_switch_off_periods:
         start = float(decay.slow.time_s[first])
         result.append(
             f"{name}: the decay is used from {start:.3g} s on; before, it still grows or something else rings with it."

@@ -18,20 +18,11 @@ from nmt_diagnose.observations.noise.neighbour_cubics import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.observables import ObservableTable
 from nmt_record.exchange.unit_table import REFERENCE_UNITS, quantity_of_unit
 from nmt_rig.rig import ShakingTableSection
 
-# Relative noise of a table that neither states any nor has lines enough to show it.
-WITHOUT_STD = 0.02
-_FEWEST_FOR_SCATTER = 12
-# Relative standard deviation of a scatter that is known by the median distance of n values from the cubics through
-# their neighbours, times the root of n (by simulation of normal noise, 30 to 400 values).
-MEDIAN_STD = 1.7
-# Levels that differ by less are one.
-_SAME_LEVEL = 1e-3
-# A jump: a step of ln H that is large and stands out among its neighbours.
-_JUMP, _STANDS_OUT = 0.5, 4.0
 _WHAT = {"force": "force", "base": "acceleration of the base", "voltage": "voltage", "response": "response"}
 
 
@@ -173,7 +164,7 @@ def _groups(level: FloatArray, usable: NDArray[np.bool_]) -> list[tuple[float, N
     """Rows of each level, lowest first."""
     order = np.flatnonzero(usable)
     order = order[np.argsort(level[order], kind="stable")]
-    steps = np.diff(level[order]) > _SAME_LEVEL * np.abs(level[order[1:]])
+    steps = np.diff(level[order]) > THRESHOLDS.reading.stepped_same_level * np.abs(level[order[1:]])
     pieces = np.split(order, np.flatnonzero(steps) + 1)
     return [(float(np.median(level[piece])), np.sort(piece)) for piece in pieces]
 
@@ -266,11 +257,14 @@ def _noise(
     found = scatter_of_lines(f, h, table.phase_known)
     if not math.isfinite(found):
         return (
-            np.full(h.size, WITHOUT_STD),
-            [f"{name}: no uncertainties are given; {100 * WITHOUT_STD:g} % is taken for every line."],
+            np.full(h.size, THRESHOLDS.noise.stepped_default_std),
+            [
+                f"{name}: no uncertainties are given; {100 * THRESHOLDS.noise.stepped_default_std:g} % is taken for "
+                "every line."
+            ],
             math.inf,
         )
-    degrees = (2 if table.phase_known else 1) * h.size / (2.0 * MEDIAN_STD**2)
+    degrees = (2 if table.phase_known else 1) * h.size / (2.0 * THRESHOLDS.noise.median_relative_std**2)
     return (
         np.full(h.size, found),
         [f"{name}: no uncertainties are given; its lines scatter by {100 * found:.2g} % about a smooth course."],
@@ -292,7 +286,7 @@ def scatter_of_lines(frequency: FloatArray, response: ComplexArray, phase_known:
     Returns:
         The standard deviation; NaN for fewer than twelve lines.
     """
-    if frequency.size < _FEWEST_FOR_SCATTER:
+    if frequency.size < THRESHOLDS.noise.stepped_fewest_for_scatter:
         return math.nan
     log = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
     middle, near, weights = neighbour_cubics(frequency)
@@ -308,7 +302,11 @@ def jumps_of(response: ComplexArray) -> list[int]:
     result = []
     for i, step in enumerate(steps):
         around = [steps[k] for k in (i - 2, i - 1, i + 1, i + 2) if 0 <= k < steps.size]
-        if step > _JUMP and around and step > _STANDS_OUT * max(around):
+        if (
+            step > THRESHOLDS.reading.stepped_jump
+            and around
+            and step > THRESHOLDS.reading.stepped_jump_ratio * max(around)
+        ):
             result.append(i)
     return result
 

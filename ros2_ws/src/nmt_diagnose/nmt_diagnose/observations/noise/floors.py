@@ -13,8 +13,8 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RingDownTest
 from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.thresholds import THRESHOLDS
 
-_FEWEST_PAIRS = 6
 # Key of a sidecar's ``repeatability`` by part.
 _STATED = {
     Part.LOG_FREQUENCY: "frequency",
@@ -123,7 +123,7 @@ def repeatability(observations: Observations, repeats: Observations) -> tuple[Fl
     raised = 0
     for kind in np.unique(kinds[found]):
         mine = found & (kinds == kind)
-        if int(mine.sum()) < _FEWEST_PAIRS:
+        if int(mine.sum()) < THRESHOLDS.noise.floor_fewest_pairs:
             continue
         excess = float(np.mean(0.5 * difference[mine] ** 2) - np.mean(stated[mine]))
         measured = np.sqrt(max(0.0, excess))

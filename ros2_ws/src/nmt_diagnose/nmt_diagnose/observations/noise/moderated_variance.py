@@ -13,9 +13,7 @@ from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
 from nmt_core.numerics.arrays import FloatArray
-
-_FEWEST = 3
-_MOST_DEGREES_OF_FREEDOM = 1e4
+from nmt_diagnose.thresholds import THRESHOLDS
 
 
 def moderated(variances: FloatArray, degrees_of_freedom: float) -> tuple[FloatArray, FloatArray]:
@@ -31,7 +29,7 @@ def moderated(variances: FloatArray, degrees_of_freedom: float) -> tuple[FloatAr
     result = variances.copy()
     usable = np.isfinite(variances) & (variances > 0.0)
     degrees = np.full(variances.shape, degrees_of_freedom)
-    if int(usable.sum()) < _FEWEST:
+    if int(usable.sum()) < THRESHOLDS.noise.moderated_fewest:
         return result, degrees
     logs = np.log(variances[usable]) - digamma(0.5 * degrees_of_freedom) + np.log(0.5 * degrees_of_freedom)
     excess = float(np.var(logs, ddof=1)) - float(polygamma(1, 0.5 * degrees_of_freedom))
@@ -44,7 +42,9 @@ def moderated(variances: FloatArray, degrees_of_freedom: float) -> tuple[FloatAr
 
 def _degrees_of_freedom_of(excess: float) -> float:
     """Degrees of freedom d with ψ'(d/2) = excess, at most 1e4."""
-    smallest = float(polygamma(1, 0.5 * _MOST_DEGREES_OF_FREEDOM))
+    smallest = float(polygamma(1, 0.5 * THRESHOLDS.noise.most_degrees_of_freedom))
     if excess <= smallest:
-        return _MOST_DEGREES_OF_FREEDOM
-    return 2.0 * float(brentq(lambda half: float(polygamma(1, half)) - excess, 1e-3, 0.5 * _MOST_DEGREES_OF_FREEDOM))
+        return THRESHOLDS.noise.most_degrees_of_freedom
+    return 2.0 * float(
+        brentq(lambda half: float(polygamma(1, half)) - excess, 1e-3, 0.5 * THRESHOLDS.noise.most_degrees_of_freedom)
+    )

@@ -46,10 +46,10 @@ def fit_frequency(signal: FloatArray, sample_rate: float, guess_hz: float, harmo
     periods = SIGNAL_FITS.sine_first_periods
     while True:
         samples = min(signal.shape[0], math.ceil(periods * sample_rate / frequency))
-        whole = samples == signal.shape[0]
+        complete = samples == signal.shape[0]
         start = (signal.shape[0] - samples) // 2
         frequency = _gauss_newton(signal[start : start + samples], sample_rate, frequency, harmonics)
-        if whole:
+        if complete:
             return frequency
         periods *= SIGNAL_FITS.sine_growth
 

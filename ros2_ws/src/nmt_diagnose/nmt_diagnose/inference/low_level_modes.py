@@ -302,9 +302,9 @@ class LowLevelModes:
             return None
         linear, r = parts.linear, parts.coordinates
         stiffness, damping = parts.resting
-        shown = linear.displacement[:r]
+        displacement_shapes = linear.displacement[:r]
         state = np.diag(linear.poles) - linear.inputs[:, :r] @ (
-            stiffness[:, None] * shown + damping[:, None] * shown * linear.poles
+            stiffness[:, None] * displacement_shapes + damping[:, None] * displacement_shapes * linear.poles
         )
         values, vectors = np.linalg.eig(state)
         kept = (values.imag > 0.0) & (-values.real < THRESHOLDS.modes.highest_model_damping * np.abs(values))

@@ -43,9 +43,9 @@ def misfit_of(observations: Observations) -> Misfit:
     """Misfit of each row; none where the bench's own simulator measured without tolerances."""
     rows = observations.rows
     size = np.zeros(len(rows))
-    for kind, own in observations.matters.items():
+    for kind, size_that_matters in observations.matters.items():
         selected = rows_of_kind(observations, kind)
-        size[selected] = own * (np.abs(observations.values[selected]) if kind == "damping" else 1.0)
+        size[selected] = size_that_matters * (np.abs(observations.values[selected]) if kind == "damping" else 1.0)
     chains = (*observations.chains, *[None] * len(observations.tests))
     exact = [
         number

@@ -55,6 +55,6 @@ class RowTable:
 
 def empty(notes: Sequence[str] = ()) -> Observations:
     """No observables, only notes."""
-    whole, real = np.zeros(0, dtype=np.int64), np.zeros(0)
-    rows = Rows(whole, whole, whole, whole, whole, real, real, real)
+    integers, real = np.zeros(0, dtype=np.int64), np.zeros(0)
+    rows = Rows(integers, integers, integers, integers, integers, real, real, real)
     return Observations((), rows, real, real, real, tuple(notes))

@@ -30,7 +30,7 @@ def recorded_harmonics(amplitudes: ComplexArray, limits: FloatArray, basis: Four
     changed = clips | coarse
     if not changed.any():
         return result
-    level, step, noise = (np.broadcast_to(own, sizes.shape[:-1])[changed][:, None] for own in (level, step, noise))
+    level, step, noise = (np.broadcast_to(array, sizes.shape[:-1])[changed][:, None] for array in (level, step, noise))
     clips, coarse = clips[changed], coarse[changed]
     waves = basis.sampled(SAMPLES)
     values = basis.to_real(amplitudes[changed]) @ waves.T

@@ -53,7 +53,7 @@ class SourceColumn:
         order: harmonic.
         part: real or imaginary part; empty where there is only one.
         vector: number of the source vector.
-        own: a line of the mains, or a converter's step, that follows no excitation.
+        unexcited: a line of the mains, or a converter's step, that follows no excitation.
     """
 
     test: str
@@ -62,7 +62,7 @@ class SourceColumn:
     order: int = 1
     part: Literal["re", "im", ""] = ""
     vector: int = 0
-    own: Part | None = None
+    unexcited: Part | None = None
 
 
 def source_vectors(rig: Rig, parts: RigParts, source: Source) -> tuple[FloatArray, FloatArray]:
@@ -216,7 +216,7 @@ def random_influence(
     responses = twin.responses(rig, cache)
     rows, r = twin.rows, parts.coordinates
     lines = twin.test.lines_hz
-    own = twin.channel_rows
+    channel_rows = twin.channel_rows
     columns: list[FloatArray] = []
     names: list[SourceColumn] = []
     model: LinearModel | None = None
@@ -230,7 +230,9 @@ def random_influence(
         if which.size == 0:
             continue
         omega = 2.0 * np.pi * lines[line] * parts.clock
-        changes = [_line_change(twin, parts, model, k, source, omega, responses[line], own, r) for k in range(count)]
+        changes = [
+            _line_change(twin, parts, model, k, source, omega, responses[line], channel_rows, r) for k in range(count)
+        ]
         for k, change in enumerate(changes):
             for turn in (1.0, 1j):
                 relative = change * turn / responses[line]

@@ -46,19 +46,19 @@ def lateness(observations: Observations, rig: Rig) -> dict[tuple[int, int], floa
     """
     rows = observations.rows
     random = [k for k, test in enumerate(observations.tests) if isinstance(test, RandomTest)]
-    mine = np.isin(rows.test, random) & (rows.part == Part.PHASE)
-    if not mine.any():
+    selected = np.isin(rows.test, random) & (rows.part == Part.PHASE)
+    if not selected.any():
         return {}
-    forward = Forward(observations.tests, rows.take(mine))
+    forward = Forward(observations.tests, rows.take(selected))
     try:
         predicted = forward.predict(rig).values
     except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
         return {}
-    rows, lag = rows.take(mine), predicted - observations.values[mine]
+    rows, lag = rows.take(selected), predicted - observations.values[selected]
     found = {}
     for test in random:
         for channel in np.unique(rows.channel[rows.test == test]):
-            own = (rows.test == test) & (rows.channel == channel) & np.isfinite(lag)
-            if own.any():
-                found[test, int(channel)] = delay_of(rows.frequency_hz[own], lag[own])
+            used = (rows.test == test) & (rows.channel == channel) & np.isfinite(lag)
+            if used.any():
+                found[test, int(channel)] = delay_of(rows.frequency_hz[used], lag[used])
     return found

@@ -82,9 +82,9 @@ def operating_range(
                 lowest[channel.name] = min(lowest.get(channel.name, np.inf), size)
                 if channel.quantity == Quantity.FORCE:
                     force = max(force, size)
-            own = np.array([values[f"probe {point}"] for point in points])
+            probe_values = np.array([values[f"probe {point}"] for point in points])
             complex_own = amplitudes[len(channels) :]
-            for point, value in zip(points, own, strict=True):
+            for point, value in zip(points, probe_values, strict=True):
                 displacement[point] = max(displacement[point], float(value))
             for (i, point), (j, other) in combinations(enumerate(points), 2):
                 apart = float(abs(complex_own[j] - complex_own[i]))
@@ -96,8 +96,8 @@ def operating_range(
             if isinstance(rig.structure, BeamSection):
                 for point in points:
                     rotation[point] = max(rotation[point], float(abs(unknowns[system.points[point] + 1])))
-            if own.max() > best:
-                best, omega = float(own.max()), frequency
+            if probe_values.max() > best:
+                best, omega = float(probe_values.max()), frequency
     if best <= 0.0:
         displacement = dict.fromkeys(points, 1e-3)
         omega = 2.0 * np.pi * _mode_under_test(rig)
@@ -151,10 +151,10 @@ def _of_samples(observations: Observations, part: Part) -> dict[str, float]:
     for number, test in enumerate(observations.tests):
         if isinstance(test, PhaseResonanceTest):
             for index, channel in enumerate(test.channels):
-                mine = (rows.test == number) & (rows.channel == index)
-                if mine.any():
-                    seen = observations.values[mine & (rows.part == part)]
-                    found[channel.name] = max(found.get(channel.name, 0.0), float(seen.max(initial=0.0)))
+                selected = (rows.test == number) & (rows.channel == index)
+                if selected.any():
+                    measured = observations.values[selected & (rows.part == part)]
+                    found[channel.name] = max(found.get(channel.name, 0.0), float(measured.max(initial=0.0)))
     return found
 
 
@@ -284,8 +284,8 @@ def _given(
 ) -> list[FittedExplanation]:
     """Largest and smallest of the amplitudes of a test, through the system linearised at rest at its resonance."""
     cache = PartsCache(settings)
-    own = next((c for c in channels if c.name == test.channel.name), None)
-    every = channels if own is not None else (*channels, test.channel)
+    channel = next((c for c in channels if c.name == test.channel.name), None)
+    every = channels if channel is not None else (*channels, test.channel)
     parts = cache.parts(rig, Setup(test.drive_point, False, every, FourierBasis.up_to(1)))
     resting = _resting_frequencies(rig)
     omega = 2.0 * np.pi * float(resting[np.argmin(np.abs(np.log(resting / frequency_hz)))])
@@ -317,9 +317,9 @@ def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, observ
         return test.frequency_hz
     if observations is not None:
         rows = observations.rows
-        mine = rows.frequency_hz[(rows.test == number) & (rows.level == int(np.argmin(test.amplitudes)))]
-        if mine.size and mine[0] > 0.0:
-            return float(mine[0])
+        selected = rows.frequency_hz[(rows.test == number) & (rows.level == int(np.argmin(test.amplitudes)))]
+        if selected.size and selected[0] > 0.0:
+            return float(selected[0])
     return _mode_under_test(rig)
 
 
@@ -361,16 +361,16 @@ def _measured_sizes(observations: Observations, test: Test, number: int, drive: 
     for index, channel in enumerate(test.channels):
         if channel.quantity not in MOTIONS:
             continue
-        mine = (rows.test == number) & (rows.channel == index)
-        mine &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)
-        if not mine.any():
+        selected = (rows.test == number) & (rows.channel == index)
+        selected &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)
+        if not selected.any():
             continue
         if isinstance(test, PhaseResonanceTest):
-            own = np.flatnonzero(mine)
-            sizes[channel.name] = math.exp(float(values[own[np.argmin(np.abs(rows.amplitude[own] - drive))]]))
-        elif int(mine.sum()) == test.lines_hz.size > 1:
+            selected = np.flatnonzero(selected)
+            sizes[channel.name] = math.exp(float(values[selected[np.argmin(np.abs(rows.amplitude[selected] - drive))]]))
+        elif int(selected.sum()) == test.lines_hz.size > 1:
             magnitude = np.empty(test.lines_hz.size)
-            magnitude[rows.level[mine]] = np.exp(values[mine])
+            magnitude[rows.level[selected]] = np.exp(values[selected])
             weights = np.gradient(test.lines_hz)
             sizes[channel.name] = test.drive_rms * math.sqrt(float(weights @ magnitude**2 / weights.sum()))
     return sizes

@@ -105,7 +105,7 @@ class PartsCache:
         """Parts of the rig at another moment where only its slip forces drift: its linear model stays."""
         if rig.drift.stiffness_per_s != 0.0:
             return None
-        known = (own for (number, _, _), (whose, own) in self._known.items() if number == key[0] and whose is rig)
+        known = (parts for (number, _, _), (whose, parts) in self._known.items() if number == key[0] and whose is rig)
         earlier = next(known, None)
         if earlier is None:
             return None

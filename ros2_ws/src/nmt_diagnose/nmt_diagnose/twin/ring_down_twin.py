@@ -158,10 +158,10 @@ class RingDownTwin:
         t, _ = model.at(s)
         tangent = resting_tangent(parts, s)
         closed = np.linalg.solve(np.eye(r) + t[:r, :r] * tangent, t[:r, r])
-        own = t[output, r] - t[output, :r] @ (tangent * closed)
+        transfer = t[output, r] - t[output, :r] @ (tangent * closed)
         gain, _ = sensor_gain(1j * s.imag, parts.channels[self._own])
         amplitudes = np.zeros((r, basis.orders.size), dtype=np.complex128)
-        amplitudes[:, basis.fundamental] = closed / own * amplitude / abs(gain)
+        amplitudes[:, basis.fundamental] = closed / transfer * amplitude / abs(gain)
         return np.concatenate((basis.to_real(amplitudes).ravel(), [s.imag, -s.real / s.imag]))
 
     def _resting_pole(self, parts: RigParts, near: complex) -> complex:

@@ -100,8 +100,8 @@ def _beside_harmonics(cycles: FloatArray, data: FloatArray, harmonics: int, per_
     result = np.empty((data.shape[0], per_sample.size), dtype=np.complex128)
     for number in range(per_sample.size):
         pair = [number, number + per_sample.size]
-        mine, off = both[pair], tones_taken[:, pair]
-        cosine, sine = np.linalg.solve(mine @ mine.T - off.T @ off, on_data[pair])
+        selected, off = both[pair], tones_taken[:, pair]
+        cosine, sine = np.linalg.solve(selected @ selected.T - off.T @ off, on_data[pair])
         result[:, number] = cosine - 1j * sine
     return result
 

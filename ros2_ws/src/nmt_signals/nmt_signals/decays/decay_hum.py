@@ -117,21 +117,21 @@ def _continued(time: FloatArray, values: FloatArray, weights: FloatArray, degree
 
 
 def _lines_in(
-    rest: FloatArray, size: FloatArray, sample_rate: float, lines: Sequence[float], first: int
+    residual: FloatArray, size: FloatArray, sample_rate: float, lines: Sequence[float], first: int
 ) -> tuple[FloatArray, tuple[Hum, ...]]:
     """What the lines make of all samples, and those that stand out."""
-    noise = float(np.median(np.abs(rest[-max(rest.size // 4, 1) :]))) / 0.6745
+    noise = float(np.median(np.abs(residual[-max(residual.size // 4, 1) :]))) / 0.6745
     weights = 1.0 / np.hypot(max(noise, 1e-300), DECAYS.hum_roughness * size)
     weights[:first] = 0.0
-    time = np.arange(rest.size) / sample_rate
-    result, found = np.zeros(rest.size), []
+    time = np.arange(residual.size) / sample_rate
+    result, found = np.zeros(residual.size), []
     for line in lines:
         best: tuple[float, float, FloatArray, FloatArray, float] | None = None
         for shift in _WANDERS_HZ:
             angle = 2.0 * math.pi * (line + shift) * time
             design = np.stack((np.cos(angle), np.sin(angle)), axis=1)
             weighted = design * weights[:, np.newaxis]
-            solution, *_ = np.linalg.lstsq(weighted, (rest - result) * weights, rcond=None)
+            solution, *_ = np.linalg.lstsq(weighted, (residual - result) * weights, rcond=None)
             gain = float(np.sum((weighted @ solution) ** 2))
             if best is None or gain > best[0]:
                 std = math.sqrt(float(np.linalg.inv(weighted.T @ weighted).diagonal().max()))

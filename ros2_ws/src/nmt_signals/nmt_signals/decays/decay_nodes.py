@@ -174,8 +174,8 @@ def _unsettled(slow: SlowAmplitude, first: int, stop: int) -> int:
     noise = [_segment(slow, first + late, first + late + length).noise for late in DECAYS.settling_periods]
     return next(
         late
-        for late, own in zip(DECAYS.settling_periods, noise, strict=True)
-        if own <= DECAYS.unsettled_ratio * noise[-1]
+        for late, residual in zip(DECAYS.settling_periods, noise, strict=True)
+        if residual <= DECAYS.unsettled_ratio * noise[-1]
     )
 
 
@@ -193,8 +193,8 @@ def _degrees(periods: int, width: int) -> list[int]:
 
 def correlation(count: int, width: float) -> FloatArray:
     """Correlation of demodulated white noise, (count, count): the window, ``width`` values a boxcar, with itself."""
-    own = BSpline.basis_element(np.arange(-_BOXCARS, _BOXCARS + 1.0), extrapolate=False)
-    lags = np.nan_to_num(own(np.arange(count) / width))
+    spline = BSpline.basis_element(np.arange(-_BOXCARS, _BOXCARS + 1.0), extrapolate=False)
+    lags = np.nan_to_num(spline(np.arange(count) / width))
     return np.asarray(toeplitz(lags / lags[0]))
 
 
@@ -208,13 +208,13 @@ def _segment(slow: SlowAmplitude, first: int, stop: int) -> DecaySegment:
     design, _, _ = _design(slow, first, stop)
     size = np.abs(slow.values[first:stop])
     degree = _degrees(stop - first, slow.width)[-1]
-    own = design[:, : degree + 1]
+    basis = design[:, : degree + 1]
     noise = correlation(stop - first, slow.width / slow.stride) / np.outer(size, size)
     squares, degrees_of_freedom = 0.0, 0.0
     for values in (slow.log[first:stop], slow.phase[first:stop]):
-        solution, pseudo = _fit(own, size, values)
-        left = size * (values - own @ solution)
-        maker = (np.eye(size.size) - own @ pseudo) * size[:, np.newaxis]
+        solution, pseudo = _fit(basis, size, values)
+        left = size * (values - basis @ solution)
+        maker = (np.eye(size.size) - basis @ pseudo) * size[:, np.newaxis]
         squares += float(left @ left)
         degrees_of_freedom += float(np.sum((maker @ noise) * maker))
     return DecaySegment(
@@ -254,8 +254,8 @@ def _middle(
     least = math.inf
     reference, pseudo_reference = 0.0, np.zeros(0)
     for degree in reversed(degrees):
-        own = design[:, : degree + 1]
-        solution, pseudo = _fit(own, weights, values)
+        basis = design[:, : degree + 1]
+        solution, pseudo = _fit(basis, weights, values)
         at = np.polynomial.legendre.legvander(np.zeros(1), degree)[0]
         slope_of = np.array(
             [np.polynomial.legendre.legval(0.0, np.polynomial.legendre.legder(row)) for row in np.eye(degree + 1)]
@@ -286,12 +286,12 @@ def ratio_at(node: Node, slow: SlowAmplitude, other: ComplexArray) -> tuple[comp
     first, stop = node.first, node.stop
     ratio = other[first:stop] / slow.values[first:stop]
     design, _, _ = _design(slow, first, stop)
-    own = design[:, :2]
+    basis = design[:, :2]
     weights = np.abs(slow.values[first:stop])
-    pseudo = _fit(own, weights, weights)[1]
+    pseudo = _fit(basis, weights, weights)[1]
     at = pseudo[0]
     value = complex(at @ ratio)
-    left = np.abs((ratio - own @ (pseudo @ ratio)) * weights)
+    left = np.abs((ratio - basis @ (pseudo @ ratio)) * weights)
     degrees_of_freedom = max(1.0, (stop - first) / slow.width - 4.0)
     variance = 0.5 * float(left @ left) / degrees_of_freedom
     covariance = correlation(stop - first, slow.width / slow.stride) / np.outer(weights, weights) * variance

@@ -95,19 +95,19 @@ def _power(
 def _ridges_of(frequency: FloatArray, time: FloatArray, power: FloatArray) -> list[Ridge]:
     """The strongest ridges, strongest first."""
     found: list[Ridge] = []
-    rest = power.copy()
+    remaining_power = power.copy()
     for _ in range(DECAYS.most_ridges):
-        if not rest.max() > 0.0:
+        if not remaining_power.max() > 0.0:
             break
-        found.append(_followed(rest, power, frequency, time))
+        found.append(_followed(remaining_power, power, frequency, time))
     found.sort(key=lambda ridge: -float(ridge.energy.sum()))
     return [ridge for ridge in found if ridge.energy.sum() > DECAYS.other_ridge_share * found[0].energy.sum()]
 
 
-def _followed(rest: FloatArray, power: FloatArray, frequency: FloatArray, time: FloatArray) -> Ridge:
-    """The ridge through the highest peak of ``rest``, followed both ways; it is taken out of ``rest``."""
+def _followed(remaining_power: FloatArray, power: FloatArray, frequency: FloatArray, time: FloatArray) -> Ridge:
+    """The ridge through the highest peak of ``remaining_power``, followed both ways and taken out of it."""
     step = float(frequency[1])
-    top, anchor = np.unravel_index(int(np.argmax(rest)), rest.shape)
+    top, anchor = np.unravel_index(int(np.argmax(remaining_power)), remaining_power.shape)
     bins = np.zeros(time.size, dtype=np.int64)
     bins[anchor] = top
     for way in (range(int(anchor) + 1, time.size), range(int(anchor) - 1, -1, -1)):
@@ -115,13 +115,16 @@ def _followed(rest: FloatArray, power: FloatArray, frequency: FloatArray, time: 
         for frame in way:
             low = max(DECAYS.fewest_bins, math.floor(last * (1.0 - DECAYS.ridge_log_change)) - 1)
             high = min(frequency.size, math.ceil(last * (1.0 + DECAYS.ridge_log_change)) + 2)
-            peak = low + int(np.argmax(rest[low:high, frame]))
+            peak = low + int(np.argmax(remaining_power[low:high, frame]))
             # In noise it stays where it was, and so it does where another ridge has gone.
-            last = peak if rest[peak, frame] > 0.0 and _clear(power[:, frame], peak) else last
+            last = peak if remaining_power[peak, frame] > 0.0 and _clear(power[:, frame], peak) else last
             bins[frame] = last
     hertz, energy = np.zeros(time.size), np.zeros(time.size)
     clear = np.array(
-        [rest[middle, frame] > 0.0 and _clear(power[:, frame], int(middle)) for frame, middle in enumerate(bins)]
+        [
+            remaining_power[middle, frame] > 0.0 and _clear(power[:, frame], int(middle))
+            for frame, middle in enumerate(bins)
+        ]
     )
     clear[anchor] = True
     for frame, middle in enumerate(bins):
@@ -129,11 +132,13 @@ def _followed(rest: FloatArray, power: FloatArray, frequency: FloatArray, time: 
             max(1, middle - DECAYS.ridge_half_width_bins),
             min(frequency.size, middle + DECAYS.ridge_half_width_bins + 1),
         )
-        own = rest[near, frame].copy()
-        energy[frame] = own.sum()
-        hertz[frame] = float(frequency[near] @ own / own.sum()) if own.sum() > 0.0 else middle * step
+        peak_power = remaining_power[near, frame].copy()
+        energy[frame] = peak_power.sum()
+        hertz[frame] = (
+            float(frequency[near] @ peak_power / peak_power.sum()) if peak_power.sum() > 0.0 else middle * step
+        )
         reach = max(DECAYS.ridge_half_width_bins, math.ceil(DECAYS.ridge_log_change * middle))
-        rest[max(0, middle - reach) : middle + reach + 1, frame] = 0.0
+        remaining_power[max(0, middle - reach) : middle + reach + 1, frame] = 0.0
     return Ridge(time, hertz, energy, clear)
 
 

@@ -77,10 +77,12 @@ def measuring_chain(
         return None
     stated = tolerances(run, rig_yaml, sheet)
     by_name = {
-        own.name: stated.of(own.quantity, own.point) for own in channels.values() if own.quantity is not _VOLTAGE
+        tolerance.name: stated.of(tolerance.quantity, tolerance.point)
+        for tolerance in channels.values()
+        if tolerance.quantity is not _VOLTAGE
     }
     usual = ChannelTolerance()
-    named = {name: own for name, own in by_name.items() if own != usual}
+    named = {name: tolerance for name, tolerance in by_name.items() if tolerance != usual}
     voltage = stated.of(_VOLTAGE, 0)
     return MeasuringChain(named, voltage.gain, _shared_delay(stated), sample_rate, clock=stated.clock)
 
@@ -97,11 +99,11 @@ def table_chain(channels: Sequence[MeasuredChannel] = (), sheet: CalibrationShee
     if sheet is None:
         return MeasuringChain()
     stated = tolerances({"imported": {}}, None, sheet)
-    named = {own.name: stated.of(own.quantity, own.point) for own in channels}
+    named = {channel.name: stated.of(channel.quantity, channel.point) for channel in channels}
     return MeasuringChain(named, shared_delay_s=_shared_delay(stated), clock=stated.clock)
 
 
 def _shared_delay(stated: Tolerances) -> float:
     """Of the voltage's delay against the sensors nothing differs from one of all sensors together."""
-    said = stated.of(_VOLTAGE, 0).delay_s
-    return said if said != TOLERANCES.delay_s else TOLERANCES.shared_delay_s
+    delay_s = stated.of(_VOLTAGE, 0).delay_s
+    return delay_s if delay_s != TOLERANCES.delay_s else TOLERANCES.shared_delay_s

@@ -66,12 +66,12 @@ def out_of_scale(
             measured = np.abs(harmonic_amplitudes(cycles, np.stack([stretch.row(n) for n in names]), 1)[:, 1])
         except BenchError:
             continue
-        own = [channels[n] for n in names]
-        expected = np.abs(view.responses(own, np.array([frequency]))[:, 0])
+        model_channels = [channels[n] for n in names]
+        expected = np.abs(view.responses(model_channels, np.array([frequency]))[:, 0])
         largest: dict[Quantity, float] = {}
-        for channel, value in zip(own, expected, strict=True):
+        for channel, value in zip(model_channels, expected, strict=True):
             largest[channel.quantity] = max(largest.get(channel.quantity, 0.0), float(value))
-        for index, channel in enumerate(own):
+        for index, channel in enumerate(model_channels):
             if (
                 expected[index] > THRESHOLDS.reading.near_node_share * largest[channel.quantity]
                 and measured[index] > 0.0

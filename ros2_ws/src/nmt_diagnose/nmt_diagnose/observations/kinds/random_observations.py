@@ -94,16 +94,19 @@ def local_fits(u: ComplexArray, y: ComplexArray, resonant: BoolArray | None = No
         2 * (OFFSETS.size - 2 * (ORDER + 1)),
     )
     for number in range(lines):
-        own = _LocalFit(u[number], y[number], 0j)
+        local_fit = _LocalFit(u[number], y[number], 0j)
         if resonant is None or resonant[number]:
-            pole = _resonance(own)
-            if resonant is not None or pole.log_likelihood > own.log_likelihood + THRESHOLDS.reading.random_curve_gain:
-                own = pole
+            pole = _resonance(local_fit)
+            if (
+                resonant is not None
+                or pole.log_likelihood > local_fit.log_likelihood + THRESHOLDS.reading.random_curve_gain
+            ):
+                local_fit = pole
                 found.resonant[number] = True
-                found.resonance[:, number] = own.resonance_variance()
-        found.estimate[:, number] = own.coefficients[0]
-        found.noise[:, number] = own.noise
-        found.factor[number] = own.factor
+                found.resonance[:, number] = local_fit.resonance_variance()
+        found.estimate[:, number] = local_fit.coefficients[0]
+        found.noise[:, number] = local_fit.noise
+        found.factor[number] = local_fit.factor
     return found
 
 
@@ -139,9 +142,9 @@ class _LocalFit:
 
     def linear_pole(self) -> complex:
         """The coefficient that leaves least of A Y − H U − T, over the present A (Sanathanan and Koerner)."""
-        rest = self._across(self.y / self._below[:, np.newaxis])
+        projected = self._across(self.y / self._below[:, np.newaxis])
         slope = self._across(self.y * (_PLACE / self._below)[:, np.newaxis])
-        return -self._along(slope, rest)[0]
+        return -self._along(slope, projected)[0]
 
     def better_pole(self) -> complex:
         """The coefficient after a step of Gauss and Newton."""
@@ -162,11 +165,11 @@ class _LocalFit:
         """Minus the change of the fit by a, shape (n, channels)."""
         return self._across(self._moved())
 
-    def _along(self, slope: ComplexArray, rest: ComplexArray) -> tuple[complex, float]:
+    def _along(self, slope: ComplexArray, projected: ComplexArray) -> tuple[complex, float]:
         """Weighted least-squares coefficient of a slope in what is left, and the information on it."""
         weights = 1.0 / np.maximum(self.noise, 1e-300)
         information = float((weights * (np.abs(slope) ** 2).sum(axis=0)).sum())
-        product = complex((weights * (np.conj(slope) * rest).sum(axis=0)).sum())
+        product = complex((weights * (np.conj(slope) * projected).sum(axis=0)).sum())
         return product / max(information, 1e-300), information
 
 
@@ -210,14 +213,14 @@ def choose_bins(reference: FloatArray, response: FloatArray, sample_rate: float,
     if not driven.any():
         return np.zeros(0, dtype=np.int64)
     low, high = frequency[driven][0], frequency[driven][-1]
-    own = np.arange(size // 2 + 1) * sample_rate / size
-    inside = np.flatnonzero((own >= low) & (own <= high))
-    inside = inside[(inside > REACH) & (inside < own.size - REACH - 1)]
+    frequency_hz = np.arange(size // 2 + 1) * sample_rate / size
+    inside = np.flatnonzero((frequency_hz >= low) & (frequency_hz <= high))
+    inside = inside[(inside > REACH) & (inside < frequency_hz.size - REACH - 1)]
     if inside.size < 2:
         return np.zeros(0, dtype=np.int64)
-    turns = np.interp(own[inside], frequency, np.concatenate(([0.0], np.cumsum(np.abs(_steps(cross))))))
+    turns = np.interp(frequency_hz[inside], frequency, np.concatenate(([0.0], np.cumsum(np.abs(_steps(cross))))))
     # A resonance (a turn by π) has as many lines as a factor of four in frequency.
-    way = np.log(own[inside] / own[inside[0]]) + turns * math.log(4.0) / math.pi
+    way = np.log(frequency_hz[inside] / frequency_hz[inside[0]]) + turns * math.log(4.0) / math.pi
     marks = np.linspace(way[0], way[-1], wanted)
     picked = inside[np.searchsorted(way, marks).clip(0, inside.size - 1)]
     result = []
@@ -274,7 +277,7 @@ def random_observations(
     for channel, fault in stretch.faults.items():
         if channel in channels and channel not in usable_whole:
             notes.append(f"{name}: channel {channel} is left out: {fault}.")
-    recorded = {own.name: theirs for theirs, own in channels.items()}
+    recorded = {model_channel.name: theirs for theirs, model_channel in channels.items()}
     kinds = (Quantity.VOLTAGE, Quantity.CURRENT)
     present = [
         channel
@@ -352,10 +355,10 @@ def _believed(
     size = np.abs(estimate)
     result = size.copy()
     for row in range(len(channels)):
-        own = np.abs(responses[row] / responses[-1])
-        if np.all(np.isfinite(own)) and np.all(own > 0.0):
-            strong = own >= np.median(own)
-            result[row] = own * np.median(size[row, strong] / own[strong])
+        magnitude = np.abs(responses[row] / responses[-1])
+        if np.all(np.isfinite(magnitude)) and np.all(magnitude > 0.0):
+            strong = magnitude >= np.median(magnitude)
+            result[row] = magnitude * np.median(size[row, strong] / magnitude[strong])
     return result
 
 

@@ -96,9 +96,9 @@ def record_observations(
     """
     parts = []
     for number, stretch in enumerate(stretches):
-        own = f"{name} {number + 1}" if len(stretches) > 1 else name
+        test_name = f"{name} {number + 1}" if len(stretches) > 1 else name
         budget = settings.record_rows // len(stretches)
-        parts.append(_one(own, stretch, view, channels, settings, budget, linear_hold))
+        parts.append(_one(test_name, stretch, view, channels, settings, budget, linear_hold))
     return joined(parts)
 
 
@@ -121,7 +121,7 @@ def _one(
             else f"its input cannot be used ({stretch.faults[source.name]})"
         )
         return empty((f"{name}: the record is left out: {why}.",))
-    recorded = {own.name: theirs for theirs, own in channels.items()}
+    recorded = {model_channel.name: theirs for theirs, model_channel in channels.items()}
     present = [
         channel
         for channel in channels.values()
@@ -155,12 +155,12 @@ def _one(
                 row,
             )  # fmt: skip
     factor = 1 if linear_hold else refinement(stretch.row(recorded[present[0].name]), stretch.sample_rate)
-    own = channels.get(source.name, source)
+    model_channel = channels.get(source.name, source)
     test = RecordTest(
         name=name,
         drive_point=view.rig.drive_point,
         sample_rate=factor * stretch.sample_rate,
-        input_channel=own,
+        input_channel=model_channel,
         input=interpolated(source_samples - source_samples.mean(), factor),
         channels=tuple(present),
         segment_bounds=factor * bounds.astype(np.float64),

@@ -73,16 +73,16 @@ def ring_down_observations(
         return empty((f"{name}: the ring-down is left out: there is no usable response.",))
     order: Sequence[Quantity] = ((response_quantity,) if response_quantity is not None else ()) + _ORDER
     usable.sort(key=lambda c: (channels[c.name].point != view.rig.drive_point, order.index(c.quantity)))
-    reason, decay, own = "", None, usable[0]
-    for own in usable:
+    reason, decay, model_channel = "", None, usable[0]
+    for model_channel in usable:
         try:
-            decay = _decay(stretch, own, frequency_hz, view, settings)
+            decay = _decay(stretch, model_channel, frequency_hz, view, settings)
             break
         except BenchError as error:
             reason = reason or str(error)
     if decay is None:
         return _short_decay(name, stretch, usable[0], channels, view, settings, reason)
-    others = [c for c in usable if c is not own]
+    others = [c for c in usable if c is not model_channel]
     table = RowTable()
     floors = settings.floors
     amplitudes = _add_nodes(table, decay.good, stretch, settings, decay.others)
@@ -105,7 +105,7 @@ def ring_down_observations(
     test = RingDownTest(
         name,
         view.rig.drive_point,
-        channels[own.name],
+        channels[model_channel.name],
         np.array(amplitudes),
         decay.good[-1].omega / (2.0 * math.pi),
         tuple(channels[other.name] for other in others),
@@ -117,15 +117,15 @@ def _add_nodes(
     table: RowTable, good: list[Node], stretch: SampleStretch, settings: ObservationSettings, others: FloatArray
 ) -> list[float]:
     """Rows of frequency and damping of every node; returns their amplitudes."""
-    floors, rest = settings.floors, _rest(good)
+    floors, small_amplitude = settings.floors, _rest(good)
     for level, (node, bend, other) in enumerate(zip(good, _bends(good), others, strict=True)):
         place = Place(level, stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
-        shift = _shift(node, rest, other)
+        shift = _shift(node, small_amplitude, other)
         std = math.hypot(node.omega_std / node.omega, bend * node.log_std, shift)
         table.add(Part.LOG_FREQUENCY, math.log(node.omega), std, floors.decay_log_frequency, place, 0, 1)
         # The shape follows that shift, and so the amplitude, as the other mode decays.
         more = math.hypot(
-            THRESHOLDS.reading.decay_cross_shift * other * (node.damping - rest.damping),
+            THRESHOLDS.reading.decay_cross_shift * other * (node.damping - small_amplitude.damping),
             4.0 * node.damping * shift,
         )
         std = math.hypot(node.rate_std / node.omega, more, THRESHOLDS.reading.decay_slow_share * bend * node.damping)
@@ -138,12 +138,12 @@ def _rest(good: list[Node]) -> Node:
     return min(good, key=lambda node: node.amplitude)
 
 
-def _shift(node: Node, rest: Node, other: float) -> float:
+def _shift(node: Node, small_amplitude: Node, other: float) -> float:
     """Uncertainty of ln ω at a node where other modes ring too, with ``other`` times its motion squared.
 
     What bends the backbone sees their motion as well, but how much of it is not known.
     """
-    return abs(THRESHOLDS.reading.decay_cross_shift * other * math.log(node.omega / rest.omega))
+    return abs(THRESHOLDS.reading.decay_cross_shift * other * math.log(node.omega / small_amplitude.omega))
 
 
 def _short_decay(
@@ -156,7 +156,7 @@ def _short_decay(
     reason: str,
 ) -> Observations:
     """Observables of a decay of too few periods for spectra: by its turning points, where there are enough of them."""
-    own, lowest = channels[channel.name], float(min(view.frequencies_hz))
+    model_channel, lowest = channels[channel.name], float(min(view.frequencies_hz))
     if (
         stretch.samples / stretch.sample_rate * lowest
         > THRESHOLDS.reading.decay_few_spectral_periods * DECAYS.fewest_periods
@@ -169,7 +169,9 @@ def _short_decay(
     table = RowTable()
     amplitudes = _add_nodes(table, good, stretch, settings, np.zeros(len(good)))
     note = f"{name}: the decay lasts a few periods only: frequency and damping are those between its turning points."
-    test = RingDownTest(name, view.rig.drive_point, own, np.array(amplitudes), good[-1].omega / (2.0 * math.pi))
+    test = RingDownTest(
+        name, view.rig.drive_point, model_channel, np.array(amplitudes), good[-1].omega / (2.0 * math.pi)
+    )
     return table.observations(test, [note])
 
 
@@ -216,21 +218,25 @@ def _decay(
     return best
 
 
-def _in_others(good: list[Node], own: Ridge, found: list[Ridge], hum: tuple[Hum, ...]) -> FloatArray:
+def _in_others(good: list[Node], followed: Ridge, found: list[Ridge], hum: tuple[Hum, ...]) -> FloatArray:
     """Square of the motion in other modes over that in the own one at each node, shape (nodes,).
 
     Harmonics are no other mode, nor is the mains. Of slower modes velocities are compared, not displacements: a body
     that swings on its suspension does not strain.
     """
-    total = np.zeros(own.time_s.size)
+    total = np.zeros(followed.time_s.size)
     for ridge in found:
-        ratio = ridge.late_hz / own.late_hz
+        ratio = ridge.late_hz / followed.late_hz
         foreign = any(abs(ridge.late_hz / line.frequency_hz - 1.0) < THRESHOLDS.reading.decay_same_line for line in hum)
-        if ridge is own or foreign or abs(ratio - max(1.0, round(ratio))) < THRESHOLDS.reading.decay_same_line * ratio:
+        if (
+            ridge is followed
+            or foreign
+            or abs(ratio - max(1.0, round(ratio))) < THRESHOLDS.reading.decay_same_line * ratio
+        ):
             continue
-        energy = np.interp(own.time_s, ridge.time_s, np.where(ridge.clear, ridge.energy, 0.0))
-        total += energy / np.maximum(own.energy, 1e-300) / max(1.0, ratio) ** 2
-    return np.asarray(np.interp([node.time_s for node in good], own.time_s, total))
+        energy = np.interp(followed.time_s, ridge.time_s, np.where(ridge.clear, ridge.energy, 0.0))
+        total += energy / np.maximum(followed.energy, 1e-300) / max(1.0, ratio) ** 2
+    return np.asarray(np.interp([node.time_s for node in good], followed.time_s, total))
 
 
 def _bends(good: list[Node]) -> FloatArray:
@@ -251,9 +257,9 @@ def _pays(narrower: _Decay, wider: _Decay, floor: float) -> bool:
     Fewer and longer segments are each more certain and say no more. What is known better than to the floor that
     observables have, relative, tells nothing more either: else quiet small amplitudes outvote the large ones.
     """
-    ends = [end for own in (narrower, wider) for node in own.good for end in _reach(own, node)]
+    ends = [end for decay in (narrower, wider) for node in decay.good for end in _reach(decay, node)]
     grid = np.linspace(min(ends), max(ends), THRESHOLDS.reading.decay_compared_amplitudes)
-    gain = _told(narrower, grid, floor) > _told(wider, grid, floor) / THRESHOLDS.reading.decay_narrower_gain**2
+    gain = _covered(narrower, grid, floor) > _covered(wider, grid, floor) / THRESHOLDS.reading.decay_narrower_gain**2
     return float(np.mean(gain)) > 0.5
 
 
@@ -263,14 +269,14 @@ def _reach(decay: _Decay, node: Node) -> tuple[float, float]:
     return float(log.min()), float(log.max())
 
 
-def _told(decay: _Decay, log: FloatArray, floor: float) -> FloatArray:
+def _covered(decay: _Decay, log: FloatArray, floor: float) -> FloatArray:
     """What a decay tells of ln ω per unit of ln A, shape of ``log``; 0 where it has no segment."""
-    told = np.zeros(log.shape)
+    covered = np.zeros(log.shape)
     for node in decay.good:
         low, high = _reach(decay, node)
         inside = (log >= low) & (log <= high)
-        told[inside] = 1.0 / (math.hypot(node.omega_std / node.omega, floor) ** 2 * max(high - low, 1e-9))
-    return told
+        covered[inside] = 1.0 / (math.hypot(node.omega_std / node.omega, floor) ** 2 * max(high - low, 1e-9))
+    return covered
 
 
 def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView, seconds: float) -> Ridge:
@@ -291,7 +297,7 @@ def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView, seconds: f
             < THRESHOLDS.reading.decay_wrong_frequency_ratio
         ):
             return ridge
-    seen = ", ".join(f"{ridge.late_hz:.4g}" for ridge in found)
+    frequencies = ", ".join(f"{ridge.late_hz:.4g}" for ridge in found)
     lowest = float(min(view.frequencies_hz))
     if seconds * lowest < DECAYS.fewest_periods:
         raise BenchError(
@@ -299,7 +305,7 @@ def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView, seconds: f
             f"{DECAYS.fewest_periods}"
         )
     modes = ", ".join(dict.fromkeys(f"{value:.4g}" for value in view.frequencies_hz[:4]))
-    raise BenchError(f"it decays at {seen} Hz, where the model {view.rig.name} has no mode (it has {modes} Hz)")
+    raise BenchError(f"it decays at {frequencies} Hz, where the model {view.rig.name} has no mode (it has {modes} Hz)")
 
 
 def _notes(name: str, decay: _Decay) -> list[str]:

@@ -59,18 +59,18 @@ def stepped_sine_observations(
     groups = _groups(analysed)
     for number, group in enumerate(groups):
         direction = _direction(group)
-        own = name
+        test_name = name
         if len(groups) > 1:
             level = group[0].segment.level
             text = f" at {level:g} {group[0].segment.level_unit}" if math.isfinite(level) else f" {number + 1}"
-            own = f"{name}{text} {'up' if direction > 0 else 'down'}"
+            test_name = f"{name}{text} {'up' if direction > 0 else 'down'}"
         if len(group) < THRESHOLDS.reading.stepped_fewest_lines:
             notes.append(
-                f"{own}: {len(group)} lines are no frequency response; measure "
+                f"{test_name}: {len(group)} lines are no frequency response; measure "
                 f"{THRESHOLDS.reading.stepped_fewest_lines} or more."
             )
             continue
-        parts.append(_one(own, group, direction, view, channels, settings))
+        parts.append(_one(test_name, group, direction, view, channels, settings))
     return joined([empty(notes), *parts])
 
 

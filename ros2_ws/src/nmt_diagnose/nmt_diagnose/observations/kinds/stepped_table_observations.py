@@ -33,8 +33,8 @@ def has_levels(table: ObservableTable) -> bool:
     """
     if "coherence" in table.columns:
         return False
-    given = [table.columns[name] for name in ("level", "force_n") if name in table.columns]
-    return table.level > 0.0 or any(bool(np.any(column > 0.0)) for column in given)
+    level_columns = [table.columns[name] for name in ("level", "force_n") if name in table.columns]
+    return table.level > 0.0 or any(bool(np.any(column > 0.0)) for column in level_columns)
 
 
 def measured_together(tables: Sequence[ObservableTable], drive_point: int) -> list[list[int]]:
@@ -112,8 +112,8 @@ def stepped_table_observations(
     omega = 2.0 * np.pi * frequency
     if held == "response":
         # The held motion may be given as another derivative than the responses.
-        given = quantity_of_unit(table.level_unit or table.quantity.unit)
-        amplitude = amplitude * omega ** (MOTIONS[table.quantity] - MOTIONS[given])
+        level_quantity = quantity_of_unit(table.level_unit or table.quantity.unit)
+        amplitude = amplitude * omega ** (ORDER[table.quantity] - ORDER[level_quantity])
     elif held == "base" and table.level_unit:
         moved = quantity_of_unit(table.level_unit)
         amplitude = amplitude * omega ** (
@@ -128,9 +128,9 @@ def stepped_table_observations(
         return empty((*notes, f"{name}: left out: it has no usable line."))
     groups = _groups(level, usable)
     parts = []
-    for own_level, mine in groups:
-        own = name if len(groups) == 1 else f"{name} at {own_level:g} {table.level_unit}".strip()
-        parts.append(_one(own, tables, held, mine, amplitude, view, channels, settings))
+    for own_level, selected in groups:
+        test_name = name if len(groups) == 1 else f"{name} at {own_level:g} {table.level_unit}".strip()
+        parts.append(_one(test_name, tables, held, selected, amplitude, view, channels, settings))
     return joined([empty(notes), *parts])
 
 
@@ -173,7 +173,7 @@ def _one(
     name: str,
     tables: Sequence[ObservableTable],
     held: str,
-    mine: NDArray[np.int64],
+    selected: NDArray[np.int64],
     amplitude: FloatArray,
     view: ModelView,
     channels: Sequence[MeasuredChannel],
@@ -181,20 +181,20 @@ def _one(
 ) -> Observations:
     """Observables of one level."""
     frequency = tables[0].columns["frequency_hz"]
-    order = mine[np.argsort(frequency[mine], kind="stable")]
+    order = selected[np.argsort(frequency[selected], kind="stable")]
     f = frequency[order]
     notes: list[str] = []
     measured = []
     for table, channel in zip(tables, channels, strict=True):
         own = name if len(tables) == 1 else f"{name}, {channel.name}"
-        std, said, degrees = _noise(own, table, order, table.responses[order], f)
-        notes += said
+        std, sentences, degrees = _noise(own, table, order, table.responses[order], f)
+        notes += sentences
         measured.append((channel, table.responses[order], std, degrees))
-    shown = [float(std[0]) for _, _, std, degrees in measured if math.isfinite(degrees)]
-    if len(shown) == len(measured) > 1:  # one sentence for all of them
-        low, high = 100.0 * min(shown), 100.0 * max(shown)
+    estimated = [float(std[0]) for _, _, std, degrees in measured if math.isfinite(degrees)]
+    if len(estimated) == len(measured) > 1:  # one sentence for all of them
+        low, high = 100.0 * min(estimated), 100.0 * max(estimated)
         notes = [
-            f"{name}: no uncertainties are given; the lines of its {len(shown)} points scatter by {low:.2g} to "
+            f"{name}: no uncertainties are given; the lines of its {len(estimated)} points scatter by {low:.2g} to "
             f"{high:.2g} % about a smooth course."
         ]
     # The channel that moves most in its own noise says how large the motion was.
@@ -290,9 +290,9 @@ def scatter_of_lines(frequency: FloatArray, response: ComplexArray, phase_known:
         return math.nan
     log = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
     middle, near, weights = neighbour_cubics(frequency)
-    rest = (log[middle] - np.sum(weights * log[near], axis=1)) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
+    residual = (log[middle] - np.sum(weights * log[near], axis=1)) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
     # Median of |x| of a normal variable: 0.6745 σ.
-    found = np.abs(np.concatenate([rest.real, rest.imag]) if phase_known else rest.real)
+    found = np.abs(np.concatenate([residual.real, residual.imag]) if phase_known else residual.real)
     return max(float(np.median(found)) / 0.6745, 1e-4) if found.size else math.nan
 
 

@@ -85,7 +85,7 @@ def _backbone(
     rows = RowTable()
     where = np.flatnonzero(good)
     unstated = max(floors.table_log_frequency, scatter_about_a_course(amplitude[good], np.log(frequency[good])))
-    shown = _scatter_of_damping(amplitude[good], damping[good])
+    scatter = _scatter_of_damping(amplitude[good], damping[good])
     notes = [] if good.all() else [f"{name}: {int((~good).sum())} of {good.size} rows have no value and are left out."]
     for level, index in enumerate(where):
         place = Place(level, 0.0, float(frequency[index]), float(amplitude[index]))
@@ -97,7 +97,7 @@ def _backbone(
         )  # fmt: skip
         if math.isfinite(damping[index]):
             known = math.isfinite(damping_std[index]) and damping_std[index] > 0.0
-            share = floors.decay_damping if known else max(floors.table_damping, shown)
+            share = floors.decay_damping if known else max(floors.table_damping, scatter)
             rows.add(
                 Part.DAMPING, float(damping[index]), float(damping_std[index]) if known else 0.0,
                 share * abs(float(damping[index])), place, 0, 1,
@@ -133,8 +133,8 @@ def scatter_about_a_course(x: FloatArray, y: FloatArray) -> float:
     if x.size < THRESHOLDS.noise.table_fewest_for_scatter:
         return 0.0
     middle, near, weights = neighbour_cubics(x)
-    rest = y[middle] - np.sum(weights * y[near], axis=1)
-    return math.sqrt(float(np.mean(rest**2 / (1.0 + np.sum(weights**2, axis=1)))))
+    residual = y[middle] - np.sum(weights * y[near], axis=1)
+    return math.sqrt(float(np.mean(residual**2 / (1.0 + np.sum(weights**2, axis=1)))))
 
 
 def _responses(
@@ -159,8 +159,8 @@ def _responses(
     weak = ~stated & np.isfinite(coherence)
     std[weak] = np.maximum(std[weak], np.sqrt(0.5 * (1.0 - coherence[weak]) / coherence[weak]))
     # A magnitude has a corner at an antiresonance, where the response itself goes smoothly through zero.
-    shown = table.phase_known and not stated.any()
-    everywhere = noise_of_weak_lines(frequency[good], response[good]) if shown else 0.0
+    noise_from_lines = table.phase_known and not stated.any()
+    everywhere = noise_of_weak_lines(frequency[good], response[good]) if noise_from_lines else 0.0
     std = np.hypot(std, everywhere / np.where(size > 0.0, size, 1.0))
     good &= std <= settings.largest_std
     candidates = np.flatnonzero(good)

@@ -122,10 +122,10 @@ def repeatability(observations: Observations, repeats: Observations) -> tuple[Fl
     kinds = _types(observations.rows, observations)
     raised = 0
     for kind in np.unique(kinds[found]):
-        mine = found & (kinds == kind)
-        if int(mine.sum()) < THRESHOLDS.noise.floor_fewest_pairs:
+        selected = found & (kinds == kind)
+        if int(selected.sum()) < THRESHOLDS.noise.floor_fewest_pairs:
             continue
-        excess = float(np.mean(0.5 * difference[mine] ** 2) - np.mean(stated[mine]))
+        excess = float(np.mean(0.5 * difference[selected] ** 2) - np.mean(stated[selected]))
         measured = np.sqrt(max(0.0, excess))
         every = kinds == kind
         raised += int(np.sum(every & (floor < measured)))
@@ -151,8 +151,8 @@ def _keys(observations: Observations) -> list[tuple[object, ...]]:
         test = observations.tests[rows.test[index]]
         channel = ""
         if rows.channel[index] >= 0:
-            own = getattr(test, "channels", None) or (getattr(test, "channel", None),)
-            channel = getattr(own[rows.channel[index]], "name", "")
+            channels = getattr(test, "channels", None) or (getattr(test, "channel", None),)
+            channel = getattr(channels[rows.channel[index]], "name", "")
         if isinstance(test, RandomTest):
             place: object = round(float(rows.frequency_hz[index]), 6)
         elif rows.part[index] == Part.LINE:

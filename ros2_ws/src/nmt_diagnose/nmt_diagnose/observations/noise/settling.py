@@ -82,8 +82,8 @@ def settling(logs: FloatArray, responses: NDArray[np.bool_]) -> Settling:
         common = float(weights @ sizes[responses] / weights.sum())
         if common**2 * weights.sum() > THRESHOLDS.noise.settling_sigmas**2:
             shared = responses & ((sizes - common) ** 2 <= THRESHOLDS.noise.settling_sigmas**2 * variances)
-    shown = sizes**2 > THRESHOLDS.noise.settling_sigmas**2 * variances
-    found = np.where(shared, common, np.where(shown, sizes, 0.0))
+    significant = sizes**2 > THRESHOLDS.noise.settling_sigmas**2 * variances
+    found = np.where(shared, common, np.where(significant, sizes, 0.0))
     leading = int(np.argmax(np.abs(sizes) / np.sqrt(variances)))
     return Settling(found, float(_RATES[best]), _doubt(tries, best, leading, count))
 
@@ -93,7 +93,7 @@ def _doubt(tries: list[tuple[float, FloatArray, FloatArray]], best: int, channel
 
     By the rates that fit nearly as well; the slowest that is tried stands for all that is slower, which nothing bounds.
     """
-    lost = np.array([own for own, _, _ in tries])
+    lost = np.array([cost for cost, _, _ in tries])
     weights = np.exp(-0.5 * (count - 2) * (lost - lost[best]))
     weights /= weights.sum()
     means = np.array([sizes[channel] * _mean(float(rate)) for rate, (_, sizes, _) in zip(_RATES, tries, strict=True)])

@@ -30,11 +30,11 @@ def with_shared_scatter(observations: Observations) -> Observations:
     for numbers in groups.values():
         if len(numbers) < 2:
             continue
-        own = [observations.rows.test == number for number in numbers]
-        before = np.array([float(std[mine][0]) for mine in own])
+        rows_of_test = [observations.rows.test == number for number in numbers]
+        before = np.array([float(std[selected][0]) for selected in rows_of_test])
         after, degrees = shrunk(before, np.array([_sweep(tests[number]).noise_degrees for number in numbers]))
-        for number, mine, old, new, free in zip(numbers, own, before, after, degrees, strict=True):
-            std[mine] *= new / old  # of the first channel; others scatter in proportion
+        for number, selected, old, new, free in zip(numbers, rows_of_test, before, after, degrees, strict=True):
+            std[selected] *= new / old  # of the first channel; others scatter in proportion
             test = _sweep(tests[number])
             noise = np.sqrt(np.maximum(test.noise**2 - old**2, 0.0) + new**2)
             tests[number] = replace(test, noise=noise, noise_degrees=float(free))

@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from nmt_signals.channel_faults.mains_lines import MAINS_HZ
+
 LocationKind = Literal[
     "structure", "boundary", "joint", "exciter", "force_sensor", "response_sensor", "controller", "time"
 ]
@@ -43,7 +45,7 @@ class Location:
 
     @classmethod
     def on_channel(
-        cls, kind: LocationKind, channel: str, point: int, picked_up: int = 0, mains_hz: float = EUROPEAN_MAINS_HZ
+        cls, kind: LocationKind, channel: str, point: int, picked_up: int = 0, mains_hz: float = MAINS_HZ[0]
     ) -> Location:
         """At the channel of a sensor at ``point``; ``picked_up`` is another point that it picks up."""
         detail = f"{channel}<{picked_up}" if picked_up else channel

@@ -9,7 +9,7 @@ from typing import Any
 
 from nmt_diagnose.effects.changes import Change, Sites, added
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
-from nmt_diagnose.effects.location import EUROPEAN_MAINS_HZ, Location, LocationKind
+from nmt_diagnose.effects.location import Location, LocationKind
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.thresholds import THRESHOLDS

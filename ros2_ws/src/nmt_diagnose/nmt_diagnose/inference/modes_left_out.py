@@ -45,7 +45,7 @@ class ModesLeftOut:
         found = []
         resonance = self.chain.resonance()
         for channel, measured_channel in self.channels.items():
-            if measured_channel.quantity not in ORDER:
+            if measured_channel.quantity not in MOTIONS:
                 continue  # only motions
             columns = np.zeros((4, len(self.rows)))
             for number, test in enumerate(self.tests):
@@ -54,7 +54,7 @@ class ModesLeftOut:
                 selected = np.flatnonzero((self.rows.test == number) & self.chain.rows_of(channel))
                 frequency = self.rows.frequency_hz[selected]
                 static = self._flexibility(test, measured_channel)
-                added = static * (2j * np.pi * frequency) ** ORDER[measured_channel.quantity]
+                added = static * (2j * np.pi * frequency) ** MOTIONS[measured_channel.quantity]
                 part = self.rows.part[selected]
                 relative = np.isin(part, FUNDAMENTAL)
                 added[relative] /= self._between(test, number, selected, base)[relative]

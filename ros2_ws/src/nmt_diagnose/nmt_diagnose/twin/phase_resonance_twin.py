@@ -34,7 +34,6 @@ from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
-VELOCITY_POWER = {Quantity.DISPLACEMENT: 1, Quantity.VELOCITY: 0, Quantity.ACCELERATION: -1}
 # The fundamental of the measured force is given.
 FORCE_GIVEN = -2
 

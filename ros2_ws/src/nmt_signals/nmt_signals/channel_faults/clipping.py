@@ -41,3 +41,38 @@ def _holds(samples: FloatArray, end: float) -> bool:
     wanted = min(away.size, max(CHANNEL_FAULTS.clipped_neighbours, 2 * count))
     _, numbers = np.unique(np.partition(away, wanted - 1)[:wanted], return_counts=True)
     return count >= CHANNEL_FAULTS.clipped_crowding * int(numbers[: CHANNEL_FAULTS.clipped_neighbours].max())
+
+
+def flat_top(values: FloatArray, samples_per_period: float) -> float | None:
+    """Where a signal is cut off.
+
+    A cut leaves more samples within a small depth of the extreme than a sine has there, and fewer just below: its edges
+    are as steep as those of a sine cut so. A body that comes to rest against friction approaches its rest slowly.
+
+    Args:
+        values: shape ``(samples,)``, whole periods.
+        samples_per_period: of the fundamental.
+
+    Returns:
+        The value of the flat top, or None.
+    """
+    top, bottom = float(values.max()), float(values.min())
+    half = 0.5 * (top - bottom)
+    for extreme, depth in ((top, top - values), (bottom, values - bottom)):
+        below = depth[depth > 1e-6 * half]
+        if below.size == 0 or below.min() > CHANNEL_FAULTS.flat_depth * half:
+            continue  # steps of a converter, or always the same few samples of a period: nothing is seen of the edge
+        share = np.count_nonzero(depth <= CHANNEL_FAULTS.flat_depth * half) / values.size
+        # A period of few samples, always the same ones, may hold its extreme twice.
+        if share - 2.0 / samples_per_period <= CHANNEL_FAULTS.flat_share:
+            continue
+        edge = np.count_nonzero(depth <= CHANNEL_FAULTS.flat_edge_depth * half) / values.size - share
+        cut = math.cos(math.pi * min(share, 0.5))
+        steep = math.acos(
+            cut * (1.0 - CHANNEL_FAULTS.flat_edge_depth) / (1.0 - CHANNEL_FAULTS.flat_depth)
+        ) / math.pi - min(share, 0.5)
+        # Where the samples of all periods fall on the same places, both edges may hold one of each period.
+        repeats = abs(samples_per_period - round(samples_per_period)) < 1e-4 * samples_per_period
+        if edge <= 1.5 * steep + (2.0 if repeats else 0.5) / samples_per_period:
+            return extreme
+    return None

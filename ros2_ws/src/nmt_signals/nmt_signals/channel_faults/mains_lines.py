@@ -11,7 +11,7 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_signals.thresholds import CHANNEL_FAULTS
 
 MAINS_HZ = (50.0, 60.0)
-"""Lines that are looked for, Hz."""
+"""Frequencies of the mains, the one of most countries first, Hz."""
 _NEIGHBOURS = np.concatenate((np.arange(-12, -1), np.arange(2, 13))).astype(np.float64)
 
 
@@ -49,19 +49,23 @@ def mains_line(
         cannot be told.
     """
     samples = data.shape[1]
+    if samples == 0:
+        return None
     pieces = max(1, math.ceil(samples / sample_rate / CHANNEL_FAULTS.mains_longest_s))
     length = samples // pieces
     resolution = sample_rate / length
-    fundamental = float(cycles[-1] - cycles[0]) / (samples - 1) * sample_rate
-    orders = np.arange(math.ceil(line_hz / fundamental) + len(_NEIGHBOURS)) * fundamental
+    orders = np.zeros(1)
     if line_hz > 0.5 * sample_rate - CHANNEL_FAULTS.mains_clearance_lines * resolution:
         return None
-    # High orders of a joint that slips are folded at the sampling rate, and may come down beside the line.
-    high = (
-        np.arange(math.floor(0.5 * sample_rate / fundamental) + 1, CHANNEL_FAULTS.folded_highest_order + 1)
-        * fundamental
-    )
-    orders = np.concatenate((orders, np.abs(high - np.round(high / sample_rate) * sample_rate)))
+    if cycles is not None:
+        fundamental = float(cycles[-1] - cycles[0]) / (samples - 1) * sample_rate
+        orders = np.arange(math.ceil(line_hz / fundamental) + len(_NEIGHBOURS)) * fundamental
+        # High orders of a joint that slips are folded at the sampling rate, and may come down beside the line.
+        high = (
+            np.arange(math.floor(0.5 * sample_rate / fundamental) + 1, CHANNEL_FAULTS.folded_highest_order + 1)
+            * fundamental
+        )
+        orders = np.concatenate((orders, np.abs(high - np.round(high / sample_rate) * sample_rate)))
     if np.abs(orders - line_hz).min() < CHANNEL_FAULTS.mains_clearance_lines * resolution:
         return None
     near = line_hz + _NEIGHBOURS * resolution
@@ -100,8 +104,8 @@ def _beside_harmonics(cycles: FloatArray, data: FloatArray, harmonics: int, per_
     result = np.empty((data.shape[0], per_sample.size), dtype=np.complex128)
     for number in range(per_sample.size):
         pair = [number, number + per_sample.size]
-        selected, off = both[pair], tones_taken[:, pair]
-        cosine, sine = np.linalg.solve(selected @ selected.T - off.T @ off, on_data[pair])
+        mine, off = both[pair], tones_taken[:, pair]
+        cosine, sine = np.linalg.solve(mine @ mine.T - off.T @ off, on_data[pair])
         result[:, number] = cosine - 1j * sine
     return result
 

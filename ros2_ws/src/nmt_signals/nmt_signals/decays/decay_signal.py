@@ -19,6 +19,7 @@ from scipy.signal import savgol_filter, stft
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_signals.thresholds import DECAYS
 
 

@@ -32,6 +32,21 @@ class ChannelFaultThresholds:
         "Values below the level whose samples are counted.",
         "",
     )  # fmt: skip
+    flat_depth: float = threshold(
+        3e-3, "half swings",
+        "Depth of a flat top.",
+        "",
+    )  # fmt: skip
+    flat_edge_depth: float = threshold(
+        3e-2, "half swings",
+        "Depth of its edge.",
+        "",
+    )  # fmt: skip
+    flat_share: float = threshold(
+        0.04, "periods",
+        "Part of a period at the extreme from which the top is flat; a sine has 0.025 there.",
+        "",
+    )  # fmt: skip
     step_samples: int = threshold(
         8192, "samples",
         "Samples that are looked at for a step: enough for every value of a coarse converter.",

@@ -13,7 +13,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel
-from nmt_diagnose.observations.model_view import ORDER, ModelView, nearest_ratio
+from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.channel_faults.repeated_samples import repeated_share

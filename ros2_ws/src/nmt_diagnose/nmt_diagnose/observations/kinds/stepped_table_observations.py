@@ -113,7 +113,7 @@ def stepped_table_observations(
     if held == "response":
         # The held motion may be given as another derivative than the responses.
         level_quantity = quantity_of_unit(table.level_unit or table.quantity.unit)
-        amplitude = amplitude * omega ** (ORDER[table.quantity] - ORDER[level_quantity])
+        amplitude = amplitude * omega ** (MOTIONS[table.quantity] - MOTIONS[level_quantity])
     elif held == "base" and table.level_unit:
         moved = quantity_of_unit(table.level_unit)
         amplitude = amplitude * omega ** (

@@ -217,8 +217,8 @@ MUTATIONS = [
         ),
         (
             "nmt_diagnose/nmt_diagnose/observations/noise/floors.py",
-            "excess = float(np.mean(0.5 * difference[mine] ** 2) - np.mean(stated[mine]))",
-            "excess = float(np.mean(difference[mine] ** 2) - np.mean(stated[mine]))",
+            "excess = float(np.mean(0.5 * difference[selected] ** 2) - np.mean(stated[selected]))",
+            "excess = float(np.mean(difference[selected] ** 2) - np.mean(stated[selected]))",
             "the floor from repeats is √2 too large",
         ),
         (

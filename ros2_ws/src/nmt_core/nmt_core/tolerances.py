@@ -62,7 +62,7 @@ class ChainTolerances:
     )  # fmt: skip
     resonance_shift: float = threshold(
         3e-4, "1",
-        "Resonance from test to test: modulus of steel falls by 3e-4 per kelvin, frequency by half of it.",
+        "Resonance from test to test: the modulus of steel falls by 3e-4 per kelvin, so two kelvins do as much.",
         "",
     )  # fmt: skip
     amplitude_scale: float = threshold(

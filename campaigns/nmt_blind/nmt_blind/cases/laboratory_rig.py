@@ -74,8 +74,10 @@ class LaboratoryRig(SimulatedRig):
         self._memory = np.zeros((self._filter.shape[0], len(self.sensors), 2))
         self._drift = Drift(self.rig.model_copy(update={"sample_rate_hz": self.steps * self.rig.sample_rate_hz}))
         self._chains = [
-            AnalogueChain(rate, own.low_pass_hz, own.high_pass_hz, own.delay + self._ahead / rate, self._images)
-            for own in self.sensors
+            AnalogueChain(
+                rate, section.low_pass_hz, section.high_pass_hz, section.delay + self._ahead / rate, self._images
+            )
+            for section in self.sensors
         ]
         sampled = [replace(s, low_pass_hz=None, high_pass_hz=None, delay=0.0, dead_zone=0.0) for s in self.sensors]
         self._channels = [SensorChannel(sensor, self.true_sample_rate, self.rig.seed) for sensor in sampled]
@@ -112,10 +114,10 @@ class LaboratoryRig(SimulatedRig):
         """What the sensors and their conditioners pass, at every step."""
         result = np.empty_like(values)
         for row, (sensor, chain) in enumerate(zip(self.sensors, self._chains, strict=True)):
-            seen = values[row]
+            recorded = values[row]
             if sensor.dead_zone > 0.0:
-                seen = np.sign(seen) * np.maximum(np.abs(seen) - sensor.dead_zone, 0.0)
-            result[row] = chain.process(seen)
+                recorded = np.sign(recorded) * np.maximum(np.abs(recorded) - sensor.dead_zone, 0.0)
+            result[row] = chain.process(recorded)
         return result
 
     def _between(self, voltage: FloatArray) -> FloatArray:

@@ -333,9 +333,9 @@ class Sensitivity:
 
     def _own(self) -> BoolArray:
         """Shifts that can be made; others stay linear."""
-        own = np.array([edit is not None for edit in self._made])
-        own[[number for number, _, _ in self._late]] = True
-        return own
+        model_columns = np.array([edit is not None for edit in self._made])
+        model_columns[[number for number, _, _ in self._late]] = True
+        return model_columns
 
     def _values(self, made: FloatArray) -> FloatArray:
         """Observables of the shifted model, shape (m,).
@@ -370,21 +370,21 @@ class Sensitivity:
 
     def _left(self, observed: Observed, values: FloatArray, made: FloatArray) -> float:
         """σ with some shifts made; only changes that cannot be made are fitted."""
-        rest, shifts = self._rest(observed, values, made)
-        return math.sqrt(float(rest @ rest + shifts @ shifts))
+        residual, shifts = self._rest(observed, values, made)
+        return math.sqrt(float(residual @ residual + shifts @ shifts))
 
     def _rest(self, observed: Observed, values: FloatArray, made: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What is left over the noise, shape (m,), zero where nothing compares, and all shifts, shape (k,)."""
         good, scale = self._good(observed, values)
-        own = self._own()
+        model_columns = self._own()
         d = (observed.values - values)[good] * scale
-        c = self.changes_about(values)[good][:, ~own] * scale[:, np.newaxis]
+        c = self.changes_about(values)[good][:, ~model_columns] * scale[:, np.newaxis]
         found = np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, c.T @ d)
         shifts = made.copy()
-        shifts[~own] += found
-        rest = np.zeros(observed.values.size)
-        rest[good] = d - c @ found
-        return rest, shifts
+        shifts[~model_columns] += found
+        residual = np.zeros(observed.values.size)
+        residual[good] = d - c @ found
+        return residual, shifts
 
     def changes_about(self, values: FloatArray) -> FloatArray:
         """Changes of observables by one standard deviation of each shift, (m, k).
@@ -476,9 +476,9 @@ class Sensitivity:
         normal = c.T @ c
         normal = np.eye(c.shape[1]) + normal + damping * np.diag(np.diag(normal))
         step = np.linalg.solve(normal, c.T @ d - shifts)
-        rest, total = d - c @ step, shifts + step
-        whole = np.nan_to_num((observed.values - self.base.values)[good] * scale)
-        return float(np.linalg.norm(whole)), math.sqrt(float(rest @ rest + total @ total)), total
+        residual, total = d - c @ step, shifts + step
+        difference = np.nan_to_num((observed.values - self.base.values)[good] * scale)
+        return float(np.linalg.norm(difference)), math.sqrt(float(residual @ residual + total @ total)), total
 
     def signature(self, observed: Observed, made: FloatArray) -> FloatArray:
         """What observables say that the model with shifts made does not, and the shifts, shape (m + k,).

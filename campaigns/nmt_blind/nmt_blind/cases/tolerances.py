@@ -106,10 +106,10 @@ def draw_chain(model: Rig, operating: Operating, generator: np.random.Generator)
         tuple(float(gain) for gain in gains),
         tuple(float(lead) if has_lead(s.quantity) else 0.0 for lead, s in zip(leads, model.sensors, strict=True)),
         # Delays count against the drive's own channel.
-        tuple(0.0 if own else float(delay) for delay, own in zip(delays, voltage, strict=True)),
+        tuple(0.0 if is_voltage else float(delay) for delay, is_voltage in zip(delays, voltage, strict=True)),
         tuple(
-            0.0 if own else float(hum) * operating.channels.get(name, 0.0)
-            for hum, own, name in zip(hums, voltage, names, strict=True)
+            0.0 if is_voltage else float(hum) * operating.channels.get(name, 0.0)
+            for hum, is_voltage, name in zip(hums, voltage, names, strict=True)
         ),
         clock,
         Converters(

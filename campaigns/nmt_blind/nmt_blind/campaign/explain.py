@@ -352,10 +352,7 @@ def _fitted(search: Search, null: FittedExplanation, rig: Rig, truth: Mapping[st
 
     Where the truth may be at one of several places, the one where it fits best.
     """
-    chosen = [
-        _candidates(search.candidates, str(explanation["name"]), explanation["detail"])
-        for explanation in truth["effects"]
-    ]
+    chosen = [_candidates(search.candidates, str(effect["name"]), effect["detail"]) for effect in truth["effects"]]
     fits = [
         _fitted_at(search, null, rig, truth, places)
         for places in itertools.islice(itertools.product(*chosen), _MOST_PLACES)

@@ -37,10 +37,10 @@ def spots(rig: Rig, operating: OperatingRange) -> Iterator[tuple[int, int, float
     largest = max(operating.displacement.values())
     for point in rig.structure.points:
         amplitude = operating.displacement[point]
-        if amplitude > 1e-3 * largest:
+        if amplitude > THRESHOLDS.candidates.least_motion_share * largest:
             yield point, 0, amplitude, operating.effective_stiffness(point)
     for (point, other), (amplitude, mass) in operating.pairs.items():
-        if amplitude > 1e-3 * largest:
+        if amplitude > THRESHOLDS.candidates.least_motion_share * largest:
             yield point, other, amplitude, operating.omega**2 * mass
 
 
@@ -126,7 +126,8 @@ def _mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
             existing=_added_there(rig, point),
         )
         for point in rig.structure.points
-        if operating.displacement[point] > 1e-3 * max(operating.displacement.values())
+        if operating.displacement[point]
+        > THRESHOLDS.candidates.least_motion_share * max(operating.displacement.values())
     )
 
 

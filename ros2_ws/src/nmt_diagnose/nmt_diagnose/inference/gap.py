@@ -75,7 +75,11 @@ def closed(
     total = n[draws].sum(axis=1)
     sample = _share(np.sqrt(b[draws].sum(axis=1) / total), np.sqrt(a[draws].sum(axis=1) / total), floor)
     sample = sample[np.isfinite(sample)]
-    low, high = (float(x) for x in np.quantile(sample, [0.05, 0.95])) if sample.size > 50 else (float("nan"),) * 2
+    low, high = (
+        (float(x) for x in np.quantile(sample, [0.05, 0.95]))
+        if sample.size > THRESHOLDS.verdict.bootstrap_fewest
+        else (float("nan"),) * 2
+    )
     before_rms, after_rms = float(np.sqrt(b.sum() / n.sum())), float(np.sqrt(a.sum() / n.sum()))
     value = float(_share(np.array([before_rms]), np.array([after_rms]), floor)[0])
     floor = min(floor, after_rms)
@@ -92,7 +96,7 @@ def _block(observations: Observations) -> IntArray:
     blocks = level.astype(np.int64).copy()
     for test in np.flatnonzero(many):
         selected = (observations.rows.test == test) & lines
-        if np.unique(level[selected]).size > 60:
+        if np.unique(level[selected]).size > THRESHOLDS.verdict.many_lines:
             blocks[selected] = level[selected] * 10 // (int(level[selected].max()) + 1)
     return blocks
 
@@ -102,4 +106,4 @@ def _share(before: FloatArray, after: FloatArray, floor: float) -> FloatArray:
     reached = np.minimum(floor, after)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = (before - after) / (before - reached)
-    return np.where(before > floor * 1.02, value, np.nan)
+    return np.where(before > floor * THRESHOLDS.verdict.least_gap_ratio, value, np.nan)

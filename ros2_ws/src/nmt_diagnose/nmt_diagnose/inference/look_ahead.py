@@ -95,7 +95,7 @@ def _competing(comparison: Comparison, null: FittedExplanation) -> list[FittedEx
         return []
     if len(classes[0].members) > 1:
         return list(classes[0].members[:3])
-    if len(classes) > 1 and classes[1].probability > 0.02 * classes[0].probability:
+    if len(classes) > 1 and classes[1].probability > THRESHOLDS.next_test.second_class_share * classes[0].probability:
         return [classes[0].head, classes[1].head]
     # One explanation stands alone: nothing is left to settle, unless it hardly beats having none.
     return [classes[0].head, null] if comparison.none > THRESHOLDS.next_test.doubtful_probability else []

@@ -127,7 +127,7 @@ def _kept(
     carried = np.array(shares)
     damping = -poles.real / np.abs(poles)
     spacing = np.interp(poles.imag * scale / (2.0 * np.pi), frequency_hz, np.gradient(frequency_hz))
-    wide = -2.0 * poles.real * scale / (2.0 * np.pi) > 0.3 * spacing
+    wide = -2.0 * poles.real * scale / (2.0 * np.pi) > THRESHOLDS.modes.least_width_lines * spacing
     inside = (poles.imag > s[0].imag) & (poles.imag < s[-1].imag)
     good = (
         inside

@@ -105,7 +105,7 @@ def place_rows(comparison: Comparison, explained: Mapping[str, float]) -> tuple[
     total = sum(weights.values())
     result = []
     for kind, p in sorted(kinds.items(), key=lambda item: -item[1]):
-        if p > 0.005:
+        if p > THRESHOLDS.verdict.least_location_probability:
             best = max(details[kind].values())
             detail = joined(
                 sorted(

@@ -128,7 +128,7 @@ def _where(where: Sequence[PlaceShare]) -> str:
     detail = f", {_detail(first.detail)}," if first.detail and _detail(first.detail) else ""
     text = f"The gap lies in {PLACES.get(first.place, first.place)}{detail.rstrip(',')}"
     text += f"; all explanations there together have a probability of {_sure(first.p)}"
-    others = [item for item in where[1:3] if item.p > 0.05]
+    others = [item for item in where[1:3] if item.p > THRESHOLDS.verdict.other_location_probability]
     if others:
         text += "; otherwise " + " or ".join(
             f"{PLACES.get(item.place, item.place)} ({_sure(item.p)})" for item in others

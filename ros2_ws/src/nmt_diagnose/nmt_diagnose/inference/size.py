@@ -217,7 +217,7 @@ def _band(level: np.ndarray, test: np.ndarray) -> np.ndarray:
     for number in np.unique(test):
         selected = test == number
         most = int(level[selected].max()) + 1
-        if most > 20:
+        if most > THRESHOLDS.verdict.many_levels:
             result[selected] = level[selected] * 10 // most
     return result
 

@@ -56,3 +56,8 @@ class CandidateThresholds:
         "Neighbours differ by 8 % in slip displacement; fewer show as corners of the cost at small amplitudes.",
         "",
     )  # fmt: skip
+    least_motion_share: float = threshold(
+        1e-3, "1",
+        "Motion of a point over the largest below which an effect of the structure does nothing there.",
+        "",
+    )  # fmt: skip

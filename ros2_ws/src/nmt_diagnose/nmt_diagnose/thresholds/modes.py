@@ -112,3 +112,8 @@ class ModeThresholds:
         "Most steps of a search that brings modes together.",
         "",
     )  # fmt: skip
+    least_width_lines: float = threshold(
+        0.3, "lines",
+        "Width of a resonance over the spacing of the lines below which a pole is noise.",
+        "",
+    )  # fmt: skip

@@ -36,3 +36,8 @@ class NextTestThresholds:
         "Uncertainty of a line of a random test of which the tests at hand hold none.",
         "",
     )  # fmt: skip
+    second_class_share: float = threshold(
+        0.02, "1",
+        "Probability of the second class over the first from which a test between them is sought.",
+        "",
+    )  # fmt: skip

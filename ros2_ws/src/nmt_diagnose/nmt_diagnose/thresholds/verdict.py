@@ -137,3 +137,33 @@ class VerdictThresholds:
         "Bands of lines in the map of residuals.",
         "",
     )  # fmt: skip
+    least_location_probability: float = threshold(
+        0.005, "1",
+        "A location below it is not listed: it would read 0 %.",
+        "",
+    )  # fmt: skip
+    other_location_probability: float = threshold(
+        0.05, "1",
+        "Probability from which a sentence names another location, too.",
+        "",
+    )  # fmt: skip
+    bootstrap_fewest: int = threshold(
+        50, "resamples",
+        "Fewer resamples with a gap have no 5 % ends.",
+        "",
+    )  # fmt: skip
+    least_gap_ratio: float = threshold(
+        1.02, "1",
+        "Rms over the floor below which there is no gap to close.",
+        "",
+    )  # fmt: skip
+    many_lines: int = threshold(
+        60, "lines",
+        "More lines of a test stand or fall by tenths, fewer one by one.",
+        "",
+    )  # fmt: skip
+    many_levels: int = threshold(
+        20, "levels",
+        "More levels or lines count by tenths in the size of a change.",
+        "",
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A simulated rig between a laboratory's converters: held drive, harmonics of the amplifier, anti-alias filters."""
+"""A simulated rig between a laboratory's converters: zero-order hold, distortion by the amplifier, filters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from nmt_rig.sensors import SensorChannel
 
 STEPS, STEPS_OF_IMAGES = 20, 40
 """Steps of the time integration per sample: the drive is held over all but the last, in which it moves on. There are
-more where nothing filters the steps of a held drive: there delays of channels go along straight lines between them."""
+more where nothing filters the steps of a zero-order hold: delays of channels go along straight lines between them."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Converters:
     Attributes:
         held: the drive, from sample to sample.
         filtered: an eighth-order Butterworth low-pass at 0.4 of the sample rate before every channel is sampled;
-            without it, the steps of a held drive appear in the channels as images of its frequency.
+            without it, the steps of a zero-order hold appear in the channels as images of its frequency.
         harmonics: of the drive, order and complex amplitude over the fundamental's.
     """
 

@@ -1,7 +1,7 @@
 """What an ordinary laboratory's measuring chain is off by, drawn for every case; none of it is a fault.
 
 Gains by the calibration sheet, phases of conditioners (the high-pass of a sensor with built-in electronics), delays of
-filters and multiplexers, a drive that the converter holds from sample to sample and that carries harmonics, channels
+filters and multiplexers, a drive with zero-order hold and harmonics, channels
 with and without an anti-alias filter, a clock that is some ten parts in a million off, a trace of the mains. How large
 stands in :mod:`nmt_core.tolerances`: shared delays within ± theirs, hum and harmonics up to theirs, the rest normal.
 """

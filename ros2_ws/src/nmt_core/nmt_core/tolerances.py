@@ -70,7 +70,7 @@ class ChainTolerances:
     )  # fmt: skip
     image_share: float = threshold(
         0.6, "1",
-        "One image constant over a mass line: the images of a held drive sum to a sawtooth of amplitude 1, rms 0.58.",
+        "Image constant over a mass line: images of a zero-order hold sum to a sawtooth of amplitude 1, rms 0.58.",
         "",
     )  # fmt: skip
 

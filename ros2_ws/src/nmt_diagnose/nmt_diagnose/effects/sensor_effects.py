@@ -248,7 +248,7 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         equivalents={"channel_skew": "a random test"},
     ),
     _effect(
-        "drive_hold", "drive held for T at a time: it acts T/2 later than recorded, e^{−iωT/2}",
+        "drive_hold", "zero-order hold of T: the drive acts T/2 later than recorded, e^{−iωT/2}",
         "sensors.delay_s of force and responses", EffectParameter("hold", "s"), place="exciter",
         reference="Franklin, Powell and Workman, Digital Control of Dynamic Systems (1998)",
         sites=_hold_sites, change=_with_hold,

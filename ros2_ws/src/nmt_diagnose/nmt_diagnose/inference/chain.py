@@ -331,7 +331,7 @@ class _Builder:
         return found | ({"gain of the recorded voltage": size * recorded} if commanded else {})
 
     def _hold(self) -> dict[str, FloatArray]:
-        """A drive that is held over each sample is smaller and half a sample late."""
+        """Zero-order hold of the drive: it is smaller and half a sample late."""
         found = {}
         for commanded in (True, False):
             direct = np.zeros(len(self.rows), dtype=np.complex128)
@@ -345,7 +345,7 @@ class _Builder:
         return found
 
     def _images(self) -> dict[str, FloatArray]:
-        """Images of a held drive in channels without filters.
+        """Images of a zero-order hold in channels without filters.
 
         The image of order m is sin(πx) e^{-iπx} A(m + x) e^{-2πi m u}/(π (m + x)), x the frequency over the rate, u the
         moment of sampling and A the model's response at that frequency, such as of a coil on its resonance; what the

@@ -33,9 +33,9 @@ class FitError(ArithmeticError):
 class Data:
     """What fits work on.
 
-    Lines of random tests are compared as complex numbers over the measured ones: noise and images of a held drive add
-    to them, however small a response is near its zeros. Gains and delays multiply what the model predicts, as they do
-    everywhere.
+    Lines of random tests are compared as complex numbers over the measured ones: noise and images of a zero-order hold
+    add to them, however small a response is near its zeros. Gains and delays multiply what the model predicts, as they
+    do everywhere.
 
     Attributes:
         observations: the real side.

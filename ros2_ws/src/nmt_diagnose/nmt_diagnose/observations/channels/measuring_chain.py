@@ -2,7 +2,7 @@
 
 The bench's own simulator measures as the rig file says; its bags have no tolerances. A laboratory's sensors and
 converters have ordinary ones: gains by the calibration sheet, phases of conditioners, delays of filters and
-multiplexers, a drive that is held from sample to sample.
+multiplexers, a zero-order hold of the drive.
 """
 
 from __future__ import annotations

@@ -22,17 +22,17 @@ class ChainTolerances:
     gain: float = threshold(
         0.01, "1",
         "Calibration certificates of force cells and accelerometers state 0.5 to 1 %, cables and mounting come on top.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.gain]",
     )  # fmt: skip
     phase_deg: float = threshold(
         0.2, "°",
         "Conditioners pass no constants: a high-pass of 0.1 Hz leads by as much at 30 Hz.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.phase_deg]",
     )  # fmt: skip
     delay_s: float = threshold(
         1e-5, "s",
         "Of one channel against the others: a multiplexer's step at 100 000 samples per second, and filters' spread.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.delay_s]",
     )  # fmt: skip
     shared_delay_s: float = threshold(
         1e-4, "s",
@@ -40,12 +40,14 @@ class ChainTolerances:
         "",
     )  # fmt: skip
     clock: float = threshold(
-        3e-5, "1", "Crystals of converters are stated to 25 to 50 parts in a million.", "",
+        3e-5, "1",
+        "Crystals of converters are stated to 25 to 50 parts in a million.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.clock]",
     )  # fmt: skip
     mains: float = threshold(
         1e-3, "1",
         "Largest ordinary hum over the largest fundamental of its channel: 60 dB below, hardly seen in a spectrum.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.mains]",
     )  # fmt: skip
     drive_harmonic: float = threshold(
         1e-3, "1",
@@ -63,15 +65,17 @@ class ChainTolerances:
     resonance_shift: float = threshold(
         3e-4, "1",
         "Resonance from test to test: the modulus of steel falls by 3e-4 per kelvin, so two kelvins do as much.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.resonance_shift]",
     )  # fmt: skip
     amplitude_scale: float = threshold(
-        0.01, "1", "Scale of amplitudes that a file gives without a word on its sensor: as a gain.", "",
+        0.01, "1",
+        "Scale of amplitudes that a file gives without a word on its sensor: as a gain.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.amplitude_scale]",
     )  # fmt: skip
     image_share: float = threshold(
         0.6, "1",
         "Image constant over a mass line: images of a zero-order hold sum to a sawtooth of amplitude 1, rms 0.58.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.image_share]",
     )  # fmt: skip
 
 

@@ -34,22 +34,22 @@ class CandidateThresholds:
     air_density_kg_m3: float = threshold(
         1.2, "kg/m³",
         "Air at 20 °C.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[candidates.air_density_kg_m3]",
     )  # fmt: skip
     largest_drag_coefficient: float = threshold(
         10.0, "1",
         "Of a plate that swings by about its width, where it is largest (Keulegan and Carpenter 1958).",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[candidates.largest_drag_coefficient]",
     )  # fmt: skip
     least_sheet_kg_m2: float = threshold(
         2.7, "kg/m²",
         "Mass of a sheet of aluminium of 1 mm over its area: the largest area that a mass is taken to have.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[candidates.least_sheet_kg_m2]",
     )  # fmt: skip
     largest_power_excess: float = threshold(
         9.0, "1",
         "Exponents of a power law beyond 1 that a rig file takes.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[candidates.largest_power_excess]",
     )  # fmt: skip
     joint_sliders: int = threshold(
         120, "1",

@@ -14,28 +14,28 @@ class ComparisonThresholds:
     prior_none: float = threshold(
         0.6, "1",
         "Most models that are tested lack nothing that these tests show.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.prior_none]",
     )  # fmt: skip
     prior_one_effect: float = threshold(
         0.25, "1",
         "Prior probability that one effect of the library is missing.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.prior_one_effect]",
     )  # fmt: skip
     prior_two_effects: float = threshold(
         0.05, "1",
         "Prior probability that two effects of the library are missing.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.prior_two_effects]",
     )  # fmt: skip
     prior_unnamed: float = threshold(
         0.1, "1",
         "Prior probability that something is missing which the library lacks.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.prior_unnamed]",
     )  # fmt: skip
     noise_probability: float = threshold(
         0.05, "1",
         "Probability that what an explanation leaves is noise below which something unnamed is beside it: the "
         "usual 5 %.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.noise_probability]",
     )  # fmt: skip
     equivalent_sigmas: float = threshold(
         3.0, "σ",
@@ -50,12 +50,12 @@ class ComparisonThresholds:
     credible_sigmas: float = threshold(
         3.0, "prior deviations",
         "Beyond three deviations of its prior a parameter is not believed.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.credible_sigmas]",
     )  # fmt: skip
     limit_std: float = threshold(
         0.5, "1",
         "Relative standard deviation of a limit that physics sets, of a drag coefficient for example.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.limit_std]",
     )  # fmt: skip
     incredible_probability: float = threshold(
         0.01, "1",

@@ -24,7 +24,7 @@ class FitThresholds:
     converged_cost_fall: float = threshold(
         0.2, "−2 ln p",
         "A promised fall of 0.2 is a step of √0.2 = 0.45 standard deviations.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[fits.converged_cost_fall]",
     )  # fmt: skip
     largest_step: float = threshold(
         3.0, "prior deviations",
@@ -65,7 +65,7 @@ class FitThresholds:
     largest_log_ratio: float = threshold(
         3.0, "1",
         "Ln of a predicted over a measured line beyond which it is as good as anywhere: keeps trial steps finite.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[fits.largest_log_ratio]",
     )  # fmt: skip
     chain_rounds: int = threshold(
         2, "1",
@@ -118,12 +118,12 @@ class FitThresholds:
     strength_std: float = threshold(
         3.0, "scales",
         "A strength of three scales is still ordinary.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[fits.strength_std]",
     )  # fmt: skip
     strength_spreads: tuple[float, ...] = threshold(
         (1.0, 10.0, 100.0), "1",
         "A nonlinear force may be many times the linear one: so many times the prior, each less probable.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[fits.strength_spreads]",
     )  # fmt: skip
     shape_std: float = threshold(
         1.0, "ln",

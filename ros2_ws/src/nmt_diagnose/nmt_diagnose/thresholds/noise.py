@@ -62,12 +62,12 @@ class NoiseThresholds:
     moderated_fewest: int = threshold(
         3, "variances",
         "Fewer variances do not show how they spread.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[noise.moderated_fewest]",
     )  # fmt: skip
     most_degrees_of_freedom: float = threshold(
         1e4, "1",
         "A variance with more is known.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[noise.most_degrees_of_freedom]",
     )  # fmt: skip
     settling_fewest: int = threshold(
         6, "sub-windows",

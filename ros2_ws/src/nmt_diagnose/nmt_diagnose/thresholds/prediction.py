@@ -39,12 +39,12 @@ class PredictionThresholds:
     coarse_steps: float = threshold(
         64.0, "1",
         "Steps of amplitude beyond which a staircase adds less than a hundredth of a step to any harmonic.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[prediction.coarse_steps]",
     )  # fmt: skip
     noise_reach_sigmas: float = threshold(
         4.0, "σ",
         "Deviations within which noise reaches a clipping level often enough to matter.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[prediction.noise_reach_sigmas]",
     )  # fmt: skip
     continued_log_step: float = threshold(
         0.5, "ln",
@@ -54,12 +54,12 @@ class PredictionThresholds:
     delay_step_turns: float = threshold(
         1.0 / 16.0, "turns",
         "Turns of the highest line between delays that are tried.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[prediction.delay_step_turns]",
     )  # fmt: skip
     latest_delay_s: float = threshold(
         0.01, "s",
         "No converter or filter is later than ten milliseconds.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[prediction.latest_delay_s]",
     )  # fmt: skip
     largest_magnitude_sigmas: float = threshold(
         4.0, "σ",
@@ -69,7 +69,7 @@ class PredictionThresholds:
     largest_shape_mix: float = threshold(
         1e-3, "1",
         "Part of another shape that a shape may take in while the first order will do.",
-        "",
+        "tests/diagnose/test_twin.py::test_poles_followed_to_first_order_miss_the_second_order_only[beam]",
     )  # fmt: skip
     far_pole_ratio: float = threshold(
         3.0, "1",

@@ -171,7 +171,7 @@ class ReadingThresholds:
     decay_cross_shift: float = threshold(
         2.0, "1",
         "Shift by the motion in another mode over that by as much motion of its own, of a cubic spring.",
-        "",
+        "tests/diagnose/test_decay_of_two_masses.py::test_what_another_mode_shifts_is_part_of_the_uncertainty",
     )  # fmt: skip
     decay_few_spectral_periods: int = threshold(
         3, "1",

@@ -56,7 +56,7 @@ class SearchThresholds:
     wider_strength: float = threshold(
         2.5, "prior deviations",
         "Strength over its prior deviation from which a wider part of the prior is tried.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[search.wider_strength]",
     )  # fmt: skip
     finalists: int = threshold(
         8, "1",

@@ -14,7 +14,7 @@ class VerdictThresholds:
     alarm_log_odds: float = threshold(
         1.5, "ln odds",
         "Ln of the odds against no gap from which a gap is claimed: four and a half to one.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.alarm_log_odds]",
     )  # fmt: skip
     recalibration_cost_fall: float = threshold(
         25.0, "−2 ln p",
@@ -26,18 +26,18 @@ class VerdictThresholds:
         0.95, "1",
         "Share of the gap that an explanation which leaves more than noise has to close to be reported as a "
         "partial one.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.partial_closed_share]",
     )  # fmt: skip
     worse_prediction_sigmas: float = threshold(
         1.0, "σ",
         "Standard deviations by which held-out rows must be predicted worse for an explanation to be refused.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.worse_prediction_sigmas]",
     )  # fmt: skip
     prior_cost_fall: float = threshold(
         9.0, "−2 ln p",
         "Fall of what priors of parameters and chain cost from which a further effect is reported however small: "
         "three deviations.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.prior_cost_fall]",
     )  # fmt: skip
     judged_explanations: int = threshold(
         3, "1",
@@ -52,7 +52,7 @@ class VerdictThresholds:
     as_likely_share: float = threshold(
         1.0 / 3.0, "1",
         "Share of the likeliest detail's probability from which another is named beside it.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.as_likely_share]",
     )  # fmt: skip
     open_prediction_share: float = threshold(
         0.3, "1",
@@ -85,7 +85,7 @@ class VerdictThresholds:
     cause_probability: float = threshold(
         0.9, "1",
         "Probability from which a sentence says the cause, not the most probable cause.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.cause_probability]",
     )  # fmt: skip
     least_remainder: float = threshold(
         0.01, "1",
@@ -110,7 +110,7 @@ class VerdictThresholds:
     course_fewest_levels: int = threshold(
         5, "1",
         "A quadratic through fewer levels leaves too little to test.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.course_fewest_levels]",
     )  # fmt: skip
     held_out_fewest_levels: int = threshold(
         4, "1",
@@ -140,12 +140,12 @@ class VerdictThresholds:
     least_location_probability: float = threshold(
         0.005, "1",
         "A location below it is not listed: it would read 0 %.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.least_location_probability]",
     )  # fmt: skip
     other_location_probability: float = threshold(
         0.05, "1",
         "Probability from which a sentence names another location, too.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.other_location_probability]",
     )  # fmt: skip
     bootstrap_fewest: int = threshold(
         50, "resamples",
@@ -155,7 +155,7 @@ class VerdictThresholds:
     least_gap_ratio: float = threshold(
         1.02, "1",
         "Rms over the floor below which there is no gap to close.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.least_gap_ratio]",
     )  # fmt: skip
     many_lines: int = threshold(
         60, "lines",
@@ -165,5 +165,5 @@ class VerdictThresholds:
     many_levels: int = threshold(
         20, "levels",
         "More levels or lines count by tenths in the size of a change.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.many_levels]",
     )  # fmt: skip

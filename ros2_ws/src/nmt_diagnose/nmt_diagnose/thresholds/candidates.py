@@ -19,7 +19,7 @@ class CandidateThresholds:
     large_delay_phase_rad: float = threshold(
         0.3, "rad",
         "Turn of the motion by a delay from which the first order fails and a fit begins there, too.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[candidates.large_delay_phase_rad]",
     )  # fmt: skip
     clip_depth: float = threshold(
         0.1, "ln",

@@ -14,12 +14,12 @@ class MisfitThresholds:
     shared_share: float = threshold(
         0.2, "size that matters",
         "Misfit that neighbouring levels and lines share, of a model that lacks nothing.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[misfit.shared_share]",
     )  # fmt: skip
     independent_share: float = threshold(
         0.02, "size that matters",
         "Misfit that each level and line has for itself.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[misfit.independent_share]",
     )  # fmt: skip
     level_length: float = threshold(
         1.0, "ln level",

@@ -24,7 +24,7 @@ class ModeThresholds:
     alike_mac: float = threshold(
         0.5, "1",
         "Modal assurance criterion below which the order of two modes is beyond doubt.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[modes.alike_mac]",
     )  # fmt: skip
     apart_log_frequency: float = threshold(
         0.5, "ln frequency",
@@ -55,7 +55,7 @@ class ModeThresholds:
         1.3, "1",
         "Frequency over an end of the band up to which a pole that the model lacks may be noise: responses are "
         "small there.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[modes.edge_ratio]",
     )  # fmt: skip
     around_log_frequency: float = threshold(
         0.1, "ln frequency",

@@ -24,7 +24,7 @@ class NextTestThresholds:
     doubtful_probability: float = threshold(
         0.05, "1",
         "Probability of no effect at all from which that competes.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[next_test.doubtful_probability]",
     )  # fmt: skip
     random_lines: int = threshold(
         80, "1",
@@ -39,5 +39,5 @@ class NextTestThresholds:
     second_class_share: float = threshold(
         0.02, "1",
         "Probability of the second class over the first from which a test between them is sought.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[next_test.second_class_share]",
     )  # fmt: skip

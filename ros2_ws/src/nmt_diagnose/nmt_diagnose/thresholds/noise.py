@@ -30,7 +30,7 @@ class NoiseThresholds:
     stepped_fewest_for_scatter: int = threshold(
         12, "lines",
         "Fewer lines do not show their scatter.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[noise.stepped_fewest_for_scatter]",
     )  # fmt: skip
     median_relative_std: float = threshold(
         1.7, "1",
@@ -46,7 +46,7 @@ class NoiseThresholds:
     table_fewest_for_scatter: int = threshold(
         7, "points",
         "Fewer points do not show their scatter.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[noise.table_fewest_for_scatter]",
     )  # fmt: skip
     cubic_relative_std: float = threshold(
         1.3, "1",
@@ -72,7 +72,7 @@ class NoiseThresholds:
     settling_fewest: int = threshold(
         6, "sub-windows",
         "Fewer sub-windows show no transient.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[noise.settling_fewest]",
     )  # fmt: skip
     settling_sigmas: float = threshold(
         4.0, "σ",

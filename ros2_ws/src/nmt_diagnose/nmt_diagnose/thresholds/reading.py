@@ -106,12 +106,12 @@ class ReadingThresholds:
     record_hold_error: float = threshold(
         3e-3, "1",
         "Error of a straight line between samples of the drive that steps between them keep below.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[reading.record_hold_error]",
     )  # fmt: skip
     record_finest_steps: int = threshold(
         32, "1",
         "Steps between samples of the drive.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[reading.record_finest_steps]",
     )  # fmt: skip
     record_padding_samples: int = threshold(
         512, "samples",
@@ -216,17 +216,17 @@ class ReadingThresholds:
     stepped_same_level: float = threshold(
         1e-3, "1",
         "Levels that differ by less are one.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[reading.stepped_same_level]",
     )  # fmt: skip
     stepped_jump: float = threshold(
         0.5, "ln H",
         "Step from line to line that is a jump.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[reading.stepped_jump]",
     )  # fmt: skip
     stepped_jump_ratio: float = threshold(
         4.0, "1",
         "A jump's step over those of its neighbours.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[reading.stepped_jump_ratio]",
     )  # fmt: skip
     few_levels: int = threshold(
         3, "levels",

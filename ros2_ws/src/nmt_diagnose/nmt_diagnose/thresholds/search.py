@@ -30,7 +30,7 @@ class SearchThresholds:
     alike_cosine: float = threshold(
         0.98, "1",
         "Cosine between changes of the rows from which two effects count as one of those that are fitted.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[search.alike_cosine]",
     )  # fmt: skip
     pair_heads: int = threshold(
         2, "1",
@@ -81,7 +81,7 @@ class SearchThresholds:
     noise_scale: float = threshold(
         2.0, "1",
         "Learnt scale of a group of rows from which explanations are also climbed from low levels.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[search.noise_scale]",
     )  # fmt: skip
     same_optimum_cost: float = threshold(
         1.0, "−2 ln p",
@@ -96,7 +96,7 @@ class SearchThresholds:
     same_log_scale: float = threshold(
         0.1, "ln",
         "Ln of a group's scale over that of the model alone below which the group is as it was.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[search.same_log_scale]",
     )  # fmt: skip
     initial_strength: float = threshold(
         0.01, "scales",

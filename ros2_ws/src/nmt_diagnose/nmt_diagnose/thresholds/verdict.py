@@ -63,12 +63,12 @@ class VerdictThresholds:
     left_over_scale: float = threshold(
         2.0, "1",
         "What is left over the floor from which it is more than noise.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[verdict.left_over_scale]",
     )  # fmt: skip
     small_left_share: float = threshold(
         0.15, "1",
         "Share of the gap from which what is left is a warning.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[verdict.small_left_share]",
     )  # fmt: skip
     visible_sigmas: float = threshold(
         5.0, "σ",
@@ -115,7 +115,7 @@ class VerdictThresholds:
     held_out_fewest_levels: int = threshold(
         4, "1",
         "Of fewer levels every second one leaves too few to fit.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[verdict.held_out_fewest_levels]",
     )  # fmt: skip
     held_out_fewest_responses: int = threshold(
         3, "1",

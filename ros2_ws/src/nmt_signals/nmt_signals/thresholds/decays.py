@@ -104,12 +104,12 @@ class DecayThresholds:
     fewest_periods: int = threshold(
         12, "periods",
         "Fewer periods do not carry an amplitude and a frequency that change.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.fewest_periods]",
     )  # fmt: skip
     fewest_samples_per_period: float = threshold(
         3.0, "samples",
         "The window's band and its image would overlap.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.fewest_samples_per_period]",
     )  # fmt: skip
     window_boxcars: int = threshold(
         4, "1",
@@ -119,7 +119,7 @@ class DecayThresholds:
     frame_fewest_samples: int = threshold(
         32, "samples",
         "Shorter frames have no spectrum.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.frame_fewest_samples]",
     )  # fmt: skip
     most_frames: int = threshold(
         256, "frames",
@@ -184,7 +184,7 @@ class DecayThresholds:
     turning_fewest_samples: int = threshold(
         20, "samples",
         "Samples of a period that turning points need: four on the fitted piece.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.turning_fewest_samples]",
     )  # fmt: skip
     turning_interval_periods: tuple[float, ...] = threshold(
         (0.35, 0.7), "periods",
@@ -199,12 +199,12 @@ class DecayThresholds:
     turning_smallest_share: float = threshold(
         0.02, "1",
         "Share of the largest swing below which the decay has ended.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.turning_smallest_share]",
     )  # fmt: skip
     turning_fewest_nodes: int = threshold(
         3, "nodes",
         "Fewer nodes have no course over the amplitude.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.turning_fewest_nodes]",
     )  # fmt: skip
     vertex_passes: int = threshold(
         3, "1",

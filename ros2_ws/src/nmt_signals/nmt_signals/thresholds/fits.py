@@ -14,7 +14,7 @@ class SignalFitThresholds:
     fewest_averages: int = threshold(
         3, "averages",
         "Fewer averages show no coherence.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.fits.fewest_averages]",
     )  # fmt: skip
     rational_most_lines: int = threshold(
         3000, "lines",

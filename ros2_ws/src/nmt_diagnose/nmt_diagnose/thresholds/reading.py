@@ -138,19 +138,9 @@ class ReadingThresholds:
         "Quantile of the spectrum that is its noise.",
         "",
     )  # fmt: skip
-    decay_switch_off_periods: int = threshold(
-        1, "periods",
-        "Periods within which the drive goes to zero.",
-        "",
-    )  # fmt: skip
     decay_wrong_frequency_ratio: float = threshold(
         1.6, "1",
         "Frequency of a decay over that of the model's mode from which it is of another mode.",
-        "",
-    )  # fmt: skip
-    decay_same_line: float = threshold(
-        0.02, "1",
-        "Relative distance of two frequencies that are one.",
         "",
     )  # fmt: skip
     decay_slow_share: float = threshold(
@@ -176,26 +166,6 @@ class ReadingThresholds:
     decay_few_spectral_periods: int = threshold(
         3, "1",
         "Times the periods that spectra need, up to which turning points are tried.",
-        "",
-    )  # fmt: skip
-    decay_widths: tuple[int, ...] = threshold(
-        (1, 2, 4), "1",
-        "Widths of the demodulation that are tried.",
-        "",
-    )  # fmt: skip
-    decay_narrower_gain: float = threshold(
-        0.5, "1",
-        "Share of the uncertainty from which a narrower band is taken.",
-        "",
-    )  # fmt: skip
-    decay_compared_amplitudes: int = threshold(
-        60, "1",
-        "Amplitudes at which two widths are compared.",
-        "",
-    )  # fmt: skip
-    decay_largest_log_std: float = threshold(
-        0.03, "1",
-        "Uncertainty of ln ω beyond which an amplitude tells nothing.",
         "",
     )  # fmt: skip
     decay_largest_ratio_std: float = threshold(

@@ -211,3 +211,33 @@ class DecayThresholds:
         "Times that the piece is centred on its vertex.",
         "",
     )  # fmt: skip
+    switch_off_periods: int = threshold(
+        1, "periods",
+        "Periods within which the drive goes to zero.",
+        "",
+    )  # fmt: skip
+    widths: tuple[int, ...] = threshold(
+        (1, 2, 4), "1",
+        "Widths of the demodulation that are tried.",
+        "",
+    )  # fmt: skip
+    same_line: float = threshold(
+        0.02, "1",
+        "Relative distance of two frequencies that are one.",
+        "",
+    )  # fmt: skip
+    narrower_gain: float = threshold(
+        0.5, "1",
+        "Share of the uncertainty from which a narrower band is taken.",
+        "",
+    )  # fmt: skip
+    compared_amplitudes: int = threshold(
+        60, "1",
+        "Amplitudes at which two widths are compared.",
+        "",
+    )  # fmt: skip
+    largest_log_std: float = threshold(
+        0.03, "1",
+        "Uncertainty of ln ω beyond which an amplitude tells nothing.",
+        "",
+    )  # fmt: skip

@@ -9,7 +9,6 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,25 +23,14 @@ from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_signals.decays.decay_hum import Hum, without_hum
-from nmt_signals.decays.decay_nodes import Node, nodes, ratio_at
-from nmt_signals.decays.decay_signal import Ridge, SlowAmplitude, demodulated, ridges, slow_amplitude
+from nmt_signals.decays.decay_hum import without_hum
+from nmt_signals.decays.decay_nodes import Node, ratio_at
+from nmt_signals.decays.decay_reading import DecayReading, read_decay
+from nmt_signals.decays.decay_signal import Ridge, demodulated
 from nmt_signals.decays.half_cycles import half_cycle_nodes
 from nmt_signals.thresholds import DECAYS
 
 _ORDER = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
-
-
-@dataclass(frozen=True)
-class _Decay:
-    """What was found in one channel."""
-
-    slow: SlowAmplitude
-    nodes: list[Node]
-    good: list[Node]
-    ridge: Ridge
-    hum: tuple[Hum, ...]
-    others: FloatArray  # motion in other modes over that in this one at each good node, squared
 
 
 def ring_down_observations(
@@ -73,10 +61,22 @@ def ring_down_observations(
         return empty((f"{name}: the ring-down is left out: there is no usable response.",))
     order: Sequence[Quantity] = ((response_quantity,) if response_quantity is not None else ()) + _ORDER
     usable.sort(key=lambda c: (channels[c.name].point != view.rig.drive_point, order.index(c.quantity)))
+    seconds = stretch.samples / stretch.sample_rate
+
+    def choose(found: Sequence[Ridge]) -> Ridge:
+        return _chosen(found, frequency_hz, view, seconds)
+
     reason, decay, model_channel = "", None, usable[0]
     for model_channel in usable:
         try:
-            decay = _decay(stretch, model_channel, frequency_hz, view, settings)
+            decay = read_decay(
+                stretch.row(model_channel.name),
+                stretch.sample_rate,
+                model_channel.quantity,
+                choose,
+                settings.decay_points,
+                settings.floors.decay_log_frequency,
+            )
             break
         except BenchError as error:
             reason = reason or str(error)
@@ -88,9 +88,7 @@ def ring_down_observations(
     amplitudes = _add_nodes(table, decay.good, stretch, settings, decay.others)
     for index, other in enumerate(others, start=1):
         samples = stretch.row(other.name)
-        samples, _ = without_hum(
-            samples - samples.mean(), stretch.sample_rate, decay.ridge, THRESHOLDS.reading.decay_switch_off_periods
-        )
+        samples, _ = without_hum(samples - samples.mean(), stretch.sample_rate, decay.ridge, DECAYS.switch_off_periods)
         values = demodulated(samples, decay.slow.cycles, decay.slow.width)[:: decay.slow.stride]
         for level, node in enumerate(decay.good):
             ratio, std = ratio_at(node, decay.slow, values)
@@ -175,70 +173,6 @@ def _short_decay(
     return table.observations(test, [note])
 
 
-def _decay(
-    stretch: SampleStretch,
-    channel: MeasuredChannel,
-    frequency_hz: float,
-    view: ModelView,
-    settings: ObservationSettings,
-) -> _Decay:
-    """Amplitudes, frequencies and damping ratios of one channel's decay.
-
-    Raises:
-        BenchError: nothing of it can be used.
-    """
-    samples = stretch.row(channel.name)
-    samples = samples - samples.mean()
-    found_ridges = ridges(samples, stretch.sample_rate, channel.quantity)
-    ridge = _chosen(found_ridges, frequency_hz, view, samples.size / stretch.sample_rate)
-    samples, hum = without_hum(samples, stretch.sample_rate, ridge, THRESHOLDS.reading.decay_switch_off_periods)
-    best: _Decay | None = None
-    reason = ""
-    for width in THRESHOLDS.reading.decay_widths:
-        try:
-            slow = slow_amplitude(samples, stretch.sample_rate, ridge, width)
-        except BenchError as error:
-            reason = reason or str(error)
-            continue
-        found = nodes(slow, settings.decay_points, THRESHOLDS.reading.decay_switch_off_periods)
-        good = [
-            node
-            for node in found
-            if node.omega > 0.0 and node.omega_std < THRESHOLDS.reading.decay_largest_log_std * node.omega
-        ]
-        if not good:
-            reason = reason or "the decay does not stand out of the noise, or something else rings on"
-            continue
-        decay = _Decay(slow, found, good, ridge, hum, _in_others(good, ridge, found_ridges, hum))
-        # A narrower band lets less of other modes through, but makes less of a fast decay.
-        if best is None or _pays(decay, best, settings.floors.decay_log_frequency):
-            best = decay
-    if best is None:
-        raise BenchError(reason)
-    return best
-
-
-def _in_others(good: list[Node], followed: Ridge, found: list[Ridge], hum: tuple[Hum, ...]) -> FloatArray:
-    """Square of the motion in other modes over that in the own one at each node, shape (nodes,).
-
-    Harmonics are no other mode, nor is the mains. Of slower modes velocities are compared, not displacements: a body
-    that swings on its suspension does not strain.
-    """
-    total = np.zeros(followed.time_s.size)
-    for ridge in found:
-        ratio = ridge.late_hz / followed.late_hz
-        foreign = any(abs(ridge.late_hz / line.frequency_hz - 1.0) < THRESHOLDS.reading.decay_same_line for line in hum)
-        if (
-            ridge is followed
-            or foreign
-            or abs(ratio - max(1.0, round(ratio))) < THRESHOLDS.reading.decay_same_line * ratio
-        ):
-            continue
-        energy = np.interp(followed.time_s, ridge.time_s, np.where(ridge.clear, ridge.energy, 0.0))
-        total += energy / np.maximum(followed.energy, 1e-300) / max(1.0, ratio) ** 2
-    return np.asarray(np.interp([node.time_s for node in good], followed.time_s, total))
-
-
 def _bends(good: list[Node]) -> FloatArray:
     """Slope of ln ω over ln A at each node, shape (nodes,): it carries over what the amplitudes are uncertain by."""
     if len(good) < 2:
@@ -251,35 +185,7 @@ def _bends(good: list[Node]) -> FloatArray:
     return slopes
 
 
-def _pays(narrower: _Decay, wider: _Decay, floor: float) -> bool:
-    """Whether a narrower band tells far more of the frequency over most of the amplitudes that either covers.
-
-    Fewer and longer segments are each more certain and say no more. What is known better than to the floor that
-    observables have, relative, tells nothing more either: else quiet small amplitudes outvote the large ones.
-    """
-    ends = [end for decay in (narrower, wider) for node in decay.good for end in _reach(decay, node)]
-    grid = np.linspace(min(ends), max(ends), THRESHOLDS.reading.decay_compared_amplitudes)
-    gain = _covered(narrower, grid, floor) > _covered(wider, grid, floor) / THRESHOLDS.reading.decay_narrower_gain**2
-    return float(np.mean(gain)) > 0.5
-
-
-def _reach(decay: _Decay, node: Node) -> tuple[float, float]:
-    """Smallest and largest ln of the amplitude in a node's segment."""
-    log = decay.slow.log[node.first : node.stop]
-    return float(log.min()), float(log.max())
-
-
-def _covered(decay: _Decay, log: FloatArray, floor: float) -> FloatArray:
-    """What a decay tells of ln ω per unit of ln A, shape of ``log``; 0 where it has no segment."""
-    covered = np.zeros(log.shape)
-    for node in decay.good:
-        low, high = _reach(decay, node)
-        inside = (log >= low) & (log <= high)
-        covered[inside] = 1.0 / (math.hypot(node.omega_std / node.omega, floor) ** 2 * max(high - low, 1e-9))
-    return covered
-
-
-def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView, seconds: float) -> Ridge:
+def _chosen(found: Sequence[Ridge], frequency_hz: float, view: ModelView, seconds: float) -> Ridge:
     """The ridge of the mode that was excited; else the strongest that the model has a mode for.
 
     Raises:
@@ -308,7 +214,7 @@ def _chosen(found: list[Ridge], frequency_hz: float, view: ModelView, seconds: f
     raise BenchError(f"it decays at {frequencies} Hz, where the model {view.rig.name} has no mode (it has {modes} Hz)")
 
 
-def _notes(name: str, decay: _Decay) -> list[str]:
+def _notes(name: str, decay: DecayReading) -> list[str]:
     """What of a decay is not used, and why."""
     result = []
     if len(decay.good) < THRESHOLDS.reading.decay_few_nodes:
@@ -335,7 +241,7 @@ def _notes(name: str, decay: _Decay) -> list[str]:
         for hum in decay.hum
     ]
     first = decay.nodes[0].first
-    if first > THRESHOLDS.reading.decay_switch_off_periods:
+    if first > DECAYS.switch_off_periods:
         start = float(decay.slow.time_s[first])
         result.append(
             f"{name}: the decay is used from {start:.3g} s on; before, it still grows or something else rings with it."

@@ -68,34 +68,9 @@ class ReadingThresholds:
         "By how much of it the share of repeated samples may be off, all levels together.",
         "",
     )  # fmt: skip
-    random_curve_gain: float = threshold(
-        15.0, "ln likelihood",
-        "A resonance is there where it raises the log-likelihood of the lines around it by so much.",
-        "",
-    )  # fmt: skip
-    random_pole_steps: int = threshold(
-        8, "1",
-        "How often the place of such a resonance is improved.",
-        "",
-    )  # fmt: skip
-    random_linear_steps: int = threshold(
-        3, "1",
-        "How many of these steps are linear.",
-        "",
-    )  # fmt: skip
     random_fewest_lines: int = threshold(
         200, "lines",
         "Fewer lines carry no local fits.",
-        "",
-    )  # fmt: skip
-    random_driven_share: float = threshold(
-        0.25, "1",
-        "Power of the drive over its largest from which a line is driven.",
-        "",
-    )  # fmt: skip
-    random_highest_share: float = threshold(
-        0.4, "sampling rates",
-        "Above it anti-alias filters fall.",
         "",
     )  # fmt: skip
     record_decay_constants: float = threshold(

@@ -41,3 +41,28 @@ class SignalFitThresholds:
         "Steps of a fit of frequency, amplitude and phase.",
         "",
     )  # fmt: skip
+    local_resonance_gain: float = threshold(
+        15.0, "ln likelihood",
+        "A resonance is there where it raises the log-likelihood of the lines around it by so much.",
+        "",
+    )  # fmt: skip
+    local_pole_steps: int = threshold(
+        8, "1",
+        "How often the place of such a resonance is improved.",
+        "",
+    )  # fmt: skip
+    local_linear_steps: int = threshold(
+        3, "1",
+        "How many of these steps are linear.",
+        "",
+    )  # fmt: skip
+    driven_share: float = threshold(
+        0.25, "1",
+        "Power of the drive over its largest from which a line is driven.",
+        "",
+    )  # fmt: skip
+    highest_share: float = threshold(
+        0.4, "sampling rates",
+        "Above it anti-alias filters fall.",
+        "",
+    )  # fmt: skip

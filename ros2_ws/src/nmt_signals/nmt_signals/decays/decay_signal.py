@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter, stft
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import MOTIONS
+from nmt_core.vocabulary import MOTIONS, Quantity
 from nmt_signals.thresholds import DECAYS
 
 

@@ -24,8 +24,7 @@ from nmt_diagnose.inference.noise import Groups, groups_of
 from nmt_diagnose.inference.search import FittedExplanation, Score, Search
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest
-from nmt_diagnose.observations.observables import Observations, Part
-from nmt_diagnose.observations.row_table import Place, RowTable
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig, validate_rig

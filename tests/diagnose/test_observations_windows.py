@@ -20,7 +20,7 @@ from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest, RandomTest, RingDownTest
 from nmt_diagnose.observations.kinds.phase_resonance_observations import analyse_window
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.noise.moderated_variance import moderated
+from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.observations.noise.settling import settling
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings

@@ -14,7 +14,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.kinds.stepped_table_observations import scatter_of_lines
-from nmt_diagnose.observations.noise.shared_scatter import shrunk, with_shared_scatter
+from nmt_diagnose.observations.noise.scatter import shrunk, with_shared_scatter
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 

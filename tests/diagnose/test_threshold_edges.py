@@ -29,14 +29,13 @@ from nmt_diagnose.inference.search import _spread_of
 from nmt_diagnose.inference.sentences import _where, sentences
 from nmt_diagnose.inference.size import Objection, _band, _lowers_prior_cost
 from nmt_diagnose.inference.warnings import beyond_physical_limits
-from nmt_diagnose.observations.noise.moderated_variance import moderated
+from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.twin.converter import recorded_harmonics
 from nmt_diagnose.twin.lateness import delay_of
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import load_rig
 from nmt_signals.channel_faults.clipping import clipping_level
-from nmt_signals.channel_faults.converter_step import converter_step
-from nmt_signals.channel_faults.repeated_samples import repeated_share
+from nmt_signals.channel_faults.converter_faults import converter_step, repeated_share
 
 SOURCE = Location("controller")
 

@@ -20,7 +20,7 @@ from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_signals.channel_faults.converter_step import CONVERTER_BITS, resolution
+from nmt_signals.channel_faults.converter_faults import CONVERTER_BITS, resolution
 
 if TYPE_CHECKING:
     from nmt_signals.decays.decay_signal import Ridge

@@ -21,7 +21,7 @@ import numpy as np
 from nmt_core.messages.modal_point import QUANTITIES
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_extract.uncertainty import slope_uncertainty
-from nmt_signals.channel_faults.converter_step import CONVERTER_BITS, resolution
+from nmt_signals.channel_faults.converter_faults import CONVERTER_BITS, resolution
 from nmt_signals.harmonics import segment_moments, solve_moments, synthesise
 
 PHASE_LIMIT = math.radians(5.0)

@@ -27,11 +27,10 @@ from nmt_diagnose.observations.kinds.stepped_table_observations import measured_
 from nmt_diagnose.observations.kinds.table_observations import table_observations
 from nmt_diagnose.observations.model_view import ModelView, matched
 from nmt_diagnose.observations.noise.floors import repeatability, with_stated_repeatability
-from nmt_diagnose.observations.noise.shared_scatter import with_shared_scatter
-from nmt_diagnose.observations.observables import Observations, joined
+from nmt_diagnose.observations.noise.scatter import with_shared_scatter
+from nmt_diagnose.observations.observables import Observations, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, strangers
-from nmt_diagnose.observations.row_table import empty
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.observables import observable_tables

@@ -16,7 +16,7 @@ from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_signals.channel_faults.clipping import clipping_level
-from nmt_signals.channel_faults.repeated_samples import repeated_share
+from nmt_signals.channel_faults.converter_faults import repeated_share
 from nmt_signals.harmonics import harmonic_amplitudes
 
 

@@ -17,18 +17,16 @@ from nmt_diagnose.observations.channels.drive_hold import hold_factor, image_res
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.floors import Floors
-from nmt_diagnose.observations.noise.moderated_variance import moderated
+from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.observations.noise.settling import Settling, settling
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_extract.uncertainty import sub_window_count
 from nmt_record.windows.segments import Segment
 from nmt_signals.channel_faults.clipping import clipping_level
-from nmt_signals.channel_faults.converter_step import converter_step
+from nmt_signals.channel_faults.converter_faults import converter_step, repeated_share
 from nmt_signals.channel_faults.mains_lines import MAINS_HZ, Line, mains_line
-from nmt_signals.channel_faults.repeated_samples import repeated_share
 from nmt_signals.harmonics import (
     resolvable_harmonics,
     segment_moments,

@@ -12,10 +12,9 @@ from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.noise.moderated_variance import moderated
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.noise.scatter import moderated
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_signals.local_responses import OFFSETS, REACH, choose_bins, local_fits, local_responses
 

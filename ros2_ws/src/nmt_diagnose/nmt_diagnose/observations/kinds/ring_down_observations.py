@@ -19,9 +19,8 @@ from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
 from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_signals.decays.decay_hum import without_hum
 from nmt_signals.decays.decay_nodes import Node, ratio_at

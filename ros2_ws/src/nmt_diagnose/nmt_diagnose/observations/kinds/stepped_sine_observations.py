@@ -16,9 +16,8 @@ from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTes
 from nmt_diagnose.observations.kinds.phase_resonance_observations import LockedWindow, analyse_window
 from nmt_diagnose.observations.kinds.stepped_table_observations import jumps_of
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations, Part, joined
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.windows.segments import Segment
 

@@ -14,10 +14,9 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.noise.neighbour_cubics import neighbour_cubics
-from nmt_diagnose.observations.observables import Observations, Part, joined
+from nmt_diagnose.observations.noise.scatter import neighbour_cubics
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.observables import ObservableTable
 from nmt_record.exchange.unit_table import REFERENCE_UNITS, quantity_of_unit

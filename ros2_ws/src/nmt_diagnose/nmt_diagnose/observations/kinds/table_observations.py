@@ -18,10 +18,9 @@ from nmt_diagnose.observations.kinds.stepped_table_observations import (
     stepped_table_observations,
 )
 from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
-from nmt_diagnose.observations.noise.neighbour_cubics import neighbour_cubics
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.noise.scatter import neighbour_cubics
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.observables import ObservableTable
 from nmt_rig.rig import Rig

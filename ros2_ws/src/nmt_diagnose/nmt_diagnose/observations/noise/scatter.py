@@ -1,4 +1,9 @@
-"""Noise of sweeps that state none: each shows its own by its scatter, and those of one channel show it together.
+"""Noise by scatter: of few values each, of the points of a course about a smooth one, of sweeps that state none.
+
+A standard uncertainty from ten sub-windows is itself uncertain by a quarter, and residuals over it have the tails of
+Student's distribution. Rows of one kind have similar noise, so their variances are drawn towards a common one, as far
+as they scatter no more than such few values must (empirical Bayes; G. K. Smyth, 2004, Statistical Applications in
+Genetics and Molecular Biology 3, 3).
 
 A scatter of sixty lines is known to a seventh. Of six sweeps that are taken each by itself, one looks so much more
 exact than it is that its ordinary noise counts as a gap. Where the sweeps scatter alike, or nearly so, each is drawn
@@ -10,12 +15,80 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import digamma, polygamma
 
-from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_diagnose.observations.conditions import SteppedSineTest
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
+
+
+def moderated(variances: FloatArray, degrees_of_freedom: float) -> tuple[FloatArray, FloatArray]:
+    """Variances drawn towards the common one.
+
+    Args:
+        variances: s² of one kind of row, shape (k,); zeros and NaN stay as they are.
+        degrees_of_freedom: degrees of freedom of each.
+
+    Returns:
+        The moderated variances, shape (k,), and their degrees of freedom, shape (k,).
+    """
+    result = variances.copy()
+    usable = np.isfinite(variances) & (variances > 0.0)
+    degrees = np.full(variances.shape, degrees_of_freedom)
+    if int(usable.sum()) < THRESHOLDS.noise.moderated_fewest:
+        return result, degrees
+    logs = np.log(variances[usable]) - digamma(0.5 * degrees_of_freedom) + np.log(0.5 * degrees_of_freedom)
+    excess = float(np.var(logs, ddof=1)) - float(polygamma(1, 0.5 * degrees_of_freedom))
+    prior = _degrees_of_freedom_of(excess)
+    common = float(np.exp(logs.mean() + digamma(0.5 * prior) - np.log(0.5 * prior)))
+    result[usable] = (degrees_of_freedom * variances[usable] + prior * common) / (degrees_of_freedom + prior)
+    degrees[usable] = degrees_of_freedom + prior
+    return result, degrees
+
+
+def _degrees_of_freedom_of(excess: float) -> float:
+    """Degrees of freedom d with ψ'(d/2) = excess, at most 1e4."""
+    smallest = float(polygamma(1, 0.5 * THRESHOLDS.noise.most_degrees_of_freedom))
+    if excess <= smallest:
+        return THRESHOLDS.noise.most_degrees_of_freedom
+    return 2.0 * float(
+        brentq(lambda half: float(polygamma(1, half)) - excess, 1e-3, 0.5 * THRESHOLDS.noise.most_degrees_of_freedom)
+    )
+
+
+_NEAR = np.array([-2, -1, 1, 2])
+
+
+class NeighbourCubics(NamedTuple):
+    """For k points of a course, from the third to the last but two.
+
+    Attributes:
+        middle: (k,) their positions.
+        near: (k, 4) positions of their neighbours.
+        weights: (k, 4) of the neighbours' values in the cubic at the point (Lagrange).
+    """
+
+    middle: IntArray
+    near: IntArray
+    weights: FloatArray
+
+
+def neighbour_cubics(x: FloatArray) -> NeighbourCubics:
+    """Of places in ascending order, shape (n,); points with neighbours at one place are left out."""
+    middle = np.arange(2, x.size - 2)
+    near = middle[:, None] + _NEAR
+    gaps = x[near][:, :, None] - x[near][:, None, :]
+    gaps[:, range(4), range(4)] = 1.0
+    good = np.all(gaps != 0.0, axis=(1, 2))
+    middle, near, gaps = middle[good], near[good], gaps[good]
+    offsets = np.repeat((x[middle][:, None] - x[near])[:, None, :], 4, axis=1)
+    offsets[:, range(4), range(4)] = 1.0
+    return NeighbourCubics(middle, near, np.prod(offsets, axis=2) / np.prod(gaps, axis=2))
 
 
 def with_shared_scatter(observations: Observations) -> Observations:

@@ -525,10 +525,11 @@ def effects_table(place: str) -> str:
 
 def priors_table(name: str) -> str:
     """Priors of the calibration parameters."""
-    from nmt_diagnose.effects.calibration import PRIORS, unit_of
+    from nmt_core.tolerances import MODEL_PRIORS
+    from nmt_diagnose.effects.calibration import unit_of
 
     lines = ["| key | unit | relative standard deviation | because |", "|---|---|---|---|"]
-    for key, (std, reason) in PRIORS.items():
+    for key, (std, reason) in MODEL_PRIORS.items():
         lines.append(f"| `{key}` | {unit_of(key)} | {100 * std:g} % | {_cell(reason)} |")
     return "\n".join(lines)
 
@@ -545,7 +546,24 @@ def quantities_table(name: str) -> str:
     return "\n".join(lines)
 
 
+def thresholds_table(theme: str) -> str:
+    """Thresholds of the diagnosis of one theme, such as ``fits`` or ``signals.decays``."""
+    from nmt_core.threshold import thresholds_of
+    from nmt_diagnose.thresholds import THRESHOLDS
+
+    record: Any = THRESHOLDS
+    for name in theme.split("."):
+        record = getattr(record, name)
+    lines = ["| threshold | value | unit | because |", "|---|---|---|---|"]
+    for name, holder, field in thresholds_of(record):
+        value = getattr(holder, name)
+        text = ", ".join(f"{item:g}" for item in (value if isinstance(value, tuple) else (value,)))
+        lines.append(f"| `{name}` | {text} | {_cell(field.metadata['unit'])} | {_cell(field.metadata['reason'])} |")
+    return "\n".join(lines)
+
+
 KINDS: dict[str, Callable[[str], str]] = {
+    "thresholds": thresholds_table,
     "effects": effects_table,
     "priors": priors_table,
     "quantities": quantities_table,

@@ -217,8 +217,8 @@ MUTATIONS = [
         ),
         (
             "nmt_diagnose/nmt_diagnose/observations/noise/floors.py",
-            "excess = float(np.mean(0.5 * difference[mine] ** 2) - np.mean(stated[mine]))",
-            "excess = float(np.mean(difference[mine] ** 2) - np.mean(stated[mine]))",
+            "excess = float(np.mean(0.5 * difference[selected] ** 2) - np.mean(stated[selected]))",
+            "excess = float(np.mean(difference[selected] ** 2) - np.mean(stated[selected]))",
             "the floor from repeats is √2 too large",
         ),
         (
@@ -229,14 +229,14 @@ MUTATIONS = [
         ),
         (
             "nmt_diagnose/nmt_diagnose/inference/noise.py",
-            "student = (nu + counts) * np.log1p(squares / nu)",
-            "student = (nu + counts) * np.log1p(squares / counts)",
+            "student = total * np.log1p(beyond / nu)",
+            "student = total * np.log1p(beyond / total)",
             "the marginal of a scale is wrong",
         ),
         (
             "nmt_diagnose/nmt_diagnose/inference/chain.py",
-            "np.where(mine, level.phase_error_std * slopes, 0.0)",
-            "np.where(mine, 0.0 * slopes, 0.0)",
+            "np.where(selected, level.phase_error_std * slopes, 0.0)",
+            "np.where(selected, 0.0 * slopes, 0.0)",
             "where the loop truly stood is taken for known",
         ),
         (

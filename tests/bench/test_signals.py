@@ -14,7 +14,6 @@ from scipy import signal
 from nmt_bench.page.channels import TopicSignals, channel_levels
 from nmt_bench.page.decimation import Recent, Strip, min_max
 from nmt_bench.page.signal_views import (
-    RunningFrf,
     amplitude_spectrum,
     harmonic_amplitudes,
     paired_periods,
@@ -23,6 +22,7 @@ from nmt_bench.page.signal_views import (
 )
 from nmt_core.messages.blocks import OscillatorPhase, SampleBlock
 from nmt_core.vocabulary import Quantity
+from nmt_signals.frequency_responses import RunningFrf
 
 RATE = 1000.0
 

@@ -19,7 +19,7 @@ from nmt_bench.page.task_feed import TaskFeed, task_page
 from nmt_bench.page.task_view import TaskView
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.inference.progress import Told
+from nmt_diagnose.inference.progress import ProgressSentence
 
 
 def heads(view: TaskView) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -74,7 +74,7 @@ def test_a_page_that_is_gone_or_hangs_stops_no_command() -> None:
 
 
 def test_a_sentence_of_progress_may_carry_more() -> None:
-    told = Told("fitting gap@7", 2, 9, [("gap@7", 0.0)])
+    told = ProgressSentence("fitting gap@7", 2, 9, [("gap@7", 0.0)])
     assert told == "fitting gap@7"
     assert (told.done, told.total, told.ranking) == (2, 9, (("gap@7", 0.0),))
 
@@ -139,7 +139,7 @@ def test_a_command_serves_its_progress_in_a_process_of_its_own() -> None:
         (line,) = said
         address = line.partition(": ")[2]
         _tell(page, "reading")
-        _tell(page, Told("fitting gap@7", 1, 4, [("cubic_stiffness@3", 0.0), ("gap@7", 12.34)]))
+        _tell(page, ProgressSentence("fitting gap@7", 1, 4, [("cubic_stiffness@3", 0.0), ("gap@7", 12.34)]))
         head = asyncio.run(asyncio.wait_for(watch(), 60.0))
     assert [step["text"] for step in head["steps"]] == ["reading", "fitting gap@7"]
     assert head["rows"] == [["cubic_stiffness@3", "best"], ["gap@7", "12.3 behind"]]

@@ -19,7 +19,8 @@ from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_blind.cases.strength import Sensitivity
 from nmt_blind.cases.strength_curve import value_at
 from nmt_blind.cases.strength_table import load_table, table_file
-from nmt_blind.cases.tolerances import CLOCK, DELAY_S, GAIN, TOLERANCES
+from nmt_blind.cases.tolerances import TOLERANCE_SETS
+from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest
 from nmt_diagnose.observations.observables import Part
@@ -174,9 +175,9 @@ def test_what_every_laboratory_has_is_no_effect() -> None:
     assert len(leads) == 5
     sensor = next(k for k, own in enumerate(sensitivity.model.sensors) if own.quantity == "acceleration")
     for edits in (
-        (Edit(("clock_error",), -CLOCK),),
-        (Edit(("sensors", sensor, "delay_s"), -DELAY_S),),
-        (Edit(("sensors", sensor, "gain"), 1.0 - GAIN),),
+        (Edit(("clock_error",), -TOLERANCES.clock),),
+        (Edit(("sensors", sensor, "delay_s"), -TOLERANCES.delay_s),),
+        (Edit(("sensors", sensor, "gain"), 1.0 - TOLERANCES.gain),),
     ):
         assert sensitivity.sigma(edits) < 1.1
     damped = (Edit(("structure", "modes", 0, "damping_ratio"), 1.3, "scale"),)
@@ -201,7 +202,7 @@ def test_values_between_points_of_a_curve() -> None:
 SHIPPED = [
     (name, tolerances)
     for name in BLIND_RIGS
-    for tolerances in TOLERANCES
+    for tolerances in TOLERANCE_SETS
     if table_file(BLIND_RIGS[name], tolerances).is_file()
 ]
 

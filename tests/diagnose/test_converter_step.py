@@ -15,7 +15,7 @@ from nmt_diagnose.twin.converter import expected_clipped
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
-from nmt_signals.channel_faults.converter_step import converter_step
+from nmt_signals.channel_faults.converter_faults import converter_step
 
 
 @pytest.mark.parametrize(("step", "offset", "kind"), [

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from diagnose.twin_tests import rows_of
+from moved_threshold import moved_threshold
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
@@ -131,16 +132,16 @@ def deviations(observations: Observations) -> np.ndarray:
     return np.asarray(off[observations.rows.level < 2])
 
 
-def test_what_another_mode_shifts_is_part_of_the_uncertainty(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_another_mode_shifts_is_part_of_the_uncertainty() -> None:
     """The spring sees the motion of both modes, and the model has but one of them ring."""
     observations = read(CUBIC)
     assert any("other modes ring too, with 28 %" in note for note in observations.notes)
     assert np.max(np.abs(deviations(observations))) < 2.0
-    monkeypatch.setattr(ring_down_observations, "_CROSS", 0.0)
-    assert np.max(np.abs(deviations(read(CUBIC)))) > 4.0
+    with moved_threshold("reading.decay_cross_shift", 0.0):
+        assert np.max(np.abs(deviations(read(CUBIC)))) > 4.0
 
 
-def test_another_mode_costs_a_linear_decay_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_mode_costs_a_linear_decay_nothing() -> None:
     sigma = read(0.0).sigma
-    monkeypatch.setattr(ring_down_observations, "_CROSS", 0.0)
-    np.testing.assert_allclose(sigma, read(0.0).sigma, rtol=0.2)
+    with moved_threshold("reading.decay_cross_shift", 0.0):
+        np.testing.assert_allclose(sigma, read(0.0).sigma, rtol=0.2)

@@ -13,9 +13,9 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import starts_of
-from nmt_diagnose.inference.comparison import source_places
-from nmt_diagnose.inference.diagnose import model_alone, own_parameters
-from nmt_diagnose.inference.fitting import Errors, _normal, approach, data_about, fit
+from nmt_diagnose.inference.comparison import source_locations
+from nmt_diagnose.inference.diagnose import free_parameters, model_alone
+from nmt_diagnose.inference.fitting import ChainErrors, _normal, approach, data_about, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups
 from nmt_diagnose.inference.search import Search
@@ -37,7 +37,7 @@ def test_a_step_is_that_of_parameters_and_chain_together() -> None:
     slopes[:, 0] = chain_slopes[:, 0] + 1e-2 * rng.standard_normal(rows)
     weights, left = rng.uniform(0.5, 2.0, rows), rng.standard_normal(rows)
     stands, theta, std = 1e-3 * rng.standard_normal(errors), rng.standard_normal(own), np.array([1.0, 2.0, 3.0])
-    at = Errors(stands, chain_slopes, left, weights, np.zeros(1), 0.0, np.zeros(rows))
+    at = ChainErrors(stands, chain_slopes, left, weights, np.zeros(1), 0.0, np.zeros(rows))
     normal, gradient = _normal(slopes, at, theta, std)
     both = np.column_stack([slopes, chain_slopes])
     precision = np.concatenate([std**-2.0, np.ones(errors)])
@@ -55,7 +55,7 @@ def test_a_fit_from_afar_arrives_where_one_from_nearby_does() -> None:
     cubic = next(
         own
         for own in candidates(MODEL, operating)
-        if own.effect.name == "cubic_stiffness" and own.site.placement.detail == "2"
+        if own.effect.name == "cubic_stiffness" and own.site.location.detail == "2"
     )
     own = Parametrisation(MODEL, calibration_parameters(MODEL), (cubic,), (100.0,))
     near, far = own.zero, own.zero
@@ -108,7 +108,7 @@ def test_late_channels_are_effects_that_begin_there_and_no_modes() -> None:
     operating = operating_range(MODEL, observations.tests, observations=observations)
     skews = [own for own in candidates(MODEL, operating) if own.effect.name == "channel_skew"]
     begun = {
-        own.site.placement.channel: [start[0] * own.site.scales["tau"] for start in starts_of(own)] for own in skews
+        own.site.location.channel: [start[0] * own.site.scales["tau"] for start in starts_of(own)] for own in skews
     }
     assert any(abs(value - 4e-3) < 1e-3 for values in begun.values() for value in values)
 
@@ -122,7 +122,7 @@ def test_what_the_harmonic_balance_leaves_out_is_part_of_the_uncertainty() -> No
     observations = observations_of_twin(rig, noise=0.0, drives=(0.4, 1.6), random=False)
     given = Forward(observations.tests, observations.rows).predict(rig)
     fine = Forward(observations.tests, observations.rows, TwinSettings(harmonics=27)).predict(rig)
-    parameters = own_parameters(rig, observations)
+    parameters = free_parameters(rig, observations)
     everything = np.ones(len(observations.rows), dtype=bool)
     seen = model_alone(rig, observations, parameters, everything, LowLevelModes(observations, rig))[0]
     change = np.abs(np.nan_to_num(fine.values - given.values))
@@ -136,7 +136,7 @@ def test_sources_act_on_the_model_as_it_was_fitted() -> None:
     observations = observations_of_twin(stiffer, seed=3, drives=(0.1, 0.4))
     tests = tuple(replace(t, start_s=20.0, stop_s=60.0) if isinstance(t, RandomTest) else t for t in observations.tests)
     observations = replace(observations, tests=tests)
-    everything, parameters = np.ones(len(observations.rows), dtype=bool), own_parameters(MODEL, observations)
+    everything, parameters = np.ones(len(observations.rows), dtype=bool), free_parameters(MODEL, observations)
     modes = LowLevelModes(observations, MODEL)
     _, _, null, data = model_alone(MODEL, observations, parameters, everything, modes)
     operating = operating_range(MODEL, tests, observations=observations)
@@ -146,6 +146,6 @@ def test_sources_act_on_the_model_as_it_was_fitted() -> None:
         for score in search.scores(null)
         if search.candidates[score.candidate].effect.name == "temperature_drift"
     )
-    (place,) = (place for place in source_places(data, null) if place.placement.kind == "time")
+    (place,) = (place for place in source_locations(data, null) if place.location.kind == "time")
     column = place.families[0][1][:, 0]
     assert column @ named > 0.999 * np.linalg.norm(column) * np.linalg.norm(named)

@@ -12,20 +12,19 @@ from scipy.integrate import quad
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
-from nmt_diagnose.effects.placement import Placement
+from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.chain import SharedDelay, linear_chain
 from nmt_diagnose.inference.comparison import Hypotheses, SourceEvidence
-from nmt_diagnose.inference.diagnose import diagnose_observations, model_alone, own_parameters
+from nmt_diagnose.inference.diagnose import diagnose_observations, free_parameters, model_alone
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
-from nmt_diagnose.inference.fitting import best_errors, data_about, fit
+from nmt_diagnose.inference.fitting import best_chain_errors, data_about, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups, groups_of
-from nmt_diagnose.inference.search import Found, Score, Search
+from nmt_diagnose.inference.search import FittedExplanation, Score, Search
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest
-from nmt_diagnose.observations.observables import Observations, Part
-from nmt_diagnose.observations.row_table import Place, RowTable
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig, validate_rig
@@ -132,8 +131,8 @@ def test_images_of_a_held_drive_add_to_lines_however_small_a_response_is() -> No
     values = clean.copy()
     values[size], values[turned] = np.log(np.abs(seen)), np.angle(seen)
     moved = data_about(replace(observations, values=values), MODEL, near, used)
-    with_image = best_errors(moved, near.values).cost
-    without = best_errors(
+    with_image = best_chain_errors(moved, near.values).cost
+    without = best_chain_errors(
         replace(moved, added=np.zeros_like(moved.added), chain=np.zeros_like(moved.chain)), near.values
     )
     assert with_image < without.cost
@@ -177,7 +176,7 @@ def test_rows_of_one_kind_in_one_test_share_a_scale() -> None:
 def test_a_strength_beyond_its_ordinary_prior_is_found_from_where_the_score_puts_it(start: float) -> None:
     """A strength that its prior holds back would be taken for noise: the scale of the noise would grow instead."""
     search, cubic = _table_search()
-    null = Found((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
+    null = FittedExplanation((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
     found = search.added(null, Score(cubic, np.array([start]), 0.0, 1.0, np.zeros(search.data.sigma.size)), lost=np.inf)
     assert found is not None
     (value,) = found.fit.parametrisation.values(found.fit.theta, 0).values()
@@ -186,7 +185,7 @@ def test_a_strength_beyond_its_ordinary_prior_is_found_from_where_the_score_puts
 
 def test_strong_effects_are_climbed_from_low_levels() -> None:
     search, _ = _table_search()
-    null = Found((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
+    null = FittedExplanation((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
     best = search.singles(null, search.scores(null))[0]
     assert best.effects == ("cubic_stiffness",)
     (value,) = best.fit.parametrisation.values(best.fit.theta, 0).values()
@@ -283,7 +282,7 @@ def test_an_effect_that_is_not_there_lowers_the_evidence() -> None:
     every = candidates(MODEL, operating_range(MODEL, observations.tests, observations=observations))
     cubic = next(own for own in every if own.effect.name == "cubic_stiffness")
     search = Search(data, MODEL, calibration_parameters(MODEL), [cubic])
-    null = Found((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
+    null = FittedExplanation((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
     found = search.added(null, Score(0, np.array([0.01]), 0.0, 1.0, np.zeros(data.sigma.size)), lost=np.inf)
     assert found is not None
     assert found.fit.cost < null.fit.cost + 0.5
@@ -293,7 +292,7 @@ def test_an_effect_that_is_not_there_lowers_the_evidence() -> None:
 def test_what_an_explanation_leaves_beyond_noise_is_something_unnamed() -> None:
     """Without any source at a place to say so; a good explanation keeps its probability."""
     observations = replace(observed(HARDENING), matters=dict(MATTERS))
-    parameters = own_parameters(MODEL, observations)
+    parameters = free_parameters(MODEL, observations)
     everything = np.ones(len(observations.rows), dtype=bool)
     null, data = model_alone(MODEL, observations, parameters, everything, LowLevelModes(observations, MODEL))[2:]
     operating = operating_range(MODEL, observations.tests, observations=observations)
@@ -310,12 +309,12 @@ def test_what_an_explanation_leaves_beyond_noise_is_something_unnamed() -> None:
     assert left.unknown > 0.95
     assert left.classes[0].probability < 0.05
     assert left.classes[0].given_library == pytest.approx(1.0)
-    assert [rest.group for rest in left.classes[0].left] == [data.groups.names[0]]
+    assert [objection.group for objection in left.classes[0].objections] == [data.groups.names[0]]
     assert left.places == good.places
     # A little that is left elsewhere makes it no less the place of the most.
     fall = null.fit.cost - best.fit.cost
-    little = SourceEvidence(Placement("controller"), 50.0, 0.01 * fall)
+    little = SourceEvidence(Location("controller"), 50.0, 0.01 * fall)
     beside = Hypotheses(data, null, [best], cubic, [], [little]).compared()
     assert beside.unknown > 0.95
     assert next(iter(beside.places)) == next(iter(good.places))
-    assert beside.places[little.placement] == pytest.approx(0.01 / 1.01, rel=0.05)
+    assert beside.places[little.location] == pytest.approx(0.01 / 1.01, rel=0.05)

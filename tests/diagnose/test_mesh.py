@@ -45,5 +45,5 @@ def test_a_recording_of_a_finer_mesh_is_healthy() -> None:
 def test_a_normal_matrix_without_an_inverse_is_one_of_rounding() -> None:
     column = np.array([[1.0, 1.0], [1.0, 1.0]]) * 1e9
     metric = Metric(column, np.array([0.0, 0.0]), np.ones(2))
-    rest, _ = metric.rest(np.array([[1.0], [1.0]]))
-    assert np.all(np.abs(rest) < 1e-2)
+    projected, _ = metric.project(np.array([[1.0], [1.0]]))
+    assert np.all(np.abs(projected) < 1e-2)

@@ -14,9 +14,9 @@ from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.inference.misfit import Whitening, least_scale, misfit_of, rows_of_kind
 from nmt_diagnose.inference.noise import Groups
-from nmt_diagnose.inference.tuned import LEVEL_LENGTH, LINE_LENGTH
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
 
 MODEL = chain()
 
@@ -41,7 +41,9 @@ def test_whitened_residuals_have_the_likelihood_of_the_covariance() -> None:
             if not same:
                 continue
             at = rows.frequency_hz if line[i] else rows.amplitude
-            apart = np.log(at[i] / at[j]) / (LINE_LENGTH if line[i] else LEVEL_LENGTH)
+            apart = np.log(at[i] / at[j]) / (
+                THRESHOLDS.misfit.line_length if line[i] else THRESHOLDS.misfit.level_length
+            )
             covariance[i, j] = covariance[j, i] = np.sqrt(share[i] * share[j]) * np.exp(-0.5 * apart**2)
     whiten = Whitening(observations, share, np.ones(count, dtype=bool))
     residuals = rng.standard_normal((2, count))

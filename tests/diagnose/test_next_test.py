@@ -12,11 +12,11 @@ from diagnose.twin_tests import chain
 
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
-from nmt_diagnose.effects.placement import Placement
+from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference import look_ahead
-from nmt_diagnose.inference.comparison import Comparison, Equivalents
+from nmt_diagnose.inference.comparison import Comparison, EquivalentClass
 from nmt_diagnose.inference.look_ahead import Proposal, next_tests
-from nmt_diagnose.inference.search import Found
+from nmt_diagnose.inference.search import FittedExplanation
 
 RIG = chain()
 SIGMA = 0.5
@@ -24,20 +24,20 @@ MEASURED = observations_of(np.zeros(20), 1.0)
 
 
 CUBIC, DRAG = (
-    Candidate(effect_named(name), Site(Placement.at("structure", 2), {"k": 1.0, "c2": 1.0}, 2))
+    Candidate(effect_named(name), Site(Location.at("structure", 2), {"k": 1.0, "c2": 1.0}, 2))
     for name in ("cubic_stiffness", "air_drag")
 )
 
 
-def fitted(candidate: Candidate, theta: float, std: float) -> Found:
+def fitted(candidate: Candidate, theta: float, std: float) -> FittedExplanation:
     """An explanation y = column θ with what has been measured of θ; its rig says which explanation it is of."""
     own = SimpleNamespace(names=(candidate.label,), rig=lambda values: (candidate.label, np.asarray(values)))
     fit = SimpleNamespace(theta=np.array([theta]), covariance=np.array([[std**2]]), parametrisation=own)
-    return Found((candidate,), fit)  # type: ignore[arg-type]
+    return FittedExplanation((candidate,), fit)  # type: ignore[arg-type]
 
 
-def compared(*classes: tuple[tuple[Found, ...], float], none: float = 0.0) -> Comparison:
-    return Comparison(none, 0.0, tuple(Equivalents(*own) for own in classes), {}, 10.0, {})
+def compared(*classes: tuple[tuple[FittedExplanation, ...], float], none: float = 0.0) -> Comparison:
+    return Comparison(none, 0.0, tuple(EquivalentClass(*own) for own in classes), {}, 10.0, {})
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def future(monkeypatch: pytest.MonkeyPatch) -> dict[str, np.ndarray]:
     return columns
 
 
-def competing() -> tuple[Found, Found]:
+def competing() -> tuple[FittedExplanation, FittedExplanation]:
     return fitted(CUBIC, 2.0, 0.2), fitted(DRAG, 1.9, 0.2)
 
 
@@ -72,7 +72,7 @@ def proposal() -> Proposal:
     return Proposal("a test", "./nmt run", observations_of(np.zeros(6), SIGMA))
 
 
-def expected(future: dict[str, np.ndarray], a: Found, b: Found) -> float:
+def expected(future: dict[str, np.ndarray], a: FittedExplanation, b: FittedExplanation) -> float:
     """√(Δᵀ (σ² + J C Jᵀ)⁻¹ Δ) with a true and b adapting."""
     ja, jb = future[a.explanation.label], future[b.explanation.label]
     gap = ja * a.fit.theta[0] - jb * b.fit.theta[0]

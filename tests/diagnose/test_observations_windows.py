@@ -19,9 +19,8 @@ from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest, RandomTest, RingDownTest
 from nmt_diagnose.observations.kinds.phase_resonance_observations import analyse_window
-from nmt_diagnose.observations.kinds.random_observations import REACH, choose_bins, local_responses
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.noise.moderated_variance import moderated
+from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.observations.noise.settling import settling
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -29,6 +28,7 @@ from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.model.linear_modes import damped_modes
 from nmt_rig.rig import Rig, load_rig
+from nmt_signals.local_responses import REACH, choose_bins, local_responses
 
 LINEAR = ["local_elements=[]"]
 

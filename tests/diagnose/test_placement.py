@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import pickle
-from dataclasses import replace
-
 import pytest
 from diagnose.twin_tests import chain, level, locked
 
-from nmt_diagnose.effects.library import candidates, effect_named, library
-from nmt_diagnose.effects.placement import Cause, Explanation, Placement
+from nmt_diagnose.effects.library import candidates
+from nmt_diagnose.effects.location import Cause, Explanation, Location
 from nmt_diagnose.twin.operating_range import operating_range
 
-AT_2 = Cause("cubic_stiffness", Placement.at("structure", 2))
-BETWEEN = Cause("cubic_stiffness", Placement.at("structure", 2, 3))
-GAIN = Cause("response_gain", Placement.on_channel("response_sensor", "a2", 2))
-HUM = Cause("mains_hum", Placement.on_channel("response_sensor", "a2", 2, mains_hz=60.0))
-ACROSS = Cause("transverse_sensitivity", Placement.on_channel("response_sensor", "a2", 2, picked_up=3))
-OFFSET = Cause("phase_offset", Placement("controller"))
+AT_2 = Cause("cubic_stiffness", Location.at("structure", 2))
+BETWEEN = Cause("cubic_stiffness", Location.at("structure", 2, 3))
+GAIN = Cause("response_gain", Location.on_channel("response_sensor", "a2", 2))
+HUM = Cause("mains_hum", Location.on_channel("response_sensor", "a2", 2, mains_hz=60.0))
+ACROSS = Cause("transverse_sensitivity", Location.on_channel("response_sensor", "a2", 2, picked_up=3))
+OFFSET = Cause("phase_offset", Location("controller"))
 
 
 @pytest.mark.parametrize(
@@ -55,15 +52,7 @@ def test_a_channel_of_force_lies_at_the_force_sensor_and_no_two_candidates_are_o
     assert len({candidate.cause for candidate in found}) == len(found)
     force = {channel for s in rig.sensors if s.quantity == "force" for channel in (rig.sensor_channel(s),)}
     for candidate in found:
-        channel = candidate.site.placement.channel
+        channel = candidate.site.location.channel
         if channel:
             kind = "force_sensor" if channel in force else "response_sensor"
-            assert candidate.site.placement.kind == kind, candidate.label
-
-
-def test_an_effect_that_went_to_another_process_is_that_of_the_library() -> None:
-    for effect in library():
-        assert pickle.loads(pickle.dumps(effect)) is effect
-    other = replace(effect_named("response_gain"), name="no effect of the library")
-    with pytest.raises((AttributeError, pickle.PicklingError)):  # by value, which its functions do not allow
-        pickle.dumps(other)
+            assert candidate.site.location.kind == kind, candidate.label

@@ -13,7 +13,7 @@ from diagnose.twin_observations import chain, observations_of_twin
 from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Remainder, Share, Value, Verdict
 from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.sentences import sentences
-from nmt_diagnose.inference.size import Left
+from nmt_diagnose.inference.size import Objection
 from nmt_diagnose.observations.observables import Observations, Part
 
 LEFT = replace(GAP, closed=0.94, low=0.9, high=0.97)
@@ -85,7 +85,7 @@ def test_the_answer_says_how_much_is_left_and_where(observations: Observations) 
 
 def test_what_leaves_more_than_noise_is_a_partial_explanation() -> None:
     share = Share(0.94, 0.9, 0.97)
-    left = (Left("levels: frequency", "frequency", 0.004),)
+    left = (Objection("levels: frequency", "frequency", 0.004),)
 
     def said(p: float, adequate: bool = True) -> str:
         head = Ranked("air_drag", "structure", "2", p, (), {}, share, 9.0, adequate=adequate)

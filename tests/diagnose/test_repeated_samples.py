@@ -12,7 +12,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.twin.forward import Forward
-from nmt_signals.channel_faults.repeated_samples import repeated_share
+from nmt_signals.channel_faults.converter_faults import repeated_share
 
 SIZE = 20_000
 

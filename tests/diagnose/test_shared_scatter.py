@@ -13,9 +13,10 @@ from scipy.stats import f as fisher
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
-from nmt_diagnose.observations.kinds.stepped_table_observations import MEDIAN_STD, scatter_of_lines
-from nmt_diagnose.observations.noise.shared_scatter import shrunk, with_shared_scatter
+from nmt_diagnose.observations.kinds.stepped_table_observations import scatter_of_lines
+from nmt_diagnose.observations.noise.scatter import shrunk, with_shared_scatter
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
 
 LINES = 60
 
@@ -31,7 +32,7 @@ def estimates(sizes: list[float], seed: int) -> np.ndarray:
     return np.array(found)
 
 
-DEGREES = 2 * LINES / (2.0 * MEDIAN_STD**2)
+DEGREES = 2 * LINES / (2.0 * THRESHOLDS.noise.median_relative_std**2)
 
 
 def test_a_scatter_is_as_uncertain_as_it_is_said_to_be() -> None:

@@ -7,7 +7,8 @@ import pytest
 from diagnose.twin_tests import chain, level, locked, noise_test, rows_of
 
 from nmt_core.errors import BenchError
-from nmt_diagnose.effects.calibration import PRIORS, calibration_parameters
+from nmt_core.tolerances import MODEL_PRIORS
+from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.twin.forward import Forward
@@ -169,7 +170,7 @@ def test_every_parameter_of_these_structures_may_be_refitted():
     ]
     assert names["structure.modes.0.frequency_hz"].unit == "Hz"
     moved = names["structure.modes.1.modal_mass_kg"].apply(modal(), 1.0)
-    assert moved.structure.modes[1].modal_mass_kg == pytest.approx(0.25 * np.exp(PRIORS["modal_mass_kg"][0]))
+    assert moved.structure.modes[1].modal_mass_kg == pytest.approx(0.25 * np.exp(MODEL_PRIORS["modal_mass_kg"].std))
     factors = [p.name for p in calibration_parameters(matrices()) if p.name.startswith("structure")]
     assert factors == ["structure.mass_factor", "structure.stiffness_factor", "structure.damping_factor"]
     on_table = modal(exciter={"kind": "shaking_table", "point": 1})
@@ -214,7 +215,7 @@ def test_springs_are_tried_between_points_too(kind: str, places: list[str]) -> N
         rig = rig.model_copy(update={"structure": structure})
     found = candidates(rig, operating_range(rig, []))
     springs = [own for own in found if own.effect.name == "cubic_stiffness"]
-    assert [own.site.placement.detail for own in springs] == places
+    assert [own.site.location.detail for own in springs] == places
     if "1-2" in places:
         changed = springs[-1].effect.change(rig, springs[-1].site, {"k": 1e9})
         assert (changed.local_elements[-1].point, changed.local_elements[-1].other_point) == (1, 2)

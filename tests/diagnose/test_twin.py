@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnose.twin_tests import SHAKER, chain, channels_of, level, locked, noise_test, rows_of
+from moved_threshold import moved_threshold
 from rig.effect_rigs import oscillator, rig_of, run
 
 from nmt_core.errors import BenchError
@@ -21,7 +22,6 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.rig_edit import value_at, with_element, with_value
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RecordTest, RingDownTest
 from nmt_diagnose.observations.observables import Part
-from nmt_diagnose.twin import linear_model
 from nmt_diagnose.twin.forward import Forward
 from nmt_diagnose.twin.influence import Source
 from nmt_diagnose.twin.operating_range import operating_range
@@ -569,41 +569,41 @@ def test_jacobian_of_an_effect_that_the_solved_rig_lacks(label):
 
 
 @pytest.mark.parametrize("name", ["beam", "pair"])
-def test_poles_followed_to_first_order_miss_the_second_order_only(name, monkeypatch):
+def test_poles_followed_to_first_order_miss_the_second_order_only(name):
     """Halving a change of the rig quarters what following its poles leaves of the new poles' transfer functions."""
     # Overdamped poles lie close together; at steps a hundred times those of a fit they would be found again.
-    monkeypatch.setattr(linear_model, "_LARGEST_MIX", 0.1)
-    rig = load_rig("beam") if name == "beam" else chain()
-    channels = channels_of(rig)
-    basis = FourierBasis.up_to(3)
-    parts = rig_parts(rig, channels, basis, PLAIN)
-    structure = {"beam": ("youngs_modulus_pa", "density_kg_m3", "stiffness_damping_s"),
-                 "pair": ("masses_kg", "springs_n_m", "dampers_ns_m")}[name]  # fmt: skip
-    exciter = ("table_mass_kg", "table_stiffness_n_m", "table_damping_ns_m", "coil_mass_kg", "force_factor_n_a",
-               "resistance_ohm", "inductance_h")  # fmt: skip
-    paths = [*(("structure", key) for key in structure), *(("exciter", key) for key in exciter)]
-    points = 2j * np.pi * np.array([7.0, 23.0, 90.0, 300.0]) - 0.5
-    for path in paths:
-        left = []
-        for step in (2e-5, 1e-5):
-            value = value_at(rig, path)
-            grown = [v * (1 + step) for v in value] if isinstance(value, list) else value * (1 + step)
-            moved = with_value(rig, path, grown)
-            exact = rig_parts(moved, channels, basis, PLAIN)
-            followed = rig_parts(moved, channels, basis, PLAIN, near=parts)
-            assert followed.linear.frame is None, path
-            error = change = 0.0
-            for s in points:
-                wanted, got, was = (own.linear.at(s)[0] for own in (exact, followed, parts))
-                size = np.max(np.abs(wanted), axis=0)
-                error = max(error, float(np.max(np.abs(got - wanted) / size)))
-                change = max(change, float(np.max(np.abs(was - wanted) / size)))
-            left.append(error)
-        assert change > 0.0, path
-        assert left[0] < 2e-2 * change + 5e-10, path
-        assert left[1] < 0.35 * left[0] + 5e-10, path
-    monkeypatch.setattr(linear_model, "_LARGEST_MIX", 0.0)
-    again = rig_parts(moved, channels, basis, PLAIN, near=parts)
+    with moved_threshold("prediction.largest_shape_mix", 0.1):
+        rig = load_rig("beam") if name == "beam" else chain()
+        channels = channels_of(rig)
+        basis = FourierBasis.up_to(3)
+        parts = rig_parts(rig, channels, basis, PLAIN)
+        structure = {"beam": ("youngs_modulus_pa", "density_kg_m3", "stiffness_damping_s"),
+                     "pair": ("masses_kg", "springs_n_m", "dampers_ns_m")}[name]  # fmt: skip
+        exciter = ("table_mass_kg", "table_stiffness_n_m", "table_damping_ns_m", "coil_mass_kg", "force_factor_n_a",
+                   "resistance_ohm", "inductance_h")  # fmt: skip
+        paths = [*(("structure", key) for key in structure), *(("exciter", key) for key in exciter)]
+        points = 2j * np.pi * np.array([7.0, 23.0, 90.0, 300.0]) - 0.5
+        for path in paths:
+            left = []
+            for step in (2e-5, 1e-5):
+                value = value_at(rig, path)
+                grown = [v * (1 + step) for v in value] if isinstance(value, list) else value * (1 + step)
+                moved = with_value(rig, path, grown)
+                exact = rig_parts(moved, channels, basis, PLAIN)
+                followed = rig_parts(moved, channels, basis, PLAIN, near=parts)
+                assert followed.linear.frame is None, path
+                error = change = 0.0
+                for s in points:
+                    wanted, got, was = (own.linear.at(s)[0] for own in (exact, followed, parts))
+                    size = np.max(np.abs(wanted), axis=0)
+                    error = max(error, float(np.max(np.abs(got - wanted) / size)))
+                    change = max(change, float(np.max(np.abs(was - wanted) / size)))
+                left.append(error)
+            assert change > 0.0, path
+            assert left[0] < 2e-2 * change + 5e-10, path
+            assert left[1] < 0.35 * left[0] + 5e-10, path
+    with moved_threshold("prediction.largest_shape_mix", 0.0):
+        again = rig_parts(moved, channels, basis, PLAIN, near=parts)
     assert again.linear.frame is not None
     np.testing.assert_array_equal(again.linear.poles, exact.linear.poles)
 

@@ -11,22 +11,22 @@ import pytest
 
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
-from nmt_diagnose.effects.placement import Placement
+from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.inference.search import Found
+from nmt_diagnose.inference.search import FittedExplanation
 from nmt_diagnose.inference.warnings import warned, without_observables
 from nmt_diagnose.observations.origin import Origin
 
-CUBIC = Candidate(effect_named("cubic_stiffness"), Site(Placement.at("structure", 2), {"k": 1.0}, 2))
+CUBIC = Candidate(effect_named("cubic_stiffness"), Site(Location.at("structure", 2), {"k": 1.0}, 2))
 GAP = Gap(20.0, 1.1, 1.0, 30.0, 0.99, 0.98, 1.0, {"run: frequency": {"after": 1.1}}, ("every second level",))
 MASS = Recalibrated("structure.masses_kg.0", 0.5, 0.52, 1e-3, "kg", 0.01, 4.0)
 
 
-def best(theta: float = 0.0, promised: float = 0.5, candidates: tuple[Candidate, ...] = (CUBIC,)) -> Found:
+def best(theta: float = 0.0, promised: float = 0.5, candidates: tuple[Candidate, ...] = (CUBIC,)) -> FittedExplanation:
     """A fit of a model with one parameter of its own and an effect."""
     own = SimpleNamespace(values=lambda values, _: {p: float(values[1]) for p in ("k", "c2")})
     fit = SimpleNamespace(theta=np.array([theta, 1.0]), promised=promised, parametrisation=own)
-    return Found(candidates, fit)  # type: ignore[arg-type]
+    return FittedExplanation(candidates, fit)  # type: ignore[arg-type]
 
 
 def test_nothing_to_mind_is_not_mentioned() -> None:
@@ -60,7 +60,7 @@ def test_an_explanation_that_is_not_the_whole() -> None:
 
 
 def test_drag_that_no_air_has_is_told_beside_what_looks_alike() -> None:
-    drag = Candidate(effect_named("air_drag"), Site(Placement.at("structure", 1), {"c2": 1.0}, 1, limits={"c2": 0.02}))
+    drag = Candidate(effect_named("air_drag"), Site(Location.at("structure", 1), {"c2": 1.0}, 1, limits={"c2": 0.02}))
     found = best(candidates=(drag,))
     (sentence,) = warned(Verdict.EFFECT, best(), (MASS,), GAP, (best(), found))
     assert sentence.startswith("As air_drag@1 the gap would take c2 = ")

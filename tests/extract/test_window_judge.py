@@ -14,7 +14,8 @@ from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import Status
 from nmt_extract.window import Channel, Window
-from nmt_extract.window_judge import drifting, resolution, silent_stretch, without_drift
+from nmt_extract.window_judge import drifting, silent_stretch, without_drift
+from nmt_signals.channel_faults.converter_faults import resolution
 
 RATE, SECONDS, F0, DAMPING = 2000.0, 2.0, 50.0, 0.005
 OMEGA0 = 2.0 * math.pi * F0

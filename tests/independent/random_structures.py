@@ -71,7 +71,7 @@ def drawn(kind: str, generator: np.random.Generator) -> Drawn:
     omega, top = 2.0 * np.pi * hz, 10 ** generator.uniform(-4.0, -2.5)
     strength = 10 ** generator.uniform(-1.3, 0.3)  # nonlinear over linear force at the top
     settings: dict[str, Any] = {}
-    at_rest = hz
+    leaves_noise_only = hz
     if "hardening" in kind:
         settings["cubic"] = strength * omega**2 / top**2
     if kind == "softening":
@@ -89,13 +89,13 @@ def drawn(kind: str, generator: np.random.Generator) -> Drawn:
         settings["joint"] = (
             iwan_joint(stiffness, reach, exponent) if kind == "bolted" else ((stiffness, stiffness * reach / 5.0),)
         )
-        at_rest = hz * np.sqrt(1.0 + share)
+        leaves_noise_only = hz * np.sqrt(1.0 + share)
     frequencies, ratios, shape = (hz,), (ratio,), (1.0,)
     if generator.random() < 0.4:
         frequencies += (hz * generator.uniform(3.0, 7.0),)
         ratios, shape = (ratio, ratio), (1.0, generator.uniform(-1.0, 1.0))
     structure = Structure(frequencies, ratios, shape, **settings)
-    return Drawn(structure, top, _force(structure, top, 2.0 * ratio * omega**2 * top), at_rest, ratio)
+    return Drawn(structure, top, _force(structure, top, 2.0 * ratio * omega**2 * top), leaves_noise_only, ratio)
 
 
 def _force(structure: Structure, top: float, start: float) -> float:

@@ -162,7 +162,7 @@ def drawn(kind: str, generator: np.random.Generator) -> Drawn:
     return Drawn(frequencies, ratios, shapes, driven, local, terms, slider, forces)
 
 
-def at_rest(own: Drawn) -> tuple[np.ndarray, np.ndarray]:
+def leaves_noise_only(own: Drawn) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (Hz) and shapes of small motion: a slider that sticks is a spring."""
     stiffness = np.diag((2.0 * np.pi * own.frequencies_hz) ** 2)
     stiffness += own.slider[0] * np.outer(own.shapes[own.local - 1], own.shapes[own.local - 1])
@@ -182,7 +182,7 @@ def diagnosed(folder: Path, kind: str, seed: int, count: int = LINES, jobs: int 
     """
     generator = np.random.default_rng(seed)
     own = drawn(kind, generator)
-    frequencies, shapes = at_rest(own)
+    frequencies, shapes = leaves_noise_only(own)
     noise, segments = 10 ** generator.uniform(-2.7, -2.0), []
     for mode in range(2):
         for number, share in enumerate(_FORCES):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from independent.structure_of_points import Drawn, at_rest, diagnosed, drawn, responses
+from independent.structure_of_points import Drawn, diagnosed, drawn, leaves_noise_only, responses
 
 from nmt_diagnose.inference.diagnosis import Verdict
 
@@ -43,7 +43,7 @@ def test_a_cubic_spring_stiffens_the_mode_by_its_own_motion() -> None:
 
 def test_a_slider_that_sticks_is_a_spring() -> None:
     own = drawn("slider", np.random.default_rng(8))
-    frequencies, shapes = at_rest(own)
+    frequencies, shapes = leaves_noise_only(own)
     assert frequencies[0] > own.frequencies_hz[0]
     stuck = replace(own, slider=(own.slider[0], 1e6 * own.slider[1]))
     lines = frequencies[0] * np.array([0.99, 1.0, 1.01])

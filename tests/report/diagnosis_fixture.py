@@ -30,8 +30,7 @@ from nmt_diagnose.observations.conditions import (
     RecordTest,
     RingDownTest,
 )
-from nmt_diagnose.observations.observables import Observations, Part, joined
-from nmt_diagnose.observations.row_table import Place, RowTable
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, joined
 from nmt_report.diagnosis_curves import Models
 from nmt_report.diagnosis_report import DiagnosisReport
 from nmt_rig.rig import load_rig

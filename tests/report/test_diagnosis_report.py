@@ -16,7 +16,7 @@ from markupsafe import Markup
 from report import diagnosis_fixture as fixture
 
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.diagnosis import Left, Ranked, Remainder, Share, Value, Verdict
+from nmt_diagnose.inference.diagnosis import Ranked, Remainder, RemainderPart, Share, Value, Verdict
 from nmt_diagnose.observations.observables import Part
 from nmt_report import diagnosis_figures, rig_drawing
 from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv
@@ -286,8 +286,8 @@ def test_without_a_claim_the_rest_is_too_weak_to_see_and_not_unnamed() -> None:
 def test_a_remainder_and_warnings_stand_in_the_verdict_and_on_the_page() -> None:
     report = fixture.report(Verdict.EFFECT, fixture.one_test())
     assert "warning" not in verdict_text(report.diagnosis)[0]
-    left = Left("backbone: frequency", "highest levels", 0.8, 3.1, 0.42, "%")
-    other = Left("backbone: amplitude of x5", "", 0.1, 1.2, 0.3, "%")
+    left = RemainderPart("backbone: frequency", "highest levels", 0.8, 3.1, 0.42, "%")
+    other = RemainderPart("backbone: amplitude of x5", "", 0.1, 1.2, 0.3, "%")
     warning = "The fit moves structure.masses_kg.0 from 0.5 to 4.1 kg, 210 standard deviations of what is believed."
     changed = replace(report.diagnosis, remainder=Remainder(0.06, 0.03, 0.1, (left, other)), warnings=(warning,))
     text, kind = verdict_text(changed)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from nmt_diagnose.effects.placement import Cause, Explanation, Placement
+from nmt_diagnose.effects.location import Cause, Explanation, Location
 from nmt_diagnose.inference.diagnosis import (
     NULL,
     UNKNOWN,
@@ -25,13 +25,13 @@ from nmt_diagnose.inference.diagnosis import (
     Verdict,
 )
 from nmt_diagnose.inference.sentences import sentences
-from nmt_diagnose.inference.size import Left
+from nmt_diagnose.inference.size import Objection
 from nmt_report.diagnosis_report import probability_shares
 from nmt_report.diagnosis_tables import ranking_table
 from nmt_report.diagnosis_words import verdict_text
 
 EFFECTS = ("cubic_stiffness", "viscous_damping + mains_hum", "microslip")
-LEFT = (Left("run: frequency", "frequency", 0.004),)
+LEFT = (Objection("run: frequency", "frequency", 0.004),)
 
 
 def made(verdict: Verdict, adequate: bool, effect: str, p: float) -> Diagnosis:
@@ -49,7 +49,7 @@ def made(verdict: Verdict, adequate: bool, effect: str, p: float) -> Diagnosis:
     probabilities = {NULL: 0.9 if quiet else 0.0, effect: named, UNKNOWN: 1.0 - named - (0.9 if quiet else 0.0)}
     head = head if verdict is Verdict.EFFECT else replace(head, probability=0.02)
     where = () if quiet else (PlaceShare("structure", "7", 1.0, 1.0),)
-    explanation = Explanation(tuple(Cause(name, Placement.at("structure", 7)) for name in effect.split(" + ")))
+    explanation = Explanation(tuple(Cause(name, Location.at("structure", 7)) for name in effect.split(" + ")))
     said = sentences(verdict, where, (head,), explanation, gap, (), (), None, () if adequate else LEFT)
     return Diagnosis(
         verdict,

@@ -19,11 +19,11 @@ _RIDGE = 1.0
 
 def _singles(ranking: Sequence[EffectSet]) -> tuple[frozenset[EffectSet], ...]:
     """Each set of effects once, no equivalents."""
-    seen: list[EffectSet] = []
+    listed: list[EffectSet] = []
     for effects in ranking:
-        if effects and effects not in seen:
-            seen.append(effects)
-    return tuple(frozenset({effects}) for effects in seen)
+        if effects and effects not in listed:
+            listed.append(effects)
+    return tuple(frozenset({effects}) for effects in listed)
 
 
 def _fits(case: ScoredCase) -> list[tuple[EffectSet, float, int, int]]:

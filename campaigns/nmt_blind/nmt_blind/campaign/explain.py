@@ -33,11 +33,11 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import starts_of
-from nmt_diagnose.inference.diagnose import about, find, model_alone, observed, own_parameters
+from nmt_diagnose.inference.diagnose import about, find, free_parameters, model_alone, observed
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.fitting import FitError, approach, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.search import Found, Search
+from nmt_diagnose.inference.search import FittedExplanation, Search
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig, load_rig
@@ -111,30 +111,36 @@ def explain_foreign(folder: Path, case: str, command: Sequence[str]) -> Account:
     Raises:
         BenchError: there is no such case, or it cannot be imported or compared.
     """
-    known = {own.name: own for own in read_cases(folder)}
+    known = {foreign_case.name: foreign_case for foreign_case in read_cases(folder)}
     if case not in known:
         raise BenchError(f"There is no case {case} in {folder}; it has {', '.join(known)}.")
-    own, settings = known[case], DiagnosisSettings(look_ahead=False)
-    rig = load_rig(str(own.model))
+    foreign_case, settings = known[case], DiagnosisSettings(look_ahead=False)
+    rig = load_rig(str(foreign_case.model))
     with tempfile.TemporaryDirectory() as work:
         bags = []
-        for sidecar in own.sidecars:
+        for sidecar in foreign_case.sidecars:
             bags.append(Path(work) / sidecar.stem)
             _, trouble = child([*command, "import", str(sidecar.absolute()), "--out", str(bags[-1])], math.inf)
             if trouble:
                 raise BenchError(f"Case {case} cannot be imported: {trouble}")
         observations = observed(rig, bags, (), settings)
-    effects = own.truth.effects[0] if own.truth.kind == "effect" and own.truth.effects else ()
+    effects = (
+        foreign_case.truth.effects[0] if foreign_case.truth.kind == "effect" and foreign_case.truth.effects else ()
+    )
     truth = {
         "case": case,
         "effects": [
-            {"name": name, "detail": list(own.truth.place), "figures": _figures(name, own.truth.parameters)}
+            {
+                "name": name,
+                "detail": list(foreign_case.truth.place),
+                "figures": _figures(name, foreign_case.truth.parameters),
+            }
             for name in sorted(effects)
         ],
         "edits": [],
     }
-    if own.truth.kind == "unknown":
-        truth["effects"] = [{"name": own.truth.remark or "not in the library", "detail": "", "figures": {}}]
+    if foreign_case.truth.kind == "unknown":
+        truth["effects"] = [{"name": foreign_case.truth.remark or "not in the library", "detail": "", "figures": {}}]
     return account(rig, observations, settings, truth)
 
 
@@ -154,11 +160,11 @@ def _recorded(folder: Path, case: str, settings: DiagnosisSettings) -> tuple[Rig
     Raises:
         BenchError: it has no bags.
     """
-    own = folder / "cases" / case
-    if not (own / "bags.json").is_file():
+    case_folder = folder / "cases" / case
+    if not (case_folder / "bags.json").is_file():
         raise BenchError(f"Case {case} of {folder} has no bags; go on with './nmt blind make'.")
-    rig = load_rig(str(own / "model.yaml"))
-    return rig, observed(rig, [own / test for test in read_public(folder)["tests"]], (), settings)
+    rig = load_rig(str(case_folder / "model.yaml"))
+    return rig, observed(rig, [case_folder / test for test in read_public(folder)["tests"]], (), settings)
 
 
 def measured_strength(folder: Path, truth: Mapping[str, Any]) -> float:
@@ -178,7 +184,7 @@ def measured_strength(folder: Path, truth: Mapping[str, Any]) -> float:
         BenchError: the case has no bags, or they cannot be used.
     """
     rig, observations = _recorded(folder, str(truth["case"]), DiagnosisSettings(matters={}))
-    parameters = own_parameters(rig, observations)
+    parameters = free_parameters(rig, observations)
     everything = np.ones(len(observations.rows), dtype=bool)
     modes = LowLevelModes(observations, rig)
     _, _, null, data = model_alone(rig, observations, parameters, everything, modes)
@@ -188,8 +194,12 @@ def measured_strength(folder: Path, truth: Mapping[str, Any]) -> float:
         return math.nan
     search = Search(about(rig, data.observations, true.fit, data.used), rig, parameters, library)
     true = search.again(true)
-    without = [search.again(own) for own in _each_left_out(search, true)]
-    return math.sqrt(max(0.0, min(own.fit.cost for own in without) - true.fit.cost)) if without else math.nan
+    without = [search.again(explanation) for explanation in _each_left_out(search, true)]
+    return (
+        math.sqrt(max(0.0, min(explanation.fit.cost for explanation in without) - true.fit.cost))
+        if without
+        else math.nan
+    )
 
 
 def measured_strengths(
@@ -233,21 +243,23 @@ def _named_strength(folder: Path, entry: Mapping[str, Any]) -> tuple[str, float]
         return case, math.nan
 
 
-def _each_left_out(search: Search, true: Found) -> list[Found]:
+def _each_left_out(search: Search, true: FittedExplanation) -> list[FittedExplanation]:
     """Fits with one effect less, one for each; those that have no solution are left out."""
-    own, count = true.fit, len(search.parameters)
+    true_fit, count = true.fit, len(search.parameters)
     result = []
     for missing in range(len(true.candidates)):
         kept = [k for k in range(len(true.candidates)) if k != missing]
         parametrisation = search.parametrisation(
-            [true.candidates[k] for k in kept], [own.parametrisation.spread(k) for k in kept]
+            [true.candidates[k] for k in kept], [true_fit.parametrisation.spread(k) for k in kept]
         )
-        theta = np.concatenate([own.theta[:count], *[own.theta[own.parametrisation.index_of(k)] for k in kept]])
+        theta = np.concatenate(
+            [true_fit.theta[:count], *[true_fit.theta[true_fit.parametrisation.index_of(k)] for k in kept]]
+        )
         try:
             fitted = approach(search.data, parametrisation, theta)
         except FitError:
             continue
-        result.append(Found(tuple(parametrisation.candidates), fitted))
+        result.append(FittedExplanation(tuple(parametrisation.candidates), fitted))
     return result
 
 
@@ -268,9 +280,9 @@ def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, t
     true = _fitted(findings.search, findings.null, rig, truth)
     fits = [null, winner, true or null]
     costs = null.fit.cost, winner.fit.cost, true.fit.cost if true is not None else math.nan
-    evidence = tuple(own.fit.log_evidence - null.fit.log_evidence for own in fits[1:])
+    evidence = tuple(explanation.fit.log_evidence - null.fit.log_evidence for explanation in fits[1:])
     scales = {
-        name: tuple(float(np.sqrt(own.fit.errors.squares[k] / findings.data.counts[k])) for own in fits)
+        name: tuple(float(np.sqrt(explanation.fit.errors.squares[k] / findings.data.counts[k])) for explanation in fits)
         for k, name in enumerate(findings.data.groups.names)
         if findings.data.counts[k]
     }
@@ -289,8 +301,16 @@ def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, t
         costs,
         (evidence[0], evidence[1]),
         sigma,
-        {name: (own[0], own[1], own[2]) for name, own in scales.items()},
-        follows(found, bool(truth["effects"]), costs, evidence, sigma, drawn, [own[2] for own in scales.values()]),
+        {name: (of_three[0], of_three[1], of_three[2]) for name, of_three in scales.items()},
+        follows(
+            found,
+            bool(truth["effects"]),
+            costs,
+            evidence,
+            sigma,
+            drawn,
+            [of_three[2] for of_three in scales.values()],
+        ),
     )
 
 
@@ -327,30 +347,30 @@ def follows(
     return "information" if sigma < _SEEN else "priors"
 
 
-def _fitted(search: Search, null: Found, rig: Rig, truth: Mapping[str, Any]) -> Found | None:
+def _fitted(search: Search, null: FittedExplanation, rig: Rig, truth: Mapping[str, Any]) -> FittedExplanation | None:
     """The truth fitted from its true parameters; None where the library lacks it or the model has no solution.
 
     Where the truth may be at one of several places, the one where it fits best.
     """
-    chosen = [_candidates(search.candidates, str(own["name"]), own["detail"]) for own in truth["effects"]]
+    chosen = [_candidates(search.candidates, str(effect["name"]), effect["detail"]) for effect in truth["effects"]]
     fits = [
         _fitted_at(search, null, rig, truth, places)
         for places in itertools.islice(itertools.product(*chosen), _MOST_PLACES)
     ]
-    found = [own for own in fits if own is not None]
-    return min(found, key=lambda own: own.fit.cost, default=None)
+    found = [explanation for explanation in fits if explanation is not None]
+    return min(found, key=lambda explanation: explanation.fit.cost, default=None)
 
 
 def _fitted_at(
-    search: Search, null: Found, rig: Rig, truth: Mapping[str, Any], chosen: Sequence[Candidate]
-) -> Found | None:
+    search: Search, null: FittedExplanation, rig: Rig, truth: Mapping[str, Any], chosen: Sequence[Candidate]
+) -> FittedExplanation | None:
     """The truth at its places, fitted from its true parameters and those of the model alone or as it was given."""
     starts = [
         parameters_of(candidate, rig, effect.get("figures", {}))
         for candidate, effect in zip(chosen, truth["effects"], strict=True)
     ]
     edits = {tuple(edit["path"]): edit["value"] for edit in truth["edits"] if edit["kind"] == "set"}
-    own = search.parametrisation(chosen)
+    parametrisation = search.parametrisation(chosen)
     found = []
     for base in (null.fit.theta, np.zeros_like(null.fit.theta)):
         start = base.copy()
@@ -359,8 +379,8 @@ def _fitted_at(
                 value = float(edits[parameter.path])
                 start[k] = math.log((value + parameter.offset) / (parameter.value + parameter.offset)) / parameter.std
         try:
-            fitted = fit(search.data, own, np.concatenate([start, *starts]), None)
-            found.append(Found(tuple(chosen), search.widened(fitted)))
+            fitted = fit(search.data, parametrisation, np.concatenate([start, *starts]), None)
+            found.append(FittedExplanation(tuple(chosen), search.widened(fitted)))
         except FitError:
             continue
     return min(found, key=lambda fitted: fitted.fit.cost, default=None)
@@ -368,25 +388,25 @@ def _fitted_at(
 
 def _candidates(candidates: Sequence[Candidate], name: str, detail: str | Sequence[str]) -> list[Candidate]:
     """The library's candidates of a true effect: at its place, or at the places that may be true."""
-    mine = [candidate for candidate in candidates if candidate.effect.name == name]
+    of_effect = [candidate for candidate in candidates if candidate.effect.name == name]
     if isinstance(detail, str):
         spot = detail.split(" at ")[0].split(" with ")[0]
-        return [candidate for candidate in mine if candidate.site.placement.detail == spot][:1] or mine[:1]
+        return [candidate for candidate in of_effect if candidate.site.location.detail == spot][:1] or of_effect[:1]
     here = [
         candidate
-        for candidate in mine
-        for place in (candidate.site.placement,)
+        for candidate in of_effect
+        for place in (candidate.site.location,)
         if {place.kind, place.detail, place.channel, *map(str, place.points)} & set(detail)
     ]
-    return here or mine
+    return here or of_effect
 
 
 def parameters_of(candidate: Candidate, rig: Rig, figures: Mapping[str, float]) -> FloatArray:
     """Dimensionless parameters of a candidate that are reported as some figures, (parameters,)."""
-    own = Parametrisation(rig, (), (candidate,))
+    parametrisation = Parametrisation(rig, (), (candidate,))
 
     def off(theta: FloatArray) -> FloatArray:
-        reported = own.reported(theta, 0)
+        reported = parametrisation.reported(theta, 0)
         return np.array([
             (min(max(reported[name][0], -1e12), 1e12) - value) / (abs(value) or 1.0)
             for name, value in figures.items()

@@ -245,7 +245,9 @@ def _outcome(
             return "right" if adequate and probability >= NAMED else "hedged right"
         more = any(effects < found for effects in truth.effects for found in named)
         # A part of a pair is true whatever it leaves; what only resembles the truth must not claim to leave nothing.
-        part = any(effects in named and any(effects < whole for whole in truth.effects) for effects in truth.partly)
+        part = any(
+            effects in named and any(effects < true_set for true_set in truth.effects) for effects in truth.partly
+        )
         near = any(effects in named for effects in truth.partly) and not adequate
         if truth.kind != "healthy" and (more or part or near):
             return "hedged right"
@@ -260,8 +262,8 @@ def _outcome(
 
 def _tells(truth: ForeignTruth, entry: Mapping[str, Any]) -> bool:
     """The explanation is the truth, at its place."""
-    own = f"{entry.get('place', '')} {entry.get('detail', '')}"
-    return _holds(own, truth.place) and any(effects in _alternatives(entry) for effects in truth.effects)
+    stated_place = f"{entry.get('place', '')} {entry.get('detail', '')}"
+    return _holds(stated_place, truth.place) and any(effects in _alternatives(entry) for effects in truth.effects)
 
 
 def _alternatives(entry: Mapping[str, Any]) -> set[EffectSet]:
@@ -284,9 +286,9 @@ def _probability(diagnosis: Mapping[str, Any], verdict: str, head: Mapping[str, 
     """Of what the verdict says."""
     if verdict == "effect":
         return _number(head.get("probability"), 0.0)
-    given = diagnosis.get("probabilities") or {}
+    probabilities = diagnosis.get("probabilities") or {}
     names = ("unknown",) if verdict == "unknown" else ("none", "calibration")
-    return math.fsum(_number(given.get(name), 0.0) for name in names)
+    return math.fsum(_number(probabilities.get(name), 0.0) for name in names)
 
 
 def _furthest(

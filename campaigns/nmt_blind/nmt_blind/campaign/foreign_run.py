@@ -104,12 +104,12 @@ def run_laboratory(
     program = diagnosis_digest()
     work, stored = [], {}
     for case in cases:
-        own = out.absolute() / case.name
+        case_folder = out.absolute() / case.name
         files = case_digest(case.folder)
-        before = None if force else _stored(own, program, files)
+        before = None if force else _stored(case_folder, program, files)
         if before is None:
-            rest = program, files, own, tuple(command), limit, keep_bags
-            work.append((case.folder.absolute(), case.sidecars, case.model.absolute(), *rest))
+            arguments = program, files, case_folder, tuple(command), limit, keep_bags
+            work.append((case.folder.absolute(), case.sidecars, case.model.absolute(), *arguments))
         else:
             stored[case.name] = before
     kept = set(stored)
@@ -128,7 +128,7 @@ def diagnose_foreign(
     model: Path,
     program: str,
     files: str,
-    own: Path,
+    case_folder: Path,
     command: Sequence[str],
     limit: float,
     keep_bags: bool,
@@ -138,22 +138,32 @@ def diagnose_foreign(
     Returns:
         What was written as ``result.json``.
     """
-    own.mkdir(parents=True, exist_ok=True)
-    (own / _RESULT).unlink(missing_ok=True)
-    shutil.rmtree(own / _DIAGNOSIS, ignore_errors=True)
+    case_folder.mkdir(parents=True, exist_ok=True)
+    (case_folder / _RESULT).unlink(missing_ok=True)
+    shutil.rmtree(case_folder / _DIAGNOSIS, ignore_errors=True)
     wall = time.monotonic()
     result: dict[str, Any] = {"format": RESULT_FORMAT, "case": folder.name, "program": program, "files": files}
     bags, trouble = [], ""
     result["import_seconds"] = result["seconds"] = 0.0
     for sidecar in sidecars:
-        bags.append(own / f"imported-{sidecar.stem}")
+        bags.append(case_folder / f"imported-{sidecar.stem}")
         words = ["import", str(sidecar.absolute()), "--out", str(bags[-1]), "--force"]
         seconds, trouble = child([*command, *words], limit)
         result["import_seconds"] += seconds
         if trouble:
             break
     else:
-        words = ["diagnose", "--model", str(model), "--out", str(own / _DIAGNOSIS), "--quiet", "--force", "--jobs", "1"]
+        words = [
+            "diagnose",
+            "--model",
+            str(model),
+            "--out",
+            str(case_folder / _DIAGNOSIS),
+            "--quiet",
+            "--force",
+            "--jobs",
+            "1",
+        ]
         real = [word for bag in bags for word in ("--real", str(bag))]
         result["seconds"], trouble = child([*command, *words, *real], limit)
     if not keep_bags:
@@ -161,7 +171,7 @@ def diagnose_foreign(
             shutil.rmtree(bag, ignore_errors=True)
     result |= {"trouble": trouble, "wall_seconds": round(time.monotonic() - wall, 2)}
     result |= {key: round(result[key], 2) for key in ("seconds", "import_seconds")}
-    write_result(own / _RESULT, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
+    write_result(case_folder / _RESULT, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
     return result
 
 
@@ -170,11 +180,11 @@ def case_digest(folder: Path) -> str:
     digest = hashlib.sha256()
     for path in sorted(path for path in folder.rglob("*") if path.is_file() and path.name != TRUTH_FILE):
         digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
-        own = hashlib.sha256()
+        sha256 = hashlib.sha256()
         with path.open("rb") as file:
             while block := file.read(2**20):
-                own.update(block)
-        digest.update(own.digest())
+                sha256.update(block)
+        digest.update(sha256.digest())
     return digest.hexdigest()
 
 
@@ -255,11 +265,11 @@ def child(words: Sequence[str], limit: float) -> tuple[float, str]:
         if ceiling:
             resource.setrlimit(resource.RLIMIT_CPU, (ceiling, ceiling + 30))
 
-    with tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as output:
         process = subprocess.Popen(
             list(words),
             stdin=subprocess.DEVNULL,
-            stdout=said,
+            stdout=output,
             stderr=subprocess.STDOUT,
             env={**os.environ, **_ONE_CORE},
             preexec_fn=bounded,
@@ -277,8 +287,8 @@ def child(words: Sequence[str], limit: float) -> tuple[float, str]:
             return seconds, ""
         if ceiling and code in (-signal.SIGXCPU, -signal.SIGKILL) and seconds > ceiling - 1:
             return seconds, f"ended after {ceiling} s of processor time, the limit"
-        said.seek(0)
-        lines = said.read().decode(errors="replace").strip().splitlines()
+        output.seek(0)
+        lines = output.read().decode(errors="replace").strip().splitlines()
     return seconds, (lines[-1].strip()[:_TROUBLE] if lines else f"ended with {code}")
 
 
@@ -289,10 +299,10 @@ def _chosen(cases: list[ForeignCase], only: Sequence[str], folder: Path) -> list
     return [case for case in cases if not only or case.name in only]
 
 
-def _stored(own: Path, program: str, files: str) -> dict[str, Any] | None:
+def _stored(case_folder: Path, program: str, files: str) -> dict[str, Any] | None:
     """The result of an earlier run by the same program from the same files, if there is one."""
     try:
-        result = read_json(own / _RESULT, "result")
+        result = read_json(case_folder / _RESULT, "result")
     except BenchError:
         return None
     same = result.get("format") == RESULT_FORMAT and (result.get("program"), result.get("files")) == (program, files)

@@ -43,15 +43,15 @@ def check_frozen(folder: Path, results: Path, sealed: bool, anew: bool) -> None:
     Raises:
         BenchError: some cases of a sealed campaign were diagnosed by another program.
     """
-    own, path = diagnosis_digest(), results / FROZEN_FILE
+    current, path = diagnosis_digest(), results / FROZEN_FILE
     if sealed and not anew and path.is_file():
         before = read_json(path, "note of the program").get("sha256")
-        if before != own:
+        if before != current:
             raise BenchError(
                 f"The first cases of {folder} were diagnosed by another version of the program (sha256 {before}, now "
-                f"{own}); go on with that one, or diagnose all of them anew with --again."
+                f"{current}); go on with that one, or diagnose all of them anew with --again."
             )
-    write_whole(path, json.dumps({"sha256": own}) + "\n")
+    write_whole(path, json.dumps({"sha256": current}) + "\n")
 
 
 def frozen_digest(results: Path) -> str:

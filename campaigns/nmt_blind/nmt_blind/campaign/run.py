@@ -120,13 +120,15 @@ def run_case(
     Returns:
         What was written, without the diagnosis.
     """
-    own = folder / "cases" / case
-    bags = [own / test for test in read_public(folder)["tests"]]
+    case_folder = folder / "cases" / case
+    bags = [case_folder / test for test in read_public(folder)["tests"]]
     begin, wall = time.process_time(), time.monotonic()
     result: dict[str, Any] = {"format": RESULT_FORMAT, "case": case, "withheld": withheld}
     result["bags"] = {bag.name: bag_hash(bag) for bag in bags}
     try:
-        result["diagnosis"] = diagnose(own / "model.yaml", [bag for bag in bags if any(bag.glob("*.mcap"))], withheld)
+        result["diagnosis"] = diagnose(
+            case_folder / "model.yaml", [bag for bag in bags if any(bag.glob("*.mcap"))], withheld
+        )
     except BenchError as error:
         result["error"] = str(error)
     except Exception as error:

@@ -269,9 +269,9 @@ def compute_scores(cases: Sequence[ScoredCase], about: dict[str, Any], classifie
     ]
     settled = [case for case in cases if case.verdict != "failed"]
     # Of an effect that the recordings do not show, "none" is no wrong answer.
-    shown = [case for case in settled if case.kind == "null" or case.sigma >= STRONG]
-    stated = [case.confidence for case in shown]
-    right = [case.settled_rightly for case in shown]
+    strong_or_null = [case for case in settled if case.kind == "null" or case.sigma >= STRONG]
+    stated = [case.confidence for case in strong_or_null]
+    right = [case.settled_rightly for case in strong_or_null]
     false, true = roc_curve([c.answer.gap_score for c in strong], [c.answer.gap_score for c in null])
     return Scores(
         **about,

@@ -211,10 +211,10 @@ def _estimates(effects: Sequence[Mapping[str, Any]], diagnosis: Mapping[str, Any
         for key, truth in effect.get("figures", {}).items():
             for label, value in stated.items():
                 # Of two effects, parameters are named effect@detail.parameter.
-                cause, _, own = label.rpartition(".")
+                cause, _, parameter = label.rpartition(".")
                 named, _, detail = cause.partition("@") if cause else (name, "", str(head.get("detail", "")))
                 detail = detail.split(" at ")[0]
-                if own == key and named == name and (not detail or not spot or detail == spot):
+                if parameter == key and named == name and (not detail or not spot or detail == spot):
                     found.append(
                         Estimate(name, key, float(truth), _number(value.get("value")), _number(value.get("std")))
                     )

@@ -179,11 +179,11 @@ def draw_cases(
     for number in range(1, count + 1):
         kind = mixture.deal()
         shifted = bool(shifts[kind].deal())
-        own = np.random.default_rng([seed, 3, number])
-        moved = draw_shifts(model, own) if shifted else ()
+        generator = np.random.default_rng([seed, 3, number])
+        moved = draw_shifts(model, generator) if shifted else ()
         effects, edits, family = draws.effects(kind, partial(_own_motion, model, table, moved, motion))
-        withheld = ",".join(family) if kind == "withheld" else draws.bystander(effects, own)
-        noise_seed = int(own.integers(1, 2**31))
+        withheld = ",".join(family) if kind == "withheld" else draws.bystander(effects, generator)
+        noise_seed = int(generator.integers(1, 2**31))
         all_edits, converters = (*moved, *edits), None
         if tolerances == "laboratory":
             chain = draw_chain(model, table.operating, np.random.default_rng([seed, 6, number]))

@@ -198,8 +198,8 @@ def _some_channels(*quantities: str) -> Spots:
     def spots(rig: Rig) -> tuple[Spot, ...]:
         found = []
         for quantity in quantities:
-            own = _channels(quantity)(rig)
-            found += [own[0], own[-1]] if len(own) > 1 else list(own)
+            channels = _channels(quantity)(rig)
+            found += [channels[0], channels[-1]] if len(channels) > 1 else list(channels)
         return tuple(found)
 
     return spots
@@ -372,7 +372,7 @@ def _compliance_guess(at: At) -> float:
 def _microslip(at: At, value: float) -> tuple[Edit, ...]:
     path = ("local_elements", int(at.spot.option))
     joint = {"kind": "iwan", "exponent": at.spot.shape, "stiffness_ratio": 1.0 / value, "sliders": 30}
-    return tuple(Edit((*path, key), own) for key, own in joint.items())
+    return tuple(Edit((*path, key), entry) for key, entry in joint.items())
 
 
 def _at_rotation(share: float, point_of: Callable[[At], int]) -> Guess:

@@ -1,4 +1,4 @@
-"""A simulated rig between a laboratory's converters: held drive, harmonics of the amplifier, anti-alias filters."""
+"""A simulated rig between a laboratory's converters: zero-order hold, distortion by the amplifier, filters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from nmt_rig.sensors import SensorChannel
 
 STEPS, STEPS_OF_IMAGES = 20, 40
 """Steps of the time integration per sample: the drive is held over all but the last, in which it moves on. There are
-more where nothing filters the steps of a held drive: there delays of channels go along straight lines between them."""
+more where nothing filters the steps of a zero-order hold: delays of channels go along straight lines between them."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Converters:
     Attributes:
         held: the drive, from sample to sample.
         filtered: an eighth-order Butterworth low-pass at 0.4 of the sample rate before every channel is sampled;
-            without it, the steps of a held drive appear in the channels as images of its frequency.
+            without it, the steps of a zero-order hold appear in the channels as images of its frequency.
         harmonics: of the drive, order and complex amplitude over the fundamental's.
     """
 
@@ -74,8 +74,10 @@ class LaboratoryRig(SimulatedRig):
         self._memory = np.zeros((self._filter.shape[0], len(self.sensors), 2))
         self._drift = Drift(self.rig.model_copy(update={"sample_rate_hz": self.steps * self.rig.sample_rate_hz}))
         self._chains = [
-            AnalogueChain(rate, own.low_pass_hz, own.high_pass_hz, own.delay + self._ahead / rate, self._images)
-            for own in self.sensors
+            AnalogueChain(
+                rate, section.low_pass_hz, section.high_pass_hz, section.delay + self._ahead / rate, self._images
+            )
+            for section in self.sensors
         ]
         sampled = [replace(s, low_pass_hz=None, high_pass_hz=None, delay=0.0, dead_zone=0.0) for s in self.sensors]
         self._channels = [SensorChannel(sensor, self.true_sample_rate, self.rig.seed) for sensor in sampled]
@@ -112,10 +114,10 @@ class LaboratoryRig(SimulatedRig):
         """What the sensors and their conditioners pass, at every step."""
         result = np.empty_like(values)
         for row, (sensor, chain) in enumerate(zip(self.sensors, self._chains, strict=True)):
-            seen = values[row]
+            recorded = values[row]
             if sensor.dead_zone > 0.0:
-                seen = np.sign(seen) * np.maximum(np.abs(seen) - sensor.dead_zone, 0.0)
-            result[row] = chain.process(seen)
+                recorded = np.sign(recorded) * np.maximum(np.abs(recorded) - sensor.dead_zone, 0.0)
+            result[row] = chain.process(recorded)
         return result
 
     def _between(self, voltage: FloatArray) -> FloatArray:

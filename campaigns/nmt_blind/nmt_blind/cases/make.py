@@ -108,7 +108,9 @@ def make_campaign(
     rig = rig or blind_rig(rig_name)
     model = rig.model()
     table = table or _program_table(rig, model, tolerances, sealed)
-    cases = draw_cases(model, table, count, seed, kinds, tolerances, lambda own: operating_point(own, rig.bench))
+    cases = draw_cases(
+        model, table, count, seed, kinds, tolerances, lambda truth_rig: operating_point(truth_rig, rig.bench)
+    )
     truth = json.dumps({
         "format": FORMAT, "rig": rig.name, "seed": seed, "tolerances": tolerances,
         "cases": [case.to_mapping() for case in cases],
@@ -226,16 +228,16 @@ def make_case(folder: Path, rig: BlindRig, case: Case) -> float:
 
     begin = time.process_time()
     model = rig.model()
-    own = _case_folder(folder, case)
-    shutil.rmtree(own, ignore_errors=True)
-    own.mkdir(parents=True)
-    (own / "model.yaml").write_text(rig.file.read_text(encoding="utf-8"), encoding="utf-8")
+    case_folder = _case_folder(folder, case)
+    shutil.rmtree(case_folder, ignore_errors=True)
+    case_folder.mkdir(parents=True)
+    (case_folder / "model.yaml").write_text(rig.file.read_text(encoding="utf-8"), encoding="utf-8")
     truth = with_edits(model, case.edits)
     bags: dict[str, Any] = {}
     for test in rig.tests:
-        outcome = RECORDERS[test](own / test, truth, model, rig.bench, case.noise_seed, case.converters)
-        bags[test] = {**asdict(outcome), "sha256": bag_hash(own / test)}
-    write_whole(own / "bags.json", json.dumps(bags, indent=1) + "\n")
+        outcome = RECORDERS[test](case_folder / test, truth, model, rig.bench, case.noise_seed, case.converters)
+        bags[test] = {**asdict(outcome), "sha256": bag_hash(case_folder / test)}
+    write_whole(case_folder / "bags.json", json.dumps(bags, indent=1) + "\n")
     return time.process_time() - begin
 
 

@@ -124,10 +124,10 @@ def settle(rig: BenchRig, level: float, frequency_hz: float, damping: float) -> 
         rig.drive(level, found, samples)
         line = fundamental(rig.drive(level, found, round(PERIODS / found * rig.rate)), found / rig.rate)
         # Acceleration leads force by a right angle at phase resonance: near it, tan of the rest is (f0 - f) / (f0 ζ).
-        rest = float(np.clip(np.angle(line[drive] / line[force] / 1j), -1.2, 1.2))
-        if abs(rest) < _RESONANT:
+        remaining_phase = float(np.clip(np.angle(line[drive] / line[force] / 1j), -1.2, 1.2))
+        if abs(remaining_phase) < _RESONANT:
             break
-        found *= 1.0 + 0.7 * damping * math.tan(rest)
+        found *= 1.0 + 0.7 * damping * math.tan(remaining_phase)
     return found
 
 
@@ -221,14 +221,14 @@ def stepped_lines(
     """
     rig = BenchRig(built, seed)
     force = next(row for row, name in enumerate(rig.names) if name.startswith("f"))
-    own = rig.names.index(channel)
+    channel_row = rig.names.index(channel)
     settling = SETTLING / (2.0 * np.pi * float(frequencies_hz.mean()) * _damping(model))
     lines, forces = [], []
     for frequency in frequencies_hz:
         rig.drive(force_volts, float(frequency), round(settling * rig.rate))
         line = fundamental(rig.drive(force_volts, float(frequency), round(PERIODS / frequency * rig.rate)),
                            float(frequency) / rig.rate)  # fmt: skip
-        lines.append(line[own] / line[force])
+        lines.append(line[channel_row] / line[force])
         forces.append(abs(line[force]))
     return np.array(lines), np.array(forces)
 
@@ -307,7 +307,7 @@ def record_ring_down(
     data = np.concatenate([decay.before, decay.data], axis=1)
     sidecar = sidecar_of(model)
     sidecar["file"] = "decay.npz"
-    sidecar["channels"] = [own for own in sidecar["channels"] if own["quantity"] != "voltage"]
+    sidecar["channels"] = [channel for channel in sidecar["channels"] if channel["quantity"] != "voltage"]
     sidecar["segments"] = [{
         "kind": "ring_down", "start": 0.0, "stop": data.shape[1] / rate, "switch_off": off / rate,
         "level": max(bench.levels), "level_unit": "V", "frequency_hz": float(f"{decay.frequency_hz:.6g}"),

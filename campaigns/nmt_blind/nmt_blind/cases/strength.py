@@ -25,19 +25,10 @@ from nmt_blind.cases.operating import Operating, noise_deviation, operating_poin
 from nmt_blind.cases.priors import parameters, shifted
 from nmt_blind.cases.quiet_tests import QuietRecord, QuietWindow, play_backbone, play_random
 from nmt_blind.cases.rig_edits import Edit, with_edits
-from nmt_blind.cases.tolerances import (
-    CLOCK,
-    DELAY_S,
-    GAIN,
-    LEAST_LEAD,
-    MAINS,
-    PHASE_DEG,
-    SHARED_DELAY_S,
-    check_tolerances,
-    has_lead,
-)
+from nmt_blind.cases.tolerances import LEAST_LEAD, check_tolerances, has_lead
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_core.tolerances import TOLERANCES
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig
 
@@ -122,7 +113,7 @@ class Sensitivity:
         self.bench: BenchSettings = rig.bench
         self.operating: Operating = operating_point(self.model, self.bench)
         self._lines = _line_bins(self.model, self.bench)
-        self._hum = MAINS if tolerances == "laboratory" else 0.0
+        self._hum = TOLERANCES.mains if tolerances == "laboratory" else 0.0
         self.base = self.observe(self.model)
         # The edit that makes a number of standard deviations of a change; None = it stays linear.
         self._made: list[Callable[[float], Edit] | None] = []
@@ -226,36 +217,36 @@ class Sensitivity:
             path = ("sensors", index)
             if sensor.quantity == "voltage":
                 # The random responses are referred to it.
-                columns.append(GAIN * np.where(self.base.level < 0, self.base.values, 0.0))
+                columns.append(TOLERANCES.gain * np.where(self.base.level < 0, self.base.values, 0.0))
                 self.relative.append(len(self._made))
                 self._made.append(None)
                 continue
             step = _CHAIN_STEPS["gain"]
-            columns.append(GAIN * self._change(Edit((*path, "gain"), sensor.gain * (1.0 + step))) / step)
+            columns.append(TOLERANCES.gain * self._change(Edit((*path, "gain"), sensor.gain * (1.0 + step))) / step)
             self._made.append(partial(_louder, (*path, "gain"), sensor.gain))
             step = _CHAIN_STEPS["delay_s"]
             delay = self._change(Edit((*path, "delay_s"), sensor.delay_s + step)) / step
-            columns.append(DELAY_S * delay)
-            self._late.append((len(self._made), index, DELAY_S))
+            columns.append(TOLERANCES.delay_s * delay)
+            self._late.append((len(self._made), index, TOLERANCES.delay_s))
             self._made.append(None)
             members, late = kinds.get(sensor.quantity, ([], np.zeros(self.base.values.size)))
             kinds[sensor.quantity] = ([*members, index], late + delay)
             if has_lead(sensor.quantity) and sensor.high_pass_hz is None:
-                lead = math.radians(PHASE_DEG)
+                lead = math.radians(TOLERANCES.phase_deg)
                 corner = self.operating.omega / (2.0 * math.pi) * math.tan(lead)
                 columns.append(self._change(Edit((*path, "high_pass_hz"), corner)))
                 self.relative.append(len(self._made))
                 self._leads.append(len(self._made))
                 self._made.append(partial(_leading, (*path, "high_pass_hz"), corner))
-        shared = SHARED_DELAY_S / math.sqrt(3.0)
+        shared = TOLERANCES.shared_delay_s / math.sqrt(3.0)
         for members, late in kinds.values():
             columns.append(shared * late)
             self._late += [(len(self._made), sensor, shared) for sensor in members]
             self._made.append(None)
         step = _CHAIN_STEPS["clock_error"]
-        columns.append(CLOCK * self._change(Edit(("clock_error",), self.model.clock_error + step)) / step)
+        columns.append(TOLERANCES.clock * self._change(Edit(("clock_error",), self.model.clock_error + step)) / step)
         clock = self.model.clock_error
-        self._made.append(lambda deviation: Edit(("clock_error",), clock + CLOCK * deviation))
+        self._made.append(lambda deviation: Edit(("clock_error",), clock + TOLERANCES.clock * deviation))
         return columns
 
     def shifted(self, observed: Observed, made: FloatArray | None = None, changes: FloatArray | None = None) -> Shifted:
@@ -342,9 +333,9 @@ class Sensitivity:
 
     def _own(self) -> BoolArray:
         """Shifts that can be made; others stay linear."""
-        own = np.array([edit is not None for edit in self._made])
-        own[[number for number, _, _ in self._late]] = True
-        return own
+        model_columns = np.array([edit is not None for edit in self._made])
+        model_columns[[number for number, _, _ in self._late]] = True
+        return model_columns
 
     def _values(self, made: FloatArray) -> FloatArray:
         """Observables of the shifted model, shape (m,).
@@ -379,21 +370,21 @@ class Sensitivity:
 
     def _left(self, observed: Observed, values: FloatArray, made: FloatArray) -> float:
         """σ with some shifts made; only changes that cannot be made are fitted."""
-        rest, shifts = self._rest(observed, values, made)
-        return math.sqrt(float(rest @ rest + shifts @ shifts))
+        residual, shifts = self._rest(observed, values, made)
+        return math.sqrt(float(residual @ residual + shifts @ shifts))
 
     def _rest(self, observed: Observed, values: FloatArray, made: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What is left over the noise, shape (m,), zero where nothing compares, and all shifts, shape (k,)."""
         good, scale = self._good(observed, values)
-        own = self._own()
+        model_columns = self._own()
         d = (observed.values - values)[good] * scale
-        c = self.changes_about(values)[good][:, ~own] * scale[:, np.newaxis]
+        c = self.changes_about(values)[good][:, ~model_columns] * scale[:, np.newaxis]
         found = np.linalg.solve(np.eye(c.shape[1]) + c.T @ c, c.T @ d)
         shifts = made.copy()
-        shifts[~own] += found
-        rest = np.zeros(observed.values.size)
-        rest[good] = d - c @ found
-        return rest, shifts
+        shifts[~model_columns] += found
+        residual = np.zeros(observed.values.size)
+        residual[good] = d - c @ found
+        return residual, shifts
 
     def changes_about(self, values: FloatArray) -> FloatArray:
         """Changes of observables by one standard deviation of each shift, (m, k).
@@ -485,9 +476,9 @@ class Sensitivity:
         normal = c.T @ c
         normal = np.eye(c.shape[1]) + normal + damping * np.diag(np.diag(normal))
         step = np.linalg.solve(normal, c.T @ d - shifts)
-        rest, total = d - c @ step, shifts + step
-        whole = np.nan_to_num((observed.values - self.base.values)[good] * scale)
-        return float(np.linalg.norm(whole)), math.sqrt(float(rest @ rest + total @ total)), total
+        residual, total = d - c @ step, shifts + step
+        difference = np.nan_to_num((observed.values - self.base.values)[good] * scale)
+        return float(np.linalg.norm(difference)), math.sqrt(float(residual @ residual + total @ total)), total
 
     def signature(self, observed: Observed, made: FloatArray) -> FloatArray:
         """What observables say that the model with shifts made does not, and the shifts, shape (m + k,).
@@ -527,7 +518,7 @@ def _leaning(phase: float) -> Edit:
 
 def _louder(path: tuple[str | int, ...], gain: float, deviation: float) -> Edit:
     """A gain that is off by so many standard deviations."""
-    return Edit(path, gain * (1.0 + GAIN * deviation))
+    return Edit(path, gain * (1.0 + TOLERANCES.gain * deviation))
 
 
 def _leading(path: tuple[str | int, ...], corner: float, deviation: float) -> Edit:

@@ -217,8 +217,8 @@ def _rung(sensitivity: Sensitivity, observed: Observed, value: float, rungs: lis
     # What every test shows many times over is told apart however strong it is: there a bound will do.
     if not rungs or rungs[-1].sigma < SEARCHED:
         best = sensitivity.settled(observed, best)
-    own = size < _IMITATED * best.left and abs(linear - best.left) < _AGREES * best.left
-    return Rung(value, observed, best, not own)
+    distinct = size < _IMITATED * best.left and abs(linear - best.left) < _AGREES * best.left
+    return Rung(value, observed, best, not distinct)
 
 
 def _continued(rungs: list[Rung], value: float) -> list[FloatArray]:

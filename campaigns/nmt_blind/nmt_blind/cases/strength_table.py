@@ -27,19 +27,12 @@ from nmt_blind.cases.strength import (
     Sensitivity,
 )
 from nmt_blind.cases.strength_curve import curve, spot_key, value_at
-from nmt_blind.cases.tolerances import (
-    CLOCK,
-    DELAY_S,
-    GAIN,
-    MAINS,
-    PHASE_DEG,
-    SHARED_DELAY_S,
-    check_tolerances,
-)
+from nmt_blind.cases.tolerances import check_tolerances
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import write_whole
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.tolerances import TOLERANCES
 from nmt_rig.rig import Rig
 
 FORMAT = "nmt blind strengths 1"
@@ -103,15 +96,28 @@ def table_file(rig: BlindRig, tolerances: str = "none") -> Path:
     return Path(__file__).resolve().parent / "strengths" / f"{rig.name}{ending}.json"
 
 
-def fingerprint(rig: BlindRig, tolerances: str = "none") -> str:
+def chain_values() -> list[float]:
+    """Tolerances that the strengths of a new table are counted with."""
+    return [
+        TOLERANCES.gain, TOLERANCES.phase_deg, TOLERANCES.delay_s, TOLERANCES.shared_delay_s, TOLERANCES.clock,
+        TOLERANCES.mains,
+    ]  # fmt: skip
+
+
+def fingerprint(rig: BlindRig, tolerances: str = "none", chain: Sequence[float] = ()) -> str:
     """What a table depends on: the rig file's content, the tests, what they repeat to and the measuring chain.
 
     Keys at their defaults do not count: a new key of rig files leaves the tables valid.
+
+    Args:
+        rig: the rig.
+        tolerances: name of the tolerances.
+        chain: those that the table states; empty = today's.
     """
     noise = [FREQUENCY, FUNDAMENTAL, HARMONIC, PHASE_AT_LOCK, PHASE_LEAN]
     if tolerances != "none":
         noise += [LABORATORY_PHASE_AT_LOCK, LABORATORY_PHASE_LEAN]
-        noise += [GAIN, PHASE_DEG, DELAY_S, SHARED_DELAY_S, CLOCK, MAINS]
+        noise += list(chain) or chain_values()
         # A delay for the sensors of each kind.
         noise += [float(len({sensor.quantity for sensor in rig.model().sensors}))]
     values = rig.model().model_dump(mode="json", exclude_defaults=True)
@@ -136,7 +142,8 @@ def load_table(rig: BlindRig, tolerances: str = "none", path: Path | None = None
     fix = f"make it with '{_command(rig, tolerances)}'"
     if values is None:
         raise BenchError(f"There is no table of strengths {path}; {fix}.")
-    if values.get("fingerprint") != fingerprint(rig, tolerances):
+    # A σ is one under the chain that the table states, whatever chains are drawn from later.
+    if values.get("fingerprint") != fingerprint(rig, tolerances, values.get("chain", ())):
         raise BenchError(f"The table of strengths {path} belongs to another version of the rig or its tests; {fix}.")
     return StrengthTable(rig.name, Operating.from_mapping(values["operating"]), values["curves"])
 
@@ -195,6 +202,7 @@ def make_table(
         "rig": rig.name,
         "command": _command(rig, tolerances),
         "tolerances": tolerances,
+        "chain": chain_values() if tolerances != "none" else [],
         "fingerprint": expected,
         "operating": sensitivity.operating.to_mapping(),
     }

@@ -1,8 +1,9 @@
 """What an ordinary laboratory's measuring chain is off by, drawn for every case; none of it is a fault.
 
 Gains by the calibration sheet, phases of conditioners (the high-pass of a sensor with built-in electronics), delays of
-filters and multiplexers, a drive that the converter holds from sample to sample and that carries harmonics, channels
-with and without an anti-alias filter, a clock that is some ten parts in a million off, a trace of the mains.
+filters and multiplexers, a drive with zero-order hold and harmonics, channels
+with and without an anti-alias filter, a clock that is some ten parts in a million off, a trace of the mains. How large
+stands in :mod:`nmt_core.tolerances`: shared delays within ± theirs, hum and harmonics up to theirs, the rest normal.
 """
 
 from __future__ import annotations
@@ -17,24 +18,11 @@ from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.rig_edits import Edit
 from nmt_core.errors import BenchError
+from nmt_core.tolerances import TOLERANCES
 from nmt_rig.rig import Rig
 
-GAIN = 0.01
-"""Standard deviation of every gain, relative."""
-PHASE_DEG = 0.2
-"""Standard deviation of the phase lead of a channel at the mode that is tested, degrees."""
-DELAY_S = 5e-6
-"""Standard deviation of the delay of a channel against the others, s."""
-SHARED_DELAY_S = 100e-6
-"""Half width of the delay of all sensors of a kind against the drive: they share their conditioners, s."""
-DISTORTION = 1e-3
-"""Largest third harmonic of the drive over its fundamental; the second has up to half of it."""
 FILTERED = 0.5
 """Share of laboratories whose channels have an anti-alias filter."""
-CLOCK = 30e-6
-"""Standard deviation of the clock, relative."""
-MAINS = 3e-4
-"""Largest hum of a channel over its amplitude at the highest level."""
 
 # Beyond so many standard deviations a calibration would have noticed.
 _LARGEST = 2.5
@@ -102,14 +90,15 @@ def draw_chain(model: Rig, operating: Operating, generator: np.random.Generator)
     def normal() -> np.ndarray[Any, np.dtype[np.float64]]:
         return np.clip(generator.standard_normal(count), -_LARGEST, _LARGEST)
 
-    gains = 1.0 + GAIN * normal()
-    leads = math.radians(PHASE_DEG) * np.abs(normal())
+    gains = 1.0 + TOLERANCES.gain * normal()
+    leads = math.radians(TOLERANCES.phase_deg) * np.abs(normal())
     kinds = list(dict.fromkeys(sensor.quantity for sensor in model.sensors))
-    shared = dict(zip(kinds, generator.uniform(-SHARED_DELAY_S, SHARED_DELAY_S, len(kinds)), strict=True))
-    delays = DELAY_S * normal() + np.array([shared[sensor.quantity] for sensor in model.sensors])
-    hums = MAINS * generator.random(count)
-    clock = CLOCK * float(np.clip(generator.standard_normal(), -_LARGEST, _LARGEST))
-    sizes = DISTORTION * generator.random(2) * (0.5, 1.0)
+    largest = TOLERANCES.shared_delay_s
+    shared = dict(zip(kinds, generator.uniform(-largest, largest, len(kinds)), strict=True))
+    delays = TOLERANCES.delay_s * normal() + np.array([shared[sensor.quantity] for sensor in model.sensors])
+    hums = TOLERANCES.mains * generator.random(count)
+    clock = TOLERANCES.clock * float(np.clip(generator.standard_normal(), -_LARGEST, _LARGEST))
+    sizes = TOLERANCES.drive_harmonic * generator.random(2) * (0.5, 1.0)
     turns = np.exp(2j * np.pi * generator.random(2))
     voltage = [sensor.quantity == "voltage" for sensor in model.sensors]
     names = [model.sensor_channel(sensor) for sensor in model.sensors]
@@ -117,10 +106,10 @@ def draw_chain(model: Rig, operating: Operating, generator: np.random.Generator)
         tuple(float(gain) for gain in gains),
         tuple(float(lead) if has_lead(s.quantity) else 0.0 for lead, s in zip(leads, model.sensors, strict=True)),
         # Delays count against the drive's own channel.
-        tuple(0.0 if own else float(delay) for delay, own in zip(delays, voltage, strict=True)),
+        tuple(0.0 if is_voltage else float(delay) for delay, is_voltage in zip(delays, voltage, strict=True)),
         tuple(
-            0.0 if own else float(hum) * operating.channels.get(name, 0.0)
-            for hum, own, name in zip(hums, voltage, names, strict=True)
+            0.0 if is_voltage else float(hum) * operating.channels.get(name, 0.0)
+            for hum, is_voltage, name in zip(hums, voltage, names, strict=True)
         ),
         clock,
         Converters(
@@ -131,7 +120,7 @@ def draw_chain(model: Rig, operating: Operating, generator: np.random.Generator)
     )
 
 
-TOLERANCES = ("laboratory", "none")
+TOLERANCE_SETS = ("laboratory", "none")
 
 
 def check_tolerances(name: str) -> str:
@@ -140,6 +129,6 @@ def check_tolerances(name: str) -> str:
     Raises:
         BenchError: there is none of that name.
     """
-    if name not in TOLERANCES:
-        raise BenchError(f"There are no tolerances '{name}'; choose from {', '.join(TOLERANCES)}.")
+    if name not in TOLERANCE_SETS:
+        raise BenchError(f"There are no tolerances '{name}'; choose from {', '.join(TOLERANCE_SETS)}.")
     return name

@@ -8,7 +8,7 @@ its files.
 >>> outcome = diagnose_bags("out/demo/rig.yaml", ["out/demo"], settings=few)
 >>> outcome.diagnosis.verdict.value
 'none'
->>> outcome.given.local_elements[0].slip_force_n
+>>> outcome.initial_model.local_elements[0].slip_force_n
 1.0
 """
 

@@ -1,7 +1,8 @@
 """Frequency and damping over amplitude of recorded free decays, channel by channel, without force and linear modes.
 
-What :mod:`nmt_extract.ring_down` finds of a structure, here of each response by itself: it belongs to the structure and
-all that hangs on it. Source of the equations: there.
+Each response is read by itself, as the diagnosis reads it (:mod:`nmt_signals.decays.decay_reading`): what is found
+belongs to the structure and all that hangs on it. With the decay rate σ and the instantaneous frequency Ω of the slow
+amplitude, a vibration whose amplitude changes slowly has ω̃² = Ω² + σ² + (2 δ̃ ω̃ − 2 σ) σ and 2 δ̃ ω̃ = 2 σ − Ω̇/Ω.
 """
 
 from __future__ import annotations
@@ -10,36 +11,38 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.messages.blocks import Quantity
-from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_extract.ring_down import DecaySettings, decay_of
-from nmt_extract.window_judge import CONVERTER_BITS, resolution
-from nmt_signals.sine_fit import strongest_line
+from nmt_signals.channel_faults.converter_faults import CONVERTER_BITS, resolution
+
+if TYPE_CHECKING:
+    from nmt_signals.decays.decay_signal import Ridge
 
 COLUMNS = (
     "segment", "channel", "time_s", "amplitude", "unit", "frequency_hz", "frequency_hz_std", "damping_ratio",
     "damping_ratio_std",
 )  # fmt: skip
 """Columns of ``decay.csv``."""
+_AMPLITUDES = 12  # of a decay, at most
+_FLOOR = 1e-5  # uncertainty of ln ω below which a narrower band tells nothing more
 
 
 @dataclass(frozen=True, eq=False)
 class FreeDecay:
-    """One channel over one decay; arrays of shape ``(windows,)``.
+    """One channel over one decay; arrays of shape ``(segments,)``.
 
     Attributes:
         segment: number of the segment, from 1.
         channel: its name.
         unit: of the amplitude.
-        time: middle of each window after the begin of the segment, s.
+        time: middle of each segment after the begin of the segment, s.
         amplitude: of the channel, in its unit.
         frequency_hz, frequency_hz_std: of the decaying oscillation.
         damping_ratio, damping_ratio_std: 1.
@@ -60,7 +63,7 @@ class FreeDecay:
     def mean(self, name: str) -> tuple[float, float]:
         """Mean of a quantity over the decay, weighted by its uncertainties, and the standard uncertainty of it.
 
-        Neighbouring windows overlap, so it is no smaller than that of the best window; a quantity that changes with
+        It is no smaller than that of the best segment; a quantity that changes with
         amplitude adds its scatter.
         """
         values, std = getattr(self, name), getattr(self, f"{name}_std")
@@ -78,12 +81,11 @@ def holds_decays_only(bag: Any) -> bool:
     return TestKind.RING_DOWN in kinds and not any(kind.gives_modal_points for kind in kinds)
 
 
-def free_decays(bag: Any, settings: DecaySettings | None = None) -> list[FreeDecay]:
+def free_decays(bag: Any) -> list[FreeDecay]:
     """All decays of a bag.
 
     Args:
         bag: opened.
-        settings: how decays are cut.
 
     Raises:
         BenchError: the bag is damaged.
@@ -104,51 +106,70 @@ def free_decays(bag: Any, settings: DecaySettings | None = None) -> list[FreeDec
                 quantity = Quantity.DISPLACEMENT  # of a support that the structure shakes: its phase does not matter
             if quantity in MOTIONS:
                 place = number, name, signals.units[name]
-                found.append(_decay(values, signals.sample_rate, quantity, place, settings, clock_std))
+                found.append(channel_decay(values, signals.sample_rate, quantity, place, clock_std))
     return found
 
 
-def _decay(
-    values: FloatArray,
-    rate: float,
-    quantity: Quantity,
-    place: tuple[int, str, str],
-    settings: DecaySettings | None,
-    clock_std: float,
+def channel_decay(
+    values: FloatArray, rate: float, quantity: Quantity, place: tuple[int, str, str], clock_std: float
 ) -> FreeDecay:
+    """The decay of one channel.
+
+    Args:
+        values: samples from the switch-off, or from some time before an impact on, shape ``(samples,)``.
+        rate: Hz.
+        quantity: displacement, velocity or acceleration.
+        place: number of the segment, name of the channel, its unit.
+        clock_std: relative standard uncertainty of the rate.
+
+    Returns:
+        The decay; without values, and with the reason, where there is none to be read.
+    """
+    from nmt_signals.decays.decay_reading import read_decay  # late: scipy, which other bags do not need
+
     nothing: FloatArray = np.empty(0)
-    try:
-        if not np.isfinite(values).all():
-            raise BenchError("Samples are missing in the decay; choose a part of it without.")
-        if not np.ptp(values) > 0.0:
-            raise BenchError("The channel does not move.")
-        centred = np.asarray(values - values.mean(), dtype=np.float64)
-        frequency = strongest_line(centred, rate)
-        omega = 2.0 * math.pi * frequency
-        linear = LinearDescription(
-            source="test", drive_point=1, target_mode=0, points=(1,), frequencies_rad_s=(omega,),
-            damping_ratios=(0.01,), shapes=((1.0,),), drive_point_shape=1.0, plant_frequency_rad_s=omega,
-            plant_damping_ratio=0.01, moving_mass_kg=0.0,
-        )  # fmt: skip
-        data = np.stack([np.zeros(values.size), centred])
-        decay = decay_of(data, rate, linear, quantity, frequency, settings or DecaySettings(skip=0.0))
-    except BenchError as error:
-        return FreeDecay(*place, *(nothing,) * 6, reason=str(error))
-    hertz = decay.apparent_omega_rad_s / (2.0 * math.pi)
-    amplitude = decay.modal_amplitude * decay.apparent_omega_rad_s ** MOTIONS[quantity]
-    # No less than rounding to the steps of the channel allows over the shortest window.
+    reason = ""
+    if not np.isfinite(values).all():
+        reason = "Samples are missing in the decay; choose a part of it without."
+    elif not np.ptp(values) > 0.0:
+        reason = "The channel does not move."
+    else:
+        try:
+            good = read_decay(
+                np.asarray(values, dtype=np.float64), rate, quantity, _strongest, _AMPLITUDES, _FLOOR
+            ).good
+        except BenchError as error:
+            reason = f"The decay cannot be read: {error}."
+    if reason:
+        return FreeDecay(*place, *(nothing,) * 6, reason=reason)
+    time, amplitude, omega, omega_std, sigma, sigma_std, periods = np.array(
+        [(n.time_s, n.amplitude, n.omega, n.omega_std, n.rate, n.rate_std, max(n.stop - n.first, 1)) for n in good]
+    ).T
+    turning = np.gradient(omega, time) / omega if len(good) > 1 else np.zeros(1)  # Ω̇/Ω
+    apart = np.gradient(time) if len(good) > 1 else np.ones(1)
+    twice = 2.0 * sigma - turning  # 2 δ̃ ω̃
+    undamped = np.sqrt(omega**2 + sigma**2 - turning * sigma)
+    # No less than rounding to the steps of the channel allows over the segment.
     step = resolution(values) or float(np.ptp(values)) / 2**CONVERTER_BITS
-    least = step / math.sqrt(12.0) / amplitude / (2.0 * math.pi * (settings or DecaySettings()).fewest_periods)
-    own = np.maximum(decay.apparent_omega_rad_s_std / (2.0 * math.pi), least * hertz)
+    least = step / math.sqrt(12.0) / amplitude / (2.0 * math.pi * periods)
+    hertz, relative = undamped / (2.0 * math.pi), np.hypot(omega_std / omega, sigma * sigma_std / omega**2)
+    changing = omega_std / omega / apart  # of Ω̇/Ω
+    damping_std = np.hypot(sigma_std, 0.5 * changing if len(good) > 1 else 0.0) / undamped
     return FreeDecay(
         *place,
-        time=decay.time,
+        time=time,
         amplitude=amplitude,
         frequency_hz=hertz,
-        frequency_hz_std=np.hypot(own, clock_std * hertz),
-        damping_ratio=decay.apparent_damping_ratio,
-        damping_ratio_std=np.maximum(decay.apparent_damping_ratio_std, least),
+        frequency_hz_std=hertz * np.hypot(np.maximum(relative, least), clock_std),
+        damping_ratio=0.5 * twice / undamped,
+        damping_ratio_std=np.maximum(damping_std, least),
     )
+
+
+def _strongest(found: Sequence[Ridge]) -> Ridge:
+    if not found:
+        raise BenchError("nothing in it oscillates")
+    return found[0]
 
 
 def write_decays(decays: Sequence[FreeDecay], path: Path) -> None:

@@ -21,7 +21,8 @@ from nmt_extract.stabilisation import OrderPoles, StablePole, order_poles, stabl
 from nmt_record.windows.segments import Signals
 from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.frequency_responses import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate
-from nmt_signals.rational_fit import MOST_LINES, RationalFit, StructureMode, fit_rational, structure_mode
+from nmt_signals.rational_fit import RationalFit, StructureMode, fit_rational, structure_mode
+from nmt_signals.thresholds import SIGNAL_FITS
 
 LOWEST_COHERENCE = 0.8
 """Share of a response's power around a mode that the fit must explain, in the best channel."""
@@ -414,7 +415,7 @@ class _Record:
         width = min(width, max(room, 3.0 * pole.damping_ratio * frequency))
         width = min(width, max(frequency - low, 0.02 * frequency), max(high - frequency, 0.02 * frequency))
         spacing = float(self.frequency[1] - self.frequency[0])
-        width = min(width, max(own, 0.5 * MOST_LINES * spacing))
+        width = min(width, max(own, 0.5 * SIGNAL_FITS.rational_most_lines * spacing))
         within = sum(gap < width for gap in gaps)
         count = 1 + min(within, 2)
         return fit_rational(self.reference, self.spectra, self.frequency, frequency, width, count, order, start)

@@ -21,6 +21,7 @@ import numpy as np
 from nmt_core.messages.modal_point import QUANTITIES
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_extract.uncertainty import slope_uncertainty
+from nmt_signals.channel_faults.converter_faults import CONVERTER_BITS, resolution
 from nmt_signals.harmonics import segment_moments, solve_moments, synthesise
 
 PHASE_LIMIT = math.radians(5.0)
@@ -30,8 +31,6 @@ PHASE_REJECTED = math.radians(45.0)
 """Phase beyond which it is rejected, rad."""
 
 LEAST_PBMIF = 0.5
-CONVERTER_BITS = 24
-"""No converter resolves more: a stated uncertainty is never below what this resolution of the range allows."""
 
 _PHASE_NOTED = 5e-4  # relative error of damping by the phase, from which on it is part of the uncertainty
 _LEAK = 1e-5  # of the fundamental: what a drift may add to it unseen
@@ -41,7 +40,6 @@ _STEADY = 1e-3  # the same, from which on it is part of the uncertainty
 _RUNNING = math.radians(3.0)  # phase over the window: half of it to each side makes 0.03 % of damping
 _SILENT = 0.05  # rms over a period, of the median one
 _BURST, _BURST_SHARE = 10.0, 0.01  # residual of a part over that of the others; of the rms of the channel
-_FINEST = 1e-3  # of a step: by how much values on a grid may be off it
 
 
 @dataclass(frozen=True)
@@ -336,23 +334,6 @@ def _pairs(bounds: IntArray) -> list[tuple[int, int]]:
 
 
 # --- resolution ------------------------------------------------------------------------------------------------------
-
-
-def resolution(values: FloatArray) -> float:
-    """Step of the grid on which the values of a channel lie, of its file or converter, in its unit; 0 = none seen."""
-    finest = float(np.ptp(values)) / 2**CONVERTER_BITS
-    steps = np.diff(np.unique(values[:4000]))
-    steps = steps[steps > finest]
-    if steps.size < 3:
-        return 0.0
-    # Where the same few values repeat, none may be one step beside another.
-    for parts in range(1, 9):
-        step = float(steps.min()) / parts
-        ratio = steps / step
-        on_grid = np.abs(ratio - np.round(ratio)) < np.maximum(_FINEST * ratio / parts, 1e-6)
-        if bool(on_grid.all()) and float(np.median(ratio)) < 1.0 / _FINEST:
-            return step
-    return 0.0
 
 
 def places_of_period(cycles: FloatArray) -> int:

@@ -48,12 +48,12 @@ def write_diagnosis(
     diagnosis.write(folder / "diagnosis.json")
     remark, text = "", path.read_text(encoding="utf-8")
     try:
-        text = model_text(text, path.name, outcome.given, outcome.model, diagnosis)
+        text = model_text(text, path.name, outcome.initial_model, outcome.model, diagnosis)
         write_whole(folder / "model.yaml", text)
     except BenchError as error:
         remark = f"There is no model.yaml: the fitted values are no rig ({error})"
     write_whole(folder / "observables.csv", observables_csv(outcome.observations, models))
-    report = DiagnosisReport(diagnosis, outcome.observations, models, outcome.given)
+    report = DiagnosisReport(diagnosis, outcome.observations, models, outcome.initial_model)
     write_whole(folder / "report.html", diagnosis_page(report))
     return remark
 

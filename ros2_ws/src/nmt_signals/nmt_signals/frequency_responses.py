@@ -9,9 +9,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-
-MINIMUM_AVERAGES = 3
-"""Segments below which coherence says nothing (it is 1 for a single one)."""
+from nmt_signals.thresholds import SIGNAL_FITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +95,12 @@ def averaged_spectra(
     length = min(len(signals[name]) for name in names)
     step = max(1, round(segment_samples * (1.0 - overlap)))
     averages = 1 + (length - segment_samples) // step if length >= segment_samples else 0
-    if averages < MINIMUM_AVERAGES:
+    if averages < SIGNAL_FITS.fewest_averages:
         raise BenchError(
             f"The record of {length / sample_rate:.3g} s holds {averages} segments of "
-            f"{segment_samples / sample_rate:.3g} s; at least {MINIMUM_AVERAGES} are needed: record longer."
+            f"{segment_samples / sample_rate:.3g} s; at least {SIGNAL_FITS.fewest_averages} are needed: record longer."
         )
-    window = np.hanning(segment_samples + 1)[:-1]
+    window = _hann(segment_samples)
     frequency = np.fft.rfftfreq(segment_samples, 1.0 / sample_rate)
     low, high = band_hz if band_hz is not None else (0.0, np.inf)
     lines = np.flatnonzero((frequency >= low) & (frequency <= high))
@@ -111,8 +109,7 @@ def averaged_spectra(
         part = slice(number * step, number * step + segment_samples)
         spectra = np.empty((len(names), lines.size), dtype=np.complex128)
         for row, name in enumerate(names):
-            values = signals[name][part]
-            spectra[row] = np.fft.rfft(window * (values - values.mean()))[lines]
+            spectra[row] = _spectrum(signals[name][part], window)[lines]
         total += spectra[:, np.newaxis] * spectra[np.newaxis].conj()
     return AveragedSpectra(
         np.asarray(frequency[lines], dtype=np.float64),
@@ -122,6 +119,16 @@ def averaged_spectra(
         _independent(window, step, averages),
         segment_samples,
     )
+
+
+def _hann(samples: int) -> FloatArray:
+    """Periodic Hann window."""
+    return np.hanning(samples + 1)[:-1]
+
+
+def _spectrum(values: FloatArray, window: FloatArray) -> ComplexArray:
+    """Spectrum of one segment without its mean."""
+    return np.asarray(np.fft.rfft(window * (values - values.mean())))
 
 
 def _independent(window: FloatArray, step: int, averages: int) -> float:
@@ -180,3 +187,55 @@ def frf_estimate(
         coherence,
         spectra.independent_averages,
     )
+
+
+@dataclass
+class RunningFrf:
+    """Averaged response of one channel to another while samples come: H1 and coherence, as of :func:`averaged_spectra`.
+
+    Hann windows, half overlapping. A gap leaves the segment out that it falls into.
+
+    Attributes:
+        segment: samples a segment.
+        sample_rate: Hz.
+        averages: segments so far.
+    """
+
+    segment: int
+    sample_rate: float
+    averages: int = 0
+
+    def __post_init__(self) -> None:
+        self._window = _hann(self.segment)
+        self._input = np.zeros((0,))
+        self._output = np.zeros((0,))
+        self._end = -1
+        lines = self.segment // 2 + 1
+        self._sii, self._soo = np.zeros(lines), np.zeros(lines)
+        self._soi = np.zeros(lines, dtype=np.complex128)
+
+    def add(self, first_sample: int, input_: FloatArray, output: FloatArray) -> None:
+        """Take simultaneous samples of both channels."""
+        if first_sample != self._end:
+            self._input, self._output = np.zeros((0,)), np.zeros((0,))
+        self._end = first_sample + input_.size
+        self._input, self._output = np.append(self._input, input_), np.append(self._output, output)
+        while self._input.size >= self.segment:
+            fa, fb = (_spectrum(part[: self.segment], self._window) for part in (self._input, self._output))
+            self._sii += np.abs(fa) ** 2
+            self._soo += np.abs(fb) ** 2
+            self._soi += fb * fa.conj()
+            self.averages += 1
+            step = self.segment // 2
+            self._input, self._output = self._input[step:], self._output[step:]
+
+    def estimate(self, low_hz: float, high_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Frequency (Hz), magnitude of H1 and coherence within a band; empty before the second average."""
+        frequency = np.fft.rfftfreq(self.segment, 1.0 / self.sample_rate).astype(np.float64)
+        band = (frequency >= low_hz) & (frequency <= high_hz)
+        if self.averages < 2:
+            band[:] = False
+        with np.errstate(divide="ignore", invalid="ignore"):
+            magnitude = np.abs(self._soi[band]) / self._sii[band]
+            coherence = np.abs(self._soi[band]) ** 2 / (self._sii[band] * self._soo[band])
+        return frequency[band], magnitude, coherence

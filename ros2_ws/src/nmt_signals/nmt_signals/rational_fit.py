@@ -23,10 +23,8 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_signals.thresholds import SIGNAL_FITS
 
-MOST_LINES = 3000
-"""Lines beyond which only every second, third … one is used: they are plenty."""
-_STEPS = 40
 _PRECISIONS = (1e-4, 1e-6, 1e-9)
 _STARTS = (0.1j, 0.35 + 0.2j, -0.35 + 0.2j, 0.6j)
 
@@ -125,7 +123,7 @@ def fit_rational(
         BenchError: too few lines, a channel without signal, or no damped pole found.
     """
     use = np.flatnonzero(np.abs(frequency_hz - centre_hz) <= half_width_hz)
-    use = use[:: 1 + use.size // MOST_LINES]
+    use = use[:: 1 + use.size // SIGNAL_FITS.rational_most_lines]
     unknown = 2 * (poles + order + 1)
     lines = use.size
     if lines < 2 * unknown:
@@ -215,29 +213,29 @@ class _Problem:
         cost = np.inf
         # The cost of a weighted round is the number of data: a gain far below 1 is no gain.
         for precision in _PRECISIONS:
-            q, r, rest = self.split(poles)
-            cost = float(np.sum(np.abs(rest * weights) ** 2))
-            for _ in range(_STEPS):
+            q, r, residual = self.split(poles)
+            cost = float(np.sum(np.abs(residual * weights) ** 2))
+            for _ in range(SIGNAL_FITS.rational_steps):
                 table = self.table(q, r)
                 slopes = self.derivative(poles, table) * weights
                 slopes = slopes - q @ (q.conj().T @ slopes)
-                step = np.linalg.lstsq(slopes.reshape(self.poles, -1).T, (rest * weights).ravel(), rcond=None)[0]
+                step = np.linalg.lstsq(slopes.reshape(self.poles, -1).T, (residual * weights).ravel(), rcond=None)[0]
                 length = 1.0
                 while length > 1e-4:
                     trial = poles + length * step
                     if np.all(trial.imag > 0.0) and np.all(np.abs(trial) < 50.0):
-                        q, r, rest = self.split(trial)
-                        new_cost = float(np.sum(np.abs(rest * weights) ** 2))
+                        q, r, residual = self.split(trial)
+                        new_cost = float(np.sum(np.abs(residual * weights) ** 2))
                         if new_cost <= cost * (1.0 + 1e-12):
                             break
                     length *= 0.5
                 else:
-                    q, r, rest = self.split(poles)
+                    q, r, residual = self.split(poles)
                     break
                 poles, gain, cost = trial, cost - new_cost, new_cost
                 if np.max(np.abs(length * step)) < 1e-10 or gain <= precision * cost:
                     break
-            level = np.sqrt(np.mean(np.abs(rest) ** 2, axis=0))
+            level = np.sqrt(np.mean(np.abs(residual) ** 2, axis=0))
             weights = 1.0 / np.maximum(level, 1e-12)
         if not np.all(np.isfinite(poles)):
             return None
@@ -246,10 +244,10 @@ class _Problem:
 
     def statistics(self, poles: ComplexArray, weights: FloatArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
         """Linear parameters ``(unknown, channels)``, covariance of poles and response parameters, misfit."""
-        q, r, rest = self.split(poles)
+        q, r, residual = self.split(poles)
         table = self.table(q, r)
         lines = self.data.shape[0]
-        noise = rest.T @ rest.conj() / max(1, lines - r.shape[0] - self.poles)
+        noise = residual.T @ residual.conj() / max(1, lines - r.shape[0] - self.poles)
         slopes = self.derivative(poles, table)
         inside = np.linalg.solve(r, q.conj().T @ slopes)
         outside = slopes - q @ (q.conj().T @ slopes)
@@ -260,13 +258,13 @@ class _Problem:
         pole_covariance = gain @ middle @ gain.conj().T
         inverse = np.linalg.inv(r)
         keep = slice(0, self.poles + self.driven_powers.shape[1])
-        own = (inverse @ inverse.conj().T)[keep, keep]
+        covariance_block = (inverse @ inverse.conj().T)[keep, keep]
         along = -np.moveaxis(inside[:, keep], 0, -1)  # (kept, channels, P)
         along = np.moveaxis(along, 1, 0).reshape(-1, self.poles)
-        linear = np.kron(noise, own) + along @ pole_covariance @ along.conj().T
+        linear = np.kron(noise, covariance_block) + along @ pole_covariance @ along.conj().T
         cross = pole_covariance @ along.conj().T
         covariance = np.block([[pole_covariance, cross], [cross.conj().T, linear]])
-        misfit = np.sqrt(np.mean(np.abs(rest) ** 2, axis=0))
+        misfit = np.sqrt(np.mean(np.abs(residual) ** 2, axis=0))
         return table, np.asarray(covariance, dtype=np.complex128), np.asarray(misfit, dtype=np.float64)
 
 

@@ -19,10 +19,7 @@ from nmt_signals.harmonics import (
     solve_moments,
     synthesise,
 )
-
-_FIRST_PERIODS = 6.0
-_GROWTH = 4.0
-_STEPS = 30
+from nmt_signals.thresholds import SIGNAL_FITS
 
 
 def fit_frequency(signal: FloatArray, sample_rate: float, guess_hz: float, harmonics: int = 3) -> float:
@@ -46,15 +43,15 @@ def fit_frequency(signal: FloatArray, sample_rate: float, guess_hz: float, harmo
         raise BenchError("The force is constant, so the excitation frequency cannot be found; check the force sensor.")
     frequency = guess_hz if math.isfinite(guess_hz) and guess_hz > 0.0 else strongest_line(signal, sample_rate)
     harmonics = max(1, resolvable_harmonics(harmonics, sample_rate / frequency))
-    periods = _FIRST_PERIODS
+    periods = SIGNAL_FITS.sine_first_periods
     while True:
         samples = min(signal.shape[0], math.ceil(periods * sample_rate / frequency))
-        whole = samples == signal.shape[0]
+        complete = samples == signal.shape[0]
         start = (signal.shape[0] - samples) // 2
         frequency = _gauss_newton(signal[start : start + samples], sample_rate, frequency, harmonics)
-        if whole:
+        if complete:
             return frequency
-        periods *= _GROWTH
+        periods *= SIGNAL_FITS.sine_growth
 
 
 def _gauss_newton(signal: FloatArray, sample_rate: float, frequency: float, harmonics: int) -> float:
@@ -66,7 +63,7 @@ def _gauss_newton(signal: FloatArray, sample_rate: float, frequency: float, harm
     orders = np.arange(harmonics + 1)
     start = frequency
     step = math.inf
-    for _ in range(_STEPS):
+    for _ in range(SIGNAL_FITS.sine_steps):
         cycles = frequency * time
         amplitudes = harmonic_amplitudes(cycles, row, harmonics)[0]
         residual = row[0] - synthesise(cycles, amplitudes)

@@ -220,10 +220,10 @@ class DiagnosisProgress:
 
 def _tell(page: TaskFeed, sentence: str) -> None:
     """Tell the page a sentence, and what it carries."""
-    from nmt_diagnose.inference.progress import Told
+    from nmt_diagnose.inference.progress import ProgressSentence
     from nmt_report.quantity_format import plain
 
-    told = sentence if isinstance(sentence, Told) else Told(sentence)
+    told = sentence if isinstance(sentence, ProgressSentence) else ProgressSentence(sentence)
     page.step(sentence, told.done, told.total)
     if told.ranking:
         behind = [(label, "best" if value == 0.0 else f"{plain(value, 1)} behind") for label, value in told.ranking]

@@ -22,7 +22,6 @@ from nmt_bench.page.loop_track import LoopTrack
 from nmt_bench.page.signal_views import (
     HARMONICS,
     PERIODS,
-    RunningFrf,
     amplitude_spectrum,
     deflection,
     harmonic_amplitudes,
@@ -48,6 +47,7 @@ from nmt_core.vocabulary import (
 )
 from nmt_report.columns import MODAL_COLUMNS, status_text, unit_text
 from nmt_report.quantity_format import duration, engineering_exponent, plain, power_of_ten, significant
+from nmt_signals.frequency_responses import RunningFrf
 
 MOST_SHOWN = 8
 MOST_LISTED = 400

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -130,59 +129,3 @@ def harmonic_amplitudes(frequency: FloatArray, amplitude: FloatArray, fundamenta
         if order * fundamental <= frequency[-1] and near.any():
             found[order - 1] = amplitude[near].max()
     return found
-
-
-@dataclass
-class RunningFrf:
-    """Averaged response of one channel to another while samples come: H1 and coherence by Welch's method.
-
-    Hann windows, half overlapping. A gap leaves the segment out that it falls into.
-
-    Attributes:
-        segment: samples a segment.
-        sample_rate: Hz.
-        averages: segments so far.
-    """
-
-    segment: int
-    sample_rate: float
-    averages: int = 0
-
-    def __post_init__(self) -> None:
-        self._window = np.hanning(self.segment + 1)[:-1]
-        self._input = np.zeros((0,))
-        self._output = np.zeros((0,))
-        self._end = -1
-        lines = self.segment // 2 + 1
-        self._sii, self._soo = np.zeros(lines), np.zeros(lines)
-        self._soi = np.zeros(lines, dtype=np.complex128)
-
-    def add(self, first_sample: int, input_: FloatArray, output: FloatArray) -> None:
-        """Take simultaneous samples of both channels."""
-        if first_sample != self._end:
-            self._input, self._output = np.zeros((0,)), np.zeros((0,))
-        self._end = first_sample + input_.size
-        self._input, self._output = np.append(self._input, input_), np.append(self._output, output)
-        while self._input.size >= self.segment:
-            a, b = (
-                self._window * (part - part.mean())
-                for part in (self._input[: self.segment], self._output[: self.segment])
-            )
-            fa, fb = np.fft.rfft(a), np.fft.rfft(b)
-            self._sii += np.abs(fa) ** 2
-            self._soo += np.abs(fb) ** 2
-            self._soi += fb * fa.conj()
-            self.averages += 1
-            step = self.segment // 2
-            self._input, self._output = self._input[step:], self._output[step:]
-
-    def estimate(self, low_hz: float, high_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Frequency (Hz), magnitude of H1 and coherence within a band; empty before the second average."""
-        frequency = np.fft.rfftfreq(self.segment, 1.0 / self.sample_rate).astype(np.float64)
-        band = (frequency >= low_hz) & (frequency <= high_hz)
-        if self.averages < 2:
-            band[:] = False
-        with np.errstate(divide="ignore", invalid="ignore"):
-            magnitude = np.abs(self._soi[band]) / self._sii[band]
-            coherence = np.abs(self._soi[band]) ** 2 / (self._sii[band] * self._soo[band])
-        return frequency[band], magnitude, coherence

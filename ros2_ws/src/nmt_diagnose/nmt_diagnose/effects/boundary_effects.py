@@ -7,10 +7,11 @@ from dataclasses import replace
 
 from nmt_diagnose.effects.changes import Sites, has_friction, inverse, is_clamped, with_local
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Reported, Site
+from nmt_diagnose.effects.location import Location, LocationKind
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.effects.placement import PlaceKind, Placement
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.effects.structure_effects import spots
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.model.local_elements.friction import JenkinsSection
 from nmt_rig.model.local_elements.iwan import IwanSection
@@ -19,9 +20,6 @@ from nmt_rig.rig import BeamSection, Rig
 
 # Slip displacement as multiples of the largest amplitude: above 1 the contact sticks and is a spring.
 SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
-# Neighbours differ by 8 % in slip displacement. Fewer, or parts of equal stiffness, leave so few sliders at small
-# amplitudes that each of them shows as a corner of χ².
-_NEW_JOINT_SLIDERS = 120
 CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp_lateral_stiffness_n_m"}
 _FRICTION_REFERENCE = "Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893"
 _POWER = EffectParameter("power", "1", "shape", grid=(0.5, 1.0))
@@ -35,7 +33,7 @@ def _compliance_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     # 1 % of the static compliance of the tip.
     scales = {"rotation": 0.01 * beam.length_m / bending, "lateral": 0.01 * beam.length_m**3 / (3.0 * bending)}
     return tuple(
-        Site(Placement("boundary", detail=option), {"compliance": scale}, option=option)
+        Site(Location("boundary", detail=option), {"compliance": scale}, option=option)
         for option, scale in scales.items()
         if getattr(beam, CLAMP_KEYS[option]) is None
     )
@@ -53,16 +51,14 @@ def _clamp_friction_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ..
         "rotation": (0.05 * operating.omega**2 * operating.effective_inertia[1], operating.rotation[1]),
     }
     return tuple(
-        Site(Placement("boundary", detail=option), {"kt": kt, "slip_displacement": slip}, 1, option=option)
+        Site(Location("boundary", detail=option), {"kt": kt, "slip_displacement": slip}, 1, option=option)
         for option, (kt, slip) in sizes.items()
     )
 
 
 def _contact_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(
-        Site(
-            Placement.at("joint", point, other), {"kt": 0.05 * stiffness, "slip_displacement": amplitude}, point, other
-        )
+        Site(Location.at("joint", point, other), {"kt": 0.05 * stiffness, "slip_displacement": amplitude}, point, other)
         for point, other, amplitude, stiffness in spots(rig, operating)
         if not (is_clamped(rig) and point == 1)
     )
@@ -84,7 +80,7 @@ def _taken(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
 
 
 def _friction(
-    name: str, place: PlaceKind, sites: Sites, equation: str, keys: str, stuck_equation: str, stuck_keys: str
+    name: str, place: LocationKind, sites: Sites, equation: str, keys: str, stuck_equation: str, stuck_keys: str
 ) -> tuple[Effect, Effect]:
     """A slider with a spring beside what the model has, and one whose spring carries a part of the model's stiffness.
 
@@ -117,10 +113,10 @@ def _friction(
     return beside, stuck
 
 
-def joint_placement(element: ElementSection, nameless: str) -> Placement:
+def joint_location(element: ElementSection, nameless: str) -> Location:
     """Where a local element with friction sits; ``nameless`` is told of one without a name."""
     points = tuple(point for point in (element.point, element.other_point) if point)
-    return Placement("joint", points, detail=element.name or nameless)
+    return Location("joint", points, detail=element.name or nameless)
 
 
 def _new_joint_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -133,7 +129,7 @@ def _with_new_joint(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     joint = with_local(
         rig, IwanSection, site,
         tangential_stiffness_n_m=values["kt"], slip_force_n=_joint_slip_force(values), exponent=values["power"] - 1.0,
-        sliders=_NEW_JOINT_SLIDERS, partition="ratio",
+        sliders=THRESHOLDS.candidates.joint_sliders, partition="ratio",
     )  # fmt: skip
     return _taken(joint, site, values)
 
@@ -146,7 +142,7 @@ def _joint_slip_force(values: Mapping[str, float]) -> float:
 
 def _microslip_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(
-        Site(joint_placement(element, str(element.point)), {"spread": 0.3, "power": 1.0}, element.point, index=index)
+        Site(joint_location(element, str(element.point)), {"spread": 0.3, "power": 1.0}, element.point, index=index)
         for index, element in enumerate(rig.local_elements)
         if isinstance(element, JenkinsSection)
     )

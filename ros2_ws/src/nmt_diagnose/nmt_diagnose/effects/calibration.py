@@ -8,9 +8,11 @@ from math import exp, pi
 import numpy as np
 from scipy.linalg import eigh
 
-from nmt_diagnose.effects.modal_calibration import MODEL_PRIORS, model_paths
-from nmt_diagnose.effects.placement import PlaceKind
+from nmt_core.tolerances import MODEL_PRIORS
+from nmt_diagnose.effects.location import LocationKind
+from nmt_diagnose.effects.modal_calibration import model_paths
 from nmt_diagnose.effects.rig_edit import Path, value_at, with_value
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import BeamSection, ChainSection, ForceSection, MatricesSection, Rig, ShakerSection
 from nmt_rig.rig_model import build_structure
 
@@ -33,7 +35,7 @@ class CalibrationParameter:
     unit: str
     path: Path
     std: float
-    place: PlaceKind
+    place: LocationKind
     value: float
     offset: float = 0.0
 
@@ -72,54 +74,12 @@ class ModeDamping(CalibrationParameter):
         return with_value(rig, self.path, factors)
 
 
-# Relative standard deviations and why: what a data sheet or a ruler leaves open.
-PRIORS: dict[str, tuple[float, str]] = {
-    "youngs_modulus_pa": (0.01, "alloy tables agree within 1 to 2 %"),
-    "density_kg_m3": (0.01, "weighing a beam of ruler accuracy; stands for the cross-section too"),
-    "stiffness_damping_s": (0.2, "material damping is known within tens of percent only"),
-    "clamp_rotational_stiffness_nm_rad": (0.2, "estimated from a static test at best"),
-    "clamp_lateral_stiffness_n_m": (0.2, "estimated from a static test at best"),
-    "masses_kg": (0.01, "weighed, but screws, cables and adhesive come on top"),
-    "springs_n_m": (0.03, "leaf springs: thickness enters cubed"),
-    "dampers_ns_m": (0.2, "material and joint damping"),
-    "ground_springs_n_m": (0.2, "suspension cords"),
-    "ground_dampers_ns_m": (0.3, "suspension cords"),
-    "tangential_stiffness_n_m": (0.1, "contact stiffness, repeatability of assembly"),
-    "slip_force_n": (0.1, "friction coefficient and preload"),
-    "exponent": (0.1, "fitted to a few loops of the joint"),
-    "onset_ratio": (0.2, "fitted to a few loops of the joint"),
-    "stiffness_ratio": (0.2, "fitted to a few loops of the joint"),
-    "remaining_stiffness_n_m": (0.03, "elastic path beside the joint"),
-    "stiffness_n_m": (0.05, "static test of a spring or stop"),
-    "stiffness_n_m2": (0.1, "fit of a static curve"),
-    "stiffness_n_m3": (0.1, "fit of a static curve"),
-    "stiffness_n_m5": (0.2, "fit of a static curve"),
-    "gap_m": (0.1, "feeler gauge"),
-    "damping_ns_m": (0.2, "damping"),
-    "drag_ns2_m2": (0.2, "drag coefficient"),
-    "damping_ns_m3": (0.2, "fit of decays"),
-    "coefficient_n_sp_mp": (0.2, "fit of decays"),
-    "reference_velocity_m_s": (0.3, "fit of a friction curve"),
-    "table_mass_kg": (0.05, "data sheet, plus fixture and stinger"),
-    "table_stiffness_n_m": (0.05, "data sheet; changes with temperature"),
-    "table_damping_ns_m": (0.1, "data sheet, if at all"),
-    "coil_mass_kg": (0.03, "data sheet"),
-    "force_factor_n_a": (0.03, "data sheet"),
-    "resistance_ohm": (0.03, "copper changes by 0.4 % per kelvin"),
-    "inductance_h": (0.1, "changes with frequency"),
-    "newton_per_volt": (0.03, "gain of amplifier and exciter as a data sheet gives it"),
-    "acceleration_per_volt_m_s2": (0.03, "gain of amplifier and table as a data sheet gives it"),
-    "damping_factors": (3.0, "a law of damping fitted to one mode says little of the others"),
-    **MODEL_PRIORS,
-}
 # Coil suspension: so stiff that no test of the bench sees it.
 _UNITS = {"_pa": "Pa", "_kg_m3": "kg/m³", "_kg": "kg", "_ns_m": "N s/m", "_ns2_m2": "N s²/m²",
           "_ns_m3": "N s/m³", "_n_sp_mp": "N sᵖ/mᵖ", "_nm_rad": "N m/rad",
           "_n_m": "N/m", "_n_m2": "N/m²", "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_a": "N/A", "_ohm": "Ω", "_n": "N",
           "_m_s": "m/s", "_m": "m", "_h": "H", "_s": "s", "newton_per_volt": "N/V",
           "_hz": "Hz", "_m_s2": "m/s²"}  # fmt: skip
-# Frequencies over a band's ends up to which a mode has a damping of its own there.
-_BEYOND = 1.3
 # An exponent of a power-law distribution is greater than −1.
 _OFFSETS = {"exponent": 1.0}
 _SHAKER_KEYS = (
@@ -140,13 +100,13 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
     """Parameters that the model of a rig has; keys that are zero or left out are no part of the model."""
     found: list[CalibrationParameter] = []
 
-    def add(path: Path, place: PlaceKind) -> None:
+    def add(path: Path, place: LocationKind) -> None:
         value = value_at(rig, path)
         key = next(str(part) for part in reversed(path) if isinstance(part, str))
         if isinstance(value, int | float) and value != 0.0:
             name = ".".join(str(part) for part in path)
             offset = _OFFSETS.get(key, 0.0)
-            std = PRIORS[key][0] * abs(float(value) / (float(value) + offset))
+            std = MODEL_PRIORS[key].std * abs(float(value) / (float(value) + offset))
             found.append(CalibrationParameter(name, unit_of(key), path, std, place, float(value), offset))
 
     structure = rig.structure
@@ -163,9 +123,9 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
         for path in model_paths(structure):
             add(path, "structure")
     for index, element in enumerate(rig.local_elements):
-        place: PlaceKind = "exciter" if element.side == "exciter" else "joint" if element.friction else "structure"
+        place: LocationKind = "exciter" if element.side == "exciter" else "joint" if element.friction else "structure"
         for key in element.own_keys() if element.harmonic_balance else ():
-            if key in PRIORS and key not in element.not_calibrated:
+            if key in MODEL_PRIORS and key not in element.not_calibrated:
                 add(("local_elements", index, key), place)
     if isinstance(rig.exciter, ShakerSection):
         for key in _SHAKER_KEYS:
@@ -184,23 +144,26 @@ def mode_dampings(rig: Rig, lowest_hz: float, highest_hz: float) -> tuple[ModeDa
         rig: the model; modal structures and chains have dampings of their own in ``calibration_parameters``.
         lowest_hz, highest_hz: band of the tests.
     """
-    own = rig.structure
-    if not isinstance(own, BeamSection | MatricesSection) or getattr(own, "damping_ratios", None):
+    section = rig.structure
+    if not isinstance(section, BeamSection | MatricesSection) or getattr(section, "damping_ratios", None):
         return ()
     structure = build_structure(rig)
     if not np.any(structure.damping):
         return ()
     squares = eigh(structure.stiffness, structure.mass, eigvals_only=True)
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2.0 * pi)
-    near = np.flatnonzero((frequencies > lowest_hz / _BEYOND) & (frequencies < highest_hz * _BEYOND))
+    near = np.flatnonzero(
+        (frequencies > lowest_hz / THRESHOLDS.candidates.mode_band_ratio)
+        & (frequencies < highest_hz * THRESHOLDS.candidates.mode_band_ratio)
+    )
     # One more for all above: together they are the flexibility that they add to the band, and its phase.
     wanted = [*map(int, near), *range(int(near[-1]) + 1, frequencies.size)[:1]] if near.size else []
-    given = list(own.damping_factors) or [1.0]
-    factors = [*given, *[given[-1]] * frequencies.size]
+    factors_given = list(section.damping_factors) or [1.0]
+    factors = [*factors_given, *[factors_given[-1]] * frequencies.size]
     return tuple(
         ModeDamping(
-            f"structure.damping_factors.{mode}", "1", ("structure", "damping_factors"), PRIORS["damping_factors"][0],
-            "structure", factors[mode], mode=mode, count=wanted[-1] + 1,
+            f"structure.damping_factors.{mode}", "1", ("structure", "damping_factors"),
+            MODEL_PRIORS["damping_factors"].std, "structure", factors[mode], mode=mode, count=wanted[-1] + 1,
         )
         for mode in wanted
     )  # fmt: skip

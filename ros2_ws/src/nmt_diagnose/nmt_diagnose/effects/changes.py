@@ -45,8 +45,8 @@ def added(name: str, *path: str) -> Change:
     """Change that adds a parameter to the number at a key of the rig file; what is left out counts as 0."""
 
     def change(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-        own = tuple(site.option if part == OPTION else part for part in path)
-        return with_value(rig, own, float(value_at(rig, own) or 0.0) + values[name])
+        key_path = tuple(site.option if part == OPTION else part for part in path)
+        return with_value(rig, key_path, float(value_at(rig, key_path) or 0.0) + values[name])
 
     return change
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from nmt_diagnose.effects.location import Cause, Location, LocationKind
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.effects.placement import Cause, PlaceKind, Placement
 from nmt_rig.rig import Rig
 
 
@@ -40,7 +40,7 @@ class Site:
     """A place of a rig where an effect may sit: where, how large it typically is there, and what it needs to know.
 
     Attributes:
-        placement: where.
+        location: where.
         scales: scale of each parameter, by name, in its unit.
         point, other_point: points of the structure that it acts on (0 = none, the ground).
         index: index of the sensor or local element it concerns (−1 = none).
@@ -49,11 +49,11 @@ class Site:
             speed, m/s.
         starts: strengths beside zero from which a fit begins, by name, in their unit.
         limits: largest magnitude that physics allows a parameter, by name, in its unit; none for those left out.
-        own: what the model itself has of a strength at this place, by name, in its unit: so much of it may be taken
-            off, although what is added cannot be negative.
+        existing: what the model itself has of a strength at this place, by name, in its unit: so much of it may be
+            taken off, although what is added cannot be negative.
     """
 
-    placement: Placement
+    location: Location
     scales: Mapping[str, float]
     point: int = 0
     other_point: int = 0
@@ -62,7 +62,7 @@ class Site:
     reference: float = 0.0
     starts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     limits: Mapping[str, float] = field(default_factory=dict)
-    own: Mapping[str, float] = field(default_factory=dict)
+    existing: Mapping[str, float] = field(default_factory=dict)
 
 
 Reported = Mapping[str, tuple[float, str]]
@@ -87,7 +87,7 @@ class Effect:
     """
 
     name: str
-    place: PlaceKind
+    place: LocationKind
     equation: str
     reference: str
     keys: str
@@ -122,7 +122,7 @@ class Candidate:
     @property
     def cause(self) -> Cause:
         """What it is in an explanation."""
-        return Cause(self.effect.name, self.site.placement, self.effect.form)
+        return Cause(self.effect.name, self.site.location, self.effect.form)
 
     @property
     def label(self) -> str:
@@ -131,11 +131,11 @@ class Candidate:
 
     def signed(self, parameter: EffectParameter) -> bool:
         """Whether a strength may be negative here."""
-        return parameter.signed or parameter.name in self.site.own
+        return parameter.signed or parameter.name in self.site.existing
 
     def lower(self, parameter: EffectParameter) -> float:
         """Lower bound of a dimensionless parameter."""
         if parameter.kind != "strength" or parameter.signed:
             return -math.inf
-        own = self.site.own.get(parameter.name, 0.0)
-        return -own / self.site.scales[parameter.name] if own else 0.0
+        existing = self.site.existing.get(parameter.name, 0.0)
+        return -existing / self.site.scales[parameter.name] if existing else 0.0

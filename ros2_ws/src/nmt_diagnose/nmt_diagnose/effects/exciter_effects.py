@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 
 from nmt_diagnose.effects.changes import Sites, added, with_local
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
+from nmt_diagnose.effects.location import Location
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_rig.model.local_elements.springs import CubicSpringSection, LinearSpringSection
 from nmt_rig.rig import BeamSection, Rig, ShakerSection
@@ -20,7 +20,7 @@ def _stinger_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     scales = {"lateral": 0.02 * operating.effective_stiffness(point)}
     if isinstance(rig.structure, BeamSection):
         scales["rotation"] = 0.02 * operating.omega**2 * operating.effective_inertia[point]
-    return tuple(Site(Placement("exciter", detail=o), {"k": k}, point, option=o) for o, k in scales.items())
+    return tuple(Site(Location("exciter", detail=o), {"k": k}, point, option=o) for o, k in scales.items())
 
 
 def _suspension_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -28,14 +28,14 @@ def _suspension_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
         return ()
     amplitude = operating.displacement[rig.drive_point]
     size = max(rig.exciter.table_stiffness_n_m, 0.1 * operating.effective_stiffness(rig.drive_point))
-    return (Site(Placement("exciter"), {"k": 0.05 * size / amplitude**2}, rig.drive_point),)
+    return (Site(Location("exciter"), {"k": 0.05 * size / amplitude**2}, rig.drive_point),)
 
 
 def _shaker(scale: Callable[[ShakerSection, OperatingRange], float], name: str) -> Sites:
     def sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
         if not isinstance(rig.exciter, ShakerSection):
             return ()
-        return (Site(Placement("exciter"), {name: scale(rig.exciter, operating)}),)
+        return (Site(Location("exciter"), {name: scale(rig.exciter, operating)}),)
 
     return sites
 

@@ -8,18 +8,6 @@ from typing import Any
 from nmt_diagnose.effects.rig_edit import Path
 from nmt_rig.rig import MatricesSection, ModalSection
 
-# Relative standard deviations and why: what a modal test or a finite-element model leaves open.
-MODEL_PRIORS: dict[str, tuple[float, str]] = {
-    "frequency_hz": (0.005, "another day, another temperature, mounted again"),
-    "damping_ratio": (0.2, "fits of lightly damped modes, cables and mounting"),
-    "modal_mass_kg": (0.05, "scale of the measured shape: calibration of force cell and accelerometers"),
-    "participation": (0.03, "mode shape over the whole structure, from few points or a model"),
-    "mass_factor": (0.02, "density and what is not modelled, against weighing"),
-    "stiffness_factor": (0.05, "finite-element model before updating: material, thickness, joints"),
-    "damping_factor": (0.3, "damping of a model is a guess"),
-    "damping_ratios": (0.3, "damping of a model is a guess"),
-}
-
 
 def model_paths(structure: ModalSection | MatricesSection) -> tuple[Path, ...]:
     """Keys of the structure that are its parameters: every mode's, or the factors of the matrices.

@@ -13,15 +13,8 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate, EffectParameter, Reported, Site
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
-
-# Prior standard deviations of θ: a strength of three scales is still ordinary.
-STRENGTH_STD = 3.0
-# A nonlinear force may be many times the linear one: strengths may be so many times as large, each less probable.
-SPREADS = (1.0, 10.0, 100.0)
-SHAPE_STD = 1.0
-# Beyond this a shape is as good as anywhere: keeps trial steps of a fit finite.
-LARGEST_LOG_SHAPE = 20.0
 
 
 @dataclass(frozen=True)
@@ -67,7 +60,7 @@ class Parametrisation:
         return np.array(
             [1.0] * len(self.calibration)
             + [
-                STRENGTH_STD * self.spread(index) if p.kind == "strength" else SHAPE_STD
+                THRESHOLDS.fits.strength_std * self.spread(index) if p.kind == "strength" else THRESHOLDS.fits.shape_std
                 for index, candidate in enumerate(self.candidates)
                 for p in candidate.effect.parameters
             ]
@@ -105,10 +98,10 @@ class Parametrisation:
 
     def values(self, theta: FloatArray, candidate: int) -> dict[str, float]:
         """Parameters of a candidate, in their units."""
-        own = self.candidates[candidate]
+        added = self.candidates[candidate]
         return {
-            p.name: _value(p, own.site.scales[p.name], float(entry), own.lower(p))
-            for p, entry in zip(own.effect.parameters, theta[self.index_of(candidate)], strict=True)
+            p.name: _value(p, added.site.scales[p.name], float(entry), added.lower(p))
+            for p, entry in zip(added.effect.parameters, theta[self.index_of(candidate)], strict=True)
         }
 
     def rig(self, theta: FloatArray) -> Rig:
@@ -135,10 +128,10 @@ class Parametrisation:
 
     def reported(self, theta: FloatArray, candidate: int) -> Reported:
         """Parameters that a candidate is reported by, with units."""
-        own = self.candidates[candidate]
+        added = self.candidates[candidate]
         return {
-            name: (value, _unit_at(unit, own.site, self.base))
-            for name, (value, unit) in own.effect.reported(own.site, self.values(theta, candidate)).items()
+            name: (value, _unit_at(unit, added.site, self.base))
+            for name, (value, unit) in added.effect.reported(added.site, self.values(theta, candidate)).items()
         }
 
 
@@ -156,5 +149,5 @@ def _unit_at(unit: str, site: Site, rig: Rig) -> str:
 
 def _value(parameter: EffectParameter, scale: float, theta: float, lower: float) -> float:
     if parameter.kind == "shape":
-        return scale * exp(min(max(theta, -LARGEST_LOG_SHAPE), LARGEST_LOG_SHAPE))
+        return scale * exp(min(max(theta, -THRESHOLDS.fits.largest_log_shape), THRESHOLDS.fits.largest_log_shape))
     return scale * max(theta, lower)

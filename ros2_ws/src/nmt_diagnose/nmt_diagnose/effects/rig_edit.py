@@ -30,12 +30,12 @@ def with_value(rig: Rig, path: Path, value: Any) -> Rig:
 def _changed(node: Any, path: Path, value: Any) -> Any:
     if not path:
         return value
-    part, rest = path[0], path[1:]
+    part, remaining = path[0], path[1:]
     if isinstance(node, dict):
-        return {**node, part: _changed(node.get(part), rest, value)}
+        return {**node, part: _changed(node.get(part), remaining, value)}
     if isinstance(node, list):
-        return [_changed(entry, rest, value) if index == part else entry for index, entry in enumerate(node)]
-    return node.model_copy(update={part: _changed(getattr(node, str(part)), rest, value)})
+        return [_changed(entry, remaining, value) if index == part else entry for index, entry in enumerate(node)]
+    return node.model_copy(update={part: _changed(getattr(node, str(part)), remaining, value)})
 
 
 def with_element(rig: Rig, element: AnyElement) -> Rig:

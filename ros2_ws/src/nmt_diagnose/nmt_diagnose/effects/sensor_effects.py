@@ -9,9 +9,10 @@ from typing import Any
 
 from nmt_diagnose.effects.changes import Change, Sites, added
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
+from nmt_diagnose.effects.location import Location, LocationKind
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.effects.placement import PlaceKind, Placement
 from nmt_diagnose.effects.rig_edit import with_value
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, SensorSection, TransverseSection
 from nmt_signals.channel_faults.mains_lines import MAINS_HZ
 
@@ -19,10 +20,6 @@ RESPONSES = ("displacement", "velocity", "acceleration")
 ALL = (*RESPONSES, "force")
 MEASUREMENT = "Ewins, Modal Testing (2000)"
 
-# Turn of the motion under test by a delay from which a fit begins there, too, rad.
-_MUCH_LATE = 0.3
-# Depth of clipping that is looked at where no samples stand at a level; what depth counts from where they do.
-_CLIP_DEPTH, _SEEN_DEPTH = 0.1, 0.5
 _STEP_BITS = 20
 
 
@@ -37,9 +34,9 @@ def _sensors(rig: Rig, quantities: tuple[str, ...]) -> list[tuple[int, SensorSec
 def _site(rig: Rig, index: int, scales: Mapping[str, float], mains_hz: float = MAINS_HZ[0], **more: Any) -> Site:
     """At the channel of a sensor: at the force sensor where that channel is the force."""
     sensor = rig.sensors[index]
-    kind: PlaceKind = "force_sensor" if sensor.quantity == "force" else "response_sensor"
+    kind: LocationKind = "force_sensor" if sensor.quantity == "force" else "response_sensor"
     point, picked_up = rig.sensor_point(sensor), more.get("other_point", 0)
-    where = Placement.on_channel(kind, rig.sensor_channel(sensor), point, picked_up, mains_hz)
+    where = Location.on_channel(kind, rig.sensor_channel(sensor), point, picked_up, mains_hz)
     return Site(where, scales, point, index=index, **more)
 
 
@@ -76,8 +73,8 @@ def _mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     for index, sensor, _ in _sensors(rig, RESPONSES):
         point = rig.sensor_point(sensor)
         # Sensors at one point are one mass.
-        own = {"m": sensor.mass_kg} if sensor.mass_kg > 0.0 else {}
-        found.setdefault(point, _site(rig, index, {"m": operating.typical_mass(point)}, own=own))
+        existing = {"m": sensor.mass_kg} if sensor.mass_kg > 0.0 else {}
+        found.setdefault(point, _site(rig, index, {"m": operating.typical_mass(point)}, existing=existing))
     return tuple(found.values())
 
 
@@ -85,11 +82,11 @@ def _force_mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     size = operating.typical_mass(rig.drive_point)
     return tuple(
         Site(
-            Placement("force_sensor"),
+            Location("force_sensor"),
             {"m": size},
             rig.drive_point,
             index=index,
-            own={"m": sensor.mass_kg} if sensor.mass_kg > 0.0 else {},
+            existing={"m": sensor.mass_kg} if sensor.mass_kg > 0.0 else {},
         )
         for index, sensor, _ in _sensors(rig, ("force",))
     )
@@ -114,9 +111,12 @@ def _clip_sites(rig: Rig, operating: OperatingRange) -> Iterable[Site]:
     """Where samples stand at a level, that is where the search begins."""
     for index, sensor, channel in _sensors(rig, ALL):
         largest = operating.channels.get(channel, 0.0) * abs(sensor.gain)
-        depth, level = _CLIP_DEPTH, operating.limits.get(channel, 0.0)
+        depth, level = THRESHOLDS.candidates.clip_depth, operating.limits.get(channel, 0.0)
         if level > 0.0:
-            largest, depth = level * exp(_SEEN_DEPTH), _SEEN_DEPTH
+            largest, depth = (
+                level * exp(THRESHOLDS.candidates.clip_depth_at_level),
+                THRESHOLDS.candidates.clip_depth_at_level,
+            )
         if largest > 0.0:
             yield _site(rig, index, {"depth": depth}, reference=largest)
 
@@ -147,7 +147,7 @@ def _late(operating: OperatingRange, channels: Sequence[str]) -> tuple[float, ..
     """Common delay of channels that a fit from zero would not reach, s; none where it would."""
     known = [operating.delays[name] for name in channels if name in operating.delays]
     delay = median(known) if known else 0.0
-    return (delay,) if abs(delay) * operating.omega > _MUCH_LATE else ()
+    return (delay,) if abs(delay) * operating.omega > THRESHOLDS.candidates.large_delay_phase_rad else ()
 
 
 def _group_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -158,7 +158,7 @@ def _group_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     scale = {"tau": 0.005 / operating.omega}
     return tuple(
         Site(
-            Placement("response_sensor", detail=f"{quantity} channels"), scale, option=quantity,
+            Location("response_sensor", detail=f"{quantity} channels"), scale, option=quantity,
             starts={"tau": _late(operating, channels)},
         )
         for quantity, channels in groups.items()
@@ -179,7 +179,7 @@ def _hold_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
         return ()
     late = _late(operating, [channel for _, _, channel in _sensors(rig, ALL)])
     starts = {"hold": tuple(2.0 * delay for delay in late if delay > 0.0)}
-    return (Site(Placement("exciter", detail="drive"), {"hold": 0.01 / operating.omega}, starts=starts),)
+    return (Site(Location("exciter", detail="drive"), {"hold": 0.01 / operating.omega}, starts=starts),)
 
 
 def _with_hold(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
@@ -195,11 +195,11 @@ def _corner_hz(values: Mapping[str, float]) -> float:
 
 def _effect(name: str, equation: str, keys: str, parameter: EffectParameter, **more: Any) -> Effect:
     """An effect of a channel, of the measurement's own reference unless another is given."""
-    own: dict[str, Any] = {"place": "response_sensor", "reference": MEASUREMENT}
-    return Effect(name=name, equation=equation, keys=keys, parameters=(parameter,), **(own | more))
+    defaults: dict[str, Any] = {"place": "response_sensor", "reference": MEASUREMENT}
+    return Effect(name=name, equation=equation, keys=keys, parameters=(parameter,), **(defaults | more))
 
 
-def _gain(name: str, equation: str, place: PlaceKind, quantities: tuple[str, ...], other: str) -> Effect:
+def _gain(name: str, equation: str, place: LocationKind, quantities: tuple[str, ...], other: str) -> Effect:
     return _effect(
         name, equation, "sensors.gain", EffectParameter("g", "1", signed=True), place=place,
         sites=_per_channel(quantities, "g", lambda operating, channel: 0.02),
@@ -248,7 +248,7 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         equivalents={"channel_skew": "a random test"},
     ),
     _effect(
-        "drive_hold", "drive held for T at a time: it acts T/2 later than recorded, e^{−iωT/2}",
+        "drive_hold", "zero-order hold of T: the drive acts T/2 later than recorded, e^{−iωT/2}",
         "sensors.delay_s of force and responses", EffectParameter("hold", "s"), place="exciter",
         reference="Franklin, Powell and Workman, Digital Control of Dynamic Systems (1998)",
         sites=_hold_sites, change=_with_hold,
@@ -296,7 +296,7 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "clock_error", "f (1 + e)", "clock_error", EffectParameter("e", "1", signed=True),
         reference="IEEE Std 1057 (2017)",
-        sites=lambda rig, operating: (Site(Placement("response_sensor"), {"e": 1e-3}),),
+        sites=lambda rig, operating: (Site(Location("response_sensor"), {"e": 1e-3}),),
         change=added("e", "clock_error"),
         equivalents={"youngs_modulus": "a reference clock"},
     ),

@@ -9,9 +9,10 @@ from typing import Any
 
 from nmt_diagnose.effects.changes import added, kind_of, local_element, with_local
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
+from nmt_diagnose.effects.location import Location
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.effects.placement import Placement
 from nmt_diagnose.effects.rig_edit import with_value
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.local_elements.contacts import TwoSidedGapSection, UnilateralStopSection
 from nmt_rig.model.local_elements.dampers import (
     AmplitudeDamperSection,
@@ -25,11 +26,6 @@ from nmt_rig.rig import AddedMassSection, BeamSection, Rig
 
 # Gaps as multiples of the largest amplitude at their point: a stop that is not reached does nothing.
 GAP_GRID = (0.1, 0.3, 0.5, 0.7, 0.9)
-# Density of air, and the drag coefficient of a plate that swings by about its width, where it is largest.
-_AIR_KG_M3, _LARGEST_DRAG_COEFFICIENT = 1.2, 10.0
-_SHEET_KG_M2 = 2.7
-# Exponents of a power law beyond 1 that a rig file takes.
-_LARGEST_EXCESS = 9.0
 Sizes = Callable[[float, float, float], Mapping[str, float]]
 
 
@@ -41,10 +37,10 @@ def spots(rig: Rig, operating: OperatingRange) -> Iterator[tuple[int, int, float
     largest = max(operating.displacement.values())
     for point in rig.structure.points:
         amplitude = operating.displacement[point]
-        if amplitude > 1e-3 * largest:
+        if amplitude > THRESHOLDS.candidates.least_motion_share * largest:
             yield point, 0, amplitude, operating.effective_stiffness(point)
     for (point, other), (amplitude, mass) in operating.pairs.items():
-        if amplitude > 1e-3 * largest:
+        if amplitude > THRESHOLDS.candidates.least_motion_share * largest:
             yield point, other, amplitude, operating.omega**2 * mass
 
 
@@ -54,7 +50,7 @@ def local_sites(
     """A site for each spot; ``sizes`` gives the scales from amplitude, effective stiffness and ω."""
     return tuple(
         Site(
-            Placement.at("structure", point, other), sizes(amplitude, stiffness, operating.omega), point, other,
+            Location.at("structure", point, other), sizes(amplitude, stiffness, operating.omega), point, other,
             reference=reference(amplitude, operating.omega),
         )
         for point, other, amplitude, stiffness in spots(rig, operating)
@@ -66,9 +62,9 @@ def _local(
     parameters: tuple[EffectParameter, ...], sizes: Sizes, reference: str, **more: Any,
 ) -> Effect:  # fmt: skip
     """An effect that is one local element; ``keys`` maps parameters to keys of its section."""
-    own: dict[str, Any] = {"sites": partial(local_sites, sizes=sizes), "change": local_element(section, keys)}
+    defaults: dict[str, Any] = {"sites": partial(local_sites, sizes=sizes), "change": local_element(section, keys)}
     kind = f"local_elements: {kind_of(section)}"
-    return Effect(name, "structure", equation, reference, kind, parameters, **(own | more))
+    return Effect(name, "structure", equation, reference, kind, parameters, **(defaults | more))
 
 
 def _spring(
@@ -99,8 +95,8 @@ def largest_air_drag(rig: Rig, operating: OperatingRange, point: int) -> float:
     if isinstance(structure, BeamSection):
         area = structure.length_m * structure.width_m
     else:
-        area = min(operating.effective_mass[point], operating.total_mass) / _SHEET_KG_M2
-    return 0.5 * _AIR_KG_M3 * _LARGEST_DRAG_COEFFICIENT * area
+        area = min(operating.effective_mass[point], operating.total_mass) / THRESHOLDS.candidates.least_sheet_kg_m2
+    return 0.5 * THRESHOLDS.candidates.air_density_kg_m3 * THRESHOLDS.candidates.largest_drag_coefficient * area
 
 
 def _drag_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -110,7 +106,7 @@ def _drag_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
 
 def _excess(values: Mapping[str, float]) -> float:
     """Exponent of a power-law damper beyond 1 that a rig file takes."""
-    return min(values["excess"], _LARGEST_EXCESS)
+    return min(values["excess"], THRESHOLDS.candidates.largest_power_excess)
 
 
 def _with_power_law(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
@@ -123,10 +119,14 @@ def _with_power_law(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
 def _mass_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(
         Site(
-            Placement.at("structure", point), {"m": operating.typical_mass(point)}, point, own=_added_there(rig, point)
+            Location.at("structure", point),
+            {"m": operating.typical_mass(point)},
+            point,
+            existing=_added_there(rig, point),
         )
         for point in rig.structure.points
-        if operating.displacement[point] > 1e-3 * max(operating.displacement.values())
+        if operating.displacement[point]
+        > THRESHOLDS.candidates.least_motion_share * max(operating.displacement.values())
     )
 
 
@@ -170,7 +170,7 @@ STRUCTURE_EFFECTS: tuple[Effect, ...] = (
         name="structural_damping", place="structure", equation="K (1 + iη)",
         reference="Crandall, J. Sound Vib. 11 (1970) 3; as modal viscous damping ζ_r = η/2, exact at each resonance",
         keys="structure.loss_factor", parameters=(EffectParameter("eta", "1"),),
-        sites=lambda rig, operating: (Site(Placement("structure"), {"eta": 0.005}),),
+        sites=lambda rig, operating: (Site(Location("structure"), {"eta": 0.005}),),
         change=added("eta", "structure", "loss_factor"),
         equivalents={"viscous_damping": "several modes in a random test"},
     ),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from nmt_diagnose.effects.changes import OPTION, added, has_friction
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
+from nmt_diagnose.effects.location import Location
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.effects.placement import Placement
 from nmt_rig.rig import Rig
 
 
@@ -13,7 +13,7 @@ def _preload_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     if not has_friction(rig):
         return ()
     return tuple(
-        Site(Placement("time", detail=detail), {"rate": 0.05 / max(length, 1.0)}, option=key)
+        Site(Location("time", detail=detail), {"rate": 0.05 / max(length, 1.0)}, option=key)
         for detail, length, key in (
             ("time", operating.duration_s, "slip_force_per_s"),
             ("cycles", operating.cycles, "slip_force_per_cycle"),
@@ -22,7 +22,7 @@ def _preload_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
 
 
 def _temperature_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    return (Site(Placement("time"), {"rate": 0.005 / max(operating.duration_s, 1.0)}, option="stiffness_per_s"),)
+    return (Site(Location("time"), {"rate": 0.005 / max(operating.duration_s, 1.0)}, option="stiffness_per_s"),)
 
 
 TIME_EFFECTS: tuple[Effect, ...] = (
@@ -56,7 +56,7 @@ CONTROLLER_EFFECTS: tuple[Effect, ...] = (
         reference="Peter and Leine, Mech. Syst. Signal Process. 96 (2017) 139",
         keys="pll.phase_offset_rad",
         parameters=(EffectParameter("phi0", "rad", signed=True),),
-        sites=lambda rig, operating: (Site(Placement("controller"), {"phi0": 0.02}),),
+        sites=lambda rig, operating: (Site(Location("controller"), {"phi0": 0.02}),),
         change=added("phi0", "pll", "phase_offset_rad"),
         equivalents={"loop_latency": "a phase-locked test on another mode"},
     ),
@@ -67,7 +67,7 @@ CONTROLLER_EFFECTS: tuple[Effect, ...] = (
         reference="Peter and Leine, Mech. Syst. Signal Process. 96 (2017) 139",
         keys="pll.loop_latency_s",
         parameters=(EffectParameter("tau", "s", signed=True),),
-        sites=lambda rig, operating: (Site(Placement("controller"), {"tau": 0.02 / operating.omega}),),
+        sites=lambda rig, operating: (Site(Location("controller"), {"tau": 0.02 / operating.omega}),),
         change=added("tau", "pll", "loop_latency_s"),
         equivalents={"phase_offset": "a phase-locked test on another mode"},
     ),

@@ -19,19 +19,13 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
+from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.calibration import CalibrationParameter
-from nmt_diagnose.effects.placement import PlaceKind
+from nmt_diagnose.effects.location import LocationKind
 from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, PHASE_STEP, ChainTests, edited, later
 from nmt_diagnose.inference.modes_left_out import ModesLeftOut
 from nmt_diagnose.inference.shape_errors import ShapeErrors
-from nmt_diagnose.inference.tuned import (
-    AIM_STD,
-    DRIVE_HARMONIC_STD,
-    IMAGE_STD,
-    SCALE_STD,
-    SWEEP_SHIFT_STD,
-)
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import (
     BackboneTable,
@@ -45,6 +39,7 @@ from nmt_diagnose.observations.conditions import (
 )
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.stepped_sine_twin import gain_error
 from nmt_diagnose.twin.twin_settings import TwinSettings
@@ -55,7 +50,6 @@ _COVERED = (PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest)
 _IMAGE = "image"
 # Orders of images that are followed, the nearest first; those beyond them are one constant for each channel.
 _IMAGE_ORDERS = (-1, 1, -2, 2)
-_FAR = 0.2  # largest change of a row by the mesh
 _GAIN_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-5, 1e-6
 
 
@@ -73,7 +67,7 @@ class SharedDelay(CalibrationParameter):
     def of(cls, quantity: Quantity, std: float) -> SharedDelay:
         """Delay of a kind of sensors, prior standard deviation in s."""
         name = f"chain.delay.{quantity.name.lower()}"
-        place: PlaceKind = "force_sensor" if quantity is Quantity.FORCE else "response_sensor"
+        place: LocationKind = "force_sensor" if quantity is Quantity.FORCE else "response_sensor"
         return cls(name, "s", (), std, place, 0.0, quantity=quantity)
 
     def at(self, theta: float) -> float:
@@ -116,7 +110,7 @@ def shared_delays(observations: Observations, rig: Rig) -> tuple[SharedDelay, ..
             if channel.quantity in (*MOTIONS, Quantity.FORCE):
                 found[channel.quantity] = chain.shared_delay_s
     kinds = {sensor.quantity for sensor in rig.sensors}
-    return tuple(SharedDelay.of(own, std) for own, std in found.items() if own.name.lower() in kinds)
+    return tuple(SharedDelay.of(delay, std) for delay, std in found.items() if delay.name.lower() in kinds)
 
 
 def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -> Chain:
@@ -135,7 +129,7 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
     builder = _Builder(observations, rig, prediction, numbers) if numbers else None
     found = builder.found() if builder else {}
     found.update(_unsettled(observations))
-    found.update(_stood(observations, rig, prediction))
+    found.update(_phase_at_lock(observations, rig, prediction))
     found = {name: np.nan_to_num(column, posinf=0.0, neginf=0.0) for name, column in found.items()}
     kept = [name for name, column in found.items() if np.any(column != 0.0)]
     columns = np.column_stack([found[name] for name in kept]) if kept else np.zeros((len(observations.rows), 0))
@@ -150,15 +144,15 @@ def _unsettled(observations: Observations) -> dict[str, FloatArray]:
             continue
         for position, level in enumerate(test.levels):
             if any(level.amplitude_leans):
-                mine = (rows.test == number) & (rows.level == position) & (rows.part == Part.LOG_MAGNITUDE)
-                mine &= rows.channel >= 0
+                selected = (rows.test == number) & (rows.level == position) & (rows.part == Part.LOG_MAGNITUDE)
+                selected &= rows.channel >= 0
                 column = np.zeros(len(rows))
-                column[mine] = np.array(level.amplitude_leans)[rows.channel[mine]]
+                column[selected] = np.array(level.amplitude_leans)[rows.channel[selected]]
                 found[f"settling {test.name} {position}"] = column
     return found
 
 
-def _stood(observations: Observations, rig: Rig, prediction: Prediction) -> dict[str, FloatArray]:
+def _phase_at_lock(observations: Observations, rig: Rig, prediction: Prediction) -> dict[str, FloatArray]:
     """Phase at which the loop truly stood in each window, as well as the window tells it.
 
     The loop holds the phase that it measures: noise of force and response moves the excitation off phase resonance,
@@ -173,8 +167,8 @@ def _stood(observations: Observations, rig: Rig, prediction: Prediction) -> dict
     rows, found = observations.rows, {}
     for number, test in enumerate(observations.tests):
         for position, level in enumerate(test.levels if isinstance(test, PhaseResonanceTest) else ()):
-            mine = (rows.test == number) & (rows.level == position) & (rows.part != Part.PHASE_ERROR)
-            found[f"phase of {test.name} {position}"] = np.where(mine, level.phase_error_std * slopes, 0.0)
+            selected = (rows.test == number) & (rows.level == position) & (rows.part != Part.PHASE_ERROR)
+            found[f"phase of {test.name} {position}"] = np.where(selected, level.phase_error_std * slopes, 0.0)
     return found
 
 
@@ -202,16 +196,16 @@ def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) 
         if chain is None and isinstance(test, SteppedSineTest):
             continue
         channel = test.channels[0] if isinstance(test, SteppedSineTest) else test.channel
-        gain = SCALE_STD if chain is None else chain.of(channel.name).gain
-        mine = observations.rows.test == number
-        rows = observations.rows.take(mine)
+        gain = TOLERANCES.amplitude_scale if chain is None else chain.of(channel.name).gain
+        selected = observations.rows.test == number
+        rows = observations.rows.take(selected)
         rows = replace(rows, test=np.zeros_like(rows.test))
-        start = Prediction(prediction.values[mine], prediction.converged[mine], (), (state,))
+        start = Prediction(prediction.values[selected], prediction.converged[selected], (), (state,))
         plain = Forward((test,), rows)
         base = plain.predict(rig, start)
         moved = Forward((_larger(test),), rows).predict(rig, base)
         column = found.setdefault(f"scale of {channel.name}", np.zeros(len(observations.rows)))
-        column[mine] = np.nan_to_num(gain * plain.difference(moved.values, base.values) / _GAIN_STEP)
+        column[selected] = np.nan_to_num(gain * plain.difference(moved.values, base.values) / _GAIN_STEP)
     return np.column_stack([*found.values()]) if found else np.zeros((len(observations.rows), 0))
 
 
@@ -255,18 +249,21 @@ class _Builder:
 
     def _on_fundamentals(self, column: FloatArray) -> FloatArray:
         """A column of windows and random tests on magnitudes and phases of fundamentals and lines alone."""
-        own = np.isin(self.rows.part, FUNDAMENTAL) & self._of(PhaseResonanceTest, RandomTest, RingDownTest)
-        return np.where(own, column, 0.0)
+        fundamentals = np.isin(self.rows.part, FUNDAMENTAL) & self._of(PhaseResonanceTest, RandomTest, RingDownTest)
+        return np.where(fundamentals, column, 0.0)
 
     def _clock(self) -> dict[str, FloatArray]:
         moved = self.rig.model_copy(update={"clock_error": self.rig.clock_error + _CLOCK_STEP})
-        return {"clock": max(chain.clock for chain in self.tests.own) * self._changed(moved, _CLOCK_STEP)}
+        return {"clock": max(chain.clock for chain in self.tests.measuring_chains) * self._changed(moved, _CLOCK_STEP)}
 
     def _channels(self) -> dict[str, FloatArray]:
         """Gain, delay and lead of each channel."""
         found: dict[str, FloatArray] = {}
         for name, channel in self.tests.channels.items():
-            tolerance = next((c.of(name) for c in self.tests.own if name in c.channels), self.tests.own[0].of(""))
+            tolerance = next(
+                (c.of(name) for c in self.tests.measuring_chains if name in c.channels),
+                self.tests.measuring_chains[0].of(""),
+            )
             louder = edited(self.rig, channel, _louder)
             found[f"gain {name}"] = tolerance.gain * self._changed(louder, _GAIN_STEP)
             delayed = edited(self.rig, channel, later)
@@ -288,14 +285,14 @@ class _Builder:
             for number, test in enumerate(self.tests.tests):
                 if not isinstance(test, SteppedSineTest):
                     continue
-                mine = np.flatnonzero((self.rows.test == number) & self.tests.rows_of(name))
-                if not mine.size:
+                selected = np.flatnonzero((self.rows.test == number) & self.tests.rows_of(name))
+                if not selected.size:
                     continue
-                chain = self.tests.own[number]
+                chain = self.tests.measuring_chains[number]
                 tolerance = chain.of(name)
-                error = gain_error(test)[self.rows.level[mine], self.rows.channel[mine]]
-                omega = 2.0 * np.pi * self.rows.frequency_hz[mine]
-                turned = self.rows.part[mine] == Part.PHASE
+                error = gain_error(test)[self.rows.level[selected], self.rows.channel[selected]]
+                omega = 2.0 * np.pi * self.rows.frequency_hz[selected]
+                turned = self.rows.part[selected] == Part.PHASE
                 late = math.hypot(tolerance.delay_s, chain.shared_delay_s)
                 for kind, column in (
                     # Both channels of the quotient.
@@ -303,7 +300,7 @@ class _Builder:
                     ("phase", math.sqrt(2.0) * tolerance.phase * turned),
                     ("delay", math.sqrt(2.0) * late * omega * turned),
                 ):
-                    found.setdefault(f"{kind} {name} of responses", np.zeros(len(self.rows)))[mine] = column
+                    found.setdefault(f"{kind} {name} of responses", np.zeros(len(self.rows)))[selected] = column
         return found
 
     def _over_force(self) -> dict[str, FloatArray]:
@@ -312,17 +309,17 @@ class _Builder:
         for number, test in enumerate(self.tests.tests):
             if not isinstance(test, RandomTest) or test.reference != "force":
                 continue
-            late = math.sqrt(2.0) * self.tests.own[number].shared_delay_s
+            late = math.sqrt(2.0) * self.tests.measuring_chains[number].shared_delay_s
             for index, channel in enumerate(test.channels):
                 name = f"delay of {channel.quantity.name.lower()} over force"
-                mine = (self.rows.test == number) & (self.rows.channel == index) & (self.rows.part == Part.PHASE)
+                selected = (self.rows.test == number) & (self.rows.channel == index) & (self.rows.part == Part.PHASE)
                 column = found.setdefault(name, np.zeros(len(self.rows)))
-                column[mine] = late * 2.0 * np.pi * self.rows.frequency_hz[mine]
+                column[selected] = late * 2.0 * np.pi * self.rows.frequency_hz[selected]
         return found
 
     def _voltage(self) -> dict[str, FloatArray]:
         """Gain of the drive's voltage, recorded or commanded."""
-        size = max(chain.voltage_gain for chain in self.tests.own)
+        size = max(chain.voltage_gain for chain in self.tests.measuring_chains)
         moved = _with_levels(self.tests.tests, lambda level: replace(level, drive=level.drive * (1.0 + _GAIN_STEP)))
         both = self.tests.moved(moved, self.base) / _GAIN_STEP
         recorded = np.zeros(len(self.rows))
@@ -334,21 +331,21 @@ class _Builder:
         return found | ({"gain of the recorded voltage": size * recorded} if commanded else {})
 
     def _hold(self) -> dict[str, FloatArray]:
-        """A drive that is held over each sample is smaller and half a sample late."""
+        """Zero-order hold of the drive: it is smaller and half a sample late."""
         found = {}
         for commanded in (True, False):
             direct = np.zeros(len(self.rows), dtype=np.complex128)
             for number in self.tests.referred():
-                rate = self.tests.own[number].hold_hz
+                rate = self.tests.measuring_chains[number].hold_hz
                 if getattr(self.tests.tests[number], "commanded", False) is commanded and math.isfinite(rate):
-                    mine = self.tests.linear_rows(number)
-                    share = self.rows.frequency_hz[mine] / rate
-                    direct[mine] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
+                    selected = self.tests.linear_rows(number)
+                    share = self.rows.frequency_hz[selected] / rate
+                    direct[selected] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
             found[f"hold of the {'commanded' if commanded else 'recorded'} drive"] = self.tests.parts(direct)
         return found
 
     def _images(self) -> dict[str, FloatArray]:
-        """Images of a held drive in channels without filters.
+        """Images of a zero-order hold in channels without filters.
 
         The image of order m is sin(πx) e^{-iπx} A(m + x) e^{-2πi m u}/(π (m + x)), x the frequency over the rate, u the
         moment of sampling and A the model's response at that frequency, such as of a coil on its resonance; what the
@@ -357,28 +354,28 @@ class _Builder:
         found: dict[str, FloatArray] = {}
         self._image_size = np.zeros(len(self.rows))
         for name in self.tests.channels:
-            own = self.tests.rows_of(name)
+            channel_rows = self.tests.rows_of(name)
             added = np.zeros((len(_IMAGE_ORDERS) + 1, len(self.rows)), dtype=np.complex128)
             late = next((s.delay_s for s in self.rig.sensors if self.rig.sensor_channel(s) == name), 0.0)
             for number in self.tests.referred():
-                test, rate = self.tests.tests[number], self.tests.own[number].hold_hz
-                mine = np.flatnonzero(self.tests.linear_rows(number) & own)
-                if not mine.size or not math.isfinite(rate):
+                test, rate = self.tests.tests[number], self.tests.measuring_chains[number].hold_hz
+                selected = np.flatnonzero(self.tests.linear_rows(number) & channel_rows)
+                if not selected.size or not math.isfinite(rate):
                     continue
                 channel = self.tests.channels[name]
                 view = ModelView.of(self.rig, test.drive_point)
-                frequency = self.rows.frequency_hz[mine]
+                frequency = self.rows.frequency_hz[selected]
                 high = view.responses([channel], rate * np.array([0.9, 1.1, 1.9, 2.1]))
                 size = float(np.max(np.abs(high)))
                 share = frequency / rate
-                plain = self._measured(number, mine)
+                plain = self._measured(number, selected)
                 turned = np.exp(-1j * np.pi * (share + 2.0 * frequency * late))
                 image = np.where(frequency < 0.5 * rate, np.sin(np.pi * share) * turned / plain, 0.0)
-                added[-1, mine] = IMAGE_STD * size * image
+                added[-1, selected] = TOLERANCES.image_share * size * image
                 for k, order in enumerate(_IMAGE_ORDERS):
                     there = view.responses([channel], np.abs(order + share) * rate)[0]
                     there = np.where(order + share < 0.0, np.conj(there), there)
-                    added[k, mine] = math.sqrt(0.5) * image * np.nan_to_num(there) / (np.pi * (order + share))
+                    added[k, selected] = math.sqrt(0.5) * image * np.nan_to_num(there) / (np.pi * (order + share))
             self._image_size = np.maximum(self._image_size, np.sqrt(np.sum(np.abs(added) ** 2, axis=0)))
             for k, images in enumerate(added):
                 for part, turned in (("re", images), ("im", 1j * images)):
@@ -386,14 +383,14 @@ class _Builder:
                     found[f"{_IMAGE} {k} {part} {name}"] = column + self.slopes * self._turned(name, turned)
         return found
 
-    def _measured(self, number: int, mine: Any) -> ComplexArray:
-        """Fundamentals per volt as they were measured, by the other of magnitude and phase, shape of ``mine``."""
-        values = self.tests.observations.values[self.tests.mine]
+    def _measured(self, number: int, selected: Any) -> ComplexArray:
+        """Fundamentals per volt as they were measured, by the other of magnitude and phase, shape of ``selected``."""
+        values = self.tests.observations.values[self.tests.selected]
         other, turned = values[self.tests.other_part()], self.rows.part == Part.PHASE
         size, angle = np.where(turned, other, values), np.where(turned, values, other)
-        result = np.exp(size[mine] + 1j * angle[mine])
+        result = np.exp(size[selected] + 1j * angle[selected])
         if isinstance(self.tests.tests[number], PhaseResonanceTest):
-            result = result / self.rows.amplitude[mine]
+            result = result / self.rows.amplitude[selected]
         return np.asarray(result)
 
     def _turned(self, name: str, images: ComplexArray) -> FloatArray:
@@ -404,9 +401,9 @@ class _Builder:
                 continue
             force = next((c.name for c in test.channels if c.quantity is Quantity.FORCE), "")
             sign = (name == test.response_channel) - (name == force)
-            mine = (self.rows.test == number) & self.tests.rows_of(name) & (self.rows.part == Part.PHASE)
-            for level in np.unique(self.rows.level[mine]) if sign else ():
-                angle = float(images[mine & (self.rows.level == level)][0].imag)
+            selected = (self.rows.test == number) & self.tests.rows_of(name) & (self.rows.part == Part.PHASE)
+            for level in np.unique(self.rows.level[selected]) if sign else ():
+                angle = float(images[selected & (self.rows.level == level)][0].imag)
                 result[(self.rows.test == number) & (self.rows.level == level)] = sign * angle
         return result
 
@@ -421,7 +418,13 @@ class _Builder:
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
             return {}
         # Near a sharp resonance or zero the change is no longer in proportion to the error.
-        return {"mesh": np.clip(np.nan_to_num(tests.forward.difference(moved, self.base.values)), -_FAR, _FAR)}
+        return {
+            "mesh": np.clip(
+                np.nan_to_num(tests.forward.difference(moved, self.base.values)),
+                -THRESHOLDS.misfit.largest_mesh_change,
+                THRESHOLDS.misfit.largest_mesh_change,
+            )
+        }
 
     def _aims(self) -> dict[str, FloatArray]:
         """What the loop of each test held, all levels alike: it measured with a chain of its own.
@@ -431,9 +434,11 @@ class _Builder:
         found = {}
         for number, test in enumerate(self.tests.tests):
             if isinstance(test, PhaseResonanceTest):
-                mine = self.rows.test == number
-                size = float(np.max(self._image_size[mine & (self.rows.part == Part.PHASE)], initial=0.0))
-                found[f"aim {test.name}"] = math.hypot(AIM_STD, size) * (mine & (self.rows.part == Part.PHASE_ERROR))
+                selected = self.rows.test == number
+                size = float(np.max(self._image_size[selected & (self.rows.part == Part.PHASE)], initial=0.0))
+                found[f"aim {test.name}"] = math.hypot(math.radians(TOLERANCES.loop_phase_deg), size) * (
+                    selected & (self.rows.part == Part.PHASE_ERROR)
+                )
         return found
 
     def _harmonics(self) -> dict[str, FloatArray]:
@@ -458,14 +463,14 @@ class _Builder:
                 slope = ((self.rows.test == number) & (self.rows.part == Part.LOG_FREQUENCY)).astype(np.float64)
             else:
                 continue
-            found[f"resonance in {test.name}"] = SWEEP_SHIFT_STD * slope
+            found[f"resonance in {test.name}"] = TOLERANCES.resonance_shift * slope
         return found
 
 
 def _distorted(level: LockedLevel, order: int, share: complex) -> LockedLevel:
-    own = list(level.drive_harmonics) + [0j] * max(0, order - 1 - len(level.drive_harmonics))
-    own[order - 2] += DRIVE_HARMONIC_STD * share
-    return replace(level, drive_harmonics=tuple(own))
+    harmonics = list(level.drive_harmonics) + [0j] * max(0, order - 1 - len(level.drive_harmonics))
+    harmonics[order - 2] += TOLERANCES.drive_harmonic * share
+    return replace(level, drive_harmonics=tuple(harmonics))
 
 
 def _louder(sensor: SensorSection) -> SensorSection:

@@ -36,11 +36,11 @@ class ChainTests:
         chains: measuring chains, by number of the test.
 
     Attributes:
-        mine: rows of these tests among all, shape (m,).
+        selected: rows of these tests among all, shape (m,).
         numbers: of the tests among all.
         rows: of these tests, which are numbered anew, (n,).
         tests: the tests.
-        own: their measuring chains.
+        measuring_chains: of the tests.
         forward: predicts their rows.
         channels: their sensors by name; the drive's voltage is none.
     """
@@ -48,15 +48,15 @@ class ChainTests:
     def __init__(self, observations: Observations, rig: Rig, chains: dict[int, MeasuringChain]) -> None:
         self.observations, self.rig = observations, rig
         rows = observations.rows
-        self.mine = np.isin(rows.test, list(chains))
+        self.selected = np.isin(rows.test, list(chains))
         self.numbers = sorted(chains)
         renumbered = np.zeros(max(self.numbers) + 1, dtype=np.int64)
         renumbered[self.numbers] = np.arange(len(self.numbers))
-        part = rows.take(self.mine)
+        part = rows.take(self.selected)
         self.rows = replace(part, test=renumbered[part.test])
         self.tests = tuple(observations.tests[number] for number in self.numbers)
         self.forward = Forward(self.tests, self.rows)
-        self.own = tuple(chains[number] for number in self.numbers)
+        self.measuring_chains = tuple(chains[number] for number in self.numbers)
         self.channels = {
             c.name: c
             for test in self.tests
@@ -71,26 +71,30 @@ class ChainTests:
     def full(self, values: FloatArray) -> FloatArray:
         """Values of these rows among all, zero elsewhere, shape (m,)."""
         result = np.zeros(len(self.observations.rows))
-        result[self.mine] = values
+        result[self.selected] = values
         return result
 
     def start(self, prediction: Prediction) -> Prediction:
         """The part of a prediction of all observations that belongs to these tests."""
         states = tuple(prediction.states[number] for number in self.numbers)
-        return Prediction(prediction.values[self.mine], prediction.converged[self.mine], (), states)
+        return Prediction(prediction.values[self.selected], prediction.converged[self.selected], (), states)
 
     def moved(self, tests: tuple[Test, ...], base: Prediction) -> FloatArray:
         """Change of the rows under other conditions; tests that stay the same object are not predicted again."""
-        others = [number for number, (test, own) in enumerate(zip(tests, self.tests, strict=True)) if test is not own]
+        others = [
+            number for number, (test, before) in enumerate(zip(tests, self.tests, strict=True)) if test is not before
+        ]
         result = np.zeros(len(self.rows))
         if not others:
             return result
-        mine = np.isin(self.rows.test, others)
-        part = self.rows.take(mine)
+        selected = np.isin(self.rows.test, others)
+        part = self.rows.take(selected)
         rows = replace(part, test=np.searchsorted(others, part.test))
-        start = Prediction(base.values[mine], base.converged[mine], (), tuple(base.states[number] for number in others))
+        start = Prediction(
+            base.values[selected], base.converged[selected], (), tuple(base.states[number] for number in others)
+        )
         forward = Forward([tests[number] for number in others], rows)
-        result[mine] = forward.difference(forward.predict(self.rig, start).values, base.values[mine])
+        result[selected] = forward.difference(forward.predict(self.rig, start).values, base.values[selected])
         return result
 
     def slopes(self, base: Prediction) -> FloatArray:
@@ -105,17 +109,17 @@ class ChainTests:
 
     def rows_of(self, channel: str) -> BoolArray:
         """Rows of a channel, in whatever test."""
-        own = np.zeros(len(self.rows), dtype=bool)
+        selected = np.zeros(len(self.rows), dtype=bool)
         for number, test in enumerate(self.tests):
             names = [c.name for c in getattr(test, "channels", ())]
             if channel in names:
-                own |= (self.rows.test == number) & (self.rows.channel == names.index(channel))
-        return own
+                selected |= (self.rows.test == number) & (self.rows.channel == names.index(channel))
+        return selected
 
     def linear_rows(self, number: int) -> BoolArray:
         """Rows of a test that are the fundamental or a frequency response of a channel."""
-        own = np.isin(self.rows.part, FUNDAMENTAL) & (self.rows.channel >= 0) & (self.rows.test == number)
-        return np.asarray(own)
+        linear = np.isin(self.rows.part, FUNDAMENTAL) & (self.rows.channel >= 0) & (self.rows.test == number)
+        return np.asarray(linear)
 
     def parts(self, values: ComplexArray) -> FloatArray:
         """Change of ln of a response as change of its magnitude and phase rows."""
@@ -145,8 +149,8 @@ class ChainTests:
     def tested(self) -> float:
         """Frequency at which the phase of a channel is stated: that of the locked windows, Hz."""
         locked = [number for number, test in enumerate(self.tests) if isinstance(test, PhaseResonanceTest)]
-        mine = np.isin(self.rows.test, locked) & (self.rows.frequency_hz > 0.0)
-        return float(np.median(self.rows.frequency_hz[mine])) if mine.any() else self.resonance()
+        selected = np.isin(self.rows.test, locked) & (self.rows.frequency_hz > 0.0)
+        return float(np.median(self.rows.frequency_hz[selected])) if selected.any() else self.resonance()
 
     def resonance(self) -> float:
         """First frequency of the model, Hz."""

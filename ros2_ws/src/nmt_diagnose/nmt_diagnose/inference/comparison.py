@@ -11,23 +11,13 @@ import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
-from nmt_diagnose.effects.placement import Placement
+from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.fitting import Data, Metric
-from nmt_diagnose.inference.search import Found
-from nmt_diagnose.inference.size import Left, change_size, disbelieved, left_over, matters
-from nmt_diagnose.inference.sources import SourcePlace, places
-from nmt_diagnose.inference.tuned import (
-    CREDIBLE,
-    EQUIVALENT,
-    INCREDIBLE,
-    ORDINARY,
-    PRIOR_EFFECT,
-    PRIOR_NONE,
-    PRIOR_PAIR,
-    PRIOR_UNNAMED,
-    SOURCE_SIZES,
-)
-from nmt_diagnose.inference.warnings import beyond_limits
+from nmt_diagnose.inference.search import FittedExplanation
+from nmt_diagnose.inference.size import Objection, change_size, implausible_parameters, left_over, matters
+from nmt_diagnose.inference.sources import SourceLocation, places
+from nmt_diagnose.inference.warnings import beyond_physical_limits
+from nmt_diagnose.thresholds import THRESHOLDS
 
 
 @dataclass(frozen=True)
@@ -35,42 +25,42 @@ class SourceEvidence:
     """Evidence for something unnamed at a place, on top of a fit.
 
     Attributes:
-        placement: where.
+        location: where.
         gain: rise of ln evidence; none from what is smaller than what matters.
         explained: fall of the cost.
     """
 
-    placement: Placement
+    location: Location
     gain: float
     explained: float
 
 
 @dataclass(frozen=True)
-class Equivalents:
+class EquivalentClass:
     """Explanations that the recordings do not distinguish.
 
     Attributes:
         members: the most probable first, no two with the same effects.
         probability: of all of them together.
         given_library: the same if one of the explanations had to be the whole of the gap.
-        left: what the most probable leaves that is more than noise and matters, and what it asks of the model that
-            nobody believes.
+        objections: what the most probable leaves that is more than noise and matters, and what it asks of the model
+            that is improbable.
     """
 
-    members: tuple[Found, ...]
+    members: tuple[FittedExplanation, ...]
     probability: float
     given_library: float = math.nan
-    left: tuple[Left, ...] = ()
+    objections: tuple[Objection, ...] = ()
 
     @property
-    def head(self) -> Found:
+    def head(self) -> FittedExplanation:
         """The most probable."""
         return self.members[0]
 
     @property
     def adequate(self) -> bool:
         """Whether what the most probable leaves is noise, or smaller than what matters."""
-        return not self.left
+        return not self.objections
 
 
 @dataclass(frozen=True)
@@ -88,13 +78,13 @@ class Comparison:
 
     none: float
     unknown: float
-    classes: tuple[Equivalents, ...]
-    places: Mapping[Placement, float]
+    classes: tuple[EquivalentClass, ...]
+    places: Mapping[Location, float]
     log_odds: float
     by_label: Mapping[str, float]
 
 
-def source_places(data: Data, base: Found) -> list[SourcePlace]:
+def source_locations(data: Data, base: FittedExplanation) -> list[SourceLocation]:
     """Places where something unnamed may sit beside a fit, with what it could do to the rows."""
 
     def whitened(columns: FloatArray) -> FloatArray:
@@ -105,7 +95,9 @@ def source_places(data: Data, base: Found) -> list[SourcePlace]:
     return places(data.forward, rig, base.fit.prediction, data.observations, whitened)
 
 
-def sources(data: Data, base: Found, found: Sequence[SourcePlace], open_from: int) -> list[SourceEvidence]:
+def sources(
+    data: Data, base: FittedExplanation, found: Sequence[SourceLocation], open_from: int
+) -> list[SourceEvidence]:
     """Evidence for a generic source at each place on top of a fit.
 
     Args:
@@ -114,12 +106,12 @@ def sources(data: Data, base: Found, found: Sequence[SourcePlace], open_from: in
         found: places with the changes of the rows, over σ.
         open_from: parameters from here on are of effects; their prior lets go.
     """
-    own = base.fit
-    prior = own.parametrisation.prior_std.copy()
+    fitted = base.fit
+    prior = fitted.parametrisation.prior_std.copy()
     prior[open_from:] *= 1e3
-    columns = np.column_stack([own.jacobian, own.errors.slopes])
-    precision = np.concatenate([prior**-2.0, np.ones(own.errors.chain.size)])
-    metric = Metric(columns, precision, own.errors.weights)
+    columns = np.column_stack([fitted.jacobian, fitted.errors.slopes])
+    precision = np.concatenate([prior**-2.0, np.ones(fitted.errors.chain.size)])
+    metric = Metric(columns, precision, fitted.errors.weights)
     result = []
     for place in found:
         gains, falls = [], []
@@ -129,34 +121,37 @@ def sources(data: Data, base: Found, found: Sequence[SourcePlace], open_from: in
             gains.append(min(gain, 0.0) if small else gain)
             falls.append(0.0 if small else fall)
         mean = float(np.logaddexp.reduce(gains) - math.log(len(gains)))
-        result.append(SourceEvidence(place.placement, mean, falls[int(np.argmax(gains))]))
+        result.append(SourceEvidence(place.location, mean, falls[int(np.argmax(gains))]))
     return result
 
 
 def _source(
-    data: Data, base: Found, metric: Metric, precision: FloatArray, block: FloatArray
+    data: Data, base: FittedExplanation, metric: Metric, precision: FloatArray, block: FloatArray
 ) -> tuple[float, float, FloatArray]:
     """A Gaussian source of one of several sizes: rise of ln evidence, fall of the cost, change of the rows, (m,)."""
     errors, groups, counts = base.fit.errors, data.groups, data.counts
-    rest, taken = metric.rest(block)
+    projected, coefficients_of_base = metric.project(block)
     now = np.concatenate([base.fit.theta, errors.chain])
-    pull, stiff = taken.T @ (precision * now), taken.T @ (precision[:, None] * taken)
+    pull, stiff = (
+        coefficients_of_base.T @ (precision * now),
+        coefficients_of_base.T @ (precision[:, None] * coefficients_of_base),
+    )
     before = groups.cost(errors.squares, counts)
-    gains, explained, change = [], 0.0, np.zeros(len(rest))
-    for size in SOURCE_SIZES:
+    gains, explained, change = [], 0.0, np.zeros(len(projected))
+    for size in THRESHOLDS.comparison.source_sizes:
         weights, gain, fall, moved = errors.weights, -math.inf, 0.0, change
         for _ in range(3):
-            weighted = rest * weights[:, None]
-            normal = rest.T @ weighted + stiff
-            normal = 0.5 * (normal + normal.T) + np.eye(rest.shape[1]) / size**2
-            coefficients = np.linalg.solve(normal, weighted.T @ errors.left + pull)
-            squares = groups.sums((errors.left - rest @ coefficients) ** 2)
+            weighted = projected * weights[:, None]
+            normal = projected.T @ weighted + stiff
+            normal = 0.5 * (normal + normal.T) + np.eye(projected.shape[1]) / size**2
+            coefficients = np.linalg.solve(normal, weighted.T @ errors.residual + pull)
+            squares = groups.sums((errors.residual - projected @ coefficients) ** 2)
             prior = float(coefficients @ coefficients) / size**2 - 2.0 * float(coefficients @ pull)
             fall = before - groups.cost(squares, counts) - prior - float(coefficients @ stiff @ coefficients)
             trial = 0.5 * fall - 0.5 * float(np.linalg.slogdet(normal * size**2)[1])
             if trial <= gain:
                 break
-            gain, moved = trial, rest @ coefficients
+            gain, moved = trial, projected @ coefficients
             weights = groups.weights(squares, counts)[groups.of]
         gains.append(gain)
         if gain == max(gains):
@@ -164,9 +159,9 @@ def _source(
     return float(np.logaddexp.reduce(gains) - math.log(len(gains))), explained, change
 
 
-def distance(left: Found, right: Found) -> float:
+def distance(left: FittedExplanation, right: FittedExplanation) -> float:
     """How far two fits lie apart, in standard deviations of the learnt noise of the first."""
-    apart = left.fit.errors.left - right.fit.errors.left
+    apart = left.fit.errors.residual - right.fit.errors.residual
     return math.sqrt(float(apart @ (left.fit.errors.weights * apart)))
 
 
@@ -185,8 +180,8 @@ class Hypotheses:
     def __init__(
         self,
         data: Data,
-        null: Found,
-        named: Sequence[Found],
+        null: FittedExplanation,
+        named: Sequence[FittedExplanation],
         candidates: Sequence[Candidate],
         alone: Sequence[SourceEvidence],
         behind: Sequence[SourceEvidence],
@@ -195,52 +190,64 @@ class Hypotheses:
         self.alone, self.behind = alone, behind
         spots: dict[str, set[object]] = {}
         for candidate in candidates:
-            spots.setdefault(candidate.effect.name, set()).add(candidate.site.placement)
-        self._spots = {name: len(own) for name, own in spots.items()}
+            spots.setdefault(candidate.effect.name, set()).add(candidate.site.location)
+        self._spots = {name: len(locations) for name, locations in spots.items()}
 
-    def _prior(self, found: Found) -> float:
+    def _prior(self, found: FittedExplanation) -> float:
         """ln of the prior of an explanation: effects are alike, and so are the places of one."""
         each = sum(
             -math.log(len(self._spots)) - math.log(self._spots[candidate.effect.name]) for candidate in found.candidates
         )
         # More than physics allows is as improbable as it is far beyond.
-        each -= 0.5 * sum(far**2 for far in beyond_limits(found).values())
-        return each + math.log(PRIOR_EFFECT if len(found.candidates) == 1 else 2.0 * PRIOR_PAIR)
+        each -= 0.5 * sum(far**2 for far in beyond_physical_limits(found).values())
+        return each + math.log(
+            THRESHOLDS.comparison.prior_one_effect
+            if len(found.candidates) == 1
+            else 2.0 * THRESHOLDS.comparison.prior_two_effects
+        )
 
-    def _left(self, found: Found) -> float:
+    def _left(self, found: FittedExplanation) -> float:
         """ln of the probability that an explanation leaves noise and asks nothing of the model that nobody believes."""
-        own, total = found.fit.errors, 0.0
+        errors, total = found.fit.errors, 0.0
         if left_over(self.data, found, self.data.observations.matters):
-            chance = self.data.groups.chance(own.squares, self.data.counts)
-            total += min(0.0, math.log(max(chance, 1e-300) / ORDINARY))
-        bent, chance = disbelieved(found)
-        return total + math.log(max(chance, 1e-300) / INCREDIBLE) if bent else total
+            chance = self.data.groups.chance(errors.squares, self.data.counts)
+            total += min(0.0, math.log(max(chance, 1e-300) / THRESHOLDS.comparison.noise_probability))
+        bent, chance = implausible_parameters(found)
+        return total + math.log(max(chance, 1e-300) / THRESHOLDS.comparison.incredible_probability) if bent else total
 
-    def _against(self, found: Found) -> tuple[Left, ...]:
+    def _against(self, found: FittedExplanation) -> tuple[Objection, ...]:
         """What speaks against an explanation as the whole of the gap."""
-        return (*left_over(self.data, found, self.data.observations.matters), *disbelieved(found)[0])
+        return (*left_over(self.data, found, self.data.observations.matters), *implausible_parameters(found)[0])
 
     @staticmethod
-    def _evidence(found: Found) -> float:
+    def _evidence(found: FittedExplanation) -> float:
         """ln evidence; what the fit did not reach counts as if it had, parameters that nobody believes count twice."""
-        own = found.fit
-        far = np.abs(own.theta[: len(own.parametrisation.calibration)]) - CREDIBLE
-        return own.log_evidence + 0.5 * own.promised - 0.5 * float(np.sum(np.maximum(far, 0.0) ** 2))
+        fitted = found.fit
+        far = np.abs(fitted.theta[: len(fitted.parametrisation.calibration)]) - THRESHOLDS.comparison.credible_sigmas
+        return fitted.log_evidence + 0.5 * fitted.promised - 0.5 * float(np.sum(np.maximum(far, 0.0) ** 2))
 
     @cached_property
-    def best(self) -> Found | None:
+    def best(self) -> FittedExplanation | None:
         """The most probable explanation."""
-        return max(self.named, key=lambda own: self._evidence(own) + self._prior(own), default=None)
+        return max(
+            self.named, key=lambda explanation: self._evidence(explanation) + self._prior(explanation), default=None
+        )
 
     def compared(self) -> Comparison:
         """Probabilities of everything."""
         zero = self._evidence(self.null)
-        none = math.log(PRIOR_NONE)
-        named = [self._evidence(own) - zero + self._prior(own) for own in self.named]
-        alone = [math.log(PRIOR_UNNAMED / max(1, len(self.alone))) + source.gain for source in self.alone]
+        none = math.log(THRESHOLDS.comparison.prior_none)
+        named = [self._evidence(explanation) - zero + self._prior(explanation) for explanation in self.named]
+        alone = [
+            math.log(THRESHOLDS.comparison.prior_unnamed / max(1, len(self.alone))) + source.gain
+            for source in self.alone
+        ]
         best, count = self.best, len(named)
         behind = (
-            [max(named) + math.log(PRIOR_UNNAMED / len(self.behind)) + source.gain for source in self.behind]
+            [
+                max(named) + math.log(THRESHOLDS.comparison.prior_unnamed / len(self.behind)) + source.gain
+                for source in self.behind
+            ]
             if best is not None
             else []
         )
@@ -248,29 +255,29 @@ class Hypotheses:
         weights = np.exp(logs - logs.max())
         weights = weights / weights.sum()
         p_named, p_unnamed = weights[1 : count + 1], weights[count + 1 :]
-        by_place: dict[Placement, float] = {}
-        for own, p in zip(self.named, p_named, strict=True):
-            for placement, share in _shares(own):
-                by_place[placement] = by_place.get(placement, 0.0) + float(p) * share
+        by_place: dict[Location, float] = {}
+        for explanation, p in zip(self.named, p_named, strict=True):
+            for location, share in _shares(explanation):
+                by_place[location] = by_place.get(location, 0.0) + float(p) * share
         for source, p in zip(self.alone, p_unnamed, strict=False):
-            by_place[source.placement] = by_place.get(source.placement, 0.0) + float(p)
+            by_place[source.location] = by_place.get(source.location, 0.0) + float(p)
         for source, p in zip(self.behind, p_unnamed[len(self.alone) :], strict=True):
             # Both are missing then, each as far as it explains the recordings.
             assert best is not None
             explained = max(self.null.fit.cost - best.fit.cost, 0.0)
             beside = float(p) * source.explained / max(source.explained + explained, 1e-300)
-            by_place[source.placement] = by_place.get(source.placement, 0.0) + beside
-            for placement, share in _shares(best):
-                by_place[placement] = by_place.get(placement, 0.0) + (float(p) - beside) * share
+            by_place[source.location] = by_place.get(source.location, 0.0) + beside
+            for location, share in _shares(best):
+                by_place[location] = by_place.get(location, 0.0) + (float(p) - beside) * share
         total = sum(by_place.values())
         # What leaves more than noise has something unnamed beside it, as far as is known at the same place.
-        noise = np.exp([self._left(own) for own in self.named])
+        noise = np.exp([self._left(explanation) for explanation in self.named])
         unknown = float(p_unnamed.sum() + p_named @ (1.0 - noise))
         given_library = p_named / max(float(p_named.sum()), 1e-300)
         p_named = p_named * noise
         labels = {"none": float(weights[0]), "unknown": unknown}
-        for own, p in zip(self.named, p_named, strict=True):
-            labels[own.explanation.label] = labels.get(own.explanation.label, 0.0) + float(p)
+        for explanation, p in zip(self.named, p_named, strict=True):
+            labels[explanation.explanation.label] = labels.get(explanation.explanation.label, 0.0) + float(p)
         return Comparison(
             float(weights[0]),
             unknown,
@@ -280,16 +287,16 @@ class Hypotheses:
             labels,
         )
 
-    def _classes(self, weights: FloatArray, given_library: FloatArray) -> tuple[Equivalents, ...]:
+    def _classes(self, weights: FloatArray, given_library: FloatArray) -> tuple[EquivalentClass, ...]:
         """Explanations by their effects, those that the recordings do not distinguish together.
 
         Args:
             weights: probability of each explanation.
             given_library: the same if one of them had to be the whole of the gap.
         """
-        groups: dict[tuple[str, ...], list[tuple[float, float, Found]]] = {}
-        for one, weight, given in zip(self.named, weights, given_library, strict=True):
-            groups.setdefault(one.effects, []).append((float(weight), float(given), one))
+        groups: dict[tuple[str, ...], list[tuple[float, float, FittedExplanation]]] = {}
+        for one, weight, library_share in zip(self.named, weights, given_library, strict=True):
+            groups.setdefault(one.effects, []).append((float(weight), float(library_share), one))
         heads = [
             (sum(w for w, _, _ in same), sum(g for _, g, _ in same), max(same, key=lambda item: item[:2])[2])
             for same in groups.values()
@@ -298,16 +305,26 @@ class Hypotheses:
         result = []
         while heads:
             first = heads[0]
-            mine = [item for item in heads if item is first or distance(first[2], item[2]) < EQUIVALENT]
-            heads = [item for item in heads if item not in mine]
+            equivalent = [
+                item
+                for item in heads
+                if item is first or distance(first[2], item[2]) < THRESHOLDS.comparison.equivalent_sigmas
+            ]
+            heads = [item for item in heads if item not in equivalent]
             # With one effect more than another member an explanation says nothing new.
-            members = [own for _, _, own in mine if not any(set(o.effects) < set(own.effects) for _, _, o in mine)]
-            weight, given = sum(w for w, _, _ in mine), sum(g for _, g, _ in mine)
-            result.append(Equivalents(tuple(members), weight, given, self._against(members[0])))
-        return tuple(sorted(result, key=lambda own: (-own.probability if own.adequate else 0.0, -own.given_library)))
+            members = [
+                member
+                for _, _, member in equivalent
+                if not any(set(o.effects) < set(member.effects) for _, _, o in equivalent)
+            ]
+            weight, library_share = sum(w for w, _, _ in equivalent), sum(g for _, g, _ in equivalent)
+            result.append(EquivalentClass(tuple(members), weight, library_share, self._against(members[0])))
+        return tuple(
+            sorted(result, key=lambda member: (-member.probability if member.adequate else 0.0, -member.given_library))
+        )
 
 
-def _shares(found: Found) -> list[tuple[Placement, float]]:
+def _shares(found: FittedExplanation) -> list[tuple[Location, float]]:
     """Places of an explanation with the share of each in it: the squares of the strengths in standard uncertainties."""
     squares = np.array([max(found.strength(member), 1e-6) ** 2 for member in range(len(found.candidates))])
-    return list(zip(found.explanation.placements, (squares / squares.sum()).tolist(), strict=True))
+    return list(zip(found.explanation.locations, (squares / squares.sum()).tolist(), strict=True))

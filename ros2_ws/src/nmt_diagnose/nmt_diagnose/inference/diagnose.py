@@ -16,11 +16,20 @@ from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import at_strength
 from nmt_diagnose.inference.chain import SharedDelay, shared_delays
-from nmt_diagnose.inference.comparison import Comparison, Equivalents, Hypotheses, source_places, sources
-from nmt_diagnose.inference.diagnosis import Diagnosis, Gap, Value, Verdict, Visible
+from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, source_locations, sources
+from nmt_diagnose.inference.diagnosis import DetectableEffect, Diagnosis, Gap, Value, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.fitting import Data, Errors, FitError, Fitted, Metric, best_errors, data_about, fit
-from nmt_diagnose.inference.gap import Closed, closed, rms
+from nmt_diagnose.inference.fitting import (
+    ChainErrors,
+    Data,
+    FitError,
+    FitResult,
+    Metric,
+    best_chain_errors,
+    data_about,
+    fit,
+)
+from nmt_diagnose.inference.gap import ClosedShare, closed, rms
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
 from nmt_diagnose.inference.look_ahead import next_tests
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
@@ -29,30 +38,14 @@ from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.result_rows import calibration_rows, candidate_row, inputs, place_rows, ranked_rows
-from nmt_diagnose.inference.search import Found, Score, Search, best_of
+from nmt_diagnose.inference.search import FittedExplanation, Score, Search, best_of
 from nmt_diagnose.inference.sentences import likeness, sentences
 from nmt_diagnose.inference.size import Size, change_size, differs, left_over, matters, measured_size, worth
-from nmt_diagnose.inference.tuned import (
-    ALARM,
-    CHAIN_ROUNDS,
-    EXPLAINED,
-    FEWEST_LINES_LOST,
-    FINE_HARMONICS,
-    JUDGED,
-    MODE_CERTAIN,
-    MODE_EVERYWHERE,
-    OPEN,
-    RANDOM_LINES,
-    RECALIBRATION,
-    REFIT_REFRESHES,
-    REFIT_STEPS,
-    SEEN,
-    WORSE,
-)
 from nmt_diagnose.inference.warnings import warned, without_observables
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Forward, Prediction, traced
 from nmt_diagnose.twin.operating_range import operating_range
 from nmt_diagnose.twin.twin_settings import TwinSettings
@@ -66,15 +59,15 @@ class DiagnosisOutcome:
     Attributes:
         diagnosis: the result.
         observations: the real side, its uncertainties those that were learnt.
-        given: the model as given.
+        initial_model: the model as given.
         model: the model with its parameters re-fitted and the accepted effect added; the given one where there is no
             gap.
-        as_given, refitted, final: observables of the given model, of the re-fitted one and of ``model``, (m,).
+        as_given, refitted, final: observables of the initial model, of the re-fitted one and of ``model``, (m,).
     """
 
     diagnosis: Diagnosis
     observations: Observations
-    given: Rig
+    initial_model: Rig
     model: Rig
     as_given: FloatArray
     refitted: FloatArray
@@ -88,7 +81,7 @@ class Findings:
     Attributes:
         data: rows, noise and chain, about the best explanation.
         search: fits explanations to them.
-        given: prediction of the model as given.
+        as_given: prediction of the model as given.
         null: the model alone.
         named: explanations by one and two effects, the best first.
         comparison: probabilities.
@@ -100,12 +93,12 @@ class Findings:
 
     data: Data
     search: Search
-    given: Prediction
-    null: Found
-    named: tuple[Found, ...]
+    as_given: Prediction
+    null: FittedExplanation
+    named: tuple[FittedExplanation, ...]
     comparison: Comparison
     sources: dict[str, float]
-    visible: tuple[Visible, ...]
+    visible: tuple[DetectableEffect, ...]
     inadequate: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
 
@@ -144,7 +137,7 @@ def observed(
 ) -> Observations:
     """Rows of the bags with the noise that they show; arguments as for :func:`diagnose_bags`."""
     settings = settings or DiagnosisSettings()
-    reading = ObservationSettings(calibration=settings.calibration, lines=RANDOM_LINES)
+    reading = ObservationSettings(calibration=settings.calibration, lines=THRESHOLDS.fits.random_lines)
     found = read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
     return replace(found, matters=dict(settings.matters))
 
@@ -157,19 +150,21 @@ def find(
     Raises:
         BenchError: the model has no solution for any of the observations.
     """
-    parameters = own_parameters(rig, observations)
+    parameters = free_parameters(rig, observations)
     tell("re-fitting the model's own parameters")
-    unseen = named_tests(observations, settings.hold_out)
+    held_out = named_tests(observations, settings.hold_out)
     modes = LowLevelModes(observations, rig)
-    observations, given, null, data = model_alone(rig, observations, parameters, ~unseen, modes)
+    observations, as_given, null, data = model_alone(rig, observations, parameters, ~held_out, modes)
     operating = operating_range(rig, observations.tests, observations=observations)
-    beyond_effects = modes.disordered or modes.lacking(data, null.fit, MODE_CERTAIN, MODE_EVERYWHERE)
+    beyond_effects = modes.disordered or modes.lacking(
+        data, null.fit, THRESHOLDS.modes.certain_sigmas, THRESHOLDS.modes.certain_channel_share
+    )
     candidates = () if beyond_effects else library_candidates(rig, operating, settings.withheld)
     search = Search(data, rig, parameters, candidates, tell)
     tell(f"scanning {len(candidates)} candidates")
     scores = search.scores(null)
     singles = search.singles(null, scores)
-    if modes.far_from(rig) and modes.strained(null.fit.parametrisation, null.fit.theta):
+    if modes.far_from(rig) and modes.exceed_priors(null.fit.parametrisation, null.fit.theta):
         tell("bringing the modes of explanations to the measured ones")
         singles = best_of([*singles, *search.from_modes(null, modes)])
     tell("looking for second effects")
@@ -177,44 +172,51 @@ def find(
     reached = search.pruned(pairs)
     if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
         first = singles
-        singles = [*reached, *(own for own in singles if own.explanation not in {it.explanation for it in reached})]
-        known = {own.explanation for own in pairs}
-        pairs += [own for own in search.pairs(reached, first) if own.explanation not in known]
-    alone = {own.candidates[0].cause: own for own in singles}
+        singles = [
+            *reached,
+            *(
+                explanation
+                for explanation in singles
+                if explanation.explanation not in {it.explanation for it in reached}
+            ),
+        ]
+        known = {explanation.explanation for explanation in pairs}
+        pairs += [explanation for explanation in search.pairs(reached, first) if explanation.explanation not in known]
+    by_cause = {explanation.candidates[0].cause: explanation for explanation in singles}
     pairs = [
         pair
         for pair in pairs
-        if all(worth(data, pair, alone[c.cause], settings.matters) for c in pair.candidates if c.cause in alone)
+        if all(worth(data, pair, by_cause[c.cause], settings.matters) for c in pair.candidates if c.cause in by_cause)
     ]
     first_null = null
-    named = sorted([*singles, *pairs], key=lambda own: -own.fit.log_evidence)
+    named = sorted([*singles, *pairs], key=lambda explanation: -explanation.fit.log_evidence)
     if named and named[0].fit.log_evidence > null.fit.log_evidence:
         # Errors of the chain act about the best explanation; every other competes under the same noise.
         data = about(rig, observations, named[0].fit, data.used)
         search = Search(data, rig, parameters, candidates, tell)
         null, named = search.again(null), search.all_again(named)
-    beside = sources(data, null, source_places(data, null), len(parameters))
+    beside = sources(data, null, source_locations(data, null), len(parameters))
     best_named = Hypotheses(data, null, named, candidates, beside, []).best
     behind = []
     if best_named is not None:
-        behind = sources(data, best_named, source_places(data, best_named), len(parameters))
+        behind = sources(data, best_named, source_locations(data, best_named), len(parameters))
     comparison = Hypotheses(data, null, named, candidates, beside, behind).compared()
     explained: dict[str, float] = {}
     for source in beside:
-        explained[source.placement.kind] = max(explained.get(source.placement.kind, 0.0), source.explained)
-    best = best_named if best_named is not None and comparison.log_odds > ALARM else null
-    for placement in best.explanation.placements:
-        explained[placement.kind] = max(explained.get(placement.kind, 0.0), null.fit.cost - best.fit.cost)
+        explained[source.location.kind] = max(explained.get(source.location.kind, 0.0), source.explained)
+    best = best_named if best_named is not None and comparison.log_odds > THRESHOLDS.verdict.alarm_log_odds else null
+    for location in best.explanation.locations:
+        explained[location.kind] = max(explained.get(location.kind, 0.0), null.fit.cost - best.fit.cost)
     unmoved = best is first_null  # since the scan
-    visible = _visible(search, scores if unmoved else search.scores(best), rig) if settings.look_ahead else ()
+    visible = _detectable(search, scores if unmoved else search.scores(best), rig) if settings.look_ahead else ()
     lacking = modes.lacking(data, best.fit)
     return Findings(
-        data, search, given, null, tuple(named), comparison, explained, visible, (*modes.disordered, *lacking),
+        data, search, as_given, null, tuple(named), comparison, explained, visible, (*modes.disordered, *lacking),
         tuple(sentence for sentence in modes.sentences if sentence not in lacking),
     )  # fmt: skip
 
 
-def own_parameters(rig: Rig, observations: Observations) -> tuple[CalibrationParameter, ...]:
+def free_parameters(rig: Rig, observations: Observations) -> tuple[CalibrationParameter, ...]:
     """Parameters that are free in every explanation: of the model, damping of its modes, delays of its sensors."""
     return (
         *calibration_parameters(rig),
@@ -236,7 +238,7 @@ def model_alone(
     parameters: Sequence[CalibrationParameter],
     fitted: BoolArray,
     modes: LowLevelModes,
-) -> tuple[Observations, Prediction, Found, Data]:
+) -> tuple[Observations, Prediction, FittedExplanation, Data]:
     """The model alone: first by logarithms, then with its chain about where it stands.
 
     Args:
@@ -253,35 +255,35 @@ def model_alone(
         BenchError: the model has no solution for most of the observations.
     """
     try:
-        given = Forward(observations.tests, observations.rows).predict(rig)
-        observations = replace(observations, tests=traced(observations.tests, given))
-        given = Forward(observations.tests, observations.rows).predict(rig, given)
-        used = np.isfinite(given.values) & fitted
-        if used.sum() < FEWEST_LINES_LOST * fitted.sum():
+        as_given = Forward(observations.tests, observations.rows).predict(rig)
+        observations = replace(observations, tests=traced(observations.tests, as_given))
+        as_given = Forward(observations.tests, observations.rows).predict(rig, as_given)
+        used = np.isfinite(as_given.values) & fitted
+        if used.sum() < THRESHOLDS.fits.least_solved_share * fitted.sum():
             raise FitError("it has no solution for most of the observables")
-        observations = _with_solver_error(observations, rig, given)
-        own = Parametrisation(rig, tuple(parameters))
-        data = data_about(observations, rig, given, used, logarithms=True)
-        found = fit(data, own, own.zero, given)
+        observations = _with_solver_error(observations, rig, as_given)
+        parametrisation = Parametrisation(rig, tuple(parameters))
+        data = data_about(observations, rig, as_given, used, logarithms=True)
+        found = fit(data, parametrisation, parametrisation.zero, as_given)
         if modes.far_from(rig):
-            nearer = fit(data, own, modes.start(own, own.zero)[0])
+            nearer = fit(data, parametrisation, modes.start(parametrisation, parametrisation.zero)[0])
             found = nearer if nearer.cost < found.cost else found
-        for _ in range(CHAIN_ROUNDS):
+        for _ in range(THRESHOLDS.fits.chain_rounds):
             data = about(rig, observations, found, used)
-            found = fit(data, own, found.theta, found.prediction)
+            found = fit(data, parametrisation, found.theta, found.prediction)
     except (FitError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
-    return data.observations, given, Found((), found), data
+    return data.observations, as_given, FittedExplanation((), found), data
 
 
-def _with_solver_error(observations: Observations, rig: Rig, given: Prediction) -> Observations:
+def _with_solver_error(observations: Observations, rig: Rig, as_given: Prediction) -> Observations:
     """The observations with what harmonics that the harmonic balance leaves out change, as part of their floor."""
-    fine = Forward(observations.tests, observations.rows, TwinSettings(harmonics=FINE_HARMONICS))
-    change = np.abs(np.nan_to_num(fine.difference(fine.predict(rig).values, given.values)))
+    fine = Forward(observations.tests, observations.rows, TwinSettings(harmonics=THRESHOLDS.fits.fine_harmonics))
+    change = np.abs(np.nan_to_num(fine.difference(fine.predict(rig).values, as_given.values)))
     return replace(observations, floor=np.hypot(observations.floor, change))
 
 
-def _visible(search: Search, scores: Sequence[Score], rig: Rig) -> tuple[Visible, ...]:
+def _detectable(search: Search, scores: Sequence[Score], rig: Rig) -> tuple[DetectableEffect, ...]:
     """The weakest that each effect could be and still show by five standard deviations, where it shows first."""
     strongest: dict[str, Score] = {}
     for score in scores:
@@ -291,20 +293,20 @@ def _visible(search: Search, scores: Sequence[Score], rig: Rig) -> tuple[Visible
     result = []
     for name, score in sorted(strongest.items()):
         candidate = search.candidates[score.candidate]
-        theta = at_strength(candidate, score.start, SEEN / score.reach)
-        told = Parametrisation(rig, (), (candidate,)).reported(theta, 0)
-        values = {key: Value(value, math.nan, unit) for key, (value, unit) in told.items()}
-        placement = candidate.site.placement
-        result.append(Visible(name, placement.kind, placement.detail, values))
+        theta = at_strength(candidate, score.start, THRESHOLDS.verdict.visible_sigmas / score.reach)
+        reported = Parametrisation(rig, (), (candidate,)).reported(theta, 0)
+        values = {key: Value(value, math.nan, unit) for key, (value, unit) in reported.items()}
+        location = candidate.site.location
+        result.append(DetectableEffect(name, location.kind, location.detail, values))
     return tuple(result)
 
 
-def about(rig: Rig, observations: Observations, near: Fitted, used: BoolArray) -> Data:
+def about(rig: Rig, observations: Observations, near: FitResult, used: BoolArray) -> Data:
     """What fits work on, noise of measured amplitudes and errors of the chain about a fit."""
     observations = replace(observations, tests=traced(observations.tests, near.prediction))
-    own = near.parametrisation.rig(near.theta)
-    prediction = Forward(observations.tests, observations.rows).predict(own, near.prediction)
-    return data_about(observations, own, prediction, used & np.isfinite(prediction.values))
+    fitted_rig = near.parametrisation.rig(near.theta)
+    prediction = Forward(observations.tests, observations.rows).predict(fitted_rig, near.prediction)
+    return data_about(observations, fitted_rig, prediction, used & np.isfinite(prediction.values))
 
 
 def diagnose_observations(
@@ -320,18 +322,22 @@ def diagnose_observations(
     """
     settings, tell = settings or DiagnosisSettings(), progress or (lambda _: None)
     observations = replace(observations, matters=dict(settings.matters))
-    held = splits(observations, settings.hold_out)
+    held_out_splits = splits(observations, settings.hold_out)
     findings = find(rig, observations, settings, tell)
     data, null, comparison = findings.data, findings.null, findings.comparison
     tell("predicting what was held out")
     leader = comparison.classes[0] if comparison.classes else None
-    given = best_errors(data, findings.given.values)
-    unseen = named_tests(observations, settings.hold_out)
-    finite = np.all([np.isfinite(own.fit.prediction.values) for own in (null, *findings.named)], axis=0)
-    whole = replace(data, used=data.used | (unseen & finite & np.isfinite(findings.given.values)))
+    as_given_errors = best_chain_errors(data, findings.as_given.values)
+    held_out = named_tests(observations, settings.hold_out)
+    finite = np.all(
+        [np.isfinite(explanation_fit.fit.prediction.values) for explanation_fit in (null, *findings.named)], axis=0
+    )
+    all_data = replace(data, used=data.used | (held_out & finite & np.isfinite(findings.as_given.values)))
     shares = {
-        own.head.explanation: _closed(findings, whole, own.head, held, settings.seed)
-        for own in comparison.classes[:JUDGED]
+        explanation_fit.head.explanation: _closed(
+            findings, all_data, explanation_fit.head, held_out_splits, settings.seed
+        )
+        for explanation_fit in comparison.classes[: THRESHOLDS.verdict.judged_explanations]
     }
     share = None if leader is None else shares[leader.head.explanation]
     size = None if leader is None else measured_size(data, leader.head)
@@ -339,81 +345,108 @@ def diagnose_observations(
     needed = leader is not None and (not small or differs(data, leader.head, null, settings.matters))
     verdict = Verdict.UNKNOWN
     if not findings.inadequate:
-        verdict = _verdict(comparison, leader, share, size, small, needed, settings, _moved(findings, given, settings))
+        verdict = _verdict(
+            comparison,
+            leader,
+            share,
+            size,
+            small,
+            needed,
+            settings,
+            _is_recalibrated(findings, as_given_errors, settings),
+        )
     named = leader if verdict is Verdict.EFFECT else None
     adequate = verdict is not Verdict.UNKNOWN and (named is None or named.adequate)
     # What nothing in the library explains is told with the part that it does explain.
     nearest = leader if verdict in (Verdict.EFFECT, Verdict.UNKNOWN) else None
     best = named.head if named is not None else null
-    shown = nearest.head if nearest is not None else null
-    scale = scale_of(shown, verdict in (Verdict.EFFECT, Verdict.UNKNOWN))
+    reported_fit = nearest.head if nearest is not None else null
+    scale = scale_of(reported_fit, verdict in (Verdict.EFFECT, Verdict.UNKNOWN))
     as_given, before, after = (
-        best_errors(whole, values).left * scale
-        for values in (findings.given.values, null.fit.prediction.values, shown.fit.prediction.values)
+        best_chain_errors(all_data, values).residual * scale
+        for values in (findings.as_given.values, null.fit.prediction.values, reported_fit.fit.prediction.values)
     )
-    seen = replace(data.observations, std=data.sigma / scale, floor=np.zeros_like(data.sigma))
-    rows = whole.used
-    told = share if nearest is not None else None
+    scaled = replace(data.observations, std=data.sigma / scale, floor=np.zeros_like(data.sigma))
+    rows = all_data.used
+    reported_share = share if nearest is not None else None
     if verdict is Verdict.CALIBRATION:
-        told = _recalibrated(findings, whole, held, settings.seed)
+        reported_share = _recalibrated(findings, all_data, held_out_splits, settings.seed)
     gap = Gap(
-        before=told.before if told is not None and math.isfinite(told.before) else rms(before[rows]),
-        after=told.after if told is not None and math.isfinite(told.after) else rms(after[rows]),
+        before=reported_share.before
+        if reported_share is not None and math.isfinite(reported_share.before)
+        else rms(before[rows]),
+        after=reported_share.after
+        if reported_share is not None and math.isfinite(reported_share.after)
+        else rms(after[rows]),
         floor=1.0,
         as_given=rms(as_given[rows]),
-        closed=told.value if told is not None else math.nan,
-        low=told.low if told is not None else math.nan,
-        high=told.high if told is not None else math.nan,
-        per_observable=per_observable(seen, before, after, rows),
-        held_out=tuple(split.name for split in held),
+        closed=reported_share.value if reported_share is not None else math.nan,
+        low=reported_share.low if reported_share is not None else math.nan,
+        high=reported_share.high if reported_share is not None else math.nan,
+        per_observable=per_observable(scaled, before, after, rows),
+        held_out=tuple(split.name for split in held_out_splits),
     )
-    rest = remainder(seen, gap, after, rows) if nearest is not None else None
+    left_over_gap = remainder(scaled, gap, after, rows) if nearest is not None else None
     where = place_rows(comparison, findings.sources) if nearest is not None or verdict is Verdict.UNKNOWN else ()
     ranking = ranked_rows(data, comparison, shares, partial=verdict is Verdict.EFFECT and not adequate)
     calibration = calibration_rows(best)
-    ahead = next_tests(rig, seen, null, comparison) if settings.look_ahead and nearest is not None else ()
+    proposed_tests = next_tests(rig, scaled, null, comparison) if settings.look_ahead and nearest is not None else ()
     warnings = warned(verdict, best, calibration, gap, named.members if named is not None else ())
     warnings += tuple(f"{sentence.rstrip('.')}; nothing of it is left that matters." for sentence in findings.doubtful)
     warnings += without_observables(observations)
     explanation = leader.head.explanation if leader is not None else None
-    said = sentences(
-        verdict, where, ranking, explanation, gap, ahead, calibration, rest, leader.left if leader is not None else ()
+    text = sentences(
+        verdict,
+        where,
+        ranking,
+        explanation,
+        gap,
+        proposed_tests,
+        calibration,
+        left_over_gap,
+        leader.objections if leader is not None else (),
     )
-    if size is not None and verdict in (Verdict.NONE, Verdict.CALIBRATION) and comparison.log_odds > ALARM:
-        said = (*said, f"{size.sentence} {likeness(ranking[0], explanation)}")
+    if (
+        size is not None
+        and verdict in (Verdict.NONE, Verdict.CALIBRATION)
+        and comparison.log_odds > THRESHOLDS.verdict.alarm_log_odds
+    ):
+        text = (*text, f"{size.sentence} {likeness(ranking[0], explanation)}")
     if findings.inadequate:
-        said = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *said[1:2])
+        text = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *text[1:2])
     diagnosis = Diagnosis(
         verdict=verdict,
-        sentences=(*said, *warnings),
+        sentences=(*text, *warnings),
         where=where,
         ranking=ranking,
         probabilities=dict(comparison.by_label),
         gap=gap,
-        next_test=ahead,
+        next_test=proposed_tests,
         calibration=calibration,
-        inputs=inputs(observations, rig, held, settings),
-        notes=observations.notes + tuple(findings.given.reasons),
-        residual_map=residual_map(seen, as_given, before, after),
-        residual_tests=tuple(test.to_mapping() for test in residual_tests(seen, after, rows)),
-        candidates=tuple(candidate_row(own, null, data) for own in (null, *findings.named)),
+        inputs=inputs(observations, rig, held_out_splits, settings),
+        notes=observations.notes + tuple(findings.as_given.reasons),
+        residual_map=residual_map(scaled, as_given, before, after),
+        residual_tests=tuple(test.to_mapping() for test in residual_tests(scaled, after, rows)),
+        candidates=tuple(candidate_row(explanation_fit, null, data) for explanation_fit in (null, *findings.named)),
         features={
             "feature:log_odds": comparison.log_odds,
-            "cost_given": given.cost,
+            "cost_given": as_given_errors.cost,
             "cost_null": null.fit.cost,
-            "cost_best": shown.fit.cost,
-            **{f"rms:{name}": value for name, value in _group_rms(data, shown).items()},
+            "cost_best": reported_fit.fit.cost,
+            **{f"rms:{name}": value for name, value in _learnt_scales(data, reported_fit).items()},
         },
         warnings=warnings,
-        remainder=rest,
+        remainder=left_over_gap,
         visible=findings.visible,
         adequate=adequate,
     )
     model = rig if verdict is Verdict.NONE else _rig_of(best, len(calibration))
-    return DiagnosisOutcome(diagnosis, seen, rig, model, given.values, null.fit.errors.values, best.fit.errors.values)
+    return DiagnosisOutcome(
+        diagnosis, scaled, rig, model, as_given_errors.values, null.fit.errors.values, best.fit.errors.values
+    )
 
 
-def scale_of(found: Found, gap: bool = True) -> FloatArray:
+def scale_of(found: FittedExplanation, gap: bool = True) -> FloatArray:
     """What residuals over σ are multiplied by to be in standard deviations of the noise, (m,).
 
     Where there is a gap, what an explanation leaves of it makes the scale that it learns larger, and is no noise.
@@ -422,40 +455,40 @@ def scale_of(found: Found, gap: bool = True) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(weights, 1.0) if gap else weights))
 
 
-def _group_rms(data: Data, found: Found) -> dict[str, float]:
+def _learnt_scales(data: Data, found: FittedExplanation) -> dict[str, float]:
     """Learnt scale of each group of rows: its rms in the stated noise."""
     values = np.sqrt(found.fit.errors.squares / np.maximum(data.counts, 1.0))
     return dict(zip(data.groups.names, map(float, values), strict=True))
 
 
-def _rig_of(found: Found, own: int) -> Rig:
+def _rig_of(found: FittedExplanation, model_parameters: int) -> Rig:
     """The rig of an explanation; what belongs to the measuring chain stays as given."""
     theta = found.fit.theta.copy()
     parameters = found.fit.parametrisation.calibration
     for k, parameter in enumerate(parameters):
-        if k >= own:
+        if k >= model_parameters:
             assert isinstance(parameter, SharedDelay)
             theta[k] = 0.0
     return found.fit.parametrisation.rig(theta)
 
 
-def _moved(findings: Findings, given: Errors, settings: DiagnosisSettings) -> bool:
+def _is_recalibrated(findings: Findings, as_given_errors: ChainErrors, settings: DiagnosisSettings) -> bool:
     """Whether re-fitting the model's own parameters closed a gap that is there and matters."""
     data, null = findings.data, findings.null
-    if given.cost - null.fit.cost < RECALIBRATION:
+    if as_given_errors.cost - null.fit.cost < THRESHOLDS.verdict.recalibration_cost_fall:
         return False
-    count = sum(not isinstance(own, SharedDelay) for own in null.fit.parametrisation.calibration)
+    count = sum(not isinstance(parameter, SharedDelay) for parameter in null.fit.parametrisation.calibration)
     try:
         values = data.forward.predict(_rig_of(null, count), null.fit.prediction).values
     except BenchError:
         return True
-    return matters(change_size(data, data.forward.difference(values, findings.given.values)), settings.matters)
+    return matters(change_size(data, data.forward.difference(values, findings.as_given.values)), settings.matters)
 
 
 def _verdict(
     comparison: Comparison,
-    leader: Equivalents | None,
-    share: Closed | None,
+    leader: EquivalentClass | None,
+    share: ClosedShare | None,
     size: Size | None,
     small: bool,
     needed: bool,
@@ -475,66 +508,84 @@ def _verdict(
         moved: re-fitting the model's own parameters closed a gap.
     """
     quiet = Verdict.CALIBRATION if moved else Verdict.NONE
-    if comparison.log_odds < ALARM:
+    if comparison.log_odds < THRESHOLDS.verdict.alarm_log_odds:
         return quiet
     named = leader is not None and leader.adequate and leader.probability >= max(comparison.unknown, comparison.none)
     if small and not (named and needed):
         return quiet
-    if leader is None or (share is not None and share.value < 0.0 and share.gain < -WORSE):
+    if leader is None or (
+        share is not None and share.value < 0.0 and share.gain < -THRESHOLDS.verdict.worse_prediction_sigmas
+    ):
         return Verdict.UNKNOWN
     if named:
         return quiet if size is not None and not matters(size, settings.matters) else Verdict.EFFECT
     # Something unnamed lies behind; what closes most of the gap all the same is a partial explanation.
-    most = share is not None and math.isfinite(share.value) and share.value >= EXPLAINED
+    most = share is not None and math.isfinite(share.value) and share.value >= THRESHOLDS.verdict.partial_closed_share
     return Verdict.EFFECT if most else Verdict.UNKNOWN
 
 
-def _closed(findings: Findings, data: Data, best: Found, held: Sequence[Split], seed: int) -> Closed:
+def _closed(
+    findings: Findings, data: Data, best: FittedExplanation, held_out_splits: Sequence[Split], seed: int
+) -> ClosedShare:
     """How much of the gap an explanation closes on rows that its fit did not see.
 
     A split whose fit leaves open what the explanation does to the rows held out says nothing of it.
     """
     null, scale = findings.null, scale_of(best)
-    fits = [best_errors(data, own.fit.prediction.values, own.fit.errors).left for own in (null, best)]
+    fits = [
+        best_chain_errors(data, explanation.fit.prediction.values, explanation.fit.errors).residual
+        for explanation in (null, best)
+    ]
     change = (fits[1] - fits[0]) * scale
     pairs = []
-    for split in held:
+    for split in held_out_splits:
         rows = split.held_out & data.used
-        before, after = (_unseen(findings.data, data, own, split) for own in (null, best))
+        before, after = (_held_out_residual(findings.data, data, explanation, split) for explanation in (null, best))
         if before is None or after is None or not rows.any():
             continue
         uncertain = after[1] * scale
-        if rms(uncertain[rows]) <= OPEN * rms(change[rows]):
+        if rms(uncertain[rows]) <= THRESHOLDS.verdict.open_prediction_share * rms(change[rows]):
             pairs.append((before[0] * scale, after[0] * scale / np.hypot(1.0, uncertain), rows))
     return closed(data.observations, pairs, seed)
 
 
-def _recalibrated(findings: Findings, data: Data, held: Sequence[Split], seed: int) -> Closed:
+def _recalibrated(findings: Findings, data: Data, held_out_splits: Sequence[Split], seed: int) -> ClosedShare:
     """How much of the gap to the model as given its own parameters close on rows that their fit did not see."""
     null, scale = findings.null, scale_of(findings.null, False)
-    given = best_errors(data, findings.given.values).left * scale
+    as_given_residual = best_chain_errors(data, findings.as_given.values).residual * scale
     pairs = []
-    for split in held:
-        after = _unseen(findings.data, data, null, split)
+    for split in held_out_splits:
+        after = _held_out_residual(findings.data, data, null, split)
         if after is not None:
-            pairs.append((given, after[0] * scale / np.hypot(1.0, after[1] * scale), split.held_out & data.used))
+            pairs.append(
+                (as_given_residual, after[0] * scale / np.hypot(1.0, after[1] * scale), split.held_out & data.used)
+            )
     return closed(data.observations, pairs, seed)
 
 
-def _unseen(fitted: Data, whole: Data, found: Found, split: Split) -> tuple[FloatArray, FloatArray] | None:
+def _held_out_residual(
+    fitted: Data, all_data: Data, found: FittedExplanation, split: Split
+) -> tuple[FloatArray, FloatArray] | None:
     """Residual of all rows by a fit to some, and uncertainty of its prediction, over σ.
 
     What is predicted is the rig; how the measuring chain was when the rest was measured, those rows tell themselves.
     """
     part = replace(fitted, used=fitted.used & split.fitted)
-    own = found.fit
+    fitted_before = found.fit
     try:
         refit = fit(
-            part, own.parametrisation, own.theta, own.prediction, own.jacobian, REFIT_STEPS, False, REFIT_REFRESHES
+            part,
+            fitted_before.parametrisation,
+            fitted_before.theta,
+            fitted_before.prediction,
+            fitted_before.jacobian,
+            THRESHOLDS.fits.refit_steps,
+            False,
+            THRESHOLDS.fits.refit_refreshes,
         )
     except FitError:
         return None
-    left = best_errors(whole, refit.prediction.values, own.errors).left
-    chain = Metric(own.errors.slopes, np.ones(own.errors.chain.size), own.errors.weights)
-    slopes = chain.rest(own.jacobian)[0]
+    left = best_chain_errors(all_data, refit.prediction.values, fitted_before.errors).residual
+    chain = Metric(fitted_before.errors.slopes, np.ones(fitted_before.errors.chain.size), fitted_before.errors.weights)
+    slopes = chain.project(fitted_before.jacobian)[0]
     return left, np.sqrt(np.einsum("mi,ij,mj->m", slopes, refit.covariance, slopes))

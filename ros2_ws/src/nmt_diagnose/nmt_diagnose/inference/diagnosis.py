@@ -119,7 +119,7 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class Left:
+class RemainderPart:
     """What an explanation leaves in one observable of a test.
 
     Attributes:
@@ -151,7 +151,7 @@ class Remainder:
     share: float
     low: float
     high: float
-    where: tuple[Left, ...]
+    where: tuple[RemainderPart, ...]
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class Recalibrated:
 
 
 @dataclass(frozen=True)
-class Visible:
+class DetectableEffect:
     """The weakest that an effect could be and still be seen by these recordings.
 
     Attributes:
@@ -239,7 +239,7 @@ class Diagnosis:
     features: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     remainder: Remainder | None = None
-    visible: tuple[Visible, ...] = ()
+    visible: tuple[DetectableEffect, ...] = ()
     adequate: bool = True
 
     def to_mapping(self) -> dict[str, Any]:

@@ -18,25 +18,11 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.chain import linear_chain
 from nmt_diagnose.inference.misfit import Whitening, misfit_of
 from nmt_diagnose.inference.noise import Groups, groups_of, sigma_of
-from nmt_diagnose.inference.tuned import (
-    APPROACH,
-    APPROACH_STEPS,
-    BROYDEN_TRUST,
-    CONVERGED,
-    FIT_STEPS,
-    LARGEST_LOG_RATIO,
-    LARGEST_STEP,
-    POOR_GAIN,
-    REWEIGHTINGS,
-)
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_rig.rig import Rig
-
-_TRIALS = 6
-# Change of ln frequency that is large: a bandwidth of 1 %.
-_BANDWIDTH = 0.01
 
 
 class FitError(ArithmeticError):
@@ -47,9 +33,9 @@ class FitError(ArithmeticError):
 class Data:
     """What fits work on.
 
-    Lines of random tests are compared as complex numbers over the measured ones: noise and images of a held drive add
-    to them, however small a response is near its zeros. Gains and delays multiply what the model predicts, as they do
-    everywhere.
+    Lines of random tests are compared as complex numbers over the measured ones: noise and images of a zero-order hold
+    add to them, however small a response is near its zeros. Gains and delays multiply what the model predicts, as they
+    do everywhere.
 
     Attributes:
         observations: the real side.
@@ -96,7 +82,7 @@ class Data:
             result -= self.added @ errors
         return np.where(self.used, np.nan_to_num(result) / self.sigma, 0.0)
 
-    def change(self, before: FloatArray, after: FloatArray, errors: Errors) -> FloatArray:
+    def change(self, before: FloatArray, after: FloatArray, errors: ChainErrors) -> FloatArray:
         """Change of what is compared from one prediction of the model, (m,), to another, over σ."""
         return self.difference(before, errors.chain) - self.difference(after, errors.chain)
 
@@ -126,8 +112,8 @@ class Data:
         """All columns over σ, whitened as far as they do not turn with lines; those added; those of lines."""
         added = self._scaled(self.added)
         plain = np.nan_to_num(self.chain, posinf=0.0, neginf=0.0)
-        whole = self._whitenings[0](self._scaled(plain) + added)
-        return whole, added, plain[self.lines[0]] + 1j * plain[self.lines[1]]
+        all_columns = self._whitenings[0](self._scaled(plain) + added)
+        return all_columns, added, plain[self.lines[0]] + 1j * plain[self.lines[1]]
 
     @cached_property
     def _whitenings(self) -> tuple[Whitening, Whitening]:
@@ -154,7 +140,7 @@ class Data:
     def _over_measured(self, values: FloatArray) -> ComplexArray:
         """Predicted over measured response of each line, (k,)."""
         over = values[self.lines] - self.observations.values[self.lines]
-        return np.asarray(np.exp(np.minimum(over[0], LARGEST_LOG_RATIO) + 1j * over[1]))
+        return np.asarray(np.exp(np.minimum(over[0], THRESHOLDS.fits.largest_log_ratio) + 1j * over[1]))
 
     @property
     def counts(self) -> FloatArray:
@@ -170,7 +156,7 @@ def lines_of(observations: Observations) -> IntArray:
     for row in np.flatnonzero(np.isin(rows.test, random) & np.isin(rows.part, (Part.LOG_MAGNITUDE, Part.PHASE))):
         key = int(rows.test[row]), int(rows.level[row]), int(rows.channel[row])
         pairs.setdefault(key, {})[int(rows.part[row])] = int(row)
-    both = [(own[int(Part.LOG_MAGNITUDE)], own[int(Part.PHASE)]) for own in pairs.values() if len(own) == 2]
+    both = [(parts[int(Part.LOG_MAGNITUDE)], parts[int(Part.PHASE)]) for parts in pairs.values() if len(parts) == 2]
     return np.array(both, dtype=np.int64).reshape(-1, 2).T
 
 
@@ -202,13 +188,13 @@ def data_about(
 
 
 @dataclass(frozen=True)
-class Errors:
+class ChainErrors:
     """Best errors of the chain and scales for one prediction.
 
     Attributes:
         chain: in standard deviations, (r,).
         slopes: derivatives by them, over σ, (m, r).
-        left: what they leave over σ, (m,).
+        residual: what they leave over σ, (m,).
         weights: 1/s² of each row, (m,).
         squares: Σ (e/σ)² of each group, (K,).
         cost: −2 ln of likelihood and prior of the errors.
@@ -217,36 +203,36 @@ class Errors:
 
     chain: FloatArray
     slopes: FloatArray
-    left: FloatArray
+    residual: FloatArray
     weights: FloatArray
     squares: FloatArray
     cost: float
     values: FloatArray
 
 
-def best_errors(data: Data, values: FloatArray, start: Errors | None = None) -> Errors:
+def best_chain_errors(data: Data, values: FloatArray, start: ChainErrors | None = None) -> ChainErrors:
     """Errors of the chain and scales that explain the observations best, given the model's values, (m,)."""
     groups, counts = data.groups, data.counts
     count = data.chain.shape[1]
 
-    def at(chain: FloatArray) -> Errors:
+    def at(chain: FloatArray) -> ChainErrors:
         left = data.difference(values, chain)
         squares = groups.sums(left * left)
         weights = groups.weights(squares, counts)[groups.of]
         cost = groups.cost(squares, counts) + float(chain @ chain)
         empty = np.zeros((0, 0))
-        return Errors(chain, empty, left, weights, squares, cost, values + data.chain @ chain)
+        return ChainErrors(chain, empty, left, weights, squares, cost, values + data.chain @ chain)
 
     best = at(np.zeros(count))
     if start is not None:
         near = at(start.chain)
         best = near if near.cost < best.cost else best
     slopes, damping = data.chain_slopes(values, best.chain), 0.0
-    for _ in range(REWEIGHTINGS):
+    for _ in range(THRESHOLDS.fits.most_reweightings):
         weighted = slopes * best.weights[:, None]
         normal = slopes.T @ weighted + np.eye(count)
-        gradient = weighted.T @ best.left - best.chain
-        for _ in range(_TRIALS):
+        gradient = weighted.T @ best.residual - best.chain
+        for _ in range(THRESHOLDS.fits.most_trials):
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
             trial = at(best.chain + step)
             if trial.cost < best.cost:
@@ -263,7 +249,7 @@ def best_errors(data: Data, values: FloatArray, start: Errors | None = None) -> 
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FitResult:
     """A fit.
 
     Attributes:
@@ -281,7 +267,7 @@ class Fitted:
     parametrisation: Parametrisation
     theta: FloatArray
     covariance: FloatArray
-    errors: Errors
+    errors: ChainErrors
     jacobian: FloatArray
     prediction: Prediction
     cost: float
@@ -296,7 +282,7 @@ class Fitted:
     @property
     def converged(self) -> bool:
         """No step promises a fall that matters."""
-        return self.promised < CONVERGED
+        return self.promised < THRESHOLDS.fits.converged_cost_fall
 
 
 class Metric:
@@ -315,7 +301,7 @@ class Metric:
         self._factor = _factor(self.normal)
         self._columns = columns
 
-    def rest(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def project(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What the columns leave of vectors (m, p), and how much of each column that takes, (k, p)."""
         along = self._weighted.T @ vectors
         taken = np.linalg.solve(self._factor.T, np.linalg.solve(self._factor, along))
@@ -350,7 +336,7 @@ def predicted(
 
 
 def sensitivities(
-    data: Data, parametrisation: Parametrisation, theta: FloatArray, near: Prediction, errors: Errors
+    data: Data, parametrisation: Parametrisation, theta: FloatArray, near: Prediction, errors: ChainErrors
 ) -> FloatArray:
     """∂f/∂θ over σ, (m, n).
 
@@ -371,10 +357,10 @@ def fit(
     theta: FloatArray,
     start: Prediction | None = None,
     jacobian: FloatArray | None = None,
-    steps: int = FIT_STEPS,
+    steps: int = THRESHOLDS.fits.most_steps,
     exact: bool = True,
-    refreshes: int = FIT_STEPS,
-) -> Fitted:
+    refreshes: int = THRESHOLDS.fits.most_steps,
+) -> FitResult:
     """Fit an explanation.
 
     Args:
@@ -395,7 +381,7 @@ def fit(
     prediction = predicted(data, parametrisation, theta, start)
     if prediction is None:
         raise FitError("the model has no solution for the rows that are compared")
-    errors = best_errors(data, prediction.values)
+    errors = best_chain_errors(data, prediction.values)
     cost = errors.cost + float(np.sum((theta / std) ** 2))
     fresh = jacobian is None
     slopes = sensitivities(data, parametrisation, theta, prediction, errors) if jacobian is None else jacobian
@@ -403,18 +389,18 @@ def fit(
     for _ in range(steps if theta.size else 0):
         normal, gradient = _normal(slopes, errors, theta, std)
         trial = None
-        for _ in range(_TRIALS):
+        for _ in range(THRESHOLDS.fits.most_trials):
             step = _bounded(normal, gradient, damping, theta, lower)
-            step *= min(1.0, LARGEST_STEP / max(float(np.max(np.abs(step) / std)), 1e-300))
+            step *= min(1.0, THRESHOLDS.fits.largest_step / max(float(np.max(np.abs(step) / std)), 1e-300))
             moved = np.maximum(theta + step, lower)
             step = moved - theta
             promised = float(2.0 * gradient @ step - step @ normal @ step)
-            if promised < 0.1 * CONVERGED:
+            if promised < 0.1 * THRESHOLDS.fits.converged_cost_fall:
                 break
             found = predicted(data, parametrisation, moved, prediction)
             if found is not None:
-                own = best_errors(data, found.values, errors)
-                total = own.cost + float(np.sum((moved / std) ** 2))
+                chain_errors = best_chain_errors(data, found.values, errors)
+                total = chain_errors.cost + float(np.sum((moved / std) ** 2))
                 if total < cost:
                     trial = found
                     break
@@ -424,39 +410,41 @@ def fit(
         if trial is None:
             # Sensitivities from elsewhere may promise nothing where those at the estimate would lead on.
             settled = fresh
-            if fresh or refreshes <= 0 or not (exact or promised >= 0.1 * CONVERGED):
+            if fresh or refreshes <= 0 or not (exact or promised >= 0.1 * THRESHOLDS.fits.converged_cost_fall):
                 break
             slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True
             refreshes -= 1
             continue
         gained = cost - total
-        changed = data.change(prediction.values, trial.values, own)
+        changed = data.change(prediction.values, trial.values, chain_errors)
         slopes = slopes + np.outer(changed - slopes @ step, step) / float(step @ step)
         fresh = False
-        theta, prediction, errors, cost = moved, trial, own, total
+        theta, prediction, errors, cost = moved, trial, chain_errors, total
         # A step that gains far less than it promised went over a bend: undamped ones would swing about the optimum.
-        damping = 0.1 * damping if gained > POOR_GAIN * promised else 10.0 * max(damping, 1e-3)
+        damping = 0.1 * damping if gained > THRESHOLDS.fits.damping_gain_ratio * promised else 10.0 * max(damping, 1e-3)
         # Broyden's update follows what a step showed; sensitivities are computed anew where one fell short of it.
-        if gained < BROYDEN_TRUST * promised and refreshes > 0:
+        if gained < THRESHOLDS.fits.broyden_least_gain_ratio * promised and refreshes > 0:
             slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True
             refreshes -= 1
-        if gained < 0.1 * CONVERGED:
+        if gained < 0.1 * THRESHOLDS.fits.converged_cost_fall:
             break
     if exact and not fresh:
         slopes = sensitivities(data, parametrisation, theta, prediction, errors)
     return _finished(parametrisation, theta, errors, slopes, prediction, cost, settled)
 
 
-def _normal(slopes: FloatArray, errors: Errors, theta: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _normal(
+    slopes: FloatArray, errors: ChainErrors, theta: FloatArray, std: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Normal matrix of θ with the chain marginalised, and the gradient.
 
     Errors of the chain are at their best to a tiny fall of the cost. Where θ and chain do nearly the same, what is left
     of the chain's own gradient is larger than that of θ, so that it is taken off.
     """
     metric = Metric(errors.slopes, np.ones(errors.chain.size), errors.weights)
-    rest, taken = metric.rest(slopes)
-    normal = rest.T @ (slopes * errors.weights[:, None]) + np.diag(std**-2.0)
-    left = errors.weights * errors.left
+    projected, taken = metric.project(slopes)
+    normal = projected.T @ (slopes * errors.weights[:, None]) + np.diag(std**-2.0)
+    left = errors.weights * errors.residual
     gradient = slopes.T @ left - theta / std**2 - taken.T @ (errors.slopes.T @ left - errors.chain)
     return 0.5 * (normal + normal.T), gradient
 
@@ -476,12 +464,12 @@ def _bounded(
 def _finished(
     parametrisation: Parametrisation,
     theta: FloatArray,
-    errors: Errors,
+    errors: ChainErrors,
     slopes: FloatArray,
     prediction: Prediction,
     cost: float,
     settled: bool,
-) -> Fitted:
+) -> FitResult:
     std = parametrisation.prior_std
     chain = Metric(errors.slopes, np.ones(errors.chain.size), errors.weights)
     normal, gradient = _normal(slopes, errors, theta, std)
@@ -490,7 +478,7 @@ def _finished(
     _, of_theta = np.linalg.slogdet(normal)
     log_evidence = -0.5 * cost - 0.5 * (chain.log_determinant + float(of_theta)) - float(np.sum(np.log(std)))
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    return Fitted(
+    return FitResult(
         parametrisation, theta, covariance, errors, slopes, prediction, cost,
         log_evidence + parametrisation.log_prior, promised,
     )  # fmt: skip
@@ -503,7 +491,7 @@ def without_rows(data: Data, used: BoolArray) -> Data:
 
 def approach(
     data: Data, parametrisation: Parametrisation, theta: FloatArray, start: Prediction | None = None
-) -> Fitted:
+) -> FitResult:
     """Fit an explanation from afar: first to a tenth of everything measured, then ever closer.
 
     Far from the optimum the learnt scale of a group of rows grows so large that the group hardly counts, and the fit
@@ -512,9 +500,9 @@ def approach(
     Raises:
         FitError: the model cannot be solved at the start.
     """
-    for share in APPROACH:
+    for share in THRESHOLDS.fits.approach_shares:
         near = replace(data, sigma=np.hypot(data.sigma, share * _natural_size(data.observations)))
-        found = fit(near, parametrisation, theta, start, steps=APPROACH_STEPS, exact=False)
+        found = fit(near, parametrisation, theta, start, steps=THRESHOLDS.fits.approach_steps, exact=False)
         theta, start = found.theta, found.prediction
     return fit(data, parametrisation, theta, start)
 
@@ -523,7 +511,7 @@ def _natural_size(observations: Observations) -> FloatArray:
     """What is a large change of each row, (m,): a neper, a radian, a bandwidth of 1 %; 0 for what has no such size."""
     part, values = observations.rows.part, observations.values
     size = np.ones(len(observations.rows))
-    size[part == Part.LOG_FREQUENCY] = _BANDWIDTH
+    size[part == Part.LOG_FREQUENCY] = THRESHOLDS.fits.large_log_frequency
     size[part == Part.DAMPING] = np.abs(values[part == Part.DAMPING])
     size[np.isin(part, (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS))] = 0.0
     samples = part == Part.SAMPLE

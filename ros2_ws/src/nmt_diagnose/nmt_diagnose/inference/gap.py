@@ -8,14 +8,14 @@ import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
 
 NOISE = 1.0
 """Root mean square of residuals in standard deviations that the stated uncertainties allow."""
-_RESAMPLES = 1000
 
 
 @dataclass(frozen=True)
-class Closed:
+class ClosedShare:
     """How much of a gap is closed.
 
     Attributes:
@@ -47,7 +47,7 @@ def closed(
     pairs: list[tuple[FloatArray, FloatArray, BoolArray]],
     seed: int = 0,
     floor: float = 1.0,
-) -> Closed:
+) -> ClosedShare:
     """Pool held-out residuals of several splits and resample them in blocks that belong together.
 
     Args:
@@ -68,21 +68,25 @@ def closed(
             counts.append(int(block.sum()))
     if not counts:
         nan = float("nan")
-        return Closed(nan, nan, floor, nan, nan, nan)
+        return ClosedShare(nan, nan, floor, nan, nan, nan)
     b, a, n = np.array(before_squares), np.array(after_squares), np.array(counts)
     generator = np.random.default_rng(seed)
-    draws = generator.integers(0, n.size, size=(_RESAMPLES, n.size))
+    draws = generator.integers(0, n.size, size=(THRESHOLDS.verdict.bootstrap_resamples, n.size))
     total = n[draws].sum(axis=1)
     sample = _share(np.sqrt(b[draws].sum(axis=1) / total), np.sqrt(a[draws].sum(axis=1) / total), floor)
     sample = sample[np.isfinite(sample)]
-    low, high = (float(x) for x in np.quantile(sample, [0.05, 0.95])) if sample.size > 50 else (float("nan"),) * 2
+    low, high = (
+        (float(x) for x in np.quantile(sample, [0.05, 0.95]))
+        if sample.size > THRESHOLDS.verdict.bootstrap_fewest
+        else (float("nan"),) * 2
+    )
     before_rms, after_rms = float(np.sqrt(b.sum() / n.sum())), float(np.sqrt(a.sum() / n.sum()))
     value = float(_share(np.array([before_rms]), np.array([after_rms]), floor)[0])
     floor = min(floor, after_rms)
     fall = b - a
     scatter = float(np.sqrt(n.size) * np.std(fall))
     gain = float(fall.sum()) / scatter if scatter > 0.0 else 0.0
-    return Closed(before_rms, after_rms, floor, value, low, high, gain)
+    return ClosedShare(before_rms, after_rms, floor, value, low, high, gain)
 
 
 def _block(observations: Observations) -> IntArray:
@@ -91,9 +95,9 @@ def _block(observations: Observations) -> IntArray:
     many = np.bincount(observations.rows.test) > 0
     blocks = level.astype(np.int64).copy()
     for test in np.flatnonzero(many):
-        mine = (observations.rows.test == test) & lines
-        if np.unique(level[mine]).size > 60:
-            blocks[mine] = level[mine] * 10 // (int(level[mine].max()) + 1)
+        selected = (observations.rows.test == test) & lines
+        if np.unique(level[selected]).size > THRESHOLDS.verdict.many_lines:
+            blocks[selected] = level[selected] * 10 // (int(level[selected].max()) + 1)
     return blocks
 
 
@@ -102,4 +106,4 @@ def _share(before: FloatArray, after: FloatArray, floor: float) -> FloatArray:
     reached = np.minimum(floor, after)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = (before - after) / (before - reached)
-    return np.where(before > floor * 1.02, value, np.nan)
+    return np.where(before > floor * THRESHOLDS.verdict.least_gap_ratio, value, np.nan)

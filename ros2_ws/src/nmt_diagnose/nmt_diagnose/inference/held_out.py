@@ -19,10 +19,7 @@ from nmt_diagnose.observations.conditions import (
     SteppedSineTest,
 )
 from nmt_diagnose.observations.observables import Observations, Part
-
-_FEWEST_LEVELS = 4
-# Frequency responses at held amplitudes: levels from which they are held out by level, and the highest two of them.
-_FEWEST_SWEPT, _FEWEST_FOR_TWO = 3, 5
+from nmt_diagnose.thresholds import THRESHOLDS
 
 
 @dataclass(frozen=True)
@@ -48,17 +45,17 @@ def named_tests(observations: Observations, names: Sequence[str]) -> BoolArray:
     """
     found = np.zeros(len(observations.rows), dtype=bool)
     for name in names:
-        own = PurePath(name).name
+        test_name = PurePath(name).name
         numbers = [
             k
             for k, t in enumerate(observations.tests)
-            if t.name == own or re.fullmatch(rf"{re.escape(own)} \d+", t.name)
+            if t.name == test_name or re.fullmatch(rf"{re.escape(test_name)} \d+", t.name)
         ]
-        mine = np.isin(observations.rows.test, numbers)
-        if not mine.any():
+        selected = np.isin(observations.rows.test, numbers)
+        if not selected.any():
             known = ", ".join(test.name for test in observations.tests)
             raise BenchError(f"No test {name} with observables can be held out; the tests are {known}.")
-        found |= mine
+        found |= selected
     if names and found.all():
         raise BenchError("Every test is held out, so there is nothing to fit; hold fewer of them out.")
     return found
@@ -75,8 +72,8 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
         BenchError: a test to hold out that is not there.
     """
     if hold_out:
-        mine = named_tests(observations, hold_out)
-        return [Split(" and ".join(f"the test {PurePath(name).name}" for name in hold_out), ~mine, mine)]
+        selected = named_tests(observations, hold_out)
+        return [Split(" and ".join(f"the test {PurePath(name).name}" for name in hold_out), ~selected, selected)]
     rows = observations.rows
     # Where a channel is clipped is read off the few windows that reach the level; no other window predicts it. Nor do
     # the samples that are lost in one window tell of those in others.
@@ -86,23 +83,23 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
     odd = np.zeros(len(rows), dtype=bool)
     top = np.zeros(len(rows), dtype=bool)
     for number, test in enumerate(observations.tests):
-        mine = rows.test == number
-        if not isinstance(test, PhaseResonanceTest | RingDownTest | BackboneTable | RecordTest) or not mine.any():
+        selected = rows.test == number
+        if not isinstance(test, PhaseResonanceTest | RingDownTest | BackboneTable | RecordTest) or not selected.any():
             continue
-        levels = np.unique(rows.level[mine])
-        if levels.size < _FEWEST_LEVELS:
+        levels = np.unique(rows.level[selected])
+        if levels.size < THRESHOLDS.verdict.held_out_fewest_levels:
             continue
-        levelled |= mine
-        odd |= mine & np.isin(rows.level, levels[1::2])
+        levelled |= selected
+        odd |= selected & np.isin(rows.level, levels[1::2])
         if not isinstance(test, RecordTest):
-            by_amplitude = {level: float(np.max(rows.amplitude[mine & (rows.level == level)])) for level in levels}
+            by_amplitude = {level: float(np.max(rows.amplitude[selected & (rows.level == level)])) for level in levels}
             highest = sorted(levels, key=lambda level: by_amplitude[level])[-2:]
-            top |= mine & np.isin(rows.level, highest)
+            top |= selected & np.isin(rows.level, highest)
     swept = _swept(observations)
     for group in swept:
         amplitudes = sorted({level for _, level in group})
         odd |= np.isin(rows.test, [number for number, level in group if level in amplitudes[1::2]])
-        upper = amplitudes[-1:] if len(amplitudes) < _FEWEST_FOR_TWO else amplitudes[-2:]
+        upper = amplitudes[-1:] if len(amplitudes) < THRESHOLDS.verdict.held_out_fewest_for_two else amplitudes[-2:]
         top |= np.isin(rows.test, [number for number, level in group if level in upper])
     if odd.any():
         result.append(Split("every second level", ~odd, odd))
@@ -113,12 +110,12 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
     present = [numbers for numbers in (*alone, *together) if np.any(np.isin(rows.test, numbers))]
     if len(present) > 1:
         for numbers in present:
-            mine = np.isin(rows.test, numbers)
+            selected = np.isin(rows.test, numbers)
             names = observations.tests[numbers[0]].name
             if len(numbers) > 1:
                 names = f"{names} and {len(numbers) - 1} more levels of it"
-            result.append(Split(f"the test {names}", ~mine, mine))
-    return [Split(own.name, own.fitted | limits, own.held_out & ~limits) for own in result]
+            result.append(Split(f"the test {names}", ~selected, selected))
+    return [Split(split.name, split.fitted | limits, split.held_out & ~limits) for split in result]
 
 
 def _swept(observations: Observations) -> list[list[tuple[int, float]]]:
@@ -128,4 +125,6 @@ def _swept(observations: Observations) -> list[list[tuple[int, float]]]:
         if isinstance(test, SteppedSineTest) and np.any(observations.rows.test == number):
             key = (test.drive_point, test.channels, test.reference, test.held)
             groups.setdefault(key, []).append((number, float(f"{np.median(test.levels):.3g}")))
-    return [g for g in groups.values() if len({level for _, level in g}) >= _FEWEST_SWEPT]
+    return [
+        g for g in groups.values() if len({level for _, level in g}) >= THRESHOLDS.verdict.held_out_fewest_responses
+    ]

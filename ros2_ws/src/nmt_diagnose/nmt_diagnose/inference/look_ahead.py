@@ -24,22 +24,18 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_diagnose.effects.placement import joined
+from nmt_diagnose.effects.location import joined
 from nmt_diagnose.inference.comparison import Comparison
 from nmt_diagnose.inference.diagnosis import NULL, NextTest
 from nmt_diagnose.inference.fitting import Metric
-from nmt_diagnose.inference.search import Found
+from nmt_diagnose.inference.search import FittedExplanation
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
-from nmt_diagnose.observations.observables import Observations, Part
-from nmt_diagnose.observations.row_table import Place, RowTable
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_elements, build_structure
 
-_LEAST = 3.0
-_MOST = 99.0  # more says nothing more
-_DOUBTFUL = 0.05  # probability of no effect at all from which that competes
-_LINES = 80
 # Uncertainties of a kind of observable of which the tests at hand hold none.
 _TYPICAL = {
     Part.LOG_FREQUENCY: 3e-5,
@@ -49,7 +45,6 @@ _TYPICAL = {
     Part.REAL: 1e-3,
     Part.IMAG: 1e-3,
 }
-_TYPICAL_RESPONSE = 5e-3
 
 
 @dataclass(frozen=True)
@@ -69,7 +64,7 @@ class Proposal:
 
 
 def next_tests(
-    rig: Rig, observations: Observations, null: Found, comparison: Comparison, most: int = 3
+    rig: Rig, observations: Observations, null: FittedExplanation, comparison: Comparison, most: int = 3
 ) -> tuple[NextTest, ...]:
     """Tests that would tell the explanations that are left apart, best first.
 
@@ -87,35 +82,35 @@ def next_tests(
     found = []
     for proposal in proposals(rig, observations):
         sigma = _separation(proposal, competing)
-        if sigma >= _LEAST:
-            found.append(NextTest(proposal.text, proposal.command, names, min(sigma, _MOST)))
+        if sigma >= THRESHOLDS.next_test.least_sigmas:
+            found.append(NextTest(proposal.text, proposal.command, names, min(sigma, THRESHOLDS.next_test.most_sigmas)))
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
 
 
-def _competing(comparison: Comparison, null: Found) -> list[Found]:
+def _competing(comparison: Comparison, null: FittedExplanation) -> list[FittedExplanation]:
     """The two explanations that most need distinguishing: of one class, or the heads of the first two."""
     classes = comparison.classes
     if not classes:
         return []
     if len(classes[0].members) > 1:
         return list(classes[0].members[:3])
-    if len(classes) > 1 and classes[1].probability > 0.02 * classes[0].probability:
+    if len(classes) > 1 and classes[1].probability > THRESHOLDS.next_test.second_class_share * classes[0].probability:
         return [classes[0].head, classes[1].head]
     # One explanation stands alone: nothing is left to settle, unless it hardly beats having none.
-    return [classes[0].head, null] if comparison.none > _DOUBTFUL else []
+    return [classes[0].head, null] if comparison.none > THRESHOLDS.next_test.doubtful_probability else []
 
 
-def _separation(proposal: Proposal, competing: Sequence[Found]) -> float:
+def _separation(proposal: Proposal, competing: Sequence[FittedExplanation]) -> float:
     """Least expected distance over all ordered pairs of competing hypotheses, standard deviations."""
     observations = proposal.observations
     forward = Forward(observations.tests, observations.rows)
     predictions, jacobians = [], []
     try:
         for competitor in competing:
-            own = competitor.fit
-            prediction = forward.predict(own.parametrisation.rig(own.theta))
+            fitted = competitor.fit
+            prediction = forward.predict(fitted.parametrisation.rig(fitted.theta))
             predictions.append(prediction.values)
-            slopes = forward.jacobian(own.parametrisation, own.theta, prediction)
+            slopes = forward.jacobian(fitted.parametrisation, fitted.theta, prediction)
             jacobians.append(slopes / observations.sigma[:, None])
     except (BenchError, ArithmeticError, np.linalg.LinAlgError):
         return 0.0
@@ -127,8 +122,8 @@ def _separation(proposal: Proposal, competing: Sequence[Found]) -> float:
             return 0.0
         root = _root(competing[j].fit.covariance)
         metric = Metric(jacobians[j][good] @ root, np.ones(root.shape[1]), np.ones(int(good.sum())))
-        rest, _ = metric.rest(difference[good][:, None])
-        worst = min(worst, math.sqrt(max(0.0, float(difference[good] @ rest[:, 0]))))
+        projected, _ = metric.project(difference[good][:, None])
+        worst = min(worst, math.sqrt(max(0.0, float(difference[good] @ projected[:, 0]))))
     return worst
 
 
@@ -227,16 +222,16 @@ def _typical(
     observations: Observations, kind: type[Test] | tuple[type, ...], part: Part, harmonic: int, fraction: float
 ) -> float:
     """Median uncertainty of a kind of observable in the tests at hand, near a level given as a fraction of all."""
-    mine = np.zeros(len(observations.rows), dtype=bool)
+    selected = np.zeros(len(observations.rows), dtype=bool)
     for number, test in enumerate(observations.tests):
         if isinstance(test, kind):
-            mine |= observations.rows.test == number
-    mine &= (observations.rows.part == part) & (observations.rows.harmonic == harmonic)
-    if not mine.any():
-        return _TYPICAL_RESPONSE if kind is RandomTest else _TYPICAL[part]
-    amplitude = observations.rows.amplitude[mine]
+            selected |= observations.rows.test == number
+    selected &= (observations.rows.part == part) & (observations.rows.harmonic == harmonic)
+    if not selected.any():
+        return THRESHOLDS.next_test.typical_response_std if kind is RandomTest else _TYPICAL[part]
+    amplitude = observations.rows.amplitude[selected]
     order = np.argsort(amplitude, kind="stable")
-    sigma = observations.sigma[mine][order]
+    sigma = observations.sigma[selected][order]
     middle = round(fraction * (sigma.size - 1))
     reach = max(1, sigma.size // 6)
     return float(np.median(sigma[max(0, middle - reach) : middle + reach + 1]))
@@ -294,13 +289,13 @@ def _random(rig: Rig, observations: Observations, drives: Sequence[float]) -> Ob
     frequencies = _frequencies(rig)
     mode = max(1, rig.test.mode)
     top = min(0.35 * rig.sample_rate_hz, 3.0 * frequencies[min(frequencies.size - 1, mode + 1)])
-    lines = np.geomspace(0.4 * frequencies[mode - 1], top, _LINES)
+    lines = np.geomspace(0.4 * frequencies[mode - 1], top, THRESHOLDS.next_test.random_lines)
     table = RowTable()
     rms = drives[0] if drives else 0.05
     for number, line in enumerate(lines):
         place = Place(number, 0.0, float(line), rms)
         for channel in range(len(channels)):
             for part in (Part.LOG_MAGNITUDE, Part.PHASE):
-                table.add(part, 0.0, _TYPICAL_RESPONSE, 0.0, place, channel, 1)
+                table.add(part, 0.0, THRESHOLDS.next_test.typical_response_std, 0.0, place, channel, 1)
     test = RandomTest("proposed", rig.drive_point, channels, "voltage", lines, 0.1, "none", rms, 0.0, 60.0)
     return table.observations(test)

@@ -19,38 +19,16 @@ from scipy.optimize import least_squares, linear_sum_assignment
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.inference.fitting import Data, Fitted
-from nmt_diagnose.inference.tuned import (
-    MODE_ALIKE,
-    MODE_APART,
-    MODE_AROUND,
-    MODE_DAMPING_STD,
-    MODE_EDGE,
-    MODE_FREQUENCY_STD,
-    MODE_MISSED,
-    MODE_NEAR,
-    MODE_SAME,
-    MODE_SHARE,
-    MODE_UNLIKE,
-    STRAIN,
-)
+from nmt_diagnose.inference.fitting import Data, FitResult
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.lateness import lateness
 from nmt_diagnose.twin.periodic_kernel import GAIN
 from nmt_diagnose.twin.rig_parts import rig_parts
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
-
-_ROUNDS = 20
-# Pairs of poles beside those of the modes: what noise and modes outside of the band need.
-_EXTRA = 3
-# Damping ratios beyond which a pole is no mode: of a measured one, and of the model's that it may be.
-_HIGHEST_MEASURED, _HIGHEST_DAMPING = 0.05, 0.3
-_FEWEST_LINES = 20
-# Residual of what has no such modes; most steps of a start.
-_NOWHERE, _STEPS = 1e3, 40
 
 
 @dataclass(frozen=True)
@@ -77,7 +55,7 @@ class Modes:
 
     def likeness(self, other: Modes) -> FloatArray:
         """Modal assurance criterion of each mode with each of another's, (k, others)."""
-        squares = [np.sum(np.abs(own.shapes) ** 2, axis=1) for own in (self, other)]
+        squares = [np.sum(np.abs(modes.shapes) ** 2, axis=1) for modes in (self, other)]
         return np.asarray(np.abs(self.shapes.conj() @ other.shapes.T) ** 2 / np.maximum(np.outer(*squares), 1e-300))
 
 
@@ -97,15 +75,19 @@ def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: 
     """
     scale = 2.0 * np.pi * frequency_hz[-1]
     s = 2j * np.pi * frequency_hz / scale
-    poles = np.geomspace(frequency_hz[0], frequency_hz[-1], expected + _EXTRA) / frequency_hz[-1] * (-0.01 + 1j)
+    poles = (
+        np.geomspace(frequency_hz[0], frequency_hz[-1], expected + THRESHOLDS.modes.extra_pole_pairs)
+        / frequency_hz[-1]
+        * (-0.01 + 1j)
+    )
     known = np.isfinite(responses)
-    for _ in range(_ROUNDS):
+    for _ in range(THRESHOLDS.modes.vector_fitting_rounds):
         basis = _basis(s, poles)
         columns, right = [], []
-        for own, there in zip(responses, known, strict=True):
+        for response, present in zip(responses, known, strict=True):
             design = np.hstack([basis, np.ones((s.size, 1)), s[:, None]])
-            weight = there / np.maximum(np.abs(np.where(there, own, 1.0)), 1e-300)
-            value = np.where(there, own, 0.0)
+            weight = present / np.maximum(np.abs(np.where(present, response, 1.0)), 1e-300)
+            value = np.where(present, response, 0.0)
             numerator = _real(weight[:, None] * design)
             q = np.linalg.qr(numerator)[0]
             moved = _real(-weight[:, None] * value[:, None] * basis)
@@ -131,24 +113,29 @@ def _kept(
     design = np.hstack([_basis(s, poles), np.ones((s.size, 1)), s[:, None]])
     residues, shares = [], []
     at = _basis(np.asarray(1j * poles.imag), poles)
-    for own, there in zip(responses, known, strict=True):
-        weight = (1.0 / np.abs(own[there]))[:, None]
+    for response, present in zip(responses, known, strict=True):
+        weight = (1.0 / np.abs(response[present]))[:, None]
         found = np.linalg.lstsq(
-            _real(weight * design[there]),
-            _real(np.ones((there.sum(), 1)) * own[there, None] * weight)[:, 0],
+            _real(weight * design[present]),
+            _real(np.ones((present.sum(), 1)) * response[present, None] * weight)[:, 0],
             rcond=None,
         )[0]
         pairs = found[: 2 * poles.size].reshape(-1, 2)
         residues.append(pairs[:, 0] + 1j * pairs[:, 1])
-        whole = at @ found[: 2 * poles.size] + found[-2] + 1j * poles.imag * found[-1]
+        total = at @ found[: 2 * poles.size] + found[-2] + 1j * poles.imag * found[-1]
         single = np.array([at[k, 2 * k : 2 * k + 2] @ pairs[k] for k in range(poles.size)])
-        shares.append(np.abs(single) / np.maximum(np.abs(whole), 1e-300))
+        shares.append(np.abs(single) / np.maximum(np.abs(total), 1e-300))
     carried = np.array(shares)
     damping = -poles.real / np.abs(poles)
     spacing = np.interp(poles.imag * scale / (2.0 * np.pi), frequency_hz, np.gradient(frequency_hz))
-    wide = -2.0 * poles.real * scale / (2.0 * np.pi) > 0.3 * spacing
+    wide = -2.0 * poles.real * scale / (2.0 * np.pi) > THRESHOLDS.modes.least_width_lines * spacing
     inside = (poles.imag > s[0].imag) & (poles.imag < s[-1].imag)
-    good = inside & wide & (damping < _HIGHEST_MEASURED) & (np.median(carried, axis=0) > MODE_SHARE)
+    good = (
+        inside
+        & wide
+        & (damping < THRESHOLDS.modes.highest_measured_damping)
+        & (np.median(carried, axis=0) > THRESHOLDS.modes.mode_share)
+    )
     order = np.flatnonzero(good)[np.argsort(poles.imag[good])]
     return Modes(poles[order] * scale, np.array(residues).T[order])
 
@@ -174,15 +161,15 @@ def modes_that_lack(
         found: its modes, k of them.
         which: the model's mode of each, -1 where it has none, (k,).
     """
-    low, high = MODE_EDGE * band_hz[0], band_hz[1] / MODE_EDGE
-    own = found.frequencies_hz
+    low, high = THRESHOLDS.modes.edge_ratio * band_hz[0], band_hz[1] / THRESHOLDS.modes.edge_ratio
+    frequency_hz = found.frequencies_hz
     return [
         (
-            float(own[k]),
-            f"{name} has a mode at {own[k]:.4g} Hz (damping {100 * found.dampings[k]:.2g} %) that the model lacks; add "
-            "it to the model, or leave its band out.",
+            float(frequency_hz[k]),
+            f"{name} has a mode at {frequency_hz[k]:.4g} Hz (damping {100 * found.dampings[k]:.2g} %) that the model "
+            "lacks; add it to the model, or leave its band out.",
         )
-        for k in np.flatnonzero((which < 0) & (own > low) & (own < high))
+        for k in np.flatnonzero((which < 0) & (frequency_hz > low) & (frequency_hz < high))
     ]
 
 
@@ -195,14 +182,14 @@ def disorder(name: str, found: Modes, which: np.ndarray, likeness: FloatArray) -
         which: the model's mode of each, -1 where it has none, (k,).
         likeness: modal assurance criterion of each with each of the model's, (k, modes).
     """
-    own, result = found.frequencies_hz, []
+    frequency_hz, result = found.frequencies_hz, []
     for a, b in pairwise(np.flatnonzero(which >= 0)):
-        if which[a] > which[b] and max(likeness[a, which[b]], likeness[b, which[a]]) < MODE_ALIKE:
+        if which[a] > which[b] and max(likeness[a, which[b]], likeness[b, which[a]]) < THRESHOLDS.modes.alike_mac:
             sentence = (
-                f"{name} has the modes at {own[a]:.4g} and {own[b]:.4g} Hz in the other order than the model; correct "
-                "the model first."
+                f"{name} has the modes at {frequency_hz[a]:.4g} and {frequency_hz[b]:.4g} Hz in the other order than "
+                "the model; correct the model first."
             )
-            result.append((float(own[a]), sentence))
+            result.append((float(frequency_hz[a]), sentence))
     return result
 
 
@@ -237,7 +224,9 @@ class LowLevelModes:
             advance = 2.0 * np.pi * rows.frequency_hz[row] * late.get((number, channel), 0.0)
             responses[channel, rows.level[row]] *= np.exp(1j * (observations.values[row] + advance))
         turned = rows.channel[(rows.test == number) & (rows.part == Part.PHASE)]
-        kept = (np.isfinite(responses).sum(axis=1) >= _FEWEST_LINES) & np.isin(np.arange(len(responses)), turned)
+        kept = (np.isfinite(responses).sum(axis=1) >= THRESHOLDS.modes.fewest_lines) & np.isin(
+            np.arange(len(responses)), turned
+        )
         model = self.modes(self.rig, test)
         if model is None or not kept.any():
             return
@@ -249,13 +238,18 @@ class LowLevelModes:
             return
         likeness = found.likeness(Modes(model.poles, np.where(kept, model.shapes, 0.0)))
         apart = np.abs(np.log(found.frequencies_hz[:, None] / model.frequencies_hz[None]))
-        own, theirs = linear_sum_assignment(apart + (1.0 - likeness))
+        measured, modelled = linear_sum_assignment(apart + (1.0 - likeness))
         which = np.full(found.poles.size, -1)
-        near = apart[own, theirs]
-        sure = (near < MODE_NEAR) | ((likeness[own, theirs] > MODE_UNLIKE) & (near < MODE_APART))
-        which[own[sure]] = theirs[sure]
+        near = apart[measured, modelled]
+        sure = (near < THRESHOLDS.modes.near_log_frequency) | (
+            (likeness[measured, modelled] > THRESHOLDS.modes.unlike_mac) & (near < THRESHOLDS.modes.apart_log_frequency)
+        )
+        which[measured[sure]] = modelled[sure]
         for frequency, sentence in modes_that_lack(test.name, (lines[0], lines[-1]), found, which):
-            if all(abs(math.log(frequency / told)) >= MODE_SAME for told, _ in self._lacking):
+            if all(
+                abs(math.log(frequency / reported_hz)) >= THRESHOLDS.modes.same_log_frequency
+                for reported_hz, _ in self._lacking
+            ):
                 self._lacking.append((frequency, sentence))
         self.disordered += tuple(sentence for _, sentence in disorder(test.name, found, which, likeness))[:1]
         used = which >= 0
@@ -268,7 +262,11 @@ class LowLevelModes:
         return tuple(sentence for _, sentence in self._lacking)
 
     def lacking(
-        self, data: Data, found: Fitted, missed_from: float = MODE_MISSED, share: float = MODE_SHARE
+        self,
+        data: Data,
+        found: FitResult,
+        missed_from: float = THRESHOLDS.modes.missed_sigmas,
+        share: float = THRESHOLDS.modes.mode_share,
     ) -> tuple[str, ...]:
         """Sentences on modes that the model lacks: channels miss what is around them in the best fit.
 
@@ -284,12 +282,12 @@ class LowLevelModes:
         result = []
         for frequency, sentence in self._lacking:
             with np.errstate(divide="ignore", invalid="ignore"):
-                near = np.abs(np.log(rows.frequency_hz / frequency)) < MODE_AROUND
+                near = np.abs(np.log(rows.frequency_hz / frequency)) < THRESHOLDS.modes.around_log_frequency
             near &= data.used & np.isin(rows.part, (Part.LOG_MAGNITUDE, Part.PHASE)) & (rows.harmonic < 0)
             missed = []
             for channel in np.unique(rows.channel[near]):
-                mine = near & (rows.channel == channel)
-                missed.append(math.sqrt(float(np.mean(left[mine] ** 2))) > missed_from)
+                selected = near & (rows.channel == channel)
+                missed.append(math.sqrt(float(np.mean(left[selected] ** 2))) > missed_from)
             if missed and np.mean(missed) >= share:
                 result.append(sentence)
         return tuple(result)
@@ -305,12 +303,12 @@ class LowLevelModes:
             return None
         linear, r = parts.linear, parts.coordinates
         stiffness, damping = parts.resting
-        shown = linear.displacement[:r]
+        displacement_shapes = linear.displacement[:r]
         state = np.diag(linear.poles) - linear.inputs[:, :r] @ (
-            stiffness[:, None] * shown + damping[:, None] * shown * linear.poles
+            stiffness[:, None] * displacement_shapes + damping[:, None] * displacement_shapes * linear.poles
         )
         values, vectors = np.linalg.eig(state)
-        kept = (values.imag > 0.0) & (-values.real < _HIGHEST_DAMPING * np.abs(values))
+        kept = (values.imag > 0.0) & (-values.real < THRESHOLDS.modes.highest_model_damping * np.abs(values))
         order = np.flatnonzero(kept)[np.argsort(np.abs(values[kept]))]
         s = values[order]
         full = (linear.displacement[r:], linear.velocity[r:], linear.acceleration[r:])
@@ -332,17 +330,17 @@ class LowLevelModes:
                 return True
         return False
 
-    def left(self, own: Parametrisation, theta: FloatArray) -> FloatArray:
+    def residual(self, parametrisation: Parametrisation, theta: FloatArray) -> FloatArray:
         """Parameters over their prior deviations, then measured minus the model's modes over σ.
 
         Args:
-            own: parameters.
+            parametrisation: parameters.
             theta: their values.
         """
-        result = [theta / own.prior_std]
+        result = [theta / parametrisation.prior_std]
         known: dict[tuple[int, str, float], Modes | None] = {}
         try:
-            rig: Rig | None = own.rig(theta)
+            rig: Rig | None = parametrisation.rig(theta)
         except (BenchError, ValueError, ArithmeticError):
             rig = None
         for test, found, which in self.tests:
@@ -351,48 +349,56 @@ class LowLevelModes:
                 known[key] = None if rig is None else self.modes(rig, test)
             modes = known[key]
             if modes is None or which.max() >= modes.poles.size:
-                result.append(np.full(2 * which.size, _NOWHERE))
+                result.append(np.full(2 * which.size, THRESHOLDS.modes.unpaired_residual))
                 continue
-            result.append(np.log(found.frequencies_hz / modes.frequencies_hz[which]) / MODE_FREQUENCY_STD)
+            result.append(np.log(found.frequencies_hz / modes.frequencies_hz[which]) / THRESHOLDS.modes.frequency_std)
             ratio = np.maximum(found.dampings, 1e-9) / np.maximum(modes.dampings[which], 1e-9)
-            result.append(np.log(ratio) / MODE_DAMPING_STD)
+            result.append(np.log(ratio) / THRESHOLDS.modes.damping_std)
         return np.concatenate(result)
 
-    def strained(self, own: Parametrisation, theta: FloatArray) -> bool:
+    def exceed_priors(self, parametrisation: Parametrisation, theta: FloatArray) -> bool:
         """Whether parameters reach the measured modes only by values that are hard to believe, or not at all."""
-        return float(np.sum(self.left(own, theta) ** 2)) > own.size + 2.0 * STRAIN
+        return (
+            float(np.sum(self.residual(parametrisation, theta) ** 2))
+            > parametrisation.size + 2.0 * THRESHOLDS.verdict.prior_cost_fall
+        )
 
-    def start(self, own: Parametrisation, theta: FloatArray) -> tuple[FloatArray, float]:
+    def start(self, parametrisation: Parametrisation, theta: FloatArray) -> tuple[FloatArray, float]:
         """Parameters that bring the model's modes to the measured ones from some others, and what is left, squared."""
-        begin = np.where(np.isfinite(own.lower), np.maximum(theta, own.lower + 1e-6), theta)
+        begin = np.where(np.isfinite(parametrisation.lower), np.maximum(theta, parametrisation.lower + 1e-6), theta)
         solved = least_squares(
-            lambda values: self.left(own, values), begin, bounds=(own.lower, np.inf), x_scale=own.prior_std,
-            max_nfev=_STEPS,
+            lambda values: self.residual(parametrisation, values), begin, bounds=(parametrisation.lower, np.inf),
+            x_scale=parametrisation.prior_std,
+            max_nfev=THRESHOLDS.modes.start_steps,
         )  # fmt: skip
         return solved.x, 2.0 * float(solved.cost)
 
     def promises(
-        self, own: Parametrisation, theta: FloatArray, more: Sequence[tuple[Parametrisation, FloatArray]]
+        self, parametrisation: Parametrisation, theta: FloatArray, more: Sequence[tuple[Parametrisation, FloatArray]]
     ) -> list[float]:
         """What would be left to first order with one more parameter, its effect switched on a little.
 
         Args:
-            own: parameters.
+            parametrisation: parameters.
             theta: their values.
-            more: parameters that continue ``own``, and their values.
+            more: parameters that continue ``parametrisation``, and their values.
         """
-        now = self.left(own, theta)
-        steps = 1e-4 * own.prior_std
-        columns = [(self.left(own, theta + step) - now) / step[k] for k, step in enumerate(np.diag(steps))]
+        now = self.residual(parametrisation, theta)
+        steps = 1e-4 * parametrisation.prior_std
+        columns = [
+            (self.residual(parametrisation, theta + step) - now) / step[k] for k, step in enumerate(np.diag(steps))
+        ]
         q = np.linalg.qr(np.column_stack(columns))[0]
-        rest = now - q @ (q.T @ now)
+        projected = now - q @ (q.T @ now)
         result = []
         for wider, values in more:
-            moved = self.left(wider, values)
-            moved = np.concatenate([moved[: own.size], moved[wider.size :]]) - now
+            moved = self.residual(wider, values)
+            moved = np.concatenate([moved[: parametrisation.size], moved[wider.size :]]) - now
             moved -= q @ (q.T @ moved)
             square = float(moved @ moved)
-            result.append(float(rest @ rest) - (float(rest @ moved) ** 2 / square if square > 0.0 else 0.0))
+            result.append(
+                float(projected @ projected) - (float(projected @ moved) ** 2 / square if square > 0.0 else 0.0)
+            )
         return result
 
 

@@ -17,14 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
-from nmt_diagnose.inference.tuned import (
-    LEVEL_LENGTH,
-    LINE_LENGTH,
-    MISFIT_INDEPENDENT,
-    MISFIT_SHARE,
-)
 from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.thresholds import THRESHOLDS
 
 _RESPONSE = (Part.LOG_MAGNITUDE, Part.PHASE, Part.SAMPLE)
 _HARMONICS = (Part.REAL, Part.IMAG)
@@ -48,9 +43,9 @@ def misfit_of(observations: Observations) -> Misfit:
     """Misfit of each row; none where the bench's own simulator measured without tolerances."""
     rows = observations.rows
     size = np.zeros(len(rows))
-    for kind, own in observations.matters.items():
-        mine = rows_of_kind(observations, kind)
-        size[mine] = own * (np.abs(observations.values[mine]) if kind == "damping" else 1.0)
+    for kind, size_that_matters in observations.matters.items():
+        selected = rows_of_kind(observations, kind)
+        size[selected] = size_that_matters * (np.abs(observations.values[selected]) if kind == "damping" else 1.0)
     chains = (*observations.chains, *[None] * len(observations.tests))
     exact = [
         number
@@ -59,7 +54,7 @@ def misfit_of(observations: Observations) -> Misfit:
     ]
     size[np.isin(rows.test, exact)] = 0.0
     size[rows.part == Part.SAMPLE] = 0.0
-    return Misfit(MISFIT_SHARE * size, MISFIT_INDEPENDENT * size)
+    return Misfit(THRESHOLDS.misfit.shared_share * size, THRESHOLDS.misfit.independent_share * size)
 
 
 def rows_of_kind(observations: Observations, kind: str) -> BoolArray:
@@ -110,8 +105,8 @@ class Whitening:
         """Columns (m,) or (m, n) over standard deviations, whitened."""
         result = columns.copy()
         for index, root, _ in self._blocks:
-            own = columns[index]
-            result[index] = np.einsum("sij,sj->si", root, own) if columns.ndim == 1 else np.matmul(root, own)
+            block = columns[index]
+            result[index] = np.einsum("sij,sj->si", root, block) if columns.ndim == 1 else np.matmul(root, block)
         return result
 
     def back(self, residual: FloatArray) -> FloatArray:
@@ -125,14 +120,14 @@ class Whitening:
 def _series(observations: Observations, which: BoolArray) -> list[IntArray]:
     """Rows of one test, part, channel and order, for all of them."""
     rows = observations.rows
-    mine = np.flatnonzero(which)
-    if not mine.size:
+    selected = np.flatnonzero(which)
+    if not selected.size:
         return []
-    keys = np.stack([rows.test[mine], rows.part[mine], rows.channel[mine], rows.harmonic[mine]])
+    keys = np.stack([rows.test[selected], rows.part[selected], rows.channel[selected], rows.harmonic[selected]])
     _, group = np.unique(keys, axis=1, return_inverse=True)
     order = np.argsort(group.ravel(), kind="stable")
     ends = np.flatnonzero(np.diff(group.ravel()[order])) + 1
-    return [mine[own] for own in np.split(order, ends)]
+    return [selected[piece] for piece in np.split(order, ends)]
 
 
 def _where(observations: Observations) -> FloatArray:
@@ -141,8 +136,8 @@ def _where(observations: Observations) -> FloatArray:
     lines = [n for n, test in enumerate(observations.tests) if isinstance(test, RandomTest | SteppedSineTest)]
     by_line = np.isin(rows.test, lines)
     with np.errstate(invalid="ignore", divide="ignore"):
-        line = np.log(np.maximum(rows.frequency_hz, 1e-300)) / LINE_LENGTH
-        level = np.log(np.maximum(np.abs(rows.amplitude), 1e-300)) / LEVEL_LENGTH
+        line = np.log(np.maximum(rows.frequency_hz, 1e-300)) / THRESHOLDS.misfit.line_length
+        level = np.log(np.maximum(np.abs(rows.amplitude), 1e-300)) / THRESHOLDS.misfit.level_length
     return np.nan_to_num(np.where(by_line, line, level))
 
 

@@ -11,14 +11,9 @@ from nmt_diagnose.inference.chain_tests import FUNDAMENTAL, ChainTests
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest, Test
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Prediction
 from nmt_rig.rig import ModalSection
-
-# As shares of the static flexibility of the modes that the model has; frequency over the resonance's at which that is
-# taken.
-_ABOVE, _BELOW, _STATIC = 0.2, 0.05, 0.1
-# Measured over predicted magnitude, ln, at which nothing lies between them.
-_FAR = 1.0
 
 
 class ModesLeftOut:
@@ -36,7 +31,7 @@ class ModesLeftOut:
         self.channels = chain.channels
         self.forward = chain.forward
         self.observations = chain.observations
-        self.mine = chain.mine
+        self.selected = chain.selected
 
     def columns(self, base: Prediction) -> list[FloatArray]:
         """What modes that a modal model leaves out add to responses over a force or at held amplitudes.
@@ -49,24 +44,26 @@ class ModesLeftOut:
             return []
         found = []
         resonance = self.chain.resonance()
-        for channel, own in self.channels.items():
-            if own.quantity not in MOTIONS:
+        for channel, measured_channel in self.channels.items():
+            if measured_channel.quantity not in MOTIONS:
                 continue  # only motions
             columns = np.zeros((4, len(self.rows)))
             for number, test in enumerate(self.tests):
                 if not _is_over_force(test):
                     continue
-                mine = np.flatnonzero((self.rows.test == number) & self.chain.rows_of(channel))
-                frequency = self.rows.frequency_hz[mine]
-                static = self._flexibility(test, own)
-                added = static * (2j * np.pi * frequency) ** MOTIONS[own.quantity]
-                part = self.rows.part[mine]
+                selected = np.flatnonzero((self.rows.test == number) & self.chain.rows_of(channel))
+                frequency = self.rows.frequency_hz[selected]
+                static = self._flexibility(test, measured_channel)
+                added = static * (2j * np.pi * frequency) ** MOTIONS[measured_channel.quantity]
+                part = self.rows.part[selected]
                 relative = np.isin(part, FUNDAMENTAL)
-                added[relative] /= self._between(test, number, mine, base)[relative]
+                added[relative] /= self._between(test, number, selected, base)[relative]
                 changed = np.where(np.isin(part, (Part.PHASE, Part.IMAG)), added.imag, added.real)
                 share = frequency / np.max(frequency, initial=1.0)
-                columns[:3, mine] = _ABOVE * changed * share ** np.array([[0.0], [2.0], [4.0]])
-                columns[3, mine] = _BELOW * changed * (resonance / frequency) ** 2
+                columns[:3, selected] = (
+                    THRESHOLDS.misfit.static_share_above * changed * share ** np.array([[0.0], [2.0], [4.0]])
+                )
+                columns[3, selected] = THRESHOLDS.misfit.static_share_below * changed * (resonance / frequency) ** 2
             found += list(columns)
         return found
 
@@ -76,35 +73,35 @@ class ModesLeftOut:
         Over the V of the drive where the test refers to the voltage, or the model has no force at the drive point.
         """
         view = ModelView.of(self.rig, test.drive_point)
-        frequency = _STATIC * self.chain.resonance()
+        frequency = THRESHOLDS.misfit.static_frequency_ratio * self.chain.resonance()
         force = MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point, ideal=True)
         response, reference = view.responses((channel, force), np.array([frequency]))[:, 0]
         over = 1.0 if getattr(test, "reference", "") == "voltage" or not np.isfinite(reference) else abs(reference)
         return float(abs(response) / over / (2.0 * np.pi * frequency) ** MOTIONS[channel.quantity])
 
-    def _between(self, test: Test, number: int, mine: IntArray, base: Prediction) -> ComplexArray:
+    def _between(self, test: Test, number: int, selected: IntArray, base: Prediction) -> ComplexArray:
         """Responses of rows that a small addition is compared with: measured ones, or between those and the model's.
 
         ln (1 + z) is z / √(1 + z) to the second order: of a linear test the geometric mean of both responses is taken,
         without the delay between them.
         """
         if isinstance(test, SteppedSineTest):
-            return np.asarray(test.measured[self.rows.level[mine], self.rows.channel[mine]])
-        difference = self.forward.difference(self.observations.values[self.mine], base.values)
-        apart = self._logarithms(number, mine, difference)
-        frequency = self.rows.frequency_hz[mine]
+            return np.asarray(test.measured[self.rows.level[selected], self.rows.channel[selected]])
+        difference = self.forward.difference(self.observations.values[self.selected], base.values)
+        apart = self._logarithms(number, selected, difference)
+        frequency = self.rows.frequency_hz[selected]
         apart -= 1j * frequency * float(frequency @ apart.imag) / max(float(frequency @ frequency), 1.0)
-        apart[np.abs(apart.real) > _FAR] *= 2.0
-        return np.exp(self._logarithms(number, mine, base.values) + 0.5 * apart)
+        apart[np.abs(apart.real) > THRESHOLDS.misfit.large_log_ratio] *= 2.0
+        return np.exp(self._logarithms(number, selected, base.values) + 0.5 * apart)
 
-    def _logarithms(self, number: int, mine: IntArray, values: FloatArray) -> ComplexArray:
+    def _logarithms(self, number: int, selected: IntArray, values: FloatArray) -> ComplexArray:
         """Complex logarithms of the responses of rows, from those of magnitude and phase."""
-        found = np.zeros(mine.size, dtype=np.complex128)
+        found = np.zeros(selected.size, dtype=np.complex128)
         place = self.rows.level * (int(np.max(self.rows.channel)) + 1) + self.rows.channel
         for part, factor in zip(FUNDAMENTAL, (1.0, 1j), strict=True):
             of_part = np.flatnonzero((self.rows.test == number) & (self.rows.part == part))
             by_place = dict(zip(place[of_part], values[of_part], strict=True))
-            found += factor * np.array([by_place.get(own, 0.0) for own in place[mine]])
+            found += factor * np.array([by_place.get(location, 0.0) for location in place[selected]])
         return np.nan_to_num(found)
 
 

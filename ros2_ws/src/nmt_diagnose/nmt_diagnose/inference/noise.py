@@ -12,6 +12,7 @@ further than the misfit of the model allows (misfit.py): from there on the cost 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +20,11 @@ from scipy.stats import f as fisher
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
+from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.inference.misfit import least_scale
-from nmt_diagnose.inference.tuned import LOCK_STD, ORDINARY, SCALE_DEGREES
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.thresholds import THRESHOLDS
 
 _HARMONICS = (Part.REAL, Part.IMAG)
 _CONVERTER = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
@@ -71,7 +73,10 @@ class Groups:
     def excess(self, squares: FloatArray, counts: FloatArray) -> BoolArray:
         """Which learnt scales are larger than their prior allows (Fisher's F, Bonferroni), (K,)."""
         tails = self.tails(squares, counts)
-        return np.asarray(np.nan_to_num(tails, nan=1.0) * max(1, int(np.sum(np.isfinite(tails)))) < ORDINARY)
+        return np.asarray(
+            np.nan_to_num(tails, nan=1.0) * max(1, int(np.sum(np.isfinite(tails))))
+            < THRESHOLDS.comparison.noise_probability
+        )
 
     def chance(self, squares: FloatArray, counts: FloatArray) -> float:
         """Probability by their prior that some learnt scale is as large as the largest (Fisher's F, Holm's correction).
@@ -109,7 +114,7 @@ def groups_of(observations: Observations, share: FloatArray) -> Groups:
         name = f"{test.name}: {kind}"
         of[index] = names.setdefault(name, len(names))
         known[int(of[index])] = part in _CONVERTER
-    degrees = np.array([np.inf if known[k] else SCALE_DEGREES for k in range(len(names))])
+    degrees = np.array([np.inf if known[k] else THRESHOLDS.fits.scale_degrees_of_freedom for k in range(len(names))])
     return Groups(of, tuple(names), degrees, least_scale(of, len(names), share))
 
 
@@ -141,11 +146,11 @@ def sigma_of(observations: Observations) -> FloatArray:
     for number, chain in enumerate(observations.chains):
         if chain is None:
             continue
-        mine = rows.test == number
-        held = mine & (rows.part == Part.PHASE_ERROR)
-        sigma[held] = np.hypot(sigma[held], LOCK_STD)
-        for channel in np.unique(rows.channel[mine & (rows.part == Part.LINE)]):
-            same = mine & (rows.channel == channel)
+        selected = rows.test == number
+        held = selected & (rows.part == Part.PHASE_ERROR)
+        sigma[held] = np.hypot(sigma[held], math.radians(TOLERANCES.lock_phase_deg))
+        for channel in np.unique(rows.channel[selected & (rows.part == Part.LINE)]):
+            same = selected & (rows.channel == channel)
             sizes = observations.values[same & (rows.part == Part.LOG_MAGNITUDE)]
             lines = same & (rows.part == Part.LINE)
             if sizes.size:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 
-class Told(str):
+class ProgressSentence(str):
     """A sentence of progress.
 
     Attributes:
@@ -21,12 +21,14 @@ class Told(str):
     total: int
     ranking: tuple[tuple[str, float], ...]
 
-    def __new__(cls, sentence: str, done: int = 0, total: int = 0, ranking: Iterable[tuple[str, float]] = ()) -> Told:
+    def __new__(
+        cls, sentence: str, done: int = 0, total: int = 0, ranking: Iterable[tuple[str, float]] = ()
+    ) -> ProgressSentence:
         """Make a sentence that carries more."""
-        told = super().__new__(cls, sentence)
-        told.done, told.total, told.ranking = done, total, tuple(ranking)
-        return told
+        result = super().__new__(cls, sentence)
+        result.done, result.total, result.ranking = done, total, tuple(ranking)
+        return result
 
 
 Progress = Callable[[str], None]
-"""Told what is being done, as a sentence; see :class:`Told`."""
+"""Told what is being done, as a sentence; see :class:`ProgressSentence`."""

@@ -7,18 +7,14 @@ import math
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
-from nmt_diagnose.inference.diagnosis import Gap, Left, Remainder
+from nmt_diagnose.inference.diagnosis import Gap, Remainder, RemainderPart
 from nmt_diagnose.inference.gap import NOISE, rms
 from nmt_diagnose.inference.residual_map import KINDS, channel_name, unit_of_kind
 from nmt_diagnose.observations.conditions import RandomTest, RecordTest
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
 
-_LEAST = 0.01
-_NAMED = 3
 _BANDS = ("lowest", "middle", "highest")
-# Share of the squares in one third of the levels from which it is that third where the rest lies.
-_MOST = 0.5
-_FEWEST_LEVELS = 3
 
 
 def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: BoolArray) -> Remainder | None:
@@ -30,44 +26,49 @@ def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: Boo
         after: residual of the held-out rows in standard deviations, shape (m,).
         rows: rows that were held out, shape (m,).
     """
-    if not math.isfinite(gap.closed) or 1.0 - gap.closed < _LEAST or gap.before <= NOISE:
+    if not math.isfinite(gap.closed) or 1.0 - gap.closed < THRESHOLDS.verdict.least_remainder or gap.before <= NOISE:
         return None
-    found: list[tuple[float, Left]] = []
+    found: list[tuple[float, RemainderPart]] = []
     good = rows & np.isfinite(after)
     for number, test in enumerate(observations.tests):
         for name, unit, factor, parts in KINDS:
             kind = good & (observations.rows.test == number) & np.isin(observations.rows.part, parts)
             for channel in np.unique(observations.rows.channel[kind]):
-                mine = np.flatnonzero(kind & (observations.rows.channel == channel))
-                beyond = float(np.sum(after[mine] ** 2)) - mine.size * gap.floor**2
+                selected = np.flatnonzero(kind & (observations.rows.channel == channel))
+                beyond = float(np.sum(after[selected] ** 2)) - selected.size * gap.floor**2
                 tail = f" {channel_name(observations, number, int(channel))}" if channel >= 0 else ""
-                left = Left(
-                    f"{test.name}: {name}{tail}", _levels(observations, number, after, mine), 0.0, rms(after[mine]),
-                    rms(after[mine] * observations.sigma[mine] * factor),
+                left = RemainderPart(
+                    f"{test.name}: {name}{tail}", _levels(observations, number, after, selected), 0.0,
+                    rms(after[selected]),
+                    rms(after[selected] * observations.sigma[selected] * factor),
                     unit or unit_of_kind(observations, number, int(channel)),
                 )  # fmt: skip
                 found.append((max(beyond, 0.0), left))
     total = sum(size for size, _ in found)
     found.sort(key=lambda item: -item[0])
     where = tuple(
-        Left(left.observable, left.levels, size / total, left.rms, left.rms_unit, left.unit)
-        for size, left in found[:_NAMED]
+        RemainderPart(left.observable, left.levels, size / total, left.rms, left.rms_unit, left.unit)
+        for size, left in found[: THRESHOLDS.verdict.remainder_observables]
         if total > 0.0 and size > 0.0
     )
     return Remainder(1.0 - gap.closed, 1.0 - gap.high, 1.0 - gap.low, where)
 
 
-def _levels(observations: Observations, number: int, after: FloatArray, mine: IntArray) -> str:
+def _levels(observations: Observations, number: int, after: FloatArray, selected: IntArray) -> str:
     """The third of a test's levels (or lines) where most of what is left lies; empty where there is none."""
     test = observations.tests[number]
     if isinstance(test, RecordTest):
         return ""
     lines = isinstance(test, RandomTest)
-    place = observations.rows.frequency_hz[mine] if lines else observations.rows.amplitude[mine]
+    place = observations.rows.frequency_hz[selected] if lines else observations.rows.amplitude[selected]
     steps = np.unique(place)
-    if steps.size < _FEWEST_LEVELS:
+    if steps.size < THRESHOLDS.verdict.remainder_fewest_levels:
         return ""
     third = np.searchsorted(steps, place) * len(_BANDS) // steps.size
-    squares = np.bincount(third, after[mine] ** 2, minlength=len(_BANDS))
+    squares = np.bincount(third, after[selected] ** 2, minlength=len(_BANDS))
     most = int(np.argmax(squares))
-    return f"{_BANDS[most]} {'lines' if lines else 'levels'}" if squares[most] > _MOST * squares.sum() else ""
+    return (
+        f"{_BANDS[most]} {'lines' if lines else 'levels'}"
+        if squares[most] > THRESHOLDS.verdict.remainder_third_share * squares.sum()
+        else ""
+    )

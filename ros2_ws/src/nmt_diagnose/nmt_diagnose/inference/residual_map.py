@@ -17,8 +17,7 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.observables import Observations, Part
-
-_BANDS = 10
+from nmt_diagnose.thresholds import THRESHOLDS
 
 
 def channels_of(test: Test) -> tuple[MeasuredChannel, ...]:
@@ -37,9 +36,13 @@ def level_groups(observations: Observations) -> FloatArray:
     """Level of every row; the lines of a frequency response in ten bands, shape (m,)."""
     groups = observations.rows.level.astype(np.float64)
     for number, test in enumerate(observations.tests):
-        mine = observations.rows.test == number
-        if isinstance(test, RandomTest | SteppedSineTest) and mine.any():
-            groups[mine] = np.floor(observations.rows.level[mine] * _BANDS / (observations.rows.level[mine].max() + 1))
+        selected = observations.rows.test == number
+        if isinstance(test, RandomTest | SteppedSineTest) and selected.any():
+            groups[selected] = np.floor(
+                observations.rows.level[selected]
+                * THRESHOLDS.verdict.map_bands
+                / (observations.rows.level[selected].max() + 1)
+            )
     return groups
 
 
@@ -56,20 +59,20 @@ def residual_map(
     keys = np.column_stack([rows.test, levels, rows.channel, rows.harmonic])
     result = []
     for key in np.unique(keys, axis=0):
-        mine = np.all(keys == key, axis=1)
+        selected = np.all(keys == key, axis=1)
         test, level, channel, harmonic = (int(value) for value in key)
         banded = (harmonic < 0 and channel >= 0) or isinstance(observations.tests[test], SteppedSineTest)
         result.append(
             ResidualGroup(
                 observations.tests[test].name,
                 level,
-                float(np.mean(rows.frequency_hz[mine] if banded else rows.amplitude[mine])),
+                float(np.mean(rows.frequency_hz[selected] if banded else rows.amplitude[selected])),
                 channel_name(observations, test, channel),
                 harmonic,
-                rms(as_given[mine]),
-                rms(before[mine]),
-                rms(after[mine]),
-                int(mine.sum()),
+                rms(as_given[selected]),
+                rms(before[selected]),
+                rms(after[selected]),
+                int(selected.sum()),
             )
         )
     return tuple(result)
@@ -107,19 +110,19 @@ def per_observable(
         for name, unit, factor, parts in KINDS:
             kind = held_out & (rows.test == test) & np.isin(rows.part, parts)
             for channel in np.unique(rows.channel[kind]):
-                mine = kind & (rows.channel == channel) & np.isfinite(before) & np.isfinite(after)
-                if not mine.any():
+                selected = kind & (rows.channel == channel) & np.isfinite(before) & np.isfinite(after)
+                if not selected.any():
                     continue
                 tail = f" {channel_name(observations, test, int(channel))}" if channel >= 0 else ""
-                scale = observations.sigma[mine] * factor
+                scale = observations.sigma[selected] * factor
                 result[f"{observations.tests[test].name}: {name}{tail}"] = {
-                    "before": rms(before[mine]),
-                    "after": rms(after[mine]),
+                    "before": rms(before[selected]),
+                    "after": rms(after[selected]),
                     "floor": 1.0,
-                    "before_unit": rms(before[mine] * scale),
-                    "after_unit": rms(after[mine] * scale),
+                    "before_unit": rms(before[selected] * scale),
+                    "after_unit": rms(after[selected] * scale),
                     "unit": unit or unit_of_kind(observations, test, int(channel)),
-                    "rows": int(mine.sum()),
+                    "rows": int(selected.sum()),
                 }
     return result
 

@@ -18,8 +18,7 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.inference.residual_map import channel_name
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, Test
 from nmt_diagnose.observations.observables import Observations
-
-_LEAST_LEVELS = 5
+from nmt_diagnose.thresholds import THRESHOLDS
 
 
 @dataclass(frozen=True)
@@ -58,17 +57,17 @@ def residual_tests(observations: Observations, residual: FloatArray, used: BoolA
     good = used & np.isfinite(residual)
     found: list[ResidualTest] = []
     for number, test in enumerate(observations.tests):
-        mine = good & (observations.rows.test == number)
-        if not mine.any():
+        selected = good & (observations.rows.test == number)
+        if not selected.any():
             continue
-        squares = float(residual[mine] @ residual[mine])
-        found.append(_size(test, squares, int(mine.sum())))
+        squares = float(residual[selected] @ residual[selected])
+        found.append(_size(test, squares, int(selected.sum())))
         if isinstance(test, PhaseResonanceTest):
-            found.extend(_over_level(observations, residual, mine, number))
-            found.extend(_parity(observations, residual, mine, test.name))
-            found.extend(_up_down(observations, residual, mine, test))
+            found.extend(_over_level(observations, residual, selected, number))
+            found.extend(_parity(observations, residual, selected, test.name))
+            found.extend(_up_down(observations, residual, selected, test))
         else:
-            found.extend(_neighbours(observations, residual, mine, number))
+            found.extend(_neighbours(observations, residual, selected, number))
     return holm(found)
 
 
@@ -94,15 +93,17 @@ def _size(test: Test, squares: float, count: int) -> ResidualTest:
     return ResidualTest(name, test.name, squares, count, float(fisher.sf(squares / count, count, degrees)))
 
 
-def _over_level(observations: Observations, residual: FloatArray, mine: BoolArray, number: int) -> list[ResidualTest]:
+def _over_level(
+    observations: Observations, residual: FloatArray, selected: BoolArray, number: int
+) -> list[ResidualTest]:
     """Smooth courses over the level: a quadratic through the levels of each channel, harmonic and part."""
     rows, result = observations.rows, []
-    for channel in np.unique(rows.channel[mine]):
+    for channel in np.unique(rows.channel[selected]):
         statistic, degrees_of_freedom = 0.0, 0
-        for harmonic in np.unique(rows.harmonic[mine & (rows.channel == channel)]):
-            for part in np.unique(rows.part[mine & (rows.channel == channel) & (rows.harmonic == harmonic)]):
-                group = mine & (rows.channel == channel) & (rows.harmonic == harmonic) & (rows.part == part)
-                if int(group.sum()) < _LEAST_LEVELS:
+        for harmonic in np.unique(rows.harmonic[selected & (rows.channel == channel)]):
+            for part in np.unique(rows.part[selected & (rows.channel == channel) & (rows.harmonic == harmonic)]):
+                group = selected & (rows.channel == channel) & (rows.harmonic == harmonic) & (rows.part == part)
+                if int(group.sum()) < THRESHOLDS.verdict.course_fewest_levels:
                     continue
                 x = np.argsort(np.argsort(rows.amplitude[group], kind="stable"), kind="stable").astype(np.float64)
                 basis, _ = np.linalg.qr(np.vander(x - x.mean(), 3))
@@ -115,17 +116,17 @@ def _over_level(observations: Observations, residual: FloatArray, mine: BoolArra
     return result
 
 
-def _parity(observations: Observations, residual: FloatArray, mine: BoolArray, name: str) -> list[ResidualTest]:
+def _parity(observations: Observations, residual: FloatArray, selected: BoolArray, name: str) -> list[ResidualTest]:
     result = []
     for label, remainder in (("even harmonics", 0), ("odd harmonics above the first", 1)):
-        group = mine & (observations.rows.harmonic > 1) & (observations.rows.harmonic % 2 == remainder)
+        group = selected & (observations.rows.harmonic > 1) & (observations.rows.harmonic % 2 == remainder)
         if group.any():
             result.append(_chi_square(label, name, float(residual[group] @ residual[group]), int(group.sum())))
     return result
 
 
 def _up_down(
-    observations: Observations, residual: FloatArray, mine: BoolArray, test: PhaseResonanceTest
+    observations: Observations, residual: FloatArray, selected: BoolArray, test: PhaseResonanceTest
 ) -> list[ResidualTest]:
     """Differences between two passages of the same drive level."""
     rows = observations.rows
@@ -133,7 +134,7 @@ def _up_down(
     pairs = [(a, b) for a in drives for b in drives if a < b and np.isclose(drives[a], drives[b], rtol=1e-6)]
     statistic, degrees_of_freedom = 0.0, 0
     for first, second in pairs:
-        left, right = mine & (rows.level == first), mine & (rows.level == second)
+        left, right = selected & (rows.level == first), selected & (rows.level == second)
         if int(left.sum()) != int(right.sum()):
             continue
         difference = (residual[left] - residual[right]) / np.sqrt(2.0)
@@ -146,13 +147,15 @@ def _up_down(
     )
 
 
-def _neighbours(observations: Observations, residual: FloatArray, mine: BoolArray, number: int) -> list[ResidualTest]:
+def _neighbours(
+    observations: Observations, residual: FloatArray, selected: BoolArray, number: int
+) -> list[ResidualTest]:
     """Products of neighbouring lines or samples: noise has none on average."""
     rows, result = observations.rows, []
-    for channel in np.unique(rows.channel[mine]):
+    for channel in np.unique(rows.channel[selected]):
         total, count = 0.0, 0
-        for part in np.unique(rows.part[mine & (rows.channel == channel)]):
-            group = np.flatnonzero(mine & (rows.channel == channel) & (rows.part == part))
+        for part in np.unique(rows.part[selected & (rows.channel == channel)]):
+            group = np.flatnonzero(selected & (rows.channel == channel) & (rows.part == part))
             values = residual[group[np.argsort(rows.level[group], kind="stable")]]
             total += float(values[1:] @ values[:-1])
             count += values.size - 1

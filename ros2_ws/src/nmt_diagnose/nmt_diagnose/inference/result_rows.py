@@ -10,22 +10,22 @@ from typing import Any
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.effects.placement import Explanation, joined
+from nmt_diagnose.effects.location import Explanation, joined
 from nmt_diagnose.inference.chain import SharedDelay, scale_columns
 from nmt_diagnose.inference.comparison import Comparison
 from nmt_diagnose.inference.diagnosis import NULL, PlaceShare, Ranked, Recalibrated, Share, Value
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.fitting import Data, Metric
-from nmt_diagnose.inference.gap import Closed
+from nmt_diagnose.inference.gap import ClosedShare
 from nmt_diagnose.inference.held_out import Split
-from nmt_diagnose.inference.search import Found
-from nmt_diagnose.inference.tuned import AS_LIKELY, RANKED
+from nmt_diagnose.inference.search import FittedExplanation
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
 
 def ranked_rows(
-    data: Data, comparison: Comparison, shares: Mapping[Explanation, Closed], partial: bool = False
+    data: Data, comparison: Comparison, shares: Mapping[Explanation, ClosedShare], partial: bool = False
 ) -> tuple[Ranked, ...]:
     """The leading explanations, the most probable first, with parameters and shares of the gap that they close.
 
@@ -36,17 +36,17 @@ def ranked_rows(
         partial: state probabilities among the explanations of the library alone.
     """
     result = []
-    for group in comparison.classes[:RANKED]:
+    for group in comparison.classes[: THRESHOLDS.verdict.ranked_explanations]:
         head = group.head
         share = shares.get(head.explanation)
-        placements = head.explanation.placements
+        locations = head.explanation.locations
         result.append(
             Ranked(
                 effect=joined(cause.effect for cause in head.explanation.causes),
                 place=head.explanation.kinds,
-                detail=joined(placement.detail for placement in placements if placement.detail),
+                detail=joined(location.detail for location in locations if location.detail),
                 probability=group.given_library if partial else group.probability,
-                equivalents=tuple(joined(own.effects) for own in group.members[1:]),
+                equivalents=tuple(joined(member.effects) for member in group.members[1:]),
                 parameters=parameters(data, head),
                 closed=Share(share.value, share.low, share.high) if share else Share(*[math.nan] * 3),
                 sigmas=head.sigmas,
@@ -58,35 +58,35 @@ def ranked_rows(
     return tuple(result)
 
 
-def covariance_with_scale(data: Data, found: Found) -> FloatArray:
+def covariance_with_scale(data: Data, found: FittedExplanation) -> FloatArray:
     """Covariance of θ with what the gains of the channels whose amplitudes are given would move it by, (n, n)."""
-    own = found.fit
-    columns = scale_columns(data.observations, own.parametrisation.rig(own.theta), own.prediction)
+    fitted = found.fit
+    columns = scale_columns(data.observations, fitted.parametrisation.rig(fitted.theta), fitted.prediction)
     if not columns.shape[1]:
-        return own.covariance
-    weights = own.errors.weights
-    chain = Metric(own.errors.slopes, np.ones(own.errors.chain.size), weights)
-    moved = own.covariance @ (
-        chain.rest(own.jacobian)[0].T @ (weights[:, None] * data.slopes(columns, own.errors.values))
+        return fitted.covariance
+    weights = fitted.errors.weights
+    chain = Metric(fitted.errors.slopes, np.ones(fitted.errors.chain.size), weights)
+    moved = fitted.covariance @ (
+        chain.project(fitted.jacobian)[0].T @ (weights[:, None] * data.slopes(columns, fitted.errors.values))
     )
-    return np.asarray(own.covariance + moved @ moved.T)
+    return np.asarray(fitted.covariance + moved @ moved.T)
 
 
-def parameters(data: Data, found: Found) -> dict[str, Value]:
+def parameters(data: Data, found: FittedExplanation) -> dict[str, Value]:
     """Reported parameters with standard uncertainties, carried through to first order (GUM, 5.2)."""
-    own, theta = found.fit.parametrisation, found.fit.theta
-    whole = covariance_with_scale(data, found)
+    parametrisation, theta = found.fit.parametrisation, found.fit.theta
+    full_covariance = covariance_with_scale(data, found)
     result: dict[str, Value] = {}
     for index, candidate in enumerate(found.candidates):
-        mine = own.index_of(index)
-        covariance = whole[mine, mine]
-        for name, (value, unit) in own.reported(theta, index).items():
-            slopes = np.empty(mine.stop - mine.start)
-            for position, k in enumerate(range(mine.start, mine.stop)):
+        selected = parametrisation.index_of(index)
+        covariance = full_covariance[selected, selected]
+        for name, (value, unit) in parametrisation.reported(theta, index).items():
+            slopes = np.empty(selected.stop - selected.start)
+            for position, k in enumerate(range(selected.start, selected.stop)):
                 moved = theta.copy()
                 step = 0.1 * found.fit.std[k]
                 moved[k] += step
-                slopes[position] = (own.reported(moved, index)[name][0] - value) / step
+                slopes[position] = (parametrisation.reported(moved, index)[name][0] - value) / step
             variance = float(slopes @ covariance @ slopes) if np.all(np.isfinite(slopes)) else math.inf
             label = f"{candidate.label}.{name}" if len(found.candidates) > 1 else name
             result[label] = Value(value, math.sqrt(max(variance, 0.0)), unit)
@@ -97,22 +97,26 @@ def place_rows(comparison: Comparison, explained: Mapping[str, float]) -> tuple[
     """Probability of each place, and the share of the gap that a source there can account for."""
     kinds: dict[str, float] = {}
     details: dict[str, dict[str, float]] = {}
-    for placement, p in comparison.places.items():
-        kinds[placement.kind] = kinds.get(placement.kind, 0.0) + p
-        own = details.setdefault(placement.kind, {})
-        own[placement.detail] = own.get(placement.detail, 0.0) + p
+    for location, p in comparison.places.items():
+        kinds[location.kind] = kinds.get(location.kind, 0.0) + p
+        by_detail = details.setdefault(location.kind, {})
+        by_detail[location.detail] = by_detail.get(location.detail, 0.0) + p
     weights = {kind: max(explained.get(kind, 0.0), 0.0) * p for kind, p in kinds.items()}
     total = sum(weights.values())
     result = []
     for kind, p in sorted(kinds.items(), key=lambda item: -item[1]):
-        if p > 0.005:
+        if p > THRESHOLDS.verdict.least_location_probability:
             best = max(details[kind].values())
-            detail = joined(sorted(what for what, q in details[kind].items() if what and q > AS_LIKELY * best))
+            detail = joined(
+                sorted(
+                    what for what, q in details[kind].items() if what and q > THRESHOLDS.verdict.as_likely_share * best
+                )
+            )
             result.append(PlaceShare(kind, detail, weights[kind] / total if total > 0.0 else p, p))
     return tuple(result)
 
 
-def calibration_rows(found: Found) -> tuple[Recalibrated, ...]:
+def calibration_rows(found: FittedExplanation) -> tuple[Recalibrated, ...]:
     """The model's own parameters before and after; those of the measuring chain are none of them."""
     result = []
     for k, parameter in enumerate(found.fit.parametrisation.calibration):
@@ -129,21 +133,21 @@ def calibration_rows(found: Found) -> tuple[Recalibrated, ...]:
     return tuple(result)
 
 
-def candidate_row(found: Found, null: Found, data: Data) -> dict[str, Any]:
+def candidate_row(found: FittedExplanation, null: FittedExplanation, data: Data) -> dict[str, Any]:
     """A fitted explanation as ``diagnosis.json`` has it."""
-    own = found.fit
+    fitted = found.fit
     return {
         "label": found.explanation.label,
         "effect": joined(found.effects) or NULL,
         "place": found.explanation.kinds,
-        "chi_square": float(own.errors.left @ own.errors.left),
-        "penalty": float(np.sum((own.theta / own.parametrisation.prior_std) ** 2)),
-        "cost": own.cost,
+        "chi_square": float(fitted.errors.residual @ fitted.errors.residual),
+        "penalty": float(np.sum((fitted.theta / fitted.parametrisation.prior_std) ** 2)),
+        "cost": fitted.cost,
         "rows": int(data.used.sum()),
-        "parameters": int(own.theta.size - null.fit.theta.size),
-        "log_evidence": own.log_evidence - null.fit.log_evidence,
+        "parameters": int(fitted.theta.size - null.fit.theta.size),
+        "log_evidence": fitted.log_evidence - null.fit.log_evidence,
         "sigmas": found.sigmas,
-        "converged": own.converged,
+        "converged": fitted.converged,
     }
 
 
@@ -153,14 +157,14 @@ def inputs(
     """What a diagnosis was made of, as ``diagnosis.json`` has it."""
     tests = []
     for number, test in enumerate(observations.tests):
-        mine = observations.rows.test == number
+        selected = observations.rows.test == number
         tests.append(
             {
                 "name": test.name,
                 "kind": type(test).__name__,
                 "drive_point": test.drive_point,
-                "levels": int(np.unique(observations.rows.level[mine]).size),
-                "observables": int(mine.sum()),
+                "levels": int(np.unique(observations.rows.level[selected]).size),
+                "observables": int(selected.sum()),
             }
         )
     return {

@@ -17,8 +17,8 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate
-from nmt_diagnose.effects.parametrisation import SPREADS, STRENGTH_STD, Parametrisation
-from nmt_diagnose.effects.placement import Explanation
+from nmt_diagnose.effects.location import Explanation
+from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import (
     at_strength,
     at_zero,
@@ -26,40 +26,17 @@ from nmt_diagnose.inference.candidate_starts import (
     strength_parameter,
     strength_position,
 )
-from nmt_diagnose.inference.fitting import Data, FitError, Fitted, Metric, approach, fit, predicted, without_rows
+from nmt_diagnose.inference.fitting import Data, FitError, FitResult, Metric, approach, fit, predicted, without_rows
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.tuned import (
-    ALIKE,
-    CLIMBED,
-    CONTINUED,
-    CREDIBLE,
-    FAR_BEHIND,
-    FINALISTS,
-    FIRST_EFFECTS,
-    FIRST_PLACES,
-    FIRST_REFRESHES,
-    HEADS,
-    LEAST_GAIN,
-    LOST,
-    OTHER_PLACES,
-    SAME_OPTIMUM,
-    SAME_STRAIN,
-    SECOND_EFFECTS,
-    SECOND_GAIN,
-    STRAINED,
-    WEAK,
-    WIDER_STRENGTH,
-)
 from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
-Told = Callable[[str], None]
-_SWITCHED_ON = 0.01  # scales of a strength: little, and more than rounding
-_SHOWN = 1.0  # standard deviations by which a strength of one scale has to show to first order
+ProgressSentence = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Found:
+class FittedExplanation:
     """A fitted explanation.
 
     Attributes:
@@ -68,7 +45,7 @@ class Found:
     """
 
     candidates: tuple[Candidate, ...]
-    fit: Fitted
+    fit: FitResult
 
     @cached_property
     def explanation(self) -> Explanation:
@@ -82,9 +59,9 @@ class Found:
 
     def strength(self, member: int) -> float:
         """Strength of one effect over its standard uncertainty."""
-        own = self.fit.parametrisation.index_of(member)
+        selected = self.fit.parametrisation.index_of(member)
         parameters = self.candidates[member].effect.parameters
-        sizes = np.abs(self.fit.theta[own]) / self.fit.std[own]
+        sizes = np.abs(self.fit.theta[selected]) / self.fit.std[selected]
         return max((float(s) for s, p in zip(sizes, parameters, strict=True) if p.kind == "strength"), default=0.0)
 
     @property
@@ -129,7 +106,7 @@ class Search:
         rig: Rig,
         parameters: Sequence[CalibrationParameter],
         candidates: Sequence[Candidate],
-        tell: Told = lambda _: None,
+        tell: ProgressSentence = lambda _: None,
     ) -> None:
         self.data, self.rig, self.tell = data, rig, tell
         self.parameters, self.candidates = tuple(parameters), tuple(candidates)
@@ -138,26 +115,26 @@ class Search:
         """Parameters of the model and of some effects."""
         return Parametrisation(self.rig, self.parameters, tuple(candidates), tuple(spreads))
 
-    def scores(self, base: Found) -> list[Score]:
+    def scores(self, base: FittedExplanation) -> list[Score]:
         """All candidates on top of a fit, the best first."""
         found = self._columns(base)
         if not found:
             return []
-        own, data = base.fit, self.data
-        chain = own.errors.slopes
-        columns = np.column_stack([own.jacobian, chain])
+        fitted, data = base.fit, self.data
+        chain = fitted.errors.slopes
+        columns = np.column_stack([fitted.jacobian, chain])
         # The prior of a strength must not hold back what the data say: it would look like something else.
-        prior = own.parametrisation.prior_std.copy()
+        prior = fitted.parametrisation.prior_std.copy()
         prior[len(self.parameters) :] *= 1e3
         precision = np.concatenate([prior**-2.0, np.ones(chain.shape[1])])
-        metric = Metric(columns, precision, own.errors.weights)
-        rest, taken = metric.rest(np.column_stack([column for _, _, column, _ in found]))
-        now = np.concatenate([own.theta, own.errors.chain])
-        left, counts, groups = own.errors.left, data.counts, data.groups
-        before = groups.cost(own.errors.squares, counts)
+        metric = Metric(columns, precision, fitted.errors.weights)
+        projected, base_coefficients = metric.project(np.column_stack([column for _, _, column, _ in found]))
+        now = np.concatenate([fitted.theta, fitted.errors.chain])
+        left, counts, groups = fitted.errors.residual, data.counts, data.groups
+        before = groups.cost(fitted.errors.squares, counts)
         result = []
         for k, (number, start, column, signed) in enumerate(found):
-            vector, follow, weights, strength = rest[:, k], taken[:, k], own.errors.weights, 0.0
+            vector, follow, weights, strength = projected[:, k], base_coefficients[:, k], fitted.errors.weights, 0.0
             # What the strength takes off the priors of parameters and chain counts as what it takes off the residual.
             pull, stiff = float(follow @ (precision * now)), float(follow @ (precision * follow))
             square = float(vector @ (weights * vector)) + stiff
@@ -172,7 +149,7 @@ class Search:
                 squares = groups.sums((left - strength * vector) ** 2)
                 weights = groups.weights(squares, counts)[groups.of]
             gain = before - groups.cost(squares, counts) + 2.0 * strength * pull - strength**2 * stiff
-            instead = self._in_place_of_chain(own, column)
+            instead = self._instead_of_chain_error(fitted, column)
             if instead is not None and instead[1] > gain and (signed or instead[0] > 0.0):
                 strength, gain = instead
             position = strength_position(self.candidates[number])
@@ -180,22 +157,22 @@ class Search:
             result.append(Score(number, own_start, gain, reach, column))
         return sorted(result, key=lambda score: -score.gain)
 
-    def _in_place_of_chain(self, own: Fitted, column: FloatArray) -> tuple[float, float] | None:
+    def _instead_of_chain_error(self, fitted: FitResult, column: FloatArray) -> tuple[float, float] | None:
         """Strength of an effect that does what an incredible error of the chain does now, and what that saves.
 
         Far from rest, as for a delay of a good part of a turn, the change to first order leads away from it.
         """
-        errors, size = own.errors, float(np.linalg.norm(column))
-        for j in np.flatnonzero(np.abs(errors.chain) > CREDIBLE):
+        errors, size = fitted.errors, float(np.linalg.norm(column))
+        for j in np.flatnonzero(np.abs(errors.chain) > THRESHOLDS.comparison.credible_sigmas):
             slope = errors.slopes[:, j]
             along = float(slope @ column)
-            if abs(along) > ALIKE * size * float(np.linalg.norm(slope)):
+            if abs(along) > THRESHOLDS.search.alike_cosine * size * float(np.linalg.norm(slope)):
                 return float(errors.chain[j]) * along / size**2, float(errors.chain[j]) ** 2
         return None
 
-    def _columns(self, base: Found) -> list[tuple[int, FloatArray, FloatArray, bool]]:
+    def _columns(self, base: FittedExplanation) -> list[tuple[int, FloatArray, FloatArray, bool]]:
         """Number, start, column and whether either sign, of all candidates that the fit does not have yet."""
-        data, own = self.data, base.fit
+        data, fitted = self.data, base.fit
         taken = base.explanation.causes
         pieces = [
             (number, start)
@@ -214,55 +191,67 @@ class Search:
             for (number, start), column in zip(chosen, self._slopes(base, chosen), strict=True):
                 candidate = self.candidates[number]
                 parameter = strength_parameter(candidate)
-                if parameter.even and not np.linalg.norm(column) > _SHOWN:
+                if parameter.even and not np.linalg.norm(column) > THRESHOLDS.search.first_order_sigmas:
                     other.append((number, at_strength(candidate, start, parameter.even)))
                 elif np.any(column != 0.0):
                     result.append((number, start, column, candidate.signed(parameter)))
         for number, start in other:
             candidate = self.candidates[number]
-            parametrisation = self.parametrisation((*base.candidates, candidate), own.parametrisation.spreads)
-            moved = predicted(data, parametrisation, np.concatenate([own.theta, start]), own.prediction)
+            parametrisation = self.parametrisation((*base.candidates, candidate), fitted.parametrisation.spreads)
+            moved = predicted(data, parametrisation, np.concatenate([fitted.theta, start]), fitted.prediction)
             if moved is None:
                 continue
             parameter = strength_parameter(candidate)
-            errors = own.errors.chain
-            change = own.errors.left - data.difference(moved.values, errors)
+            errors = fitted.errors.chain
+            change = fitted.errors.residual - data.difference(moved.values, errors)
             column = change / float(start[strength_position(candidate)])
             # What does not show to first order goes with the square: the same way for either sign.
             result.append((number, start, column, candidate.signed(parameter) and not parameter.even))
         return result
 
-    def _slopes(self, base: Found, chosen: Sequence[tuple[int, FloatArray]]) -> list[FloatArray]:
+    def _slopes(self, base: FittedExplanation, chosen: Sequence[tuple[int, FloatArray]]) -> list[FloatArray]:
         """Derivatives of the rows over strengths at zero, over σ."""
         added = [self.candidates[number] for number, _ in chosen]
-        own = self.parametrisation((*base.candidates, *added), base.fit.parametrisation.spreads)
+        parametrisation = self.parametrisation((*base.candidates, *added), base.fit.parametrisation.spreads)
         theta = np.concatenate([base.fit.theta, *[at_zero(c, s) for c, (_, s) in zip(added, chosen, strict=True)]])
         offset, which = base.fit.theta.size, []
         for candidate in added:
             which.append(offset + strength_position(candidate))
             offset += len(candidate.effect.parameters)
         try:
-            columns = self.data.forward.jacobian(own, theta, base.fit.prediction, which)
+            columns = self.data.forward.jacobian(parametrisation, theta, base.fit.prediction, which)
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
             return [np.zeros(self.data.sigma.size) for _ in chosen]
         return list(self.data.slopes(columns, base.fit.errors.values).T)
 
-    def added(self, base: Found, score: Score, lost: float = LOST) -> Found | None:
+    def added(
+        self, base: FittedExplanation, score: Score, lost: float = THRESHOLDS.search.lost_cost_rise
+    ) -> FittedExplanation | None:
         """A candidate fitted on top of a fit; None where the model cannot be solved with it."""
         candidate = self.candidates[score.candidate]
         start = score.start.copy()
         position = strength_position(candidate)
         known = [base.fit.parametrisation.spread(k) for k in range(len(base.candidates))]
         # A strength that its prior holds back would be taken for noise.
-        own = self.parametrisation((*base.candidates, candidate), (*known, _spread_of(float(start[position]))))
-        best: Fitted | None = None
+        parametrisation = self.parametrisation(
+            (*base.candidates, candidate), (*known, _spread_of(float(start[position])))
+        )
+        best: FitResult | None = None
         for share in (1.0, 0.3):
             start[position] = share * score.start[position]
             theta = np.concatenate([base.fit.theta, start])
             try:
-                jacobian = self._joined(base.fit, base.fit.jacobian, own, theta)
+                jacobian = self._joined(base.fit, base.fit.jacobian, parametrisation, theta)
                 best = self.widened(
-                    fit(self.data, own, theta, base.fit.prediction, jacobian, exact=False, refreshes=FIRST_REFRESHES)
+                    fit(
+                        self.data,
+                        parametrisation,
+                        theta,
+                        base.fit.prediction,
+                        jacobian,
+                        exact=False,
+                        refreshes=THRESHOLDS.fits.first_refreshes,
+                    )
                 )
                 break
             except FitError:
@@ -270,59 +259,77 @@ class Search:
         # Worse than without it: the fit has lost its way.
         if best is None or best.cost > base.fit.cost + lost:
             return None
-        return Found((*base.candidates, candidate), best)
+        return FittedExplanation((*base.candidates, candidate), best)
 
-    def _joined(self, near: Fitted, known: FloatArray, own: Parametrisation, theta: FloatArray) -> FloatArray:
+    def _joined(
+        self, near: FitResult, known: FloatArray, parametrisation: Parametrisation, theta: FloatArray
+    ) -> FloatArray:
         """Sensitivities of a fit, the first of them known, (m, k), from a fit nearby; over σ.
 
         Raises:
             FitError: the model has no solution there.
         """
-        there = predicted(self.data, own, theta, near.prediction)
-        if there is None:
+        prediction = predicted(self.data, parametrisation, theta, near.prediction)
+        if prediction is None:
             raise FitError("the model has no solution with it")
         try:
-            columns = self.data.forward.jacobian(own, theta, there, range(known.shape[1], theta.size))
+            columns = self.data.forward.jacobian(parametrisation, theta, prediction, range(known.shape[1], theta.size))
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
             raise FitError(f"the model has no sensitivities there ({error})") from error
         return np.column_stack([known, self.data.slopes(columns, near.errors.values)])
 
-    def again(self, found: Found) -> Found:
+    def again(self, found: FittedExplanation) -> FittedExplanation:
         """The same explanation fitted to this search's data from where it stands; itself where that fails."""
-        own = found.fit
+        fitted = found.fit
         try:
-            own = fit(self.data, own.parametrisation, own.theta, own.prediction)
-            for _ in range(CONTINUED):
-                if own.converged:
+            fitted = fit(self.data, fitted.parametrisation, fitted.theta, fitted.prediction)
+            for _ in range(THRESHOLDS.fits.continuations):
+                if fitted.converged:
                     break
-                own = fit(self.data, own.parametrisation, own.theta, own.prediction)
+                fitted = fit(self.data, fitted.parametrisation, fitted.theta, fitted.prediction)
         except FitError:
             return found
-        return Found(found.candidates, own)
+        return FittedExplanation(found.candidates, fitted)
 
-    def all_again(self, found: Sequence[Found]) -> list[Found]:
+    def all_again(self, found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
         """All explanations that are not far behind the best, fitted again, the best first."""
-        most = max(own.fit.log_evidence for own in found)
-        near = [own for own in found if own.fit.log_evidence > most - FAR_BEHIND][:FINALISTS]
-        fitted = sorted((self.again(own) for own in near), key=lambda own: -own.fit.log_evidence)
-        return sorted([self.unbent(fitted[0]), *fitted[1:]], key=lambda own: -own.fit.log_evidence)
+        most = max(explanation.fit.log_evidence for explanation in found)
+        near = [
+            explanation
+            for explanation in found
+            if explanation.fit.log_evidence > most - THRESHOLDS.search.far_behind_log_evidence
+        ][: THRESHOLDS.search.finalists]
+        fitted = sorted(
+            (self.again(explanation) for explanation in near), key=lambda explanation: -explanation.fit.log_evidence
+        )
+        return sorted(
+            [self.refitted_from_model(fitted[0]), *fitted[1:]], key=lambda explanation: -explanation.fit.log_evidence
+        )
 
-    def widened(self, found: Fitted) -> Fitted:
+    def widened(self, found: FitResult) -> FitResult:
         """The fit with the part of its strengths' prior that makes it most probable."""
-        own = found.parametrisation
+        parametrisation = found.parametrisation
         spreads = []
-        for k, candidate in enumerate(own.candidates):
-            mine = zip(found.theta[own.index_of(k)], candidate.effect.parameters, strict=True)
-            spreads.append(_spread_of(max(abs(float(value)) for value, p in mine if p.kind == "strength")))
-        if all(spread == own.spread(k) for k, spread in enumerate(spreads)):
+        for k, candidate in enumerate(parametrisation.candidates):
+            strengths = zip(found.theta[parametrisation.index_of(k)], candidate.effect.parameters, strict=True)
+            spreads.append(_spread_of(max(abs(float(value)) for value, p in strengths if p.kind == "strength")))
+        if all(spread == parametrisation.spread(k) for k, spread in enumerate(spreads)):
             return found
-        wider = replace(own, spreads=tuple(spreads))
+        wider = replace(parametrisation, spreads=tuple(spreads))
         again = fit(
-            self.data, wider, found.theta, found.prediction, found.jacobian, exact=False, refreshes=FIRST_REFRESHES
+            self.data,
+            wider,
+            found.theta,
+            found.prediction,
+            found.jacobian,
+            exact=False,
+            refreshes=THRESHOLDS.fits.first_refreshes,
         )
         return again if again.log_evidence > found.log_evidence else found
 
-    def chosen(self, base: Found, scores: Sequence[Score], effects: int, places: int, least: float) -> list[Score]:
+    def chosen(
+        self, base: FittedExplanation, scores: Sequence[Score], effects: int, places: int, least: float
+    ) -> list[Score]:
         """The best effects at their best places, one start each.
 
         Effects that change the rows alike, such as two laws of damping, count as one of ``effects``.
@@ -338,25 +345,37 @@ class Search:
             if candidate.effect.name not in by_effect:
                 way = weights * score.column
                 way = way / max(float(np.linalg.norm(way)), 1e-300)
-                if all(abs(float(way @ other)) < ALIKE for other in ways):
+                if all(abs(float(way @ other)) < THRESHOLDS.search.alike_cosine for other in ways):
                     if len(ways) == effects:
                         continue
                     ways.append(way)
-            mine = by_effect.setdefault(candidate.effect.name, [])
-            if len(mine) < places and all(score.candidate != own.candidate for own in mine):
-                mine.append(score)
+            of_effect = by_effect.setdefault(candidate.effect.name, [])
+            if len(of_effect) < places and all(
+                score.candidate != chosen_before.candidate for chosen_before in of_effect
+            ):
+                of_effect.append(score)
                 result.append(score)
         return result
 
-    def singles(self, null: Found, scores: Sequence[Score]) -> list[Found]:
+    def singles(self, null: FittedExplanation, scores: Sequence[Score]) -> list[FittedExplanation]:
         """Explanations by one effect, the best first."""
-        wanted = self.chosen(null, scores, FIRST_EFFECTS, FIRST_PLACES, LEAST_GAIN)
+        wanted = self.chosen(
+            null,
+            scores,
+            THRESHOLDS.search.first_effects,
+            THRESHOLDS.search.first_locations,
+            THRESHOLDS.search.least_cost_fall,
+        )
         self.tell(f"fitting {len(wanted)} explanations")
         found = self._all(null, wanted)
         # To first order on the model alone many places do the same to the rows; fitted they differ.
-        likely = {score.candidate: score for score in reversed(scores) if score.gain > OTHER_PLACES * scores[0].gain}
-        known = {own.explanation for own in found}
-        for best in best_by_effect(found)[:HEADS]:
+        likely = {
+            score.candidate: score
+            for score in reversed(scores)
+            if score.gain > THRESHOLDS.search.other_locations_share * scores[0].gain
+        }
+        known = {explanation.explanation for explanation in found}
+        for best in best_by_effect(found)[: THRESHOLDS.search.pair_heads]:
             for number in likely:
                 other = self.candidates[number]
                 if other.effect.name in best.effects and Explanation((other.cause,)) not in known:
@@ -364,7 +383,9 @@ class Search:
                     found += [] if moved is None else [moved]
         return best_of(found)
 
-    def _exchanged(self, found: Found, other: Candidate, likely: Mapping[int, Score]) -> Found | None:
+    def _exchanged(
+        self, found: FittedExplanation, other: Candidate, likely: Mapping[int, Score]
+    ) -> FittedExplanation | None:
         """An explanation by one effect with the effect at another place, from where it stands.
 
         Its strength is to the one here as both promise on top of the model alone.
@@ -373,102 +394,130 @@ class Search:
         theta, position = found.fit.theta.copy(), len(self.parameters) + strength_position(other)
         if here is not None and there is not None:
             theta[position] *= there.start[strength_position(other)] / here.start[strength_position(other)]
-        own = self.parametrisation((other,), (_spread_of(float(theta[position])),))
+        parametrisation = self.parametrisation((other,), (_spread_of(float(theta[position])),))
         try:
-            jacobian = self._joined(found.fit, found.fit.jacobian[:, : len(self.parameters)], own, theta)
-            fitted = fit(self.data, own, theta, found.fit.prediction, jacobian, exact=False, refreshes=FIRST_REFRESHES)
-            return Found((other,), self.widened(fitted))
+            jacobian = self._joined(found.fit, found.fit.jacobian[:, : len(self.parameters)], parametrisation, theta)
+            fitted = fit(
+                self.data,
+                parametrisation,
+                theta,
+                found.fit.prediction,
+                jacobian,
+                exact=False,
+                refreshes=THRESHOLDS.fits.first_refreshes,
+            )
+            return FittedExplanation((other,), self.widened(fitted))
         except FitError:
             return None
 
-    def pairs(self, singles: Sequence[Found], known: Sequence[Found] = ()) -> list[Found]:
+    def pairs(
+        self, singles: Sequence[FittedExplanation], known: Sequence[FittedExplanation] = ()
+    ) -> list[FittedExplanation]:
         """Second effects on top of the best explanations that leave something, the best first.
 
         Args:
             singles: explanations by one effect, the best first.
             known: those among which heads have been chosen before.
         """
-        found: list[Found] = []
-        before = {own.explanation for own in best_by_effect(known)[:HEADS]}
-        for single in best_by_effect(singles)[:HEADS]:
-            if single.explanation in before or at_rest(self.data, single):
+        found: list[FittedExplanation] = []
+        before = {explanation.explanation for explanation in best_by_effect(known)[: THRESHOLDS.search.pair_heads]}
+        for single in best_by_effect(singles)[: THRESHOLDS.search.pair_heads]:
+            if single.explanation in before or leaves_noise_only(self.data, single):
                 continue
-            wanted = self.chosen(single, self.scores(single), SECOND_EFFECTS, 1, SECOND_GAIN)
+            wanted = self.chosen(
+                single, self.scores(single), THRESHOLDS.search.second_effects, 1, THRESHOLDS.search.second_cost_fall
+            )
             found += self._all(single, wanted)
         return best_of(found)
 
-    def pruned(self, found: Sequence[Found]) -> list[Found]:
+    def pruned(self, found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
         """What explanations by two effects are without a member that says nothing; only what beats its own whole.
 
         A first effect may stand in for one that its fit did not reach from rest, and lead there.
         """
         result = []
-        for own in found:
-            weak = [k for k in range(len(own.candidates)) if own.strength(k) < WEAK]
-            if len(own.candidates) != 2 or len(weak) != 1:
+        for pair in found:
+            weak = [k for k in range(len(pair.candidates)) if pair.strength(k) < THRESHOLDS.search.weak_sigmas]
+            if len(pair.candidates) != 2 or len(weak) != 1:
                 continue
             kept = 1 - weak[0]
-            fitted = own.fit.parametrisation
-            parametrisation = self.parametrisation((own.candidates[kept],), (fitted.spread(kept),))
-            theta = np.concatenate([own.fit.theta[: len(self.parameters)], own.fit.theta[fitted.index_of(kept)]])
+            fitted = pair.fit.parametrisation
+            parametrisation = self.parametrisation((pair.candidates[kept],), (fitted.spread(kept),))
+            theta = np.concatenate([pair.fit.theta[: len(self.parameters)], pair.fit.theta[fitted.index_of(kept)]])
             try:
-                alone = Found((own.candidates[kept],), fit(self.data, parametrisation, theta, own.fit.prediction))
+                alone = FittedExplanation(
+                    (pair.candidates[kept],), fit(self.data, parametrisation, theta, pair.fit.prediction)
+                )
             except FitError:
                 continue
-            if alone.fit.log_evidence > own.fit.log_evidence:
+            if alone.fit.log_evidence > pair.fit.log_evidence:
                 result.append(alone)
-        return sorted(result, key=lambda own: -own.fit.log_evidence)
+        return sorted(result, key=lambda pair: -pair.fit.log_evidence)
 
-    def _all(self, base: Found, wanted: Sequence[Score]) -> list[Found]:
+    def _all(self, base: FittedExplanation, wanted: Sequence[Score]) -> list[FittedExplanation]:
         found = [self.added(base, score) for score in wanted]
-        fits = [own for own in found if own is not None]
-        best_yet = max(fits, key=lambda own: own.fit.log_evidence, default=base)
-        if not base.candidates and self._strained(best_yet, base):
-            for number in self._worth_climbing(wanted, fits):
+        fits = [explanation for explanation in found if explanation is not None]
+        best_yet = max(fits, key=lambda explanation: explanation.fit.log_evidence, default=base)
+        if not base.candidates and self._exceeds_noise(best_yet, base):
+            for number in self._fitted_by_levels_first(wanted, fits):
                 self.tell(f"fitting {self.candidates[number].label} from low levels")
-                known = [own.fit.cost for own in fits if own.candidates == (self.candidates[number],)]
-                climbed = self.climbed(number)
-                more = [] if climbed is None else [climbed]
+                known = [
+                    explanation.fit.cost for explanation in fits if explanation.candidates == (self.candidates[number],)
+                ]
+                fitted_by_levels = self.fitted_by_levels(number)
+                more = [] if fitted_by_levels is None else [fitted_by_levels]
                 # Where climbing ends in the optimum that was found before, there is no other to be looked for.
-                if climbed is None or not known or abs(climbed.fit.cost - min(known)) > SAME_OPTIMUM:
-                    given = self.from_given(number)
-                    more += [] if given is None else [given]
+                if (
+                    fitted_by_levels is None
+                    or not known
+                    or abs(fitted_by_levels.fit.cost - min(known)) > THRESHOLDS.search.same_optimum_cost
+                ):
+                    from_initial_model = self.from_initial_model(number)
+                    more += [] if from_initial_model is None else [from_initial_model]
                 found += more
-                if any(not self._strained(own, base) for own in more):
+                if any(not self._exceeds_noise(explanation, base) for explanation in more):
                     break
-        return best_of([own for own in found if own is not None])
+        return best_of([explanation for explanation in found if explanation is not None])
 
-    def _worth_climbing(self, wanted: Sequence[Score], fits: Sequence[Found]) -> list[int]:
+    def _fitted_by_levels_first(self, wanted: Sequence[Score], fits: Sequence[FittedExplanation]) -> list[int]:
         """Candidates to climb with: the effects that the score test and the fits put first, each at its best place."""
-        by_fit = sorted(fits, key=lambda own: -own.fit.log_evidence)
-        order = [self.candidates.index(own.candidates[0]) for own in by_fit[:CLIMBED]]
+        by_fit = sorted(fits, key=lambda explanation: -explanation.fit.log_evidence)
+        order = [
+            self.candidates.index(explanation.candidates[0])
+            for explanation in by_fit[: THRESHOLDS.search.climbed_effects]
+        ]
         order += [score.candidate for score in wanted]
         result: dict[str, int] = {}
         for number in order:
             result.setdefault(self.candidates[number].effect.name, number)
-        return list(result.values())[:CLIMBED]
+        return list(result.values())[: THRESHOLDS.search.climbed_effects]
 
-    def from_modes(self, null: Found, modes: LowLevelModes) -> list[Found]:
+    def from_modes(self, null: FittedExplanation, modes: LowLevelModes) -> list[FittedExplanation]:
         """Explanations by one effect, fitted from where the model's modes are the measured ones; the best first."""
-        own, theta = self.parametrisation(), null.fit.theta
+        parametrisation, theta = self.parametrisation(), null.fit.theta
         begun = [
-            (self.parametrisation((candidate,)), np.concatenate([theta, at_strength(candidate, first, _SWITCHED_ON)]))
+            (
+                self.parametrisation((candidate,)),
+                np.concatenate([theta, at_strength(candidate, first, THRESHOLDS.search.initial_strength)]),
+            )
             for candidate in self.candidates
             for first in starts_of(candidate)[:1]
         ]
-        left = modes.promises(own, theta, begun)
+        left = modes.promises(parametrisation, theta, begun)
         found = []
-        for number in np.argsort(left)[: FIRST_EFFECTS * FIRST_PLACES]:
+        for number in np.argsort(left)[: THRESHOLDS.search.first_effects * THRESHOLDS.search.first_locations]:
             wider, values = begun[number]
             try:
                 found.append(
-                    Found(wider.candidates, self.widened(fit(self.data, wider, modes.start(wider, values)[0])))
+                    FittedExplanation(
+                        wider.candidates, self.widened(fit(self.data, wider, modes.start(wider, values)[0]))
+                    )
                 )
             except FitError:
                 continue
         return best_of(found)
 
-    def _strained(self, found: Found, null: Found | None = None) -> bool:
+    def _exceeds_noise(self, found: FittedExplanation, null: FittedExplanation | None = None) -> bool:
         """Whether a fit leaves so much in any group of rows that its parameters are bent by what is missing.
 
         Args:
@@ -477,76 +526,81 @@ class Search:
         """
         counts, learnt = self.data.counts, np.isfinite(self.data.groups.degrees)
         scales = np.sqrt(found.fit.errors.squares / np.maximum(counts, 1.0))
-        strained = learnt & (scales > STRAINED)
+        exceeding = learnt & (scales > THRESHOLDS.search.noise_scale)
         if null is not None and found is not null:
             before = np.sqrt(null.fit.errors.squares / np.maximum(counts, 1.0))
-            strained &= np.abs(np.log(np.maximum(scales, 1e-300) / np.maximum(before, 1e-300))) > SAME_STRAIN
-        return bool(strained.any())
+            exceeding &= (
+                np.abs(np.log(np.maximum(scales, 1e-300) / np.maximum(before, 1e-300)))
+                > THRESHOLDS.search.same_log_scale
+            )
+        return bool(exceeding.any())
 
-    def climbed(self, number: int) -> Found | None:
+    def fitted_by_levels(self, number: int) -> FittedExplanation | None:
         """A candidate fitted to the lowest levels from the model as given, then to more of them, then to all.
 
         What is strong bends the model's own parameters before it is named; at low levels it is weak.
         """
-        found: Found | None = None
+        found: FittedExplanation | None = None
         for used in self._stages:
             data = without_rows(self.data, used)
             part = Search(data, self.rig, self.parameters, [self.candidates[number]])
             try:
                 if found is None:
-                    low = Found((), fit(data, self.parametrisation(), self.parametrisation().zero))
+                    low = FittedExplanation((), fit(data, self.parametrisation(), self.parametrisation().zero))
                     scores = part.scores(low)
                     found = part.added(low, scores[0]) if scores else None
                 else:
-                    own = found.fit
-                    again = fit(data, own.parametrisation, own.theta, own.prediction)
-                    found = Found(found.candidates, part.widened(again))
+                    fitted = found.fit
+                    again = fit(data, fitted.parametrisation, fitted.theta, fitted.prediction)
+                    found = FittedExplanation(found.candidates, part.widened(again))
             except FitError:
                 return None
             if found is None:
                 return None
         return found
 
-    def from_given(self, number: int) -> Found | None:
+    def from_initial_model(self, number: int) -> FittedExplanation | None:
         """A candidate fitted from the model as given and the strength that all levels promise there.
 
         For forces that go with a power of the amplitude that is a straight line of ω² over that power.
         """
-        if self._given is None:
+        if self._initial_fit is None:
             return None
         candidate = self.candidates[number]
-        scores = Search(self.data, self.rig, self.parameters, [candidate]).scores(self._given)
+        scores = Search(self.data, self.rig, self.parameters, [candidate]).scores(self._initial_fit)
         if not scores:
             return None
         start = scores[0].start
-        own = self.parametrisation((candidate,), (_spread_of(float(start[strength_position(candidate)])),))
+        parametrisation = self.parametrisation((candidate,), (_spread_of(float(start[strength_position(candidate)])),))
         try:
-            near = approach(self.data, own, np.concatenate([self._given.fit.theta, start]))
-            return Found(own.candidates, self.widened(near))
+            near = approach(self.data, parametrisation, np.concatenate([self._initial_fit.fit.theta, start]))
+            return FittedExplanation(parametrisation.candidates, self.widened(near))
         except FitError:
             return None
 
     @cached_property
-    def _given(self) -> Found | None:
+    def _initial_fit(self) -> FittedExplanation | None:
         """The model alone as it was given."""
-        own = self.parametrisation()
+        parametrisation = self.parametrisation()
         try:
-            return Found((), fit(self.data, own, own.zero, steps=0))
+            return FittedExplanation((), fit(self.data, parametrisation, parametrisation.zero, steps=0))
         except FitError:
             return None
 
-    def unbent(self, found: Found) -> Found:
+    def refitted_from_model(self, found: FittedExplanation) -> FittedExplanation:
         """An explanation fitted again from the model as given where its fit leaves too much; the better of the two."""
-        if not self._strained(found):
+        if not self._exceeds_noise(found):
             return found
-        own = found.fit
-        theta = own.theta.copy()
+        fitted = found.fit
+        theta = fitted.theta.copy()
         theta[: len(self.parameters)] = 0.0
         try:
-            again = Found(found.candidates, self.widened(approach(self.data, own.parametrisation, theta)))
+            again = FittedExplanation(
+                found.candidates, self.widened(approach(self.data, fitted.parametrisation, theta))
+            )
         except FitError:
             return found
-        return again if again.fit.log_evidence > own.log_evidence else found
+        return again if again.fit.log_evidence > fitted.log_evidence else found
 
     @cached_property
     def _stages(self) -> tuple[BoolArray, ...]:
@@ -555,38 +609,47 @@ class Search:
         kinds = np.array([type(test).__name__ for test in tests])[rows.test]
         rank = np.zeros(len(rows))
         for kind in np.unique(kinds):
-            mine = kinds == kind
-            levels = np.unique(rows.amplitude[mine])
+            selected = kinds == kind
+            levels = np.unique(rows.amplitude[selected])
             if kind != RandomTest.__name__ and levels.size > 2:
-                rank[mine] = np.searchsorted(levels, rows.amplitude[mine]) / levels.size
+                rank[selected] = np.searchsorted(levels, rows.amplitude[selected]) / levels.size
         return rank < 1.0 / 3.0, rank < 2.0 / 3.0, np.ones(len(rows), dtype=bool)
 
 
-def best_of(found: Sequence[Found]) -> list[Found]:
+def best_of(found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
     """The best fit of each explanation, the best first."""
-    best: dict[Explanation, Found] = {}
-    for own in found:
-        known = best.get(own.explanation)
-        if known is None or own.fit.log_evidence > known.fit.log_evidence:
-            best[own.explanation] = own
-    return sorted(best.values(), key=lambda own: -own.fit.log_evidence)
+    best: dict[Explanation, FittedExplanation] = {}
+    for explanation in found:
+        known = best.get(explanation.explanation)
+        if known is None or explanation.fit.log_evidence > known.fit.log_evidence:
+            best[explanation.explanation] = explanation
+    return sorted(best.values(), key=lambda explanation: -explanation.fit.log_evidence)
 
 
-def best_by_effect(found: Sequence[Found]) -> list[Found]:
+def best_by_effect(found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
     """The first of each set of effects."""
-    heads: dict[tuple[str, ...], Found] = {}
-    for own in found:
-        heads.setdefault(own.effects, own)
+    heads: dict[tuple[str, ...], FittedExplanation] = {}
+    for explanation in found:
+        heads.setdefault(explanation.effects, explanation)
     return list(heads.values())
 
 
-def at_rest(data: Data, found: Found) -> bool:
+def leaves_noise_only(data: Data, found: FittedExplanation) -> bool:
     """Whether a fit leaves noise only and bends neither parameters nor measuring chain: nothing asks for more."""
-    own = found.fit
-    pulls = np.concatenate([own.theta[: len(own.parametrisation.calibration)], own.errors.chain])
-    return not data.groups.excess(own.errors.squares, data.counts).any() and bool(np.all(np.abs(pulls) < CREDIBLE))
+    fitted = found.fit
+    pulls = np.concatenate([fitted.theta[: len(fitted.parametrisation.calibration)], fitted.errors.chain])
+    return not data.groups.excess(fitted.errors.squares, data.counts).any() and bool(
+        np.all(np.abs(pulls) < THRESHOLDS.comparison.credible_sigmas)
+    )
 
 
 def _spread_of(strength: float) -> float:
     """The narrowest part of a strength's prior that does not hold it back."""
-    return next((spread for spread in SPREADS if abs(strength) <= WIDER_STRENGTH * STRENGTH_STD * spread), SPREADS[-1])
+    return next(
+        (
+            spread
+            for spread in THRESHOLDS.fits.strength_spreads
+            if abs(strength) <= THRESHOLDS.search.wider_strength * THRESHOLDS.fits.strength_std * spread
+        ),
+        THRESHOLDS.fits.strength_spreads[-1],
+    )

@@ -6,10 +6,11 @@ import math
 from collections.abc import Sequence
 
 from nmt_core.text.number_words import percent, share_with_interval, significant, value_text
-from nmt_diagnose.effects.placement import Explanation
+from nmt_diagnose.effects.location import Explanation
 from nmt_diagnose.inference.diagnosis import NULL, Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
 from nmt_diagnose.inference.gap import NOISE
-from nmt_diagnose.inference.size import Left
+from nmt_diagnose.inference.size import Objection
+from nmt_diagnose.thresholds import THRESHOLDS
 
 PLACES = {
     "structure": "the structure",
@@ -21,7 +22,6 @@ PLACES = {
     "controller": "the controller",
     "time": "a change over time",
 }
-_LIKELY = 0.9
 
 
 def sentences(
@@ -33,7 +33,7 @@ def sentences(
     ahead: Sequence[NextTest],
     calibration: Sequence[Recalibrated],
     remainder: Remainder | None = None,
-    left: Sequence[Left] = (),
+    left: Sequence[Objection] = (),
 ) -> tuple[str, ...]:
     """Where, which, how far; and what would settle the rest if something is left open.
 
@@ -68,7 +68,9 @@ def sentences(
             f"the library; {_against(left)}, so something unnamed acts too"
         )
     else:
-        sure = "The cause is" if head.probability >= _LIKELY else "The most probable cause is"
+        sure = (
+            "The cause is" if head.probability >= THRESHOLDS.verdict.cause_probability else "The most probable cause is"
+        )
         which = f"{sure} {what}, probability {_sure(head.probability)}"
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
@@ -79,7 +81,7 @@ def _share_of(gap: Gap) -> str:
     return percent(gap.closed, 1) if math.isfinite(gap.closed) else "Most"
 
 
-def _against(left: Sequence[Left]) -> str:
+def _against(left: Sequence[Objection]) -> str:
     """What speaks against an explanation as the whole of the gap."""
     return left[0].sentence if left else "more than noise remains that it does not explain"
 
@@ -126,7 +128,7 @@ def _where(where: Sequence[PlaceShare]) -> str:
     detail = f", {_detail(first.detail)}," if first.detail and _detail(first.detail) else ""
     text = f"The gap lies in {PLACES.get(first.place, first.place)}{detail.rstrip(',')}"
     text += f"; all explanations there together have a probability of {_sure(first.p)}"
-    others = [item for item in where[1:3] if item.p > 0.05]
+    others = [item for item in where[1:3] if item.p > THRESHOLDS.verdict.other_location_probability]
     if others:
         text += "; otherwise " + " or ".join(
             f"{PLACES.get(item.place, item.place)} ({_sure(item.p)})" for item in others
@@ -165,8 +167,8 @@ def _title(effect: str) -> str:
 
 
 def _at(explanation: Explanation | None) -> str:
-    placements = () if explanation is None else explanation.placements
-    details = [_detail(placement.detail) for placement in placements]
+    locations = () if explanation is None else explanation.locations
+    details = [_detail(location.detail) for location in locations]
     found = " and ".join(dict.fromkeys(part for part in details if part))
     return f" at {found}" if found else ""
 

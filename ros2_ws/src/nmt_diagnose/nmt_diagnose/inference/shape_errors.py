@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.chain_tests import ChainTests
 from nmt_diagnose.observations.conditions import RingDownTest, SteppedSineTest
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Prediction
 from nmt_rig.rig import ModalSection, Rig, ShakingTableSection
 
 # Of a standard deviation; frequencies of modes over those of the rows, beyond which a mode adds a constant at most.
 _STEP = 0.05
-_REACH = 2.0
 
 
 class ShapeErrors:
@@ -58,7 +58,10 @@ class ShapeErrors:
         frequency = frequency[frequency > 0.0]
         if not frequency.size:
             return []
-        low, high = float(frequency.min()) / _REACH, float(frequency.max()) * _REACH
+        low, high = (
+            float(frequency.min()) / THRESHOLDS.misfit.shape_reach,
+            float(frequency.max()) * THRESHOLDS.misfit.shape_reach,
+        )
         return [number for number, mode in enumerate(structure.modes) if low <= mode.frequency_hz <= high]
 
     def _ruling(self) -> set[int]:

@@ -12,9 +12,9 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.text.number_words import significant
 from nmt_diagnose.inference.candidate_starts import at_zero
 from nmt_diagnose.inference.fitting import Data, predicted
-from nmt_diagnose.inference.search import Found
-from nmt_diagnose.inference.tuned import INCREDIBLE, SEEN, STRAIN, SURE_EXCESS
+from nmt_diagnose.inference.search import FittedExplanation
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.thresholds import THRESHOLDS
 
 _KINDS: dict[str, tuple[Part, ...]] = {
     "frequency": (Part.LOG_FREQUENCY,),
@@ -52,17 +52,17 @@ SIZE_NAMES = {
 }
 
 
-def measured_size(data: Data, found: Found) -> Size:
+def measured_size(data: Data, found: FittedExplanation) -> Size:
     """How far an explanation lies from itself without its effects, at the level or line where they differ most."""
-    own = found.fit
-    without = predicted(data, own.parametrisation, without_strength(found), own.prediction)
+    fitted = found.fit
+    without = predicted(data, fitted.parametrisation, without_strength(found), fitted.prediction)
     if without is None:  # it has no solution without them
         return Size({}, True)
-    return change_size(data, data.forward.difference(own.prediction.values, without.values))
+    return change_size(data, data.forward.difference(fitted.prediction.values, without.values))
 
 
 @dataclass(frozen=True)
-class Left:
+class Objection:
     """More than noise in a group of rows, or a parameter of the model where nobody believes it.
 
     Attributes:
@@ -84,7 +84,7 @@ class Left:
         return f"{size} ({self.group}) remain that it does not explain"
 
 
-def left_over(data: Data, found: Found, wanted: Mapping[str, float]) -> tuple[Left, ...]:
+def left_over(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> tuple[Objection, ...]:
     """What an explanation leaves that is more than noise and matters, the largest beside what matters first.
 
     A group counts where its scale is larger than its prior allows (Fisher's F, Bonferroni) and where what is left
@@ -95,31 +95,31 @@ def left_over(data: Data, found: Found, wanted: Mapping[str, float]) -> tuple[Le
         found: the explanation.
         wanted: what matters, by kind.
     """
-    own, groups, rows = found.fit.errors, data.groups, data.observations.rows
+    errors, groups, rows = found.fit.errors, data.groups, data.observations.rows
     result = []
-    raw = data.residual(found.fit.prediction.values, own.chain)
-    for number in np.flatnonzero(groups.excess(own.squares, data.counts)):
-        mine = data.used & (groups.of == number)
-        kind = next((k for k, parts in _KINDS.items() if np.isin(rows.part[mine], parts).any()), "")
+    raw = data.residual(found.fit.prediction.values, errors.chain)
+    for number in np.flatnonzero(groups.excess(errors.squares, data.counts)):
+        selected = data.used & (groups.of == number)
+        kind = next((k for k, parts in _KINDS.items() if np.isin(rows.part[selected], parts).any()), "")
         if not kind:
             continue
-        keys = np.stack([rows.channel[mine], _band(rows.level[mine], rows.test[mine])])
+        keys = np.stack([rows.channel[selected], _band(rows.level[selected], rows.test[selected])])
         _, block = np.unique(keys, axis=1, return_inverse=True)
-        block, residual = block.ravel(), raw[mine]
+        block, residual = block.ravel(), raw[selected]
         count = np.bincount(block).astype(np.float64)
         beyond = np.bincount(block, residual**2 - 1.0)
-        beyond = np.where(beyond > SURE_EXCESS * np.sqrt(2.0 * count), beyond, 0.0)
-        unit = np.abs(data.observations.values[mine]) if kind == "damping" else np.ones(residual.size)
-        sizes = np.sqrt(beyond / np.maximum(np.bincount(block, (unit / data.sigma[mine]) ** 2), 1e-300))
-        if np.any(rows.part[mine] == Part.SAMPLE):
-            sizes = sizes / max(float(np.sqrt(np.mean(data.observations.values[mine] ** 2))), 1e-300)
+        beyond = np.where(beyond > THRESHOLDS.verdict.excess_sigmas * np.sqrt(2.0 * count), beyond, 0.0)
+        unit = np.abs(data.observations.values[selected]) if kind == "damping" else np.ones(residual.size)
+        sizes = np.sqrt(beyond / np.maximum(np.bincount(block, (unit / data.sigma[selected]) ** 2), 1e-300))
+        if np.any(rows.part[selected] == Part.SAMPLE):
+            sizes = sizes / max(float(np.sqrt(np.mean(data.observations.values[selected] ** 2))), 1e-300)
         size = float(sizes.max())
         if size > 0.0 and size >= wanted.get(kind, 0.0):
-            result.append(Left(groups.names[number], kind, size))
+            result.append(Objection(groups.names[number], kind, size))
     return tuple(sorted(result, key=lambda left: -left.size / max(wanted.get(left.kind, 0.0), 1e-300)))
 
 
-def disbelieved(found: Found) -> tuple[tuple[Left, ...], float]:
+def implausible_parameters(found: FittedExplanation) -> tuple[tuple[Objection, ...], float]:
     """The model's own parameter furthest from what is believed of it, where that is improbable (Bonferroni).
 
     Returns:
@@ -131,40 +131,40 @@ def disbelieved(found: Found) -> tuple[tuple[Left, ...], float]:
     theta = np.abs(found.fit.theta[: len(parameters)])
     worst = int(np.argmax(theta))
     chance = min(1.0, len(parameters) * 2.0 * float(norm.sf(theta[worst])))
-    if chance >= INCREDIBLE:
+    if chance >= THRESHOLDS.comparison.incredible_probability:
         return (), chance
-    return (Left(parameters[worst].name, "", float(theta[worst])),), chance
+    return (Objection(parameters[worst].name, "", float(theta[worst])),), chance
 
 
-def worth(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> bool:
+def worth(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:
     """Whether an explanation with more effects than another is needed beside it.
 
     It is where the other leaves more than noise that matters and its predictions differ by what matters, or where the
     other is that near only by parameters and a measuring chain that are hard to believe.
     """
-    if _unbends(more, less):
+    if _lowers_prior_cost(more, less):
         return True
     return bool(left_over(data, less, wanted)) and _apart(data, more, less, wanted)
 
 
-def differs(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> bool:
+def differs(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:
     """The same where what the other leaves may not be surely more than noise yet."""
-    return _unbends(more, less) or _apart(data, more, less, wanted)
+    return _lowers_prior_cost(more, less) or _apart(data, more, less, wanted)
 
 
-def _unbends(more: Found, less: Found) -> bool:
+def _lowers_prior_cost(more: FittedExplanation, less: FittedExplanation) -> bool:
     """Whether further effects take parameters and measuring chain back to what is believed of them."""
     pulls = [
         float(
-            np.sum((own.fit.theta / own.fit.parametrisation.prior_std) ** 2)
-            + own.fit.errors.chain @ own.fit.errors.chain
+            np.sum((explanation.fit.theta / explanation.fit.parametrisation.prior_std) ** 2)
+            + explanation.fit.errors.chain @ explanation.fit.errors.chain
         )
-        for own in (less, more)
+        for explanation in (less, more)
     ]
-    return pulls[0] - pulls[1] > STRAIN
+    return pulls[0] - pulls[1] > THRESHOLDS.verdict.prior_cost_fall
 
 
-def _apart(data: Data, more: Found, less: Found, wanted: Mapping[str, float]) -> bool:
+def _apart(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:
     """Whether the predictions of two fits differ by what matters."""
     change = data.forward.difference(more.fit.errors.values, less.fit.errors.values)
     return matters(change_size(data, change), wanted)
@@ -181,33 +181,33 @@ def change_size(data: Data, change: FloatArray) -> Size:
     values: dict[str, float] = {}
     known = np.zeros(len(rows), dtype=bool)
     for kind, parts in _KINDS.items():
-        mine = data.used & np.isin(rows.part, parts)
-        known |= mine
-        if not mine.any():
+        selected = data.used & np.isin(rows.part, parts)
+        known |= selected
+        if not selected.any():
             continue
-        own = np.abs(change[mine])
-        keys = np.stack([rows.test[mine], rows.channel[mine], _band(rows.level[mine], rows.test[mine])])
+        relative_change = np.abs(change[selected])
+        keys = np.stack([rows.test[selected], rows.channel[selected], _band(rows.level[selected], rows.test[selected])])
         if kind == "damping":
-            own = own / np.maximum(np.abs(measured[mine]), 1e-12)
+            relative_change = relative_change / np.maximum(np.abs(measured[selected]), 1e-12)
         _, group = np.unique(keys, axis=1, return_inverse=True)
         group = group.ravel()
-        weight = data.sigma[mine] ** -2.0
-        squares = np.bincount(group, weight * own**2) / np.bincount(group, weight)
-        records = rows.part[mine] == Part.SAMPLE
+        weight = data.sigma[selected] ** -2.0
+        squares = np.bincount(group, weight * relative_change**2) / np.bincount(group, weight)
+        records = rows.part[selected] == Part.SAMPLE
         if records.any():
-            whole = np.bincount(group, np.where(records, measured[mine] ** 2, 0.0)) / np.bincount(group)
-            squares = np.where(whole > 0.0, squares / np.maximum(whole, 1e-300), squares)
+            mean_squares = np.bincount(group, np.where(records, measured[selected] ** 2, 0.0)) / np.bincount(group)
+            squares = np.where(mean_squares > 0.0, squares / np.maximum(mean_squares, 1e-300), squares)
         values[kind] = float(np.sqrt(np.max(squares)))
-    rest = data.used & ~known
-    return Size(values, bool(np.any(np.abs(change[rest] / data.sigma[rest]) > SEEN)))
+    unsized = data.used & ~known
+    return Size(values, bool(np.any(np.abs(change[unsized] / data.sigma[unsized]) > THRESHOLDS.verdict.visible_sigmas)))
 
 
-def without_strength(found: Found) -> FloatArray:
+def without_strength(found: FittedExplanation) -> FloatArray:
     """θ of an explanation with its effects at zero strength."""
     theta = found.fit.theta.copy()
     for number, candidate in enumerate(found.candidates):
-        mine = found.fit.parametrisation.index_of(number)
-        theta[mine] = at_zero(candidate, theta[mine])
+        selected = found.fit.parametrisation.index_of(number)
+        theta[selected] = at_zero(candidate, theta[selected])
     return theta
 
 
@@ -215,10 +215,10 @@ def _band(level: np.ndarray, test: np.ndarray) -> np.ndarray:
     """Levels, or tenths of many lines."""
     result = level.copy()
     for number in np.unique(test):
-        mine = test == number
-        most = int(level[mine].max()) + 1
-        if most > 20:
-            result[mine] = level[mine] * 10 // most
+        selected = test == number
+        most = int(level[selected].max()) + 1
+        if most > THRESHOLDS.verdict.many_levels:
+            result[selected] = level[selected] * 10 // most
     return result
 
 

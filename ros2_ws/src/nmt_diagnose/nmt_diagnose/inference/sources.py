@@ -14,19 +14,17 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.effects.boundary_effects import joint_placement
-from nmt_diagnose.effects.placement import Placement
+from nmt_diagnose.effects.boundary_effects import joint_location
+from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.residual_map import channels_of
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_diagnose.twin.influence import Source, SourceColumn
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.rig import Rig
 
-# Range of ln(level) and ln(line) over which a source keeps its size.
-_LEVEL_LENGTH, _LINE_LENGTH = 1.5, 0.7
-_KEPT = 0.01
 _FAMILIES: tuple[tuple[str, tuple[int, ...], bool], ...] = (
     ("fundamental", (1,), False),
     ("odd orders", (1, 3, 5), False),
@@ -36,15 +34,15 @@ _FAMILIES: tuple[tuple[str, tuple[int, ...], bool], ...] = (
 
 
 @dataclass(frozen=True)
-class SourcePlace:
+class SourceLocation:
     """A place with the smooth responses to sources there.
 
     Attributes:
-        placement: where.
+        location: where.
         families: name and whitened columns (m, s) of each family of sources.
     """
 
-    placement: Placement
+    location: Location
     families: tuple[tuple[str, FloatArray], ...]
 
 
@@ -54,7 +52,7 @@ def places(
     prediction: Prediction,
     observations: Observations,
     whitened: Callable[[FloatArray], FloatArray],
-) -> list[SourcePlace]:
+) -> list[SourceLocation]:
     """Places where an unnamed source may sit, with what it could do.
 
     Args:
@@ -65,31 +63,31 @@ def places(
         whitened: takes changes (m, n) of the model's values and gives those of what is compared, over σ.
     """
     channels = {c.name: c for test in observations.tests for c in channels_of(test)}
-    wanted: list[tuple[Placement, Source]] = [
-        (Placement.at("structure", point), Source("structure", point)) for point in rig.structure.points
+    wanted: list[tuple[Location, Source]] = [
+        (Location.at("structure", point), Source("structure", point)) for point in rig.structure.points
     ]
-    wanted += [(joint_placement(element, f"element {k + 1}"), Source("joint", k)) for k, element in _joints(rig)]
-    wanted += [(Placement("boundary", detail="clamp"), Source("clamp")), (Placement("exciter"), Source("exciter"))]
-    wanted += [(Placement("force_sensor"), Source("force_sensor"))]
+    wanted += [(joint_location(element, f"element {k + 1}"), Source("joint", k)) for k, element in _joints(rig)]
+    wanted += [(Location("boundary", detail="clamp"), Source("clamp")), (Location("exciter"), Source("exciter"))]
+    wanted += [(Location("force_sensor"), Source("force_sensor"))]
     responses = sorted((c for c in channels.values() if c.quantity is not Quantity.FORCE), key=lambda c: c.name)
     wanted += [(_response(rig, channel), Source("response_sensor", channel=channel.name)) for channel in responses]
-    wanted += [(Placement("controller"), Source("controller")), (Placement("time"), Source("time"))]
+    wanted += [(Location("controller"), Source("controller")), (Location("time"), Source("time"))]
     result = []
-    for placement, source in wanted:
+    for location, source in wanted:
         columns, names = forward.influence(rig, prediction, source)
         changes = np.nan_to_num(whitened(columns), posinf=0.0, neginf=0.0)
         drift = source.kind == "time"
         families = (("drift", changes),) if drift else _families(changes, names, observations)
         families = tuple((name, block) for name, block in families if block.shape[1] and np.any(block))
         if families:
-            result.append(SourcePlace(placement, families))
+            result.append(SourceLocation(location, families))
     return result
 
 
-def _response(rig: Rig, channel: MeasuredChannel) -> Placement:
+def _response(rig: Rig, channel: MeasuredChannel) -> Location:
     """The sensor of a channel, at its point in the model where it is one of the model's."""
     points = [rig.sensor_point(sensor) for sensor in rig.sensors if rig.sensor_channel(sensor) == channel.name]
-    return Placement.on_channel("response_sensor", channel.name, points[0] if points else channel.point)
+    return Location.on_channel("response_sensor", channel.name, points[0] if points else channel.point)
 
 
 def _joints(rig: Rig) -> list[tuple[int, ElementSection]]:
@@ -108,12 +106,16 @@ def _families(
         groups.setdefault(replace(column, number=-1), []).append((column.number, position))
     drive = {key: _logs(observations, [n for n, _ in members], True) for key, members in level_groups.items()}
     smooth = {
-        key: _smooth(columns[:, [p for _, p in members]], drive[key], _LEVEL_LENGTH)
+        key: _smooth(columns[:, [p for _, p in members]], drive[key], THRESHOLDS.comparison.source_level_length)
         for key, members in level_groups.items()
     }
     shared = {key: columns[:, [p for _, p in members]].sum(axis=1)[:, None] for key, members in level_groups.items()}
     lines = [
-        _smooth(columns[:, [p for _, p in members]], _logs(observations, [n for n, _ in members], False), _LINE_LENGTH)
+        _smooth(
+            columns[:, [p for _, p in members]],
+            _logs(observations, [n for n, _ in members], False),
+            THRESHOLDS.comparison.source_line_length,
+        )
         for members in line_groups.values()
     ]
     result = []
@@ -128,12 +130,12 @@ def _families(
 def _logs(observations: Observations, numbers: Sequence[int], levels: bool) -> FloatArray:
     """ln of the drive of each level, or of the frequency of each line."""
     rows = observations.rows
-    own = rows.harmonic >= 0
+    with_order = rows.harmonic >= 0
     values = rows.amplitude if levels else rows.frequency_hz
     result = np.empty(len(numbers))
     for k, number in enumerate(numbers):
-        mine = values[own & (rows.level == number)]
-        result[k] = np.log(max(float(np.median(mine)), 1e-300)) if mine.size else 0.0
+        selected = values[with_order & (rows.level == number)]
+        result[k] = np.log(max(float(np.median(selected)), 1e-300)) if selected.size else 0.0
     return result
 
 
@@ -141,6 +143,6 @@ def _smooth(columns: FloatArray, x: FloatArray, length: float) -> FloatArray:
     """Columns of smooth courses: principal functions of a Gaussian process over x, scaled by their size."""
     kernel = np.exp(-0.5 * ((x[:, None] - x[None, :]) / length) ** 2)
     values, vectors = np.linalg.eigh(kernel)
-    keep = values > _KEPT * values[-1]
+    keep = values > THRESHOLDS.comparison.source_least_eigenvalue * values[-1]
     result: FloatArray = columns @ (vectors[:, keep] * np.sqrt(values[keep]))
     return result

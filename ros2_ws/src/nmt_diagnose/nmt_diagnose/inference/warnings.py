@@ -8,17 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.inference.search import Found
-from nmt_diagnose.inference.tuned import CREDIBLE, LEFT_OVER, LIMIT_STD, SMALL_SHARE
+from nmt_diagnose.inference.search import FittedExplanation
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
 
 
 def warned(
     verdict: Verdict,
-    best: Found,
+    best: FittedExplanation,
     calibration: Sequence[Recalibrated],
     gap: Gap,
-    alike: Sequence[Found] = (),
+    alike: Sequence[FittedExplanation] = (),
 ) -> tuple[str, ...]:
     """Sentences of warning; empty where there is nothing to mind.
 
@@ -38,7 +38,11 @@ def warned(
             "relied on."
         )
     theta = best.fit.theta[: len(calibration)]
-    far = [(item, float(value)) for item, value in zip(calibration, theta, strict=True) if abs(value) > CREDIBLE]
+    far = [
+        (item, float(value))
+        for item, value in zip(calibration, theta, strict=True)
+        if abs(value) > THRESHOLDS.comparison.credible_sigmas
+    ]
     for item, value in sorted(far, key=lambda pair: -abs(pair[1])) if verdict is not Verdict.NONE else ():
         found.append(
             f"The fit moves {item.name} from {item.start:.4g} to {item.to:.4g} {item.unit}, {abs(value):.1f} standard "
@@ -46,8 +50,13 @@ def warned(
         )
     for member in alike if verdict is Verdict.EFFECT else ():
         found += _beyond_physics(member)
-    large = not gap.closed >= 1.0 - SMALL_SHARE
-    if verdict is Verdict.EFFECT and large and math.isfinite(gap.after) and gap.after > LEFT_OVER * max(gap.floor, 1.0):
+    large = not gap.closed >= 1.0 - THRESHOLDS.verdict.small_left_share
+    if (
+        verdict is Verdict.EFFECT
+        and large
+        and math.isfinite(gap.after)
+        and gap.after > THRESHOLDS.verdict.left_over_scale * max(gap.floor, 1.0)
+    ):
         worst = max(gap.per_observable.items(), key=lambda item: item[1]["after"], default=None)
         where = f", most of it in {worst[0]}" if worst else ""
         found.append(
@@ -73,22 +82,22 @@ def without_observables(observations: Observations) -> tuple[str, ...]:
     )
 
 
-def beyond_limits(found: Found) -> dict[tuple[int, str], float]:
+def beyond_physical_limits(found: FittedExplanation) -> dict[tuple[int, str], float]:
     """Parameters of effects that are larger than physics allows: by how many standard deviations of the limit."""
-    own, result = found.fit.parametrisation, {}
+    parametrisation, result = found.fit.parametrisation, {}
     for index, candidate in enumerate(found.candidates):
-        values = own.values(found.fit.theta, index)
+        values = parametrisation.values(found.fit.theta, index)
         for name, limit in candidate.site.limits.items():
             if abs(values[name]) > limit:
-                result[index, name] = (abs(values[name]) / limit - 1.0) / LIMIT_STD
+                result[index, name] = (abs(values[name]) / limit - 1.0) / THRESHOLDS.comparison.limit_std
     return result
 
 
-def _beyond_physics(found: Found) -> list[str]:
+def _beyond_physics(found: FittedExplanation) -> list[str]:
     """Sentences on parameters larger than physics allows."""
     result = []
-    for (index, name), far in beyond_limits(found).items():
-        if far > CREDIBLE:
+    for (index, name), far in beyond_physical_limits(found).items():
+        if far > THRESHOLDS.comparison.credible_sigmas:
             candidate = found.candidates[index]
             value = found.fit.parametrisation.values(found.fit.theta, index)[name]
             unit = next(p.unit for p in candidate.effect.parameters if p.name == name)

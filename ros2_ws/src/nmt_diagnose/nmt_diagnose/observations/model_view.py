@@ -92,13 +92,13 @@ def matched(
     result: dict[str, MeasuredChannel] = {}
     notes = []
     for channel in channels:
-        own = by_name.get(channel.name)
-        if own is None or (own.quantity, own.point) != (channel.quantity, channel.point):
-            own = by_place.get((channel.quantity, channel.point))
-        if channel.quantity is Quantity.FORCE and own is None:
-            own = next((c for c in view.channels if c.quantity is Quantity.FORCE), None)
-        if own is not None and own.name not in {c.name for c in result.values()}:
-            result[channel.name] = own
+        model_channel = by_name.get(channel.name)
+        if model_channel is None or (model_channel.quantity, model_channel.point) != (channel.quantity, channel.point):
+            model_channel = by_place.get((channel.quantity, channel.point))
+        if channel.quantity is Quantity.FORCE and model_channel is None:
+            model_channel = next((c for c in view.channels if c.quantity is Quantity.FORCE), None)
+        if model_channel is not None and model_channel.name not in {c.name for c in result.values()}:
+            result[channel.name] = model_channel
         else:
             place = f" at point {channel.point}" if channel.point else ""
             notes.append(

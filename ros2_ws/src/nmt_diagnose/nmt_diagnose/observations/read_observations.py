@@ -27,19 +27,17 @@ from nmt_diagnose.observations.kinds.stepped_table_observations import measured_
 from nmt_diagnose.observations.kinds.table_observations import table_observations
 from nmt_diagnose.observations.model_view import ModelView, matched
 from nmt_diagnose.observations.noise.floors import repeatability, with_stated_repeatability
-from nmt_diagnose.observations.noise.shared_scatter import with_shared_scatter
-from nmt_diagnose.observations.observables import Observations, joined
+from nmt_diagnose.observations.noise.scatter import with_shared_scatter
+from nmt_diagnose.observations.observables import Observations, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, strangers
-from nmt_diagnose.observations.row_table import empty
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.observables import observable_tables
 from nmt_record.windows.segments import Segment, segments
 from nmt_rig.rig import Rig
 
 _LOCKED = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE)
-_FEW_LEVELS = 3
-_FEWEST_SAMPLES = 16
 
 
 def read_observations(
@@ -98,17 +96,17 @@ def _read_all(
     bags: Sequence[Path | str], model: Rig, settings: ObservationSettings, progress: Callable[[str], None] | None
 ) -> Observations:
     parts: list[Observations] = []
-    seen: dict[str, str] = {}
+    path_by_digest: dict[str, str] = {}
     names: set[str] = set()
     for path in map(Path, bags):
         if progress is not None:
             progress(f"reading {path}")
         bag = Bag.open(path)
         digest = bag_digest(path)
-        if digest in seen:
-            parts.append(empty((f"The bag {path} is the same as {seen[digest]} and is used once.",)))
+        if digest in path_by_digest:
+            parts.append(empty((f"The bag {path} is the same as {path_by_digest[digest]} and is used once.",)))
             continue
-        seen[digest] = str(path)
+        path_by_digest[digest] = str(path)
         name = _unique(_name(path), names)
         part = read_bag(bag, name, model, settings)
         origin = origin_of(bag, path, [test.name for test in part.tests])
@@ -156,8 +154,8 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
         first = tables[numbers[0]].name or f"table {numbers[0] + 1}"
         count = len(numbers) - 1
         more = f" and {count} more point{'s' if count > 1 else ''}" if count else ""
-        own = name if len(tables) == len(numbers) and not usable else f"{name}/{first}{more}"
-        reduced = table_observations(own, [tables[number] for number in numbers], model, settings)
+        test_name = name if len(tables) == len(numbers) and not usable else f"{name}/{first}{more}"
+        reduced = table_observations(test_name, [tables[number] for number in numbers], model, settings)
         chains = tuple(
             table_chain(test.channels, settings.calibration) if isinstance(test, SteppedSineTest | RandomTest) else None
             for test in reduced.tests
@@ -187,7 +185,7 @@ def _signals(
     stretches = read_windows(bag, usable)
     windows = []
     for segment, stretch in zip(usable, stretches, strict=True):
-        if stretch is None or stretch.samples < _FEWEST_SAMPLES:
+        if stretch is None or stretch.samples < THRESHOLDS.reading.stretch_fewest_samples:
             where = f"{name}: level {segment.level_index}"
             notes.append(f"{where} is left out: the bag has no samples of its window, or hardly any.")
         else:
@@ -222,38 +220,42 @@ def _signals(
         channels = _plausible(name, locked, view, channels, notes)
         several = len({window.segment.kind for window in windows}) > 1
         for kind in _LOCKED:
-            mine = [(window.segment, window.stretch) for window in locked if window.segment.kind is kind]
-            if mine:
-                own = f"{name}/{kind.label}" if several else name
-                if kind is TestKind.STEPPED_SINE and "imported" in run and is_response(mine):
-                    parts.append(stepped_sine_observations(own, mine, view, channels, settings))
+            selected = [(window.segment, window.stretch) for window in locked if window.segment.kind is kind]
+            if selected:
+                test_name = f"{name}/{kind.label}" if several else name
+                if kind is TestKind.STEPPED_SINE and "imported" in run and is_response(selected):
+                    parts.append(stepped_sine_observations(test_name, selected, view, channels, settings))
                     continue
                 parts.append(
-                    phase_resonance_observations(own, mine, view, channels, settings, response, rate, "imported" in run)
+                    phase_resonance_observations(
+                        test_name, selected, view, channels, settings, response, rate, "imported" in run
+                    )
                 )
                 levels = len(getattr(parts[-1].tests[0], "levels", ())) if parts[-1].tests else 0
-                if 0 < levels < _FEW_LEVELS:
+                if 0 < levels < THRESHOLDS.reading.few_levels:
                     notes.append(
-                        f"{own}: {levels} level{'s' if levels > 1 else ''} cannot tell effects apart by how they grow "
-                        "with amplitude; measure five or more."
+                        f"{test_name}: {levels} level{'s' if levels > 1 else ''} cannot tell effects apart by how they "
+                        "grow with amplitude; measure five or more."
                     )
     for kind in (TestKind.RANDOM, TestKind.RING_DOWN):
-        mine_windows = [window for window in windows if window.segment.kind is kind]
-        for window in mine_windows:
-            own = f"{name}/{kind.label}" if len(windows) > len(mine_windows) else name
-            own = f"{own} {window.segment.level_index}" if len(mine_windows) > 1 else own
-            notes += clipping_notes(own, [(window.segment.level_index, window.stretch)])
-            notes += repeats_notes(own, [window.stretch])
+        windows_of_kind = [window for window in windows if window.segment.kind is kind]
+        for window in windows_of_kind:
+            test_name = f"{name}/{kind.label}" if len(windows) > len(windows_of_kind) else name
+            test_name = f"{test_name} {window.segment.level_index}" if len(windows_of_kind) > 1 else test_name
+            notes += clipping_notes(test_name, [(window.segment.level_index, window.stretch)])
+            notes += repeats_notes(test_name, [window.stretch])
             if kind is TestKind.RANDOM:
-                parts.append(random_observations(own, window.stretch, view, channels, settings, rate))
+                parts.append(random_observations(test_name, window.stretch, view, channels, settings, rate))
             else:
                 guess = window.segment.frequency_hz
-                parts.append(ring_down_observations(own, window.stretch, guess, view, of_decays, settings, response))
+                parts.append(
+                    ring_down_observations(test_name, window.stretch, guess, view, of_decays, settings, response)
+                )
     records = [window for window in windows if window.segment.kind is TestKind.RECORD]
     if records:
-        own = f"{name}/record" if len(records) < len(windows) else name
+        test_name = f"{name}/record" if len(records) < len(windows) else name
         taken = [window.stretch for window in records]
-        parts.append(record_observations(own, taken, view, channels, settings, math.isfinite(rate)))
+        parts.append(record_observations(test_name, taken, view, channels, settings, math.isfinite(rate)))
     sampling = windows[0].stretch.sample_rate
     chain = measuring_chain(run, channels, sampling, bag.rig_yaml, settings.calibration)
     return [replace(part, chains=(chain,) * len(part.tests)) for part in parts]
@@ -333,8 +335,8 @@ def bag_digest(path: Path) -> str:
 
 
 def _name(path: Path) -> str:
-    own = path.stem if path.is_file() else path.name
-    return path.resolve().parent.name or own if own in ("bag", "") else own
+    stem = path.stem if path.is_file() else path.name
+    return path.resolve().parent.name or stem if stem in ("bag", "") else stem
 
 
 def _unique(name: str, taken: set[str]) -> str:

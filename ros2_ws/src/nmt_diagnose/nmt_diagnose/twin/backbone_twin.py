@@ -32,8 +32,8 @@ class BackboneTwin(PeriodicLevels):
     def __init__(self, test: BackboneTable, rows: Rows, settings: TwinSettings) -> None:
         levels = []
         for position, amplitude in enumerate(test.amplitudes):
-            own = rows.frequency_hz[rows.level == position]
-            frequency = float(own[0]) if own.size else np.nan
+            frequency_hz = rows.frequency_hz[rows.level == position]
+            frequency = float(frequency_hz[0]) if frequency_hz.size else np.nan
             levels.append(LockedLevel(position, float(amplitude), 0.0, 0.0, frequency, 0.0, 0.0, 0.0, 1))
         probe = MeasuredChannel("motion", Quantity.DISPLACEMENT, test.drive_point, ideal=True)
         force = MeasuredChannel("force", Quantity.FORCE, test.drive_point, ideal=True)
@@ -55,8 +55,8 @@ class BackboneTwin(PeriodicLevels):
                 groups.setdefault(id(parts), (parts, []))[1].append(position)
         if np.any(self.rows.part == Part.DAMPING):
             for parts, positions in groups.values():
-                own = [state for position in positions if (state := states[position]) is not None]
-                damping[positions] = self._damping(rig, parts, own)
+                solved = [state for position in positions if (state := states[position]) is not None]
+                damping[positions] = self._damping(rig, parts, solved)
         result = np.full(len(self.rows), np.nan)
         for kind, values in ((Part.LOG_FREQUENCY, log_omega), (Part.DAMPING, damping)):
             which = self.rows.part == kind

@@ -6,13 +6,10 @@ import numpy as np
 from scipy.special import ndtr
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 
 SAMPLES = 512
-# Beyond this many steps of amplitude the staircase adds less than a hundredth of a step to any harmonic.
-COARSE = 64.0
-# Deviations of the noise within which it reaches a clipping level often enough to matter.
-NOISE_REACH = 4.0
 
 
 def recorded_harmonics(amplitudes: ComplexArray, limits: FloatArray, basis: FourierBasis) -> ComplexArray:
@@ -27,13 +24,13 @@ def recorded_harmonics(amplitudes: ComplexArray, limits: FloatArray, basis: Four
     if not (np.any(np.isfinite(level)) or np.any(step > 0.0)):
         return amplitudes
     sizes = np.abs(amplitudes)
-    clips = sizes.sum(axis=-1) + NOISE_REACH * noise > level
-    coarse = (step > 0.0) & (sizes.max(axis=-1) < COARSE * step) & (noise < 0.7 * step)
+    clips = sizes.sum(axis=-1) + THRESHOLDS.prediction.noise_reach_sigmas * noise > level
+    coarse = (step > 0.0) & (sizes.max(axis=-1) < THRESHOLDS.prediction.coarse_steps * step) & (noise < 0.7 * step)
     result = amplitudes.copy()
     changed = clips | coarse
     if not changed.any():
         return result
-    level, step, noise = (np.broadcast_to(own, sizes.shape[:-1])[changed][:, None] for own in (level, step, noise))
+    level, step, noise = (np.broadcast_to(array, sizes.shape[:-1])[changed][:, None] for array in (level, step, noise))
     clips, coarse = clips[changed], coarse[changed]
     waves = basis.sampled(SAMPLES)
     values = basis.to_real(amplitudes[changed]) @ waves.T

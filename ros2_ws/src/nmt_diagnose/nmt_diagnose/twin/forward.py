@@ -22,6 +22,7 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.backbone_twin import BackboneTwin
 from nmt_diagnose.twin.influence import Source, SourceColumn, random_influence, resonance_influence
 from nmt_diagnose.twin.parts_cache import PartsCache, joint_setup
@@ -33,8 +34,6 @@ from nmt_diagnose.twin.stepped_sine_twin import SteppedSineTwin, with_growth
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig, SensorSection
 
-# Relative distance within which a line of the observations is that of the mains.
-LINE_WIDTH = 0.01
 _OF_THE_CHANNEL = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
 
 
@@ -169,21 +168,29 @@ class Forward:
         for sensor in rig.sensors:
             sensors.setdefault(rig.sensor_channel(sensor), sensor)
         for row, name in self._steps:
-            own = sensors.get(name)
-            values[row] = 2.0 * own.range / 2.0**own.bits if own is not None and own.bits and own.range else 0.0
+            model_sensor = sensors.get(name)
+            values[row] = (
+                2.0 * model_sensor.range / 2.0**model_sensor.bits
+                if model_sensor is not None and model_sensor.bits and model_sensor.range
+                else 0.0
+            )
         for row, name in self._limits:
-            own = sensors.get(name)
-            levels = [level for level in (own.clip, own.range) if level is not None] if own is not None else []
+            model_sensor = sensors.get(name)
+            levels = (
+                [level for level in (model_sensor.clip, model_sensor.range) if level is not None]
+                if model_sensor is not None
+                else []
+            )
             values[row] = 1.0 / min(levels) if levels else 0.0
         for row, _ in self._repeats:
             values[row] = 0.0  # a model that loses samples is refused
         for row, name in self._lines:
-            own = sensors.get(name)
+            model_sensor = sensors.get(name)
             values[row] = 0.0
-            if own is not None and own.hum_amplitude != 0.0:
-                seen = own.hum_hz / (1.0 + rig.clock_error)
-                if abs(self.rows.frequency_hz[row] / seen - 1.0) < LINE_WIDTH:
-                    values[row] = own.hum_amplitude
+            if model_sensor is not None and model_sensor.hum_amplitude != 0.0:
+                apparent_hz = model_sensor.hum_hz / (1.0 + rig.clock_error)
+                if abs(self.rows.frequency_hz[row] / apparent_hz - 1.0) < THRESHOLDS.prediction.line_width:
+                    values[row] = model_sensor.hum_amplitude
 
     def jacobian(
         self,
@@ -240,13 +247,13 @@ class Forward:
         if source.kind == "time":
             return self._time_influence(rig, prediction)
         for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
-            own: FloatArray = np.zeros((where.size, 0))
+            columns: FloatArray = np.zeros((where.size, 0))
             labels: list[SourceColumn] = []
             if source.kind == "controller":
                 if isinstance(twin, PhaseResonanceTwin):
                     held = twin.rows.part == Part.PHASE_ERROR
                     levels = range(len(twin.levels))
-                    own = np.stack([0.01 * (held & (twin.rows.level == level)) for level in levels], axis=1)
+                    columns = np.stack([0.01 * (held & (twin.rows.level == level)) for level in levels], axis=1)
                     labels = [SourceColumn(twin.test.name, "level", level) for level in levels]
             elif isinstance(twin, PhaseResonanceTwin | RandomTwin):
                 here = source
@@ -257,15 +264,15 @@ class Forward:
                     here = replace(source, index=known.index(source.channel))
                 if isinstance(twin, PhaseResonanceTwin):
                     states = prediction.states[index]
-                    own, labels = resonance_influence(twin, rig, cache, states, here, self.settings)
+                    columns, labels = resonance_influence(twin, rig, cache, states, here, self.settings)
                     # Lines and steps follow no excitation: only an error of their own channel adds to them.
-                    own[np.isin(twin.rows.part, _OF_THE_CHANNEL)] = 0.0
+                    columns[np.isin(twin.rows.part, _OF_THE_CHANNEL)] = 0.0
                     direct, more = _channel_sources(twin, states, here)
-                    own, labels = np.hstack((own, direct)), labels + more
+                    columns, labels = np.hstack((columns, direct)), labels + more
                 else:
-                    own, labels = random_influence(twin, rig, cache, here, self.settings)
-            full = np.zeros((len(self.rows), own.shape[1]))
-            full[where] = own
+                    columns, labels = random_influence(twin, rig, cache, here, self.settings)
+            full = np.zeros((len(self.rows), columns.shape[1]))
+            full[where] = columns
             blocks.append(self.difference(full, np.zeros_like(full)))
             names += labels
         return (np.hstack(blocks) if blocks else np.zeros((len(self.rows), 0))), tuple(names)
@@ -311,10 +318,10 @@ def _channel_sources(
     sizes = [float(abs(state.channels[channel, twin.basis.fundamental])) for state in states if state is not None]
     columns, names = [], []
     for part in _OF_THE_CHANNEL:
-        mine = (twin.rows.part == part) & np.isin(twin.rows.channel, rows)
-        for level in np.unique(twin.rows.level[mine]) if sizes else ():
-            columns.append(0.01 * min(sizes) * (mine & (twin.rows.level == level)))
-            names.append(SourceColumn(twin.test.name, "level", int(level), own=part))
+        selected = (twin.rows.part == part) & np.isin(twin.rows.channel, rows)
+        for level in np.unique(twin.rows.level[selected]) if sizes else ():
+            columns.append(0.01 * min(sizes) * (selected & (twin.rows.level == level)))
+            names.append(SourceColumn(twin.test.name, "level", int(level), unexcited=part))
     return (np.stack(columns, axis=1), names) if columns else empty
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.conditions import SteppedSineTest
 from nmt_diagnose.observations.observables import Rows
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.parts_cache import PartsCache
 from nmt_diagnose.twin.stepped_sine_twin import SteppedSineTwin
 from nmt_diagnose.twin.twin_settings import TwinSettings
@@ -24,8 +25,6 @@ from nmt_rig.rig import Rig
 _AMPLITUDES = 240  # of the course R(s), over ``_DECADES`` below what resonance could reach
 _DECADES = 5.0
 _NEWTON_STEPS = 4
-# A step of ln s from line to line beyond which a state is not the continuation of the one before.
-_CONTINUED = 0.5
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ def frequency_sweep(rig: Rig, test: SteppedSineTest, largest: float, settings: T
             continue
         distance = [abs(math.log(s / before)) if math.isfinite(before) else math.log(s / grid[0]) for s, _ in states]
         nearest = int(np.argmin(distance))
-        if math.isfinite(before) and distance[nearest] > _CONTINUED:
+        if math.isfinite(before) and distance[nearest] > THRESHOLDS.prediction.continued_log_step:
             jumps.append(int(line))
         before, responses[line] = states[nearest]
     return Sweep(responses, tuple(sorted(jumps)))

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.equivalent_linear import NODES, Quadrature, equivalents_kernel
 from nmt_diagnose.twin.linear_model import Fractions, LinearModel
 from nmt_rig.model.aft import ElementTables, LocalTables
 
 # Frequencies about each pole at which the motion is added up, in half widths of its peak.
 _ABOUT = np.sinh(np.linspace(-6.0, 6.0, 61)) / 4.0
-_FAR = 3.0  # poles beyond the band by that factor hardly move those in it
 # Most turns and relative change that ends the search for a motion and the local forces that belong to it.
 _TURNS, _SETTLED = 40, 1e-9
 _NODES = tuple(NODES)
@@ -61,7 +61,10 @@ def forces_in_motion(
     """
     r = resting[0].size
     low, high = float(omega.min()), float(omega.max())
-    near = np.flatnonzero((np.abs(model.poles) < _FAR * high) & (np.abs(model.poles) > low / _FAR))
+    near = np.flatnonzero(
+        (np.abs(model.poles) < THRESHOLDS.prediction.far_pole_ratio * high)
+        & (np.abs(model.poles) > low / THRESHOLDS.prediction.far_pole_ratio)
+    )
     nearest = (
         model.poles[near],
         np.ascontiguousarray(model.displacement[:r, near]),

@@ -14,6 +14,7 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.twin.parts_cache import PartsCache
 from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin
@@ -21,10 +22,6 @@ from nmt_diagnose.twin.random_twin import RandomTwin
 from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import BeamSection, Rig
-
-# Share of the fundamental force (or of a channel's fundamental) that a unit source is.
-UNIT = 0.01
-
 
 SourceKind = Literal["structure", "joint", "clamp", "exciter", "force_sensor", "response_sensor", "controller", "time"]
 
@@ -56,7 +53,7 @@ class SourceColumn:
         order: harmonic.
         part: real or imaginary part; empty where there is only one.
         vector: number of the source vector.
-        own: a line of the mains, or a converter's step, that follows no excitation.
+        unexcited: a line of the mains, or a converter's step, that follows no excitation.
     """
 
     test: str
@@ -65,7 +62,7 @@ class SourceColumn:
     order: int = 1
     part: Literal["re", "im", ""] = ""
     vector: int = 0
-    own: Part | None = None
+    unexcited: Part | None = None
 
 
 def source_vectors(rig: Rig, parts: RigParts, source: Source) -> tuple[FloatArray, FloatArray]:
@@ -180,14 +177,16 @@ def _level_sources(
     if model is None:
         row = twin.force_row if source.kind == "force_sensor" else twin.own_row(source.index)
         direct = np.zeros_like(channels)
-        direct[row, order] = UNIT * turn * channels[row, 1]
+        direct[row, order] = THRESHOLDS.prediction.unit_source_share * turn * channels[row, 1]
         residual = np.zeros(nz)
         if order == 1:
-            residual[-2] = twin.phase_change(row, UNIT * turn)
+            residual[-2] = twin.phase_change(row, THRESHOLDS.prediction.unit_source_share * turn)
         return [(residual, direct, 0)]
     t, _ = model.at(1j * order * state.omega)
     for k in range(count):
-        amount = UNIT * force * turn * np.exp(1j * np.angle(channels[twin.force_row, 1]))
+        amount = (
+            THRESHOLDS.prediction.unit_source_share * force * turn * np.exp(1j * np.angle(channels[twin.force_row, 1]))
+        )
         size = float(np.max(np.abs(t[: r + parts.channels.shape[0], r + 1 + k]))) or 1.0
         residual = np.zeros(nz)
         for i in range(r):
@@ -217,7 +216,7 @@ def random_influence(
     responses = twin.responses(rig, cache)
     rows, r = twin.rows, parts.coordinates
     lines = twin.test.lines_hz
-    own = twin.channel_rows
+    channel_rows = twin.channel_rows
     columns: list[FloatArray] = []
     names: list[SourceColumn] = []
     model: LinearModel | None = None
@@ -231,7 +230,9 @@ def random_influence(
         if which.size == 0:
             continue
         omega = 2.0 * np.pi * lines[line] * parts.clock
-        changes = [_line_change(twin, parts, model, k, source, omega, responses[line], own, r) for k in range(count)]
+        changes = [
+            _line_change(twin, parts, model, k, source, omega, responses[line], channel_rows, r) for k in range(count)
+        ]
         for k, change in enumerate(changes):
             for turn in (1.0, 1j):
                 relative = change * turn / responses[line]
@@ -261,7 +262,7 @@ def _line_change(
             if (source.kind == "force_sensor" and is_force) or (
                 source.kind == "response_sensor" and not is_force and index == source.index
             ):
-                change[index] = UNIT * responses[index]
+                change[index] = THRESHOLDS.prediction.unit_source_share * responses[index]
         return change
     s = 1j * omega
     t, _ = model.at(s)
@@ -274,5 +275,5 @@ def _line_change(
     force = [row for row, section in enumerate(parts.sections) if section is not None and section.quantity == "force"]
     size = abs(full[force[0], 0]) if force else 1.0
     drive = full[own[-1], 0]
-    result: ComplexArray = UNIT * size * full[own[:-1], 1] / drive
+    result: ComplexArray = THRESHOLDS.prediction.unit_source_share * size * full[own[:-1], 1] / drive
     return result

@@ -15,11 +15,9 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig
-
-# Turns of the highest line between delays that are tried; the latest that is, s.
-_STEP_TURNS, _LATEST_S = 1.0 / 16.0, 0.01
 
 
 def delay_of(frequency_hz: FloatArray, later: FloatArray) -> float:
@@ -32,8 +30,8 @@ def delay_of(frequency_hz: FloatArray, later: FloatArray) -> float:
     Returns:
         Within 10 ms either way.
     """
-    step = _STEP_TURNS / float(frequency_hz.max())
-    count = math.ceil(_LATEST_S / step)
+    step = THRESHOLDS.prediction.delay_step_turns / float(frequency_hz.max())
+    count = math.ceil(THRESHOLDS.prediction.latest_delay_s / step)
     tried = step * np.arange(-count, count + 1)
     sums = np.abs(np.exp(1j * (2.0 * np.pi * tried[:, None] * frequency_hz - later)).sum(axis=1))
     return float(tried[np.argmax(sums)])
@@ -48,19 +46,19 @@ def lateness(observations: Observations, rig: Rig) -> dict[tuple[int, int], floa
     """
     rows = observations.rows
     random = [k for k, test in enumerate(observations.tests) if isinstance(test, RandomTest)]
-    mine = np.isin(rows.test, random) & (rows.part == Part.PHASE)
-    if not mine.any():
+    selected = np.isin(rows.test, random) & (rows.part == Part.PHASE)
+    if not selected.any():
         return {}
-    forward = Forward(observations.tests, rows.take(mine))
+    forward = Forward(observations.tests, rows.take(selected))
     try:
         predicted = forward.predict(rig).values
     except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
         return {}
-    rows, lag = rows.take(mine), predicted - observations.values[mine]
+    rows, lag = rows.take(selected), predicted - observations.values[selected]
     found = {}
     for test in random:
         for channel in np.unique(rows.channel[rows.test == test]):
-            own = (rows.test == test) & (rows.channel == channel) & np.isfinite(lag)
-            if own.any():
-                found[test, int(channel)] = delay_of(rows.frequency_hz[own], lag[own])
+            used = (rows.test == test) & (rows.channel == channel) & np.isfinite(lag)
+            if used.any():
+                found[test, int(channel)] = delay_of(rows.frequency_hz[used], lag[used])
     return found

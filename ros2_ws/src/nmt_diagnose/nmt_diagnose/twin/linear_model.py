@@ -17,10 +17,8 @@ from scipy.linalg import eigh
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.assembly import ElectromechanicalSystem
-
-# Part of another shape that a shape may take in while the first order will do.
-_LARGEST_MIX = 1e-3
 
 
 class LinearTables(NamedTuple):
@@ -306,7 +304,7 @@ def moved_model(
     with np.errstate(divide="ignore", invalid="ignore"):
         mixed = moved / gaps
     np.fill_diagonal(mixed, 0.0)
-    if not np.max(np.abs(mixed), initial=0.0) < _LARGEST_MIX:
+    if not np.max(np.abs(mixed), initial=0.0) < THRESHOLDS.prediction.largest_shape_mix:
         return None
     left = frame.left @ b
     return _with_outputs(model.poles + np.diag(moved), frame.full + frame.full @ mixed, left - mixed @ left, rows, None)

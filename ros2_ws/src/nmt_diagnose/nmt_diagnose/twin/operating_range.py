@@ -24,6 +24,7 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.lateness import lateness
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import GAIN
@@ -34,10 +35,6 @@ from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import BeamSection, ChainSection, Rig
 from nmt_rig.rig_model import build_system
-
-# Measured over modelled motion beyond which the model is no measure of it.
-_FAR_OFF = 2.0
-_MOST_JOINED = 4  # points; more pairs than that are more than recordings distinguish
 
 
 def operating_range(
@@ -86,9 +83,9 @@ def operating_range(
                 lowest[channel.name] = min(lowest.get(channel.name, np.inf), size)
                 if channel.quantity == Quantity.FORCE:
                     force = max(force, size)
-            own = np.array([values[f"probe {point}"] for point in points])
+            probe_values = np.array([values[f"probe {point}"] for point in points])
             complex_own = amplitudes[len(channels) :]
-            for point, value in zip(points, own, strict=True):
+            for point, value in zip(points, probe_values, strict=True):
                 displacement[point] = max(displacement[point], float(value))
             for (i, point), (j, other) in combinations(enumerate(points), 2):
                 apart = float(abs(complex_own[j] - complex_own[i]))
@@ -100,8 +97,8 @@ def operating_range(
             if isinstance(rig.structure, BeamSection):
                 for point in points:
                     rotation[point] = max(rotation[point], float(abs(unknowns[system.points[point] + 1])))
-            if own.max() > best:
-                best, omega = float(own.max()), frequency
+            if probe_values.max() > best:
+                best, omega = float(probe_values.max()), frequency
     if best <= 0.0:
         displacement = dict.fromkeys(points, 1e-3)
         omega = 2.0 * np.pi * _mode_under_test(rig)
@@ -155,17 +152,19 @@ def _of_samples(observations: Observations, part: Part) -> dict[str, float]:
     for number, test in enumerate(observations.tests):
         if isinstance(test, PhaseResonanceTest):
             for index, channel in enumerate(test.channels):
-                mine = (rows.test == number) & (rows.channel == index)
-                if mine.any():
-                    seen = observations.values[mine & (rows.part == part)]
-                    found[channel.name] = max(found.get(channel.name, 0.0), float(seen.max(initial=0.0)))
+                selected = (rows.test == number) & (rows.channel == index)
+                if selected.any():
+                    measured = observations.values[selected & (rows.part == part)]
+                    found[channel.name] = max(found.get(channel.name, 0.0), float(measured.max(initial=0.0)))
     return found
 
 
-Found = tuple[RigParts, float, float, np.ndarray, np.ndarray]
+FittedExplanation = tuple[RigParts, float, float, np.ndarray, np.ndarray]
 
 
-def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: TwinSettings) -> list[Found]:
+def _motions(
+    rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
+) -> list[FittedExplanation]:
     """Parts, ω, drive, channel amplitudes and unknowns at the ends of a test."""
     if isinstance(test, PhaseResonanceTest):
         return _resonant(rig, test, channels, settings)
@@ -183,7 +182,7 @@ def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settin
 
 def _resonant(
     rig: Rig, test: PhaseResonanceTest, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
-) -> list[Found]:
+) -> list[FittedExplanation]:
     wider = PhaseResonanceTest(
         test.name, test.drive_point, test.response_channel,
         (*(c for c in channels), *(c for c in test.channels if c.name not in {k.name for k in channels})),
@@ -193,7 +192,7 @@ def _resonant(
     empty = Rows(nothing, nothing, nothing, nothing, nothing, np.zeros(0), np.zeros(0), np.zeros(0))
     twin = PhaseResonanceTwin(wider, empty, settings)
     cache = PartsCache(settings)
-    found: list[Found] = []
+    found: list[FittedExplanation] = []
     solved = [
         (level, state)
         for level, state in zip(twin.levels, twin.solve(rig, cache, None), strict=True)
@@ -232,7 +231,7 @@ def _noise(
     omega: FloatArray,
     rms: float,
     ideal_force: bool,
-) -> list[Found]:
+) -> list[FittedExplanation]:
     """Rms of flat noise over the lines through the system linearised at rest."""
     cache = PartsCache(settings)
     parts = cache.parts(rig, Setup(drive_point, ideal_force, channels, FourierBasis.up_to(1)))
@@ -256,7 +255,7 @@ def _noise(
 
 def _stepped(
     rig: Rig, test: SteppedSineTest, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
-) -> list[Found]:
+) -> list[FittedExplanation]:
     """Lines of largest and smallest motion, in the shape that the system linearised at rest has at its resonance."""
     lead = test.channels[0]
     order = MOTIONS[lead.quantity]
@@ -266,7 +265,7 @@ def _stepped(
     every = (*channels, lead)
     parts = PartsCache(settings).parts(rig, Setup(test.drive_point, False, every, FourierBasis.up_to(1)))
     resting = _resting_frequencies(rig)
-    found: list[Found] = []
+    found: list[FittedExplanation] = []
     for line in (int(np.nanargmax(motion)), int(np.nanargmin(motion))):
         nearest = np.argmin(np.abs(np.log(resting / test.lines_hz[line])))
         omega = 2.0 * np.pi * float(resting[nearest])
@@ -283,17 +282,17 @@ def _given(
     channels: tuple[MeasuredChannel, ...],
     settings: TwinSettings,
     frequency_hz: float,
-) -> list[Found]:
+) -> list[FittedExplanation]:
     """Largest and smallest of the amplitudes of a test, through the system linearised at rest at its resonance."""
     cache = PartsCache(settings)
-    own = next((c for c in channels if c.name == test.channel.name), None)
-    every = channels if own is not None else (*channels, test.channel)
+    channel = next((c for c in channels if c.name == test.channel.name), None)
+    every = channels if channel is not None else (*channels, test.channel)
     parts = cache.parts(rig, Setup(test.drive_point, False, every, FourierBasis.up_to(1)))
     resting = _resting_frequencies(rig)
     omega = 2.0 * np.pi * float(resting[np.argmin(np.abs(np.log(resting / frequency_hz)))])
     q, y = _resting_response(parts, omega)
     size = abs(y[[c.name for c in every].index(test.channel.name)])
-    found: list[Found] = []
+    found: list[FittedExplanation] = []
     for amplitude in (float(np.max(test.amplitudes)), float(np.min(test.amplitudes))):
         scale = amplitude / max(size, 1e-300)
         found.append((parts, omega, scale / parts.input_per_volt, y[: len(channels)] * scale, q * scale))
@@ -319,24 +318,24 @@ def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, observ
         return test.frequency_hz
     if observations is not None:
         rows = observations.rows
-        mine = rows.frequency_hz[(rows.test == number) & (rows.level == int(np.argmin(test.amplitudes)))]
-        if mine.size and mine[0] > 0.0:
-            return float(mine[0])
+        selected = rows.frequency_hz[(rows.test == number) & (rows.level == int(np.argmin(test.amplitudes)))]
+        if selected.size and selected[0] > 0.0:
+            return float(selected[0])
     return _mode_under_test(rig)
 
 
 def _as_measured(
-    motions: list[Found],
+    motions: list[FittedExplanation],
     channels: tuple[MeasuredChannel, ...],
     test: Test,
     number: int,
     observations: Observations | None,
-) -> list[Found]:
+) -> list[FittedExplanation]:
     """Motions of a test, scaled to what its own motion channels show where the model is off by more than a factor."""
     if observations is None or not motions:
         return motions
     names = [channel.name for channel in channels]
-    result: list[Found] = []
+    result: list[FittedExplanation] = []
     for parts, omega, drive, amplitudes, unknowns in motions:
         ratios = [
             size / abs(amplitudes[names.index(name)])
@@ -344,7 +343,12 @@ def _as_measured(
             if name in names and abs(amplitudes[names.index(name)]) > 0.0
         ]
         ratio = float(np.median(ratios)) if ratios else 1.0
-        factor = ratio if ratio > 0.0 and not 1.0 / _FAR_OFF <= ratio <= _FAR_OFF else 1.0
+        factor = (
+            ratio
+            if ratio > 0.0
+            and not 1.0 / THRESHOLDS.prediction.far_off_ratio <= ratio <= THRESHOLDS.prediction.far_off_ratio
+            else 1.0
+        )
         result.append((parts, omega, drive, amplitudes * factor, unknowns * factor))
     return result
 
@@ -358,16 +362,16 @@ def _measured_sizes(observations: Observations, test: Test, number: int, drive: 
     for index, channel in enumerate(test.channels):
         if channel.quantity not in MOTIONS:
             continue
-        mine = (rows.test == number) & (rows.channel == index)
-        mine &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)
-        if not mine.any():
+        selected = (rows.test == number) & (rows.channel == index)
+        selected &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)
+        if not selected.any():
             continue
         if isinstance(test, PhaseResonanceTest):
-            own = np.flatnonzero(mine)
-            sizes[channel.name] = math.exp(float(values[own[np.argmin(np.abs(rows.amplitude[own] - drive))]]))
-        elif int(mine.sum()) == test.lines_hz.size > 1:
+            selected = np.flatnonzero(selected)
+            sizes[channel.name] = math.exp(float(values[selected[np.argmin(np.abs(rows.amplitude[selected] - drive))]]))
+        elif int(selected.sum()) == test.lines_hz.size > 1:
             magnitude = np.empty(test.lines_hz.size)
-            magnitude[rows.level[mine]] = np.exp(values[mine])
+            magnitude[rows.level[selected]] = np.exp(values[selected])
             weights = np.gradient(test.lines_hz)
             sizes[channel.name] = test.drive_rms * math.sqrt(float(weights @ magnitude**2 / weights.sum()))
     return sizes
@@ -432,5 +436,5 @@ def _joined(rig: Rig, system: ElectromechanicalSystem) -> list[tuple[int, int]]:
     points = list(system.point_numbers)
     if isinstance(rig.structure, ChainSection):
         return list(pairwise(points))
-    few = len(points) <= min(_MOST_JOINED, system.structure_size)
+    few = len(points) <= min(THRESHOLDS.prediction.most_joined_points, system.structure_size)
     return list(combinations(points, 2)) if few and not isinstance(rig.structure, BeamSection) else []

@@ -100,7 +100,7 @@ class PartsCache:
         """Parts of the rig at another moment where only its slip forces drift: its linear model stays."""
         if rig.drift.stiffness_per_s != 0.0:
             return None
-        known = (own for (number, _, _), (whose, own) in self._known.items() if number == key[0] and whose is rig)
+        known = (parts for (number, _, _), (whose, parts) in self._known.items() if number == key[0] and whose is rig)
         earlier = next(known, None)
         if earlier is None:
             return None
@@ -154,10 +154,10 @@ def _equal(a: object, b: object) -> bool:
     return a is b or a == b
 
 
-def _alike(rig: Rig, other: Rig, at_rest: bool) -> bool:
+def _alike(rig: Rig, other: Rig, same_modes_at_rest: bool) -> bool:
     """Whether two rigs have the same local elements but for kinds and numbers of the nonlinear ones.
 
-    ``at_rest`` asks for the same modes at rest, too.
+    ``same_modes_at_rest`` asks for those, too.
     """
     if len(rig.local_elements) != len(other.local_elements):
         return False
@@ -165,7 +165,7 @@ def _alike(rig: Rig, other: Rig, at_rest: bool) -> bool:
         _equal(a, b)
         or (
             not {a.kind, b.kind} & {"linear_spring", "linear_damper"}
-            and (not at_rest or (a.soft_at_rest and b.soft_at_rest))
+            and (not same_modes_at_rest or (a.soft_at_rest and b.soft_at_rest))
             and (a.point, a.other_point, a.rotation, a.side) == (b.point, b.other_point, b.rotation, b.side)
             and getattr(a, "remaining_stiffness_n_m", 0.0) == getattr(b, "remaining_stiffness_n_m", 0.0)
         )

@@ -16,6 +16,7 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.converter import recorded_harmonics
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import (
@@ -33,10 +34,6 @@ from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
-HELD_ROUNDS = 2
-"""Solutions after the first one, each at the phase that clipped channels of the one before had."""
-# Part of the measured frequency within which the model's resonance is looked for.
-SEARCH = 0.25
 # The fundamental of the measured force is given.
 FORCE_GIVEN = -2
 
@@ -177,7 +174,7 @@ class PeriodicLevels:
             level = self.levels[position]
             parts = self.parts(rig, cache, level)
             state = self._level(parts, level, None if start is None else start[position], last)
-            for _ in range(HELD_ROUNDS):
+            for _ in range(THRESHOLDS.prediction.held_rounds):
                 held = level if state is None else self._held(parts, [level], [state])[0]
                 if state is None or held is level:
                     break
@@ -276,7 +273,10 @@ class PeriodicLevels:
         # A frequency far from what was measured is another resonance.
         reached = solved[-2] / (2.0 * np.pi * parts.clock)
         low, high = self._measured or (level.frequency_hz, level.frequency_hz)
-        if not done or not (math.log(reached / high) < 1.5 * SEARCH and math.log(low / reached) < 1.5 * SEARCH):
+        if not done or not (
+            math.log(reached / high) < 1.5 * THRESHOLDS.prediction.resonance_search_share
+            and math.log(low / reached) < 1.5 * THRESHOLDS.prediction.resonance_search_share
+        ):
             return None
         if phase_slope(jacobian) <= 0.0:
             return None
@@ -297,7 +297,9 @@ class PeriodicLevels:
         measured = 2.0 * np.pi * level.frequency_hz * parts.clock
         given = level.given == DRIVE_GIVEN
         drive = complex(unit_drive(parts, amplitude if given else 0.0, self.ideal_force)[self.basis.fundamental])
-        grid = measured * np.linspace(1.0 - SEARCH, 1.0 + SEARCH, 161)
+        grid = measured * np.linspace(
+            1.0 - THRESHOLDS.prediction.resonance_search_share, 1.0 + THRESHOLDS.prediction.resonance_search_share, 161
+        )
         angles = np.array([self._linear(parts, level, omega, drive)[1] for omega in grid])
         # Phase resonance is where the angle rises through zero; it falls at antiresonances and jumps at nodes.
         rises = np.flatnonzero((angles[:-1] < 0.0) & (angles[1:] >= 0.0) & (np.diff(angles) < 2.0))

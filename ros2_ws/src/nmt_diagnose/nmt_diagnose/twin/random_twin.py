@@ -34,7 +34,7 @@ _MOMENTS, _SHARES = np.polynomial.legendre.leggauss(5)
 
 @dataclass(frozen=True)
 class Folding:
-    """Where images of a held drive lie, and how they come down to the lines of a test.
+    """Where images of a zero-order hold lie, and how they come down to the lines of a test.
 
     Attributes:
         nodes: (IMAGE_NODES,) frequencies between which a polynomial does, Hz.
@@ -54,7 +54,7 @@ class Folding:
 
 
 def folding(lines: FloatArray, rate: float) -> Folding:
-    """Images of a drive that is held over 1/``rate`` (Hz), for some lines (Hz)."""
+    """Images of a zero-order hold of 1/``rate`` (Hz), for some lines (Hz)."""
     low, high = float(lines.min()), float(lines.max())
     nodes = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(np.pi * (np.arange(IMAGE_NODES) + 0.5) / IMAGE_NODES)
     place = nodes + np.array(IMAGES)[:, None] * rate

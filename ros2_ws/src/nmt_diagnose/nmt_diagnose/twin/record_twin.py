@@ -110,14 +110,16 @@ class RecordTwin:
         """Steps per sample: from the fastest oscillation below half of a tenth of the sampling rate, if any."""
         poles = parts.linear.poles
         oscillating = np.abs(poles.imag[(np.abs(poles.real) < 0.5 * np.abs(poles)) & (poles.imag > 0.0)])
-        seen = oscillating[oscillating < 0.5 * np.pi * rate]
-        fastest = float(seen.min()) / (2.0 * np.pi) if seen.size else 0.05 * rate
+        resolved = oscillating[oscillating < 0.5 * np.pi * rate]
+        fastest = float(resolved.min()) / (2.0 * np.pi) if resolved.size else 0.05 * rate
         return int(min(max(math.ceil(STEPS_PER_PERIOD * fastest / rate), 1), MOST_SUBSTEPS))
 
     def _interpolated(self, substeps: int) -> FloatArray:
         if substeps not in self._inputs:
-            own = np.asarray(self.test.input, dtype=np.float64)
-            found = own if substeps == 1 else np.asarray(resample_poly(own, substeps, 1, window=("kaiser", 10.0)))
+            samples = np.asarray(self.test.input, dtype=np.float64)
+            found = (
+                samples if substeps == 1 else np.asarray(resample_poly(samples, substeps, 1, window=("kaiser", 10.0)))
+            )
             self._inputs[substeps] = np.ascontiguousarray(found)
         return self._inputs[substeps]
 

@@ -10,6 +10,7 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import RingDownTest
 from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.decay_kernel import (
     closure,
     decay_shapes,
@@ -26,7 +27,6 @@ from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
 DecayState = tuple[FloatArray, tuple[str, ...], float]
-LARGEST_STEP = 0.05
 _OFF_POLE = 1e-8
 _DEEPEST = 3
 
@@ -140,7 +140,7 @@ class RingDownTwin:
             except np.linalg.LinAlgError:
                 return None
             moved = max(abs(step[-2]) / z[-2], abs(step[-1]))
-            z = z - step * min(1.0, LARGEST_STEP / moved if moved > 0.0 else 1.0)
+            z = z - step * min(1.0, THRESHOLDS.prediction.decay_largest_step / moved if moved > 0.0 else 1.0)
             if not 0.5 * first < z[-2] < 2.0 * first:
                 return None
             if moved < 1e-10:
@@ -158,10 +158,10 @@ class RingDownTwin:
         t, _ = model.at(s)
         tangent = resting_tangent(parts, s)
         closed = np.linalg.solve(np.eye(r) + t[:r, :r] * tangent, t[:r, r])
-        own = t[output, r] - t[output, :r] @ (tangent * closed)
+        transfer = t[output, r] - t[output, :r] @ (tangent * closed)
         gain, _ = sensor_gain(1j * s.imag, parts.channels[self._own])
         amplitudes = np.zeros((r, basis.orders.size), dtype=np.complex128)
-        amplitudes[:, basis.fundamental] = closed / own * amplitude / abs(gain)
+        amplitudes[:, basis.fundamental] = closed / transfer * amplitude / abs(gain)
         return np.concatenate((basis.to_real(amplitudes).ravel(), [s.imag, -s.real / s.imag]))
 
     def _resting_pole(self, parts: RigParts, near: complex) -> complex:

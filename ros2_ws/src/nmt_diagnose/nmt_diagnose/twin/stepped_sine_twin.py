@@ -34,6 +34,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.rig_parts import RigParts, shared_unknowns
@@ -43,8 +44,6 @@ from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
 
 HARMONICS = 5
-# Standard deviations of a magnitude up to which its error corrects the phase.
-_MOST_ERROR = 4.0
 
 
 @dataclass(frozen=True)
@@ -196,11 +195,11 @@ class SteppedSineTwin:
         """ln of the magnitudes and phases (rad) that the rows predict, each (lines, channels)."""
         measured = self.test.measured
         with np.errstate(divide="ignore", invalid="ignore"):
-            rest = np.log(measured / state.responses)
+            log_ratio = np.log(measured / state.responses)
         if self.test.held == "response":
-            left = rest
+            left = log_ratio
         else:
-            left = whitened_difference(at_measured(rest, self.growth, self.moved), self.growth, self.test.noise)
+            left = whitened_difference(at_measured(log_ratio, self.growth, self.moved), self.growth, self.test.noise)
         return np.log(np.abs(measured)) - left.real, np.angle(measured) - left.imag
 
     def _given(self, parts: RigParts) -> tuple[int, ComplexArray, FloatArray]:
@@ -248,23 +247,27 @@ def with_growth(test: SteppedSineTest, state: SteppedSineState) -> SteppedSineTe
     # The amplitude that suits its own measurement, the level and the phase: amplitude and level alone may suit two.
     slope, turn = growth.real, -growth.imag * test.phase_known
     with np.errstate(divide="ignore", invalid="ignore"):
-        rest = np.log(test.measured[:, 0] / state.responses[:, 0])
-    further = -slope * (rest.real + state.moved) + turn * rest.imag - state.moved
+        log_ratio = np.log(test.measured[:, 0] / state.responses[:, 0])
+    further = -slope * (log_ratio.real + state.moved) + turn * log_ratio.imag - state.moved
     moved = state.moved + further / (slope**2 + turn**2 + 1.0)
     # What is many times the noise is no error of the amplitude.
-    moved = np.where(np.isfinite(moved), moved / (1.0 + (moved / (_MOST_ERROR * test.noise)) ** 4), 0.0)
+    moved = np.where(
+        np.isfinite(moved),
+        moved / (1.0 + (moved / (THRESHOLDS.prediction.largest_magnitude_sigmas * test.noise)) ** 4),
+        0.0,
+    )
     return replace(test, growth=growth, moved=np.where(solved, moved, moved_of(test)))
 
 
-def at_measured(rest: ComplexArray, growth: ComplexArray, moved: FloatArray) -> ComplexArray:
+def at_measured(log_ratio: ComplexArray, growth: ComplexArray, moved: FloatArray) -> ComplexArray:
     """ln of measured over predicted responses at the measured amplitude, from there where the model was given another.
 
     Args:
-        rest: the same at the amplitude that the model was given, (lines, channels).
+        log_ratio: the same at the amplitude that the model was given, (lines, channels).
         growth: ∂ ln R / ∂ ln s there, (lines,); the responses over R then go as 1 − growth.
         moved: ln of that amplitude over the measured one, (lines,).
     """
-    return np.asarray(rest + ((1.0 - growth) * moved)[:, None])
+    return np.asarray(log_ratio + ((1.0 - growth) * moved)[:, None])
 
 
 def gain_error(test: SteppedSineTest) -> ComplexArray:
@@ -273,15 +276,15 @@ def gain_error(test: SteppedSineTest) -> ComplexArray:
     A phase error of i makes it of its own: real parts are rows for magnitudes, imaginary ones for phases. The amplitude
     that the model is given stays as it is: an error of that is one of the scale of all strengths, which no row shows.
     """
-    rest = np.ones_like(test.measured)
-    return rest if test.held == "response" else whitened_difference(rest, growth_of(test))
+    log_ratio = np.ones_like(test.measured)
+    return log_ratio if test.held == "response" else whitened_difference(log_ratio, growth_of(test))
 
 
-def whitened_difference(rest: ComplexArray, growth: ComplexArray, noise: FloatArray | None = None) -> ComplexArray:
+def whitened_difference(log_ratio: ComplexArray, growth: ComplexArray, noise: FloatArray | None = None) -> ComplexArray:
     """What a response at the held level differs by from the measured one, ln of magnitude and phase in rad.
 
     Args:
-        rest: ln of the measured response over the one that the model has at the measured amplitude of the first
+        log_ratio: ln of the measured response over the one that the model has at the measured amplitude of the first
             channel, (lines, channels).
         growth: ∂ ln R / ∂ ln s, (lines,).
         noise: standard uncertainty of the magnitudes, (lines,): a difference many times as large is none of the
@@ -292,17 +295,17 @@ def whitened_difference(rest: ComplexArray, growth: ComplexArray, noise: FloatAr
     """
     slope, turn = growth.real, -growth.imag
     sharpness = np.maximum(slope**2, 1.0)
-    lead = rest[:, 0].real / np.sqrt(sharpness)
+    lead = log_ratio[:, 0].real / np.sqrt(sharpness)
     # The error of the first channel's magnitude, as far as the level tells it, and the part of it that stays unknown.
-    error = (rest[:, 0].real * slope / sharpness)[:, None]
+    error = (log_ratio[:, 0].real * slope / sharpness)[:, None]
     if noise is not None:
-        most = _MOST_ERROR * noise[:, None]
+        most = THRESHOLDS.prediction.largest_magnitude_sigmas * noise[:, None]
         error = most * np.tanh(error / most)
     unknown = 1.0 - slope**2 / sharpness
     # Other responses follow the first in proportion: ∂ ln H ≈ 1 − ∂ ln R.
     fall = 1.0 - slope
-    sizes = (rest.real + fall[:, None] * error) / np.sqrt(1.0 + fall**2 * unknown)[:, None]
-    phases = (rest.imag + turn[:, None] * error) / np.sqrt(1.0 + turn**2 * unknown)[:, None]
+    sizes = (log_ratio.real + fall[:, None] * error) / np.sqrt(1.0 + fall**2 * unknown)[:, None]
+    phases = (log_ratio.imag + turn[:, None] * error) / np.sqrt(1.0 + turn**2 * unknown)[:, None]
     sizes[:, 0] = lead
     return np.asarray(sizes + 1j * phases)
 

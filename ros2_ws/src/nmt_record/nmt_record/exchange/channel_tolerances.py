@@ -15,16 +15,13 @@ from typing import TYPE_CHECKING, Any
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import yaml_value
 from nmt_core.messages.blocks import Quantity
+from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import QUANTITIES
 from nmt_record.bag.bag_keys import SIMULATED_RIG
 
 if TYPE_CHECKING:
     from nmt_record.exchange.calibration_file import CalibrationSheet
 
-GAIN_STD = 0.01
-PHASE_STD_DEG = 0.2
-DELAY_STD_S = 1e-5
-CLOCK_STD = 3e-5
 Place = tuple[Quantity, int]
 
 
@@ -39,9 +36,9 @@ class ChannelTolerance:
         source: where the gain's comes from.
     """
 
-    gain: float = GAIN_STD
-    phase: float = math.radians(PHASE_STD_DEG)
-    delay_s: float = DELAY_STD_S
+    gain: float = TOLERANCES.gain
+    phase: float = math.radians(TOLERANCES.phase_deg)
+    delay_s: float = TOLERANCES.delay_s
     source: str = field(default="ordinary values", compare=False)
 
     def phase_at(self, omega: float) -> float:
@@ -103,7 +100,7 @@ def tolerances(
     for channel in sheet.channels if sheet is not None else ():
         place = Quantity[channel.quantity.upper()], -1 if channel.point is None else channel.point
         found[place] = _changed(found.get(place, default), channel.model_dump(), channel.source)
-    clock = 0.0 if simulated else math.hypot(CLOCK_STD, _clock_of_import(run))
+    clock = 0.0 if simulated else math.hypot(TOLERANCES.clock, _clock_of_import(run))
     if sheet is not None and sheet.clock_std is not None:
         clock = sheet.clock_std
     return Tolerances(found, default, clock, sheet is None or sheet.shapes_with_same_sensors)

@@ -11,15 +11,7 @@ import math
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-
-# Fewest samples at the level, and fewest times that the signal came to it.
-_FEWEST, _VISITS = 6, 3
-# Times as many samples at the level as at any of the values next to it. Of a sine in steps the last value holds at most
-# 2.4 times as many as the one before: the arc sine of a step against that of two.
-_CROWDED = 5.0
-_NEXT = 8
-_FLAT, _EDGE = 3e-3, 3e-2  # of half the peak to peak: depth of a flat top, and of its edge
-_FLAT_SHARE = 0.04  # of a period; a sine has 0.025 there
+from nmt_signals.thresholds import CHANNEL_FAULTS
 
 
 def clipping_level(samples: FloatArray) -> float:
@@ -38,13 +30,17 @@ def _holds(samples: FloatArray, end: float) -> bool:
     at = samples == end
     count = int(at.sum())
     visits = int(np.sum(at[1:] & ~at[:-1])) + int(at[0])
-    if count < _FEWEST or visits < _VISITS or count == samples.size:
+    if (
+        count < CHANNEL_FAULTS.clipped_fewest_samples
+        or visits < CHANNEL_FAULTS.clipped_fewest_visits
+        or count == samples.size
+    ):
         return False
     # Every value is at least as far from the end as the wanted number of others: only those are sorted.
     away = np.abs(samples[~at] - end)
-    wanted = min(away.size, max(_NEXT, 2 * count))
+    wanted = min(away.size, max(CHANNEL_FAULTS.clipped_neighbours, 2 * count))
     _, numbers = np.unique(np.partition(away, wanted - 1)[:wanted], return_counts=True)
-    return count >= _CROWDED * int(numbers[:_NEXT].max())
+    return count >= CHANNEL_FAULTS.clipped_crowding * int(numbers[: CHANNEL_FAULTS.clipped_neighbours].max())
 
 
 def flat_top(values: FloatArray, samples_per_period: float) -> float | None:
@@ -64,15 +60,17 @@ def flat_top(values: FloatArray, samples_per_period: float) -> float | None:
     half = 0.5 * (top - bottom)
     for extreme, depth in ((top, top - values), (bottom, values - bottom)):
         below = depth[depth > 1e-6 * half]
-        if below.size == 0 or below.min() > _FLAT * half:
+        if below.size == 0 or below.min() > CHANNEL_FAULTS.flat_depth * half:
             continue  # steps of a converter, or always the same few samples of a period: nothing is seen of the edge
-        share = np.count_nonzero(depth <= _FLAT * half) / values.size
+        share = np.count_nonzero(depth <= CHANNEL_FAULTS.flat_depth * half) / values.size
         # A period of few samples, always the same ones, may hold its extreme twice.
-        if share - 2.0 / samples_per_period <= _FLAT_SHARE:
+        if share - 2.0 / samples_per_period <= CHANNEL_FAULTS.flat_share:
             continue
-        edge = np.count_nonzero(depth <= _EDGE * half) / values.size - share
+        edge = np.count_nonzero(depth <= CHANNEL_FAULTS.flat_edge_depth * half) / values.size - share
         cut = math.cos(math.pi * min(share, 0.5))
-        steep = math.acos(cut * (1.0 - _EDGE) / (1.0 - _FLAT)) / math.pi - min(share, 0.5)
+        steep = math.acos(
+            cut * (1.0 - CHANNEL_FAULTS.flat_edge_depth) / (1.0 - CHANNEL_FAULTS.flat_depth)
+        ) / math.pi - min(share, 0.5)
         # Where the samples of all periods fall on the same places, both edges may hold one of each period.
         repeats = abs(samples_per_period - round(samples_per_period)) < 1e-4 * samples_per_period
         if edge <= 1.5 * steep + (2.0 if repeats else 0.5) / samples_per_period:

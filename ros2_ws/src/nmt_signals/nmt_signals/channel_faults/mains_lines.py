@@ -8,16 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_signals.thresholds import CHANNEL_FAULTS
 
 MAINS_HZ = (50.0, 60.0)
 """Frequencies of the mains, the one of most countries first, Hz."""
-# The mains wanders by 0.05 Hz: over longer pieces a line of fixed frequency would lose it.
-_LONGEST_S = 4.0
-# Distance from a harmonic, and of the frequencies that tell the noise, in lines of the spectrum.
-_APART = 3.0
 _NEIGHBOURS = np.concatenate((np.arange(-12, -1), np.arange(2, 13))).astype(np.float64)
-_FEWEST_NEIGHBOURS = 8
-_HIGHEST_ORDER = 60
 
 
 @dataclass(frozen=True)
@@ -56,26 +51,29 @@ def mains_line(
     samples = data.shape[1]
     if samples == 0:
         return None
-    pieces = max(1, math.ceil(samples / sample_rate / _LONGEST_S))
+    pieces = max(1, math.ceil(samples / sample_rate / CHANNEL_FAULTS.mains_longest_s))
     length = samples // pieces
     resolution = sample_rate / length
     orders = np.zeros(1)
-    if line_hz > 0.5 * sample_rate - _APART * resolution:
+    if line_hz > 0.5 * sample_rate - CHANNEL_FAULTS.mains_clearance_lines * resolution:
         return None
     if cycles is not None:
         fundamental = float(cycles[-1] - cycles[0]) / (samples - 1) * sample_rate
         orders = np.arange(math.ceil(line_hz / fundamental) + len(_NEIGHBOURS)) * fundamental
         # High orders of a joint that slips are folded at the sampling rate, and may come down beside the line.
-        high = np.arange(math.floor(0.5 * sample_rate / fundamental) + 1, _HIGHEST_ORDER + 1) * fundamental
+        high = (
+            np.arange(math.floor(0.5 * sample_rate / fundamental) + 1, CHANNEL_FAULTS.folded_highest_order + 1)
+            * fundamental
+        )
         orders = np.concatenate((orders, np.abs(high - np.round(high / sample_rate) * sample_rate)))
-    if np.abs(orders - line_hz).min() < _APART * resolution:
+    if np.abs(orders - line_hz).min() < CHANNEL_FAULTS.mains_clearance_lines * resolution:
         return None
     near = line_hz + _NEIGHBOURS * resolution
     clear = np.abs(near[:, None] - orders).min(axis=1) > resolution
     for other in MAINS_HZ:
         clear &= (other == line_hz) | (np.abs(near - other) > resolution)
     near = near[clear & (near > 0.0) & (near < 0.5 * sample_rate)]
-    if near.size < _FEWEST_NEIGHBOURS:
+    if near.size < CHANNEL_FAULTS.mains_fewest_neighbours:
         return None
     powers, noises = np.zeros(data.shape[0]), np.zeros(data.shape[0])
     for piece in range(pieces):

@@ -18,15 +18,8 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_signals.channel_faults.mains_lines import MAINS_HZ
 from nmt_signals.decays.decay_nodes import span
 from nmt_signals.decays.decay_signal import Ridge, SlowAmplitude, slow_amplitude
+from nmt_signals.thresholds import DECAYS
 
-_ORDERS = (1, 2, 3)
-_PASSED = (0.5, 1.5)  # of the mode's frequency: the widest band of the demodulation
-_MOST_DEGREE = 7
-_FEWEST_BEATS = 3.0
-_PASSING = 0.05  # of the decay
-_ROUGHNESS = 0.05  # of the mode's amplitude, by which the smooth mode may be wrong
-_PASSES = 4
-_STANDS_OUT = 6.0
 _WANDERS_HZ = np.linspace(-0.06, 0.06, 13)
 
 
@@ -62,13 +55,14 @@ def without_hum(
     lines = [
         order * hz
         for hz in MAINS_HZ
-        for order in _ORDERS
-        if _PASSED[0] * low < order * hz < _PASSED[1] * high and order * hz < 0.5 * sample_rate
+        for order in DECAYS.hum_orders
+        if DECAYS.hum_band_ratios[0] * low < order * hz < DECAYS.hum_band_ratios[1] * high
+        and order * hz < 0.5 * sample_rate
     ]
     clean, found = samples, tuple[Hum, ...]()
     if not lines:
         return samples, ()
-    for _ in range(_PASSES):
+    for _ in range(DECAYS.hum_passes):
         try:
             slow = slow_amplitude(clean, sample_rate, ridge, 1)
         except BenchError:
@@ -94,16 +88,19 @@ def _smooth(
         where the decay does not stand out for some beats with any of the lines.
     """
     first, stop = span(slow, switched_off)
-    if stop - first < _MOST_DEGREE:
+    if stop - first < DECAYS.hum_most_degree:
         return None
     time, turned = slow.time_s[first:stop], slow.phase[first:stop]
     hertz = np.gradient(turned, time) / (2.0 * math.pi)
     # A frequency that moves with the amplitude may pass a line, or end at it.
-    beats = {line: float(np.quantile(np.abs(hertz - line), _PASSING) * (time[-1] - time[0])) for line in lines}
-    apart = [line for line in lines if beats[line] > _FEWEST_BEATS]
+    beats = {
+        line: float(np.quantile(np.abs(hertz - line), DECAYS.hum_passing_share) * (time[-1] - time[0]))
+        for line in lines
+    }
+    apart = [line for line in lines if beats[line] > DECAYS.hum_fewest_beats]
     if not apart:
         return None
-    degree = min(_MOST_DEGREE, int(min(beats[line] for line in apart)))
+    degree = min(DECAYS.hum_most_degree, int(min(beats[line] for line in apart)))
     weights = np.abs(slow.values[first:stop])
     all_times = np.arange(count) / sample_rate
     log = _continued(time, slow.log[first:stop], weights, degree, all_times)
@@ -120,21 +117,21 @@ def _continued(time: FloatArray, values: FloatArray, weights: FloatArray, degree
 
 
 def _lines_in(
-    rest: FloatArray, size: FloatArray, sample_rate: float, lines: Sequence[float], first: int
+    residual: FloatArray, size: FloatArray, sample_rate: float, lines: Sequence[float], first: int
 ) -> tuple[FloatArray, tuple[Hum, ...]]:
     """What the lines make of all samples, and those that stand out."""
-    noise = float(np.median(np.abs(rest[-max(rest.size // 4, 1) :]))) / 0.6745
-    weights = 1.0 / np.hypot(max(noise, 1e-300), _ROUGHNESS * size)
+    noise = float(np.median(np.abs(residual[-max(residual.size // 4, 1) :]))) / 0.6745
+    weights = 1.0 / np.hypot(max(noise, 1e-300), DECAYS.hum_roughness * size)
     weights[:first] = 0.0
-    time = np.arange(rest.size) / sample_rate
-    result, found = np.zeros(rest.size), []
+    time = np.arange(residual.size) / sample_rate
+    result, found = np.zeros(residual.size), []
     for line in lines:
         best: tuple[float, float, FloatArray, FloatArray, float] | None = None
         for shift in _WANDERS_HZ:
             angle = 2.0 * math.pi * (line + shift) * time
             design = np.stack((np.cos(angle), np.sin(angle)), axis=1)
             weighted = design * weights[:, np.newaxis]
-            solution, *_ = np.linalg.lstsq(weighted, (rest - result) * weights, rcond=None)
+            solution, *_ = np.linalg.lstsq(weighted, (residual - result) * weights, rcond=None)
             gain = float(np.sum((weighted @ solution) ** 2))
             if best is None or gain > best[0]:
                 std = math.sqrt(float(np.linalg.inv(weighted.T @ weighted).diagonal().max()))
@@ -142,7 +139,7 @@ def _lines_in(
         assert best is not None
         _, hertz, solution, values, std = best
         amplitude = math.hypot(*solution)
-        if amplitude > _STANDS_OUT * std:
+        if amplitude > DECAYS.hum_sigmas * std:
             result += values
             found.append(Hum(float(hertz), amplitude))
     return result, tuple(found)

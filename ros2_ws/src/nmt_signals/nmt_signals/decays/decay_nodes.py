@@ -17,17 +17,9 @@ from scipy.linalg import toeplitz
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_signals.decays.decay_signal import SlowAmplitude
+from nmt_signals.thresholds import DECAYS
 
-_DEGREES = (1, 3, 5)
-_SHORTEST, _LONG_ENOUGH = 4, 7  # periods of a segment: where the decay is fast, and elsewhere
-_STEP = 1.2  # of ln A in a segment that is shorter
-_STANDS_OUT = 5.0
 _BOXCARS = 4
-_PERIODS_PER_DEGREE = 2
-_SETTLING = (0, 1, 2, 3, 4, 6, 8, 10)  # periods that what rings beside the mode may take
-_UNSETTLED = 3.0
-_FAST = 2.0  # of ln A
-_LARGE = 1.0  # of ln A below the largest, within which segments are half as long
 
 
 @dataclass(frozen=True)
@@ -83,12 +75,12 @@ def span(slow: SlowAmplitude, skipped: int) -> tuple[int, int]:
     An amplitude that grows at first is that before the impact; then the whole window has to lie behind its largest.
     """
     size = np.abs(slow.values)
-    if size.size < _SHORTEST:
+    if size.size < DECAYS.segment_fewest_periods:
         return 0, 0
     top = int(np.argmax(size))
     first = top + 2 * slow.width + 1 if size[0] < 0.5 * size[top] else skipped
     noise = _noise_of(slow)
-    strong = size > _STANDS_OUT * noise
+    strong = size > DECAYS.node_sigmas * noise
     strong[: top + 1] = True
     stop = int(np.argmin(strong)) if not strong.all() else size.size
     return first, stop
@@ -119,7 +111,7 @@ def nodes(slow: SlowAmplitude, wanted: int, skipped: int) -> list[Node]:
         return []
     if _unsettled(slow, first, stop):
         # What rings bends the whole segment; its residuals show only a part of that.
-        segments[0] = replace(segments[0], noise=_UNSETTLED * segments[0].noise)
+        segments[0] = replace(segments[0], noise=DECAYS.unsettled_ratio * segments[0].noise)
     # Few values know their scatter badly: none has less noise than the typical segment.
     typical = float(np.median([segment.noise for segment in segments]))
     if not math.isfinite(typical):
@@ -129,11 +121,17 @@ def nodes(slow: SlowAmplitude, wanted: int, skipped: int) -> list[Node]:
 
 def _cut(slow: SlowAmplitude, first: int, stop: int, wanted: int) -> list[tuple[int, int]]:
     """Segments of equal steps of ln A, none shorter than a few periods; a beginning that rings is one of its own."""
-    if stop - first < _SHORTEST * slow.width:
+    if stop - first < DECAYS.segment_fewest_periods * slow.width:
         return []
     falling = np.minimum.accumulate(slow.log[first:stop])
     per_period = max(float(falling[0] - falling[-1]) / (stop - first), 1e-9)
-    shortest = slow.width * int(np.clip(math.ceil(_STEP / per_period), _SHORTEST, _LONG_ENOUGH))
+    shortest = slow.width * int(
+        np.clip(
+            math.ceil(DECAYS.segment_log_step / per_period),
+            DECAYS.segment_fewest_periods,
+            DECAYS.segment_most_periods,
+        )
+    )
     found: list[tuple[int, int]] = []
     low = first
     unsettled = _unsettled(slow, first, stop)
@@ -159,7 +157,7 @@ def _marks(top: float, end: float, wanted: int) -> FloatArray:
     """
     steps = np.linspace(top, end, wanted + 1)
     halves = 0.5 * (steps[1:] + steps[:-1])
-    return np.sort(np.concatenate((steps[1:-1], halves[halves > top - _LARGE])))[::-1]
+    return np.sort(np.concatenate((steps[1:-1], halves[halves > top - DECAYS.large_log_range])))[::-1]
 
 
 def _unsettled(slow: SlowAmplitude, first: int, stop: int) -> int:
@@ -167,29 +165,36 @@ def _unsettled(slow: SlowAmplitude, first: int, stop: int) -> int:
 
     In a fast decay they may as well be the bend of a friction that ends; there nothing is said.
     """
-    length = 2 * _LONG_ENOUGH * slow.width
-    if stop - first < length + _SETTLING[-1] or slow.log[first] - slow.log[first + length] > _FAST:
+    length = 2 * DECAYS.segment_most_periods * slow.width
+    if (
+        stop - first < length + DECAYS.settling_periods[-1]
+        or slow.log[first] - slow.log[first + length] > DECAYS.fast_log_fall
+    ):
         return 0
-    noise = [_segment(slow, first + late, first + late + length).noise for late in _SETTLING]
-    return next(late for late, own in zip(_SETTLING, noise, strict=True) if own <= _UNSETTLED * noise[-1])
+    noise = [_segment(slow, first + late, first + late + length).noise for late in DECAYS.settling_periods]
+    return next(
+        late
+        for late, residual in zip(DECAYS.settling_periods, noise, strict=True)
+        if residual <= DECAYS.unsettled_ratio * noise[-1]
+    )
 
 
 def _design(slow: SlowAmplitude, first: int, stop: int) -> tuple[FloatArray, float, float]:
     """Legendre polynomials of scaled time (k, 6), the middle and half of the time."""
     t = slow.time_s[first:stop]
     middle, half = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
-    return np.polynomial.legendre.legvander((t - middle) / half, _DEGREES[-1]), middle, half
+    return np.polynomial.legendre.legvander((t - middle) / half, DECAYS.segment_degrees[-1]), middle, half
 
 
 def _degrees(periods: int, width: int) -> list[int]:
     """Degrees that a segment can bear."""
-    return [d for d in _DEGREES if periods > _PERIODS_PER_DEGREE * d * width] or [1]
+    return [d for d in DECAYS.segment_degrees if periods > DECAYS.periods_per_degree * d * width] or [1]
 
 
 def correlation(count: int, width: float) -> FloatArray:
     """Correlation of demodulated white noise, (count, count): the window, ``width`` values a boxcar, with itself."""
-    own = BSpline.basis_element(np.arange(-_BOXCARS, _BOXCARS + 1.0), extrapolate=False)
-    lags = np.nan_to_num(own(np.arange(count) / width))
+    spline = BSpline.basis_element(np.arange(-_BOXCARS, _BOXCARS + 1.0), extrapolate=False)
+    lags = np.nan_to_num(spline(np.arange(count) / width))
     return np.asarray(toeplitz(lags / lags[0]))
 
 
@@ -203,13 +208,13 @@ def _segment(slow: SlowAmplitude, first: int, stop: int) -> DecaySegment:
     design, _, _ = _design(slow, first, stop)
     size = np.abs(slow.values[first:stop])
     degree = _degrees(stop - first, slow.width)[-1]
-    own = design[:, : degree + 1]
+    basis = design[:, : degree + 1]
     noise = correlation(stop - first, slow.width / slow.stride) / np.outer(size, size)
     squares, degrees_of_freedom = 0.0, 0.0
     for values in (slow.log[first:stop], slow.phase[first:stop]):
-        solution, pseudo = _fit(own, size, values)
-        left = size * (values - own @ solution)
-        maker = (np.eye(size.size) - own @ pseudo) * size[:, np.newaxis]
+        solution, pseudo = _fit(basis, size, values)
+        left = size * (values - basis @ solution)
+        maker = (np.eye(size.size) - basis @ pseudo) * size[:, np.newaxis]
         squares += float(left @ left)
         degrees_of_freedom += float(np.sum((maker @ noise) * maker))
     return DecaySegment(
@@ -249,8 +254,8 @@ def _middle(
     least = math.inf
     reference, pseudo_reference = 0.0, np.zeros(0)
     for degree in reversed(degrees):
-        own = design[:, : degree + 1]
-        solution, pseudo = _fit(own, weights, values)
+        basis = design[:, : degree + 1]
+        solution, pseudo = _fit(basis, weights, values)
         at = np.polynomial.legendre.legvander(np.zeros(1), degree)[0]
         slope_of = np.array(
             [np.polynomial.legendre.legval(0.0, np.polynomial.legendre.legder(row)) for row in np.eye(degree + 1)]
@@ -281,12 +286,12 @@ def ratio_at(node: Node, slow: SlowAmplitude, other: ComplexArray) -> tuple[comp
     first, stop = node.first, node.stop
     ratio = other[first:stop] / slow.values[first:stop]
     design, _, _ = _design(slow, first, stop)
-    own = design[:, :2]
+    basis = design[:, :2]
     weights = np.abs(slow.values[first:stop])
-    pseudo = _fit(own, weights, weights)[1]
+    pseudo = _fit(basis, weights, weights)[1]
     at = pseudo[0]
     value = complex(at @ ratio)
-    left = np.abs((ratio - own @ (pseudo @ ratio)) * weights)
+    left = np.abs((ratio - basis @ (pseudo @ ratio)) * weights)
     degrees_of_freedom = max(1.0, (stop - first) / slow.width - 4.0)
     variance = 0.5 * float(left @ left) / degrees_of_freedom
     covariance = correlation(stop - first, slow.width / slow.stride) / np.outer(weights, weights) * variance

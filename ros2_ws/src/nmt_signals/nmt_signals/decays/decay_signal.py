@@ -17,24 +17,9 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter, stft
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import MOTIONS
-
-FEWEST_PERIODS = 12
-FEWEST_SAMPLES_PER_PERIOD = 3.0
-_ORDER = 4  # boxcars of the window
-_SHORTEST_FRAME = 32
-_MOST_FRAMES = 256  # without overlap
-_RIDGE = 0.25  # relative change of frequency from frame to frame that is followed
-_OF_THE_RIDGE = 2  # bins on either side of the peak that belong to it
-_FEWEST_BINS = 3
-_OTHER_RIDGES = 0.01  # of the strongest one's energy
-_RIDGES = 3
-_STANDS_OUT = 20.0
-_PASSES = 3
-_SMOOTHING = 5
-_MOST_VALUES = 3000
+from nmt_core.vocabulary import MOTIONS, Quantity
+from nmt_signals.thresholds import DECAYS
 
 
 @dataclass(frozen=True)
@@ -76,16 +61,16 @@ def ridges(samples: FloatArray, sample_rate: float, quantity: Quantity) -> list[
     Raises:
         BenchError: fewer samples than a frame.
     """
-    if samples.size < 2 * _SHORTEST_FRAME:
-        raise BenchError(f"{samples.size} samples are too few; {2 * _SHORTEST_FRAME} are needed")
+    if samples.size < 2 * DECAYS.frame_fewest_samples:
+        raise BenchError(f"{samples.size} samples are too few; {2 * DECAYS.frame_fewest_samples} are needed")
     best: tuple[FloatArray, FloatArray, FloatArray] | None = None
     most = -1.0
-    size = max(_SHORTEST_FRAME, 2 ** int(math.log2(samples.size / _MOST_FRAMES)))
-    while size <= max(_SHORTEST_FRAME, min(samples.size // 4, 2**14)):
+    size = max(DECAYS.frame_fewest_samples, 2 ** int(math.log2(samples.size / DECAYS.most_frames)))
+    while size <= max(DECAYS.frame_fewest_samples, min(samples.size // 4, 2**14)):
         frequency, time, power = _power(samples, sample_rate, quantity, size)
         total = float(np.sum(power))
         # The lowest lines hold no ridge, but their power is missing in the others.
-        power[:_FEWEST_BINS] = 0.0
+        power[: DECAYS.fewest_bins] = 0.0
         concentration = float(np.sum(power**2)) / max(total**2, 1e-300)
         if concentration > most:
             best, most = (frequency, time, power), concentration
@@ -110,50 +95,63 @@ def _power(
 def _ridges_of(frequency: FloatArray, time: FloatArray, power: FloatArray) -> list[Ridge]:
     """The strongest ridges, strongest first."""
     found: list[Ridge] = []
-    rest = power.copy()
-    for _ in range(_RIDGES):
-        if not rest.max() > 0.0:
+    remaining_power = power.copy()
+    for _ in range(DECAYS.most_ridges):
+        if not remaining_power.max() > 0.0:
             break
-        found.append(_followed(rest, power, frequency, time))
+        found.append(_followed(remaining_power, power, frequency, time))
     found.sort(key=lambda ridge: -float(ridge.energy.sum()))
-    return [ridge for ridge in found if ridge.energy.sum() > _OTHER_RIDGES * found[0].energy.sum()]
+    return [ridge for ridge in found if ridge.energy.sum() > DECAYS.other_ridge_share * found[0].energy.sum()]
 
 
-def _followed(rest: FloatArray, power: FloatArray, frequency: FloatArray, time: FloatArray) -> Ridge:
-    """The ridge through the highest peak of ``rest``, followed both ways; it is taken out of ``rest``."""
+def _followed(remaining_power: FloatArray, power: FloatArray, frequency: FloatArray, time: FloatArray) -> Ridge:
+    """The ridge through the highest peak of ``remaining_power``, followed both ways and taken out of it."""
     step = float(frequency[1])
-    top, anchor = np.unravel_index(int(np.argmax(rest)), rest.shape)
+    top, anchor = np.unravel_index(int(np.argmax(remaining_power)), remaining_power.shape)
     bins = np.zeros(time.size, dtype=np.int64)
     bins[anchor] = top
     for way in (range(int(anchor) + 1, time.size), range(int(anchor) - 1, -1, -1)):
         last = int(top)
         for frame in way:
-            low = max(_FEWEST_BINS, math.floor(last * (1.0 - _RIDGE)) - 1)
-            high = min(frequency.size, math.ceil(last * (1.0 + _RIDGE)) + 2)
-            peak = low + int(np.argmax(rest[low:high, frame]))
+            low = max(DECAYS.fewest_bins, math.floor(last * (1.0 - DECAYS.ridge_log_change)) - 1)
+            high = min(frequency.size, math.ceil(last * (1.0 + DECAYS.ridge_log_change)) + 2)
+            peak = low + int(np.argmax(remaining_power[low:high, frame]))
             # In noise it stays where it was, and so it does where another ridge has gone.
-            last = peak if rest[peak, frame] > 0.0 and _clear(power[:, frame], peak) else last
+            last = peak if remaining_power[peak, frame] > 0.0 and _clear(power[:, frame], peak) else last
             bins[frame] = last
     hertz, energy = np.zeros(time.size), np.zeros(time.size)
     clear = np.array(
-        [rest[middle, frame] > 0.0 and _clear(power[:, frame], int(middle)) for frame, middle in enumerate(bins)]
+        [
+            remaining_power[middle, frame] > 0.0 and _clear(power[:, frame], int(middle))
+            for frame, middle in enumerate(bins)
+        ]
     )
     clear[anchor] = True
     for frame, middle in enumerate(bins):
-        near = slice(max(1, middle - _OF_THE_RIDGE), min(frequency.size, middle + _OF_THE_RIDGE + 1))
-        own = rest[near, frame].copy()
-        energy[frame] = own.sum()
-        hertz[frame] = float(frequency[near] @ own / own.sum()) if own.sum() > 0.0 else middle * step
-        reach = max(_OF_THE_RIDGE, math.ceil(_RIDGE * middle))
-        rest[max(0, middle - reach) : middle + reach + 1, frame] = 0.0
+        near = slice(
+            max(1, middle - DECAYS.ridge_half_width_bins),
+            min(frequency.size, middle + DECAYS.ridge_half_width_bins + 1),
+        )
+        peak_power = remaining_power[near, frame].copy()
+        energy[frame] = peak_power.sum()
+        hertz[frame] = (
+            float(frequency[near] @ peak_power / peak_power.sum()) if peak_power.sum() > 0.0 else middle * step
+        )
+        reach = max(DECAYS.ridge_half_width_bins, math.ceil(DECAYS.ridge_log_change * middle))
+        remaining_power[max(0, middle - reach) : middle + reach + 1, frame] = 0.0
     return Ridge(time, hertz, energy, clear)
 
 
 def _clear(power: FloatArray, middle: int) -> bool:
     """Whether a peak of a frame's spectrum stands out of its surroundings."""
     low, high = max(1, middle // 2), min(power.size, 2 * middle + 1)
-    around = np.concatenate((power[low : max(low, middle - _OF_THE_RIDGE)], power[middle + _OF_THE_RIDGE + 1 : high]))
-    return bool(around.size and power[middle] > _STANDS_OUT * np.median(around))
+    around = np.concatenate(
+        (
+            power[low : max(low, middle - DECAYS.ridge_half_width_bins)],
+            power[middle + DECAYS.ridge_half_width_bins + 1 : high],
+        )
+    )
+    return bool(around.size and power[middle] > DECAYS.ridge_peak_ratio * np.median(around))
 
 
 @dataclass(frozen=True)
@@ -191,7 +189,7 @@ class SlowAmplitude:
 
 def middles(cycles: FloatArray, width: int) -> FloatArray:
     """Phases, one a period, around which the whole window lies within the samples, cycles, shape (k,)."""
-    half = 0.5 * _ORDER * width
+    half = 0.5 * DECAYS.window_boxcars * width
     count = math.floor(cycles[-1] - cycles[0] - 2.0 * half) + 1
     return np.asarray(cycles[0] + half + np.arange(max(0, count)))
 
@@ -215,7 +213,7 @@ def demodulated(samples: FloatArray, cycles: FloatArray, width: int) -> ComplexA
     share = np.gradient(cycles)
     turned = 2.0 * samples * np.exp(-2j * math.pi * cycles) * share
     at = middles(cycles, width)
-    half = 0.5 * _ORDER * width
+    half = 0.5 * DECAYS.window_boxcars * width
     first = np.searchsorted(cycles, at - half)
     stop = np.searchsorted(cycles, at + half, side="right")
     result = np.empty(at.size, dtype=np.complex128)
@@ -242,24 +240,24 @@ def slow_amplitude(samples: FloatArray, sample_rate: float, ridge: Ridge, width:
     time = np.arange(samples.size) / sample_rate
     hertz = np.interp(time, ridge.time_s, _steadied(ridge))
     per_period = sample_rate / float(np.max(hertz))
-    if per_period < FEWEST_SAMPLES_PER_PERIOD:
+    if per_period < DECAYS.fewest_samples_per_period:
         raise BenchError(
             f"at {float(np.max(hertz)):.4g} Hz there are {per_period:.2g} samples a period; "
-            f"{FEWEST_SAMPLES_PER_PERIOD:g} are needed"
+            f"{DECAYS.fewest_samples_per_period:g} are needed"
         )
     cycles = np.concatenate(([0.0], np.cumsum(0.5 * (hertz[1:] + hertz[:-1])))) / sample_rate
-    if cycles[-1] < FEWEST_PERIODS:
-        raise BenchError(f"{cycles[-1]:.3g} periods of decay are too few; {FEWEST_PERIODS} are needed")
-    for number in range(_PASSES):
+    if cycles[-1] < DECAYS.fewest_periods:
+        raise BenchError(f"{cycles[-1]:.3g} periods of decay are too few; {DECAYS.fewest_periods} are needed")
+    for number in range(DECAYS.demodulation_passes):
         at = middles(cycles, width)
         values = demodulated(samples, cycles, width)
-        if number + 1 == _PASSES or values.size < FEWEST_PERIODS // 2:
+        if number + 1 == DECAYS.demodulation_passes or values.size < DECAYS.fewest_periods // 2:
             break
         moved = _moved(cycles, at, values)
         if moved is None:
             break
         cycles = moved
-    stride = -(-values.size // _MOST_VALUES)
+    stride = -(-values.size // DECAYS.most_values)
     return SlowAmplitude(cycles, width, np.interp(at, cycles, time)[::stride], values[::stride], stride)
 
 
@@ -275,8 +273,8 @@ def _moved(cycles: FloatArray, at: FloatArray, values: ComplexArray) -> FloatArr
     noise = float(np.median(size[-max(3, size.size // 20) :]))
     strong = np.flatnonzero(size > min(3.0 * noise, 1e-2 * size.max()))
     left = np.unwrap(np.angle(values[strong])) / (2.0 * math.pi)
-    if strong.size > _SMOOTHING:
-        left = savgol_filter(left, _SMOOTHING, 2)
+    if strong.size > DECAYS.smoothed_values:
+        left = savgol_filter(left, DECAYS.smoothed_values, 2)
     phase = at[strong] + left
     new = np.interp(cycles, at[strong], phase)
     if strong.size > 2:

@@ -15,14 +15,7 @@ from scipy.signal import savgol_filter
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_signals.decays.decay_nodes import Node
-
-_SMOOTHED, _FITTED = 0.2, 0.1  # of a period: smoothing before turning points are looked for; either side of one
-_FEWEST_SAMPLES = 20  # a period
-_INTERVAL = (0.35, 0.7)  # of a period, between turning points
-_STANDS_OUT = 10.0  # of the noise
-_SMALLEST = 0.02  # of the largest swing
-_FEWEST_NODES = 3
-_VERTEX_PASSES = 3
+from nmt_signals.thresholds import DECAYS
 
 
 def half_cycle_nodes(samples: FloatArray, sample_rate: float, frequency_hz: float) -> list[Node]:
@@ -37,8 +30,10 @@ def half_cycle_nodes(samples: FloatArray, sample_rate: float, frequency_hz: floa
         BenchError: too few samples a period, less than a period, or too few turning points.
     """
     period = sample_rate / frequency_hz
-    if period < _FEWEST_SAMPLES:
-        raise BenchError(f"{period:.2g} samples a period are too few for turning points; {_FEWEST_SAMPLES} are needed")
+    if period < DECAYS.turning_fewest_samples:
+        raise BenchError(
+            f"{period:.2g} samples a period are too few for turning points; {DECAYS.turning_fewest_samples} are needed"
+        )
     if samples.size < period:
         raise BenchError(f"its {samples.size} samples are less than a period of the mode at {frequency_hz:.4g} Hz")
     time, value, time_std, value_std = _turning_points(samples, period)
@@ -63,20 +58,21 @@ def half_cycle_nodes(samples: FloatArray, sample_rate: float, frequency_hz: floa
                 rate_std, k // 2, k // 2 + 1,
             )
         )  # fmt: skip
-    if len(nodes) < _FEWEST_NODES:
+    if len(nodes) < DECAYS.turning_fewest_nodes:
         raise BenchError(
-            f"it turns {time.size} times before it rests or noise covers it, and {2 * _FEWEST_NODES + 1} are needed"
+            f"it turns {time.size} times before it rests or noise covers it, and "
+            f"{2 * DECAYS.turning_fewest_nodes + 1} are needed"
         )
     return nodes
 
 
 def _turning_points(samples: FloatArray, period: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Times in samples and values of the turning points of the decay, and their standard uncertainties, each (k,)."""
-    length = max(5, 2 * int(0.5 * _SMOOTHED * period) + 1)
+    length = max(5, 2 * int(0.5 * DECAYS.turning_smoothing_periods * period) + 1)
     smooth = savgol_filter(samples, length, 3)
     noise = float(np.std(samples - smooth))
     slope = savgol_filter(samples, length, 3, deriv=1)
-    half = max(3, round(_FITTED * period))
+    half = max(3, round(DECAYS.vertex_half_width_periods * period))
     places = np.flatnonzero(np.diff(np.signbit(slope)))
     places = places[(places >= half) & (places < samples.size - half)]
     largest = 0.5 * float(np.ptp(smooth))
@@ -84,8 +80,12 @@ def _turning_points(samples: FloatArray, period: float) -> tuple[FloatArray, Flo
     for place in places:
         if kept:
             apart = 0.5 * abs(smooth[place] - smooth[kept[-1]])
-            near = _INTERVAL[0] * period <= place - kept[-1] <= _INTERVAL[1] * period
-            if not near or apart < max(_STANDS_OUT * noise, _SMALLEST * largest):
+            near = (
+                DECAYS.turning_interval_periods[0] * period
+                <= place - kept[-1]
+                <= DECAYS.turning_interval_periods[1] * period
+            )
+            if not near or apart < max(DECAYS.turning_sigmas * noise, DECAYS.turning_smallest_share * largest):
                 if len(kept) > 2:
                     break
                 kept = []
@@ -103,7 +103,7 @@ def _vertex(values: FloatArray, middle: int) -> tuple[float, float, float, float
     """
     x = np.arange(values.size) - 0.5 * (values.size - 1)
     at, solution, norms = 0.0, np.zeros(4), np.zeros(4)
-    for _ in range(_VERTEX_PASSES):
+    for _ in range(DECAYS.vertex_passes):
         apart = x - at
         columns = np.stack((np.ones_like(x), apart, np.minimum(apart, 0.0) ** 2, np.maximum(apart, 0.0) ** 2), axis=1)
         inverse = np.linalg.pinv(columns)

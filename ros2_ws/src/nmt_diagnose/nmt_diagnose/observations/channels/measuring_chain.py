@@ -2,7 +2,7 @@
 
 The bench's own simulator measures as the rig file says; its bags have no tolerances. A laboratory's sensors and
 converters have ordinary ones: gains by the calibration sheet, phases of conditioners, delays of filters and
-multiplexers, a drive that is held from sample to sample.
+multiplexers, a zero-order hold of the drive.
 """
 
 from __future__ import annotations
@@ -13,19 +13,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from nmt_core.messages.blocks import Quantity
+from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_record.exchange.calibration_file import CalibrationSheet
 from nmt_record.exchange.channel_tolerances import (
-    CLOCK_STD,
-    DELAY_STD_S,
-    GAIN_STD,
     ChannelTolerance,
     Tolerances,
     is_simulated,
     tolerances,
 )
 
-SHARED_DELAY_STD_S = 1e-4
 _VOLTAGE = Quantity.VOLTAGE
 
 
@@ -45,12 +42,12 @@ class MeasuringChain:
     """
 
     channels: Mapping[str, ChannelTolerance] = field(default_factory=dict)
-    voltage_gain: float = GAIN_STD
-    shared_delay_s: float = SHARED_DELAY_STD_S
+    voltage_gain: float = TOLERANCES.gain
+    shared_delay_s: float = TOLERANCES.shared_delay_s
     hold_hz: float = math.inf
     images: bool = True
-    mains: float = 1e-3
-    clock: float = CLOCK_STD
+    mains: float = TOLERANCES.mains
+    clock: float = TOLERANCES.clock
 
     def of(self, channel: str) -> ChannelTolerance:
         """Tolerance of a channel."""
@@ -80,10 +77,12 @@ def measuring_chain(
         return None
     stated = tolerances(run, rig_yaml, sheet)
     by_name = {
-        own.name: stated.of(own.quantity, own.point) for own in channels.values() if own.quantity is not _VOLTAGE
+        tolerance.name: stated.of(tolerance.quantity, tolerance.point)
+        for tolerance in channels.values()
+        if tolerance.quantity is not _VOLTAGE
     }
     usual = ChannelTolerance()
-    named = {name: own for name, own in by_name.items() if own != usual}
+    named = {name: tolerance for name, tolerance in by_name.items() if tolerance != usual}
     voltage = stated.of(_VOLTAGE, 0)
     return MeasuringChain(named, voltage.gain, _shared_delay(stated), sample_rate, clock=stated.clock)
 
@@ -100,11 +99,11 @@ def table_chain(channels: Sequence[MeasuredChannel] = (), sheet: CalibrationShee
     if sheet is None:
         return MeasuringChain()
     stated = tolerances({"imported": {}}, None, sheet)
-    named = {own.name: stated.of(own.quantity, own.point) for own in channels}
+    named = {channel.name: stated.of(channel.quantity, channel.point) for channel in channels}
     return MeasuringChain(named, shared_delay_s=_shared_delay(stated), clock=stated.clock)
 
 
 def _shared_delay(stated: Tolerances) -> float:
     """Of the voltage's delay against the sensors nothing differs from one of all sensors together."""
-    said = stated.of(_VOLTAGE, 0).delay_s
-    return said if said != DELAY_STD_S else SHARED_DELAY_STD_S
+    delay_s = stated.of(_VOLTAGE, 0).delay_s
+    return delay_s if delay_s != TOLERANCES.delay_s else TOLERANCES.shared_delay_s

@@ -14,16 +14,10 @@ from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_signals.channel_faults.clipping import clipping_level
-from nmt_signals.channel_faults.repeated_samples import repeated_share
+from nmt_signals.channel_faults.converter_faults import repeated_share
 from nmt_signals.harmonics import harmonic_amplitudes
-
-# No sensor's error makes a channel this many times too large beside the others; a wrong unit does.
-_OUT_OF_SCALE = 5.0
-_OUT_OF_SCALE_FORCE = 30.0
-_WRONG_FREQUENCY = 1.6
-# Channels whose response the model puts this far below the largest of their quantity are near a node.
-_NODE = 0.1
 
 
 def check_frequency(name: str, frequency_hz: Sequence[float], view: ModelView) -> None:
@@ -33,7 +27,7 @@ def check_frequency(name: str, frequency_hz: Sequence[float], view: ModelView) -
         BenchError: all windows are further than 60 % from every mode.
     """
     ratios = [nearest_ratio(value, view.frequencies_hz) for value in frequency_hz if value > 0.0]
-    if ratios and all(max(ratio, 1.0 / ratio) > _WRONG_FREQUENCY for ratio in ratios):
+    if ratios and all(max(ratio, 1.0 / ratio) > THRESHOLDS.reading.wrong_frequency_ratio for ratio in ratios):
         modes = ", ".join(f"{value:.4g}" for value in view.frequencies_hz)
         raise BenchError(
             f"{name} was locked at {min(frequency_hz):.4g} Hz, but the model {view.rig.name} has its modes at {modes} "
@@ -72,13 +66,16 @@ def out_of_scale(
             measured = np.abs(harmonic_amplitudes(cycles, np.stack([stretch.row(n) for n in names]), 1)[:, 1])
         except BenchError:
             continue
-        own = [channels[n] for n in names]
-        expected = np.abs(view.responses(own, np.array([frequency]))[:, 0])
+        model_channels = [channels[n] for n in names]
+        expected = np.abs(view.responses(model_channels, np.array([frequency]))[:, 0])
         largest: dict[Quantity, float] = {}
-        for channel, value in zip(own, expected, strict=True):
+        for channel, value in zip(model_channels, expected, strict=True):
             largest[channel.quantity] = max(largest.get(channel.quantity, 0.0), float(value))
-        for index, channel in enumerate(own):
-            if expected[index] > _NODE * largest[channel.quantity] and measured[index] > 0.0:
+        for index, channel in enumerate(model_channels):
+            if (
+                expected[index] > THRESHOLDS.reading.near_node_share * largest[channel.quantity]
+                and measured[index] > 0.0
+            ):
                 logs.setdefault(names[index], []).append(math.log(measured[index] / expected[index]))
     ratios = {recorded: float(np.median(values)) for recorded, values in logs.items()}
     if len(ratios) < 3:
@@ -93,7 +90,9 @@ def out_of_scale(
     for recorded, value in ratios.items():
         kind = channels[recorded].quantity
         # The force depends much on how near resonance is, and on the damping there.
-        limit = _OUT_OF_SCALE_FORCE if kind is Quantity.FORCE else _OUT_OF_SCALE
+        limit = (
+            THRESHOLDS.reading.wrong_unit_ratio_force if kind is Quantity.FORCE else THRESHOLDS.reading.wrong_unit_ratio
+        )
         if abs(value - middle) > math.log(limit):
             off.add(recorded)
             factor = math.exp(value - middle)
@@ -105,7 +104,8 @@ def out_of_scale(
     if not trusted or len({channels[recorded].quantity for recorded in off}) > 0.5 * len(by_quantity):
         raise BenchError(
             f"{name}: the channels do not agree on their scale with the model {view.rig.name} "
-            f"({', '.join(sorted(off))} differ from the rest by factors of more than {_OUT_OF_SCALE:g}); correct units "
+            f"({', '.join(sorted(off))} differ from the rest by factors of more than "
+            f"{THRESHOLDS.reading.wrong_unit_ratio:g}); correct units "
             "and points, or name the rig file of the rig that was tested."
         )
     return off, notes

@@ -17,17 +17,16 @@ from nmt_diagnose.observations.channels.drive_hold import hold_factor, image_res
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.floors import Floors
-from nmt_diagnose.observations.noise.moderated_variance import moderated
+from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.observations.noise.settling import Settling, settling
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_extract.uncertainty import sub_window_count
 from nmt_record.windows.segments import Segment
 from nmt_signals.channel_faults.clipping import clipping_level
-from nmt_signals.channel_faults.converter_step import converter_step
+from nmt_signals.channel_faults.converter_faults import converter_step, repeated_share
 from nmt_signals.channel_faults.mains_lines import MAINS_HZ, Line, mains_line
-from nmt_signals.channel_faults.repeated_samples import repeated_share
 from nmt_signals.harmonics import (
     resolvable_harmonics,
     segment_moments,
@@ -37,22 +36,8 @@ from nmt_signals.harmonics import (
 from nmt_signals.sine_fit import fit_frequency
 
 _RESPONSES = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
-# A drift over the window that its noise makes once in 16 000 windows.
-_SIGNIFICANT_DRIFT = 4.0
-_FURTHEST_PHASE = math.radians(60.0)
-# Mean over the window of a transient over its change from begin to end: measured 1.8 on the joint resonator.
-_LEAN = 2.0
 # The line of the mains that is observed in any case; the other one only where it stands out by so many deviations.
 _COMMON_MAINS = MAINS_HZ[0]
-_STANDS_OUT = 6.0
-# A step of the converter below this share of the noise adds less than 1 % to it and is not observed; a step of a whole
-# deviation of the noise changes hardly any observable: its weight is that of four standard deviations.
-_HIDDEN_STEP = 0.3
-_STEP_SHARE = 0.25
-# Standard deviation of a clipping level that all levels of a test show, and what counts as the same, relative.
-_LIMIT_SHARE, _SAME_LIMIT = 0.1, 0.01
-# By how much of it the share of repeated samples may be off, all levels together.
-_REPEATS_SHARE = 0.1
 
 
 def wrapped(angle: FloatArray) -> FloatArray:
@@ -156,40 +141,40 @@ def analyse_window(
             amplitudes = solve_moments(moments.total())[0, :, 1] * np.exp(-transient.leans)
             data = data - (np.outer(amplitudes, np.exp(2j * np.pi * cycles)) * transient.excess(used)).real
             moments = segment_moments(cycles, data, fitted, bounds)
-    whole = solve_moments(moments.total())[0, :, : harmonics + 1]
+    over_window = solve_moments(moments.total())[0, :, : harmonics + 1]
     without = solve_moments(moments.leave_one_out())[..., : harmonics + 1]
     single = solve_moments(moments)[..., : harmonics + 1]
     rows = tuple(channel.name for channel in usable)
     names_voltage = segment.level_unit == "V"
     voltage = next((c for c in usable if c.quantity is Quantity.VOLTAGE), None)
     # A voltage channel that holds nothing is no reference.
-    if voltage is not None and not abs(whole[rows.index(voltage.name), 1]) > 0.0:
+    if voltage is not None and not abs(over_window[rows.index(voltage.name), 1]) > 0.0:
         voltage = None
     drive, referenced = math.nan, known
     commanded = names_voltage and known
     if commanded:
         drive = segment.level
     elif voltage is not None:
-        drive = float(abs(whole[rows.index(voltage.name), 1]))
+        drive = float(abs(over_window[rows.index(voltage.name), 1]))
     if voltage is not None:
         reference: int | None = rows.index(voltage.name)
         referenced = True
         if known:
             # The oscillator's own phase is exact: the voltage takes its place only where it says something else.
             scatter = float(np.std(np.angle(single[:, reference, 1]))) / math.sqrt(count)
-            if abs(np.angle(whole[reference, 1])) < max(1e-6, 4.0 * scatter):
+            if abs(np.angle(over_window[reference, 1])) < max(1e-6, 4.0 * scatter):
                 reference = None
     else:
         reference = None if known else rows.index(force.name)
-    recorded = math.nan if voltage is None else float(abs(whole[rows.index(voltage.name), 1]))
+    recorded = math.nan if voltage is None else float(abs(over_window[rows.index(voltage.name), 1]))
     turned = reference is not None and voltage is not None
     if reference is not None:
-        whole, without, single = (_turned(part, reference) for part in (whole, without, single))
+        over_window, without, single = (_turned(part, reference) for part in (over_window, without, single))
     frequency = float(cycles[-1] - cycles[0]) / (used - 1) * stretch.sample_rate
     lines = {hz: mains_line(cycles, data, stretch.sample_rate, fitted, hz) for hz in MAINS_HZ}
     mains = {hz: line for hz, line in lines.items() if line is not None}
     return LockedWindow(
-        segment, stretch, rows, whole, without, single, frequency, drive, referenced, mains, commanded, recorded,
+        segment, stretch, rows, over_window, without, single, frequency, drive, referenced, mains, commanded, recorded,
         turned, tuple((transient.doubt * transient.leans).tolist()),
     )  # fmt: skip
 
@@ -198,8 +183,8 @@ def _settling(fundamentals: ComplexArray, channels: Sequence[MeasuredChannel]) -
     """The transient of a window's fundamentals, (K, channels), in the responses and in the force."""
     result = np.zeros(len(channels))
     kept = [
-        k for k, own in enumerate(channels)
-        if own.quantity in (Quantity.FORCE, *_RESPONSES) and np.all(fundamentals[:, k] != 0.0)
+        k for k, channel in enumerate(channels)
+        if channel.quantity in (Quantity.FORCE, *_RESPONSES) and np.all(fundamentals[:, k] != 0.0)
     ]  # fmt: skip
     responses = np.array([channels[k].quantity in _RESPONSES for k in kept], dtype=bool)
     found = settling(np.log(np.abs(fundamentals[:, kept])), responses)
@@ -222,11 +207,11 @@ def _without_hold(
     """The window with the drive that the linear interpolation makes of its samples, and without its images."""
     if math.isinf(rate_hz) or not math.isfinite(window.drive) or not window.referenced:
         return window
-    own = [channels[name] for name in window.rows if name in channels]
+    model_channels = [channels[name] for name in window.rows if name in channels]
     where = [row for row, name in enumerate(window.rows) if name in channels]
     frequency = np.array([window.frequency_hz])
     images = np.zeros(len(window.rows), dtype=np.complex128)
-    images[where] = window.drive * image_responses(view, own, frequency, rate_hz)[:, 0]
+    images[where] = window.drive * image_responses(view, model_channels, frequency, rate_hz)[:, 0]
     parts = [part.copy() for part in (window.amplitudes, window.without, window.single)]
     for part in parts:
         part[..., 1] -= images
@@ -280,9 +265,9 @@ def _lean(single: FloatArray) -> float:
     count = single.shape[0]
     drift = float(_drift(single))
     time = (np.arange(count) + 0.5) / count - 0.5
-    rest = single - single.mean() - drift * time
-    scatter = float(rest @ rest) / max(1, count - 2) / float(time @ time)
-    return _LEAN * math.sqrt(max(0.0, drift * drift - scatter))
+    residual = single - single.mean() - drift * time
+    scatter = float(residual @ residual) / max(1, count - 2) / float(time @ time)
+    return THRESHOLDS.noise.lean_ratio * math.sqrt(max(0.0, drift * drift - scatter))
 
 
 @dataclass
@@ -362,7 +347,7 @@ def phase_resonance_observations(
             ]
     levels = _with_direction(levels, held)
     present = [c for c in channels.values() if c.quantity not in (Quantity.VOLTAGE, Quantity.CURRENT)]
-    recorded = {own.name: theirs for theirs, own in channels.items()}
+    recorded = {model_channel.name: theirs for theirs, model_channel in channels.items()}
     response = _response(kept[0].stretch, drive_point, response_quantity)
     levels = [
         replace(level, amplitude_leans=tuple(window.lean(recorded[channel.name]) for channel in present))
@@ -384,9 +369,9 @@ def phase_resonance_observations(
         for channel in present:
             theirs = recorded[channel.name]
             if theirs in window.rows:
-                given = held == "force" and channel.quantity is Quantity.FORCE
-                if not (given and levels[index].drive_harmonics):
-                    cells += _cells(index, channel, window, window.row(theirs), given)
+                is_held = held == "force" and channel.quantity is Quantity.FORCE
+                if not (is_held and levels[index].drive_harmonics):
+                    cells += _cells(index, channel, window, window.row(theirs), is_held)
     _moderate(cells)
     index_of = {channel.name: number for number, channel in enumerate(present)}
     floors = settings.floors
@@ -472,7 +457,7 @@ def _mains(run: _Run, floors: Floors, table: RowTable) -> list[str]:
             _, values, deviations, least = np.array(found).T
             weights = 1.0 / (deviations**2 + least**2)
             mean = float(weights @ values / weights.sum())
-            stands_out = mean * math.sqrt(float(weights.sum())) > _STANDS_OUT
+            stands_out = mean * math.sqrt(float(weights.sum())) > THRESHOLDS.reading.hum_sigmas
             if stands_out:
                 unit = channel.quantity.unit
                 notes.append(f"{run.name}: channel {channel.name} has a line of {mean:.3g} {unit} at {hz:g} Hz.")
@@ -502,18 +487,20 @@ def _steps(run: _Run, cells: Sequence[_Cell], view: ModelView, table: RowTable) 
             continue
         steps = [converter_step(run.windows[k].stretch.row(theirs)) for k in found]
         # One converter has one step; at a level of few values it shows as a multiple of it.
-        seen = [step for step in steps if step > 0.0]
-        step = min(seen) if 2 * len(seen) > len(steps) else 0.0
+        positive = [step for step in steps if step > 0.0]
+        step = min(positive) if 2 * len(positive) > len(steps) else 0.0
         total = float(np.median(variances))
         expected = believed.get(channel.name, 0.0)
         # A step that is as the model has it tells nothing.
-        if max(step, expected) <= _HIDDEN_STEP * math.sqrt(total) or math.isclose(step, expected, rel_tol=0.01):
+        if max(step, expected) <= THRESHOLDS.reading.hidden_step_share * math.sqrt(total) or math.isclose(
+            step, expected, rel_tol=0.01
+        ):
             continue
         if step > 0.0:
             size = f"{step:.3g} {channel.quantity.unit}"
             notes.append(f"{run.name}: channel {channel.name} is recorded in steps of {size}.")
         noise = math.sqrt(max(total - step**2 / 12.0, (0.1 * step) ** 2))
-        floor = _STEP_SHARE * noise * math.sqrt(len(found))
+        floor = THRESHOLDS.reading.step_std_share * noise * math.sqrt(len(found))
         for k in found:
             table.add(Part.STEP, step, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
     return notes
@@ -533,9 +520,9 @@ def _limits(run: _Run, view: ModelView, table: RowTable) -> None:
         }
         expected = believed.get(channel.name)
         for k, level in found.items():
-            if expected is None or not math.isclose(level, expected, rel_tol=_SAME_LIMIT):
+            if expected is None or not math.isclose(level, expected, rel_tol=THRESHOLDS.reading.same_limit_share):
                 # All levels together say it once.
-                floor = _LIMIT_SHARE / level * math.sqrt(len(found))
+                floor = THRESHOLDS.reading.limit_std_share / level * math.sqrt(len(found))
                 table.add(Part.LIMIT, 1.0 / level, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
 
 
@@ -545,11 +532,11 @@ def _repeats(run: _Run, table: RowTable) -> None:
         if channel.quantity is Quantity.VOLTAGE:
             continue
         theirs = run.recorded[channel.name]
-        own = {k: window.stretch.row(theirs) for k, window in enumerate(run.windows) if theirs in window.rows}
-        share = repeated_share(*own.values())
-        for k in own if share > 0.0 else ():
+        channel_rows = {k: window.stretch.row(theirs) for k, window in enumerate(run.windows) if theirs in window.rows}
+        share = repeated_share(*channel_rows.values())
+        for k in channel_rows if share > 0.0 else ():
             # All levels together say it once.
-            floor = _REPEATS_SHARE * share * math.sqrt(len(own))
+            floor = THRESHOLDS.reading.repeats_std_share * share * math.sqrt(len(channel_rows))
             table.add(Part.REPEATS, share, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
 
 
@@ -585,13 +572,13 @@ def _level(window: LockedWindow, drive_point: int, wanted: Quantity | None, leve
     without = wrapped(error(window.without) - value)
     variance = float(_jackknife(without))
     drift = float(_drift(wrapped(error(window.single) - value)))
-    if abs(value) > _FURTHEST_PHASE:
-        turned = abs(value) > math.pi - _FURTHEST_PHASE
+    if abs(value) > THRESHOLDS.reading.furthest_phase_rad:
+        turned = abs(value) > math.pi - THRESHOLDS.reading.furthest_phase_rad
         why = "force or response has the wrong sign" if turned else "not near resonance"
         return f"{where}: force and velocity are {math.degrees(value):.0f}° apart ({why}); it is left out."
     lean = _lean(wrapped(error(window.single) - value))
     std = math.sqrt(variance)
-    if abs(drift) > _SIGNIFICANT_DRIFT * math.sqrt(12.0) * std:
+    if abs(drift) > THRESHOLDS.noise.drift_sigmas * math.sqrt(12.0) * std:
         std = math.hypot(std, 0.5 * drift)
     return LockedLevel(
         index=segment.level_index,
@@ -639,14 +626,14 @@ def _harmonics_of(window: LockedWindow, quantity: Quantity) -> tuple[complex, ..
     name = next((c.name for c in window.stretch.channels if c.quantity is quantity), None)
     if name not in window.rows or (quantity is Quantity.VOLTAGE and not window.referenced):
         return ()
-    own = window.amplitudes[window.row(name)]
-    return tuple(complex(value) for value in own[2:] / own[1]) if abs(own[1]) > 0.0 else ()
+    amplitudes = window.amplitudes[window.row(name)]
+    return tuple(complex(value) for value in amplitudes[2:] / amplitudes[1]) if abs(amplitudes[1]) > 0.0 else ()
 
 
-def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int, given: bool) -> list[_Cell]:
+def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int, is_held: bool) -> list[_Cell]:
     """Observables of one channel at one level."""
-    whole, without, single = window.amplitudes[row], window.without[:, row], window.single[:, row]
-    size = float(abs(whole[1]))
+    over_window, without, single = window.amplitudes[row], window.without[:, row], window.single[:, row]
+    size = float(abs(over_window[1]))
     degrees_of_freedom = without.shape[0] - 1
     if not size > 0.0:
         return []
@@ -657,17 +644,23 @@ def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int,
         variance, drift = float(_jackknife(varied)) * size**2, float(_drift(parts)) * size
         cells.append(_Cell(level, channel.name, harmonic, part, value, size, variance, drift, degrees_of_freedom))
 
-    if not given:
-        turned = whole[1] / size
+    if not is_held:
+        turned = over_window[1] / size
         add(1, Part.LOG_MAGNITUDE, math.log(size), np.log(np.abs(without[:, 1])), np.log(np.abs(single[:, 1])))
-        add(1, Part.PHASE, float(np.angle(whole[1])), np.angle(without[:, 1] / turned), np.angle(single[:, 1] / turned))
-    for harmonic in range(whole.shape[0]):
+        add(
+            1,
+            Part.PHASE,
+            float(np.angle(over_window[1])),
+            np.angle(without[:, 1] / turned),
+            np.angle(single[:, 1] / turned),
+        )
+    for harmonic in range(over_window.shape[0]):
         if harmonic == 1 or (harmonic == 0 and channel.quantity is not Quantity.DISPLACEMENT):
             continue
         for part in (Part.REAL, Part.IMAG) if harmonic else (Part.REAL,):
             pick = np.real if part is Part.REAL else np.imag
             add(
-                harmonic, part, float(pick(whole[harmonic])) / size,
+                harmonic, part, float(pick(over_window[harmonic])) / size,
                 pick(without[:, harmonic]) / size, pick(single[:, harmonic]) / size,
             )  # fmt: skip
     return cells
@@ -684,7 +677,7 @@ def _moderate(cells: list[_Cell]) -> None:
         # Residuals over a deviation from d values have the variance d / (d − 2).
         for cell, variance in zip(group, variances * degrees / (degrees - 2.0), strict=True):
             cell.variance = float(variance)
-            if cell.drift**2 > _SIGNIFICANT_DRIFT**2 * 12.0 * cell.variance:
+            if cell.drift**2 > THRESHOLDS.noise.drift_sigmas**2 * 12.0 * cell.variance:
                 cell.variance += 0.25 * cell.drift**2
 
 

@@ -1,241 +1,22 @@
-"""Observables of random tests: frequency responses at chosen lines, free of leakage.
-
-Around each line response and reference are fitted with H(f) U + T(f), where the frequency response H and the leakage T
-are polynomials over a few neighbouring lines of one Fourier transform of the whole window (local polynomial method: R.
-Pintelon, J. Schoukens, 2012, System Identification, 2nd ed., section 7.2). On a resonance that is narrower than these
-lines polynomials are wrong by percents. Where the responses of all channels show one, both are over 1 + a x, with x the
-place among the lines and the same a for all channels (local rational method: T. McKelvey, G. Guérin, 2012, 16th IFAC
-Symposium on System Identification). Averaged spectra would leave leakage as noise that all channels share; here sensor
-noise and nonlinear distortions are what remains, and the residual of the fit tells how large they are.
-"""
+"""Observables of random tests: frequency responses at chosen lines (:mod:`nmt_signals.local_responses`)."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import csd, welch
 
 from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.noise.moderated_variance import moderated
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.noise.scatter import moderated
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
-
-ORDER = 4
-"""Degree of the local polynomials."""
-REACH = 10
-"""Lines on either side that a local fit uses."""
-OFFSETS = np.arange(-REACH, REACH + 1)
-_PLACE = OFFSETS / REACH
-_POWERS = _PLACE[:, np.newaxis] ** np.arange(ORDER + 1)
-# A resonance is there where it raises the log-likelihood of the lines around it by so much.
-_SURE = 15.0
-# How often its place is improved, and how many of these steps are linear.
-_POLE_TURNS, _LINEAR_TURNS = 8, 3
-_FEWEST_LINES = 200
-_DRIVEN = 0.25
-_HIGHEST = 0.4
-
-
-@dataclass(frozen=True, eq=False)
-class LocalResponses:
-    """Frequency responses at some lines of a Fourier transform.
-
-    Attributes:
-        estimate: responses, shape (channels, lines).
-        noise: variance of the noise in the responses' lines, same shape.
-        factor: from there to the variance of the estimate, shape (lines,).
-        resonance: variance that the uncertain place of a resonance adds, shape (channels, lines).
-        resonant: lines that have a resonance nearby, shape (lines,).
-        degrees_of_freedom: of ``noise``.
-    """
-
-    estimate: ComplexArray
-    noise: FloatArray
-    factor: FloatArray
-    resonance: FloatArray
-    resonant: BoolArray
-    degrees_of_freedom: int
-
-
-def local_responses(
-    reference: FloatArray, responses: FloatArray, bins: IntArray, resonant: BoolArray | None = None
-) -> LocalResponses:
-    """Frequency responses at some lines of the Fourier transform.
-
-    Args:
-        reference: samples of the reference, shape (n,).
-        responses: samples of the responses, shape (channels, n).
-        bins: lines, each at least ``REACH`` from the ends of the transform.
-        resonant: lines that have a resonance nearby, shape (lines,); None = those where the responses show one.
-    """
-    u = np.fft.rfft(reference)
-    y = np.fft.rfft(responses, axis=-1)
-    near = bins[:, np.newaxis] + OFFSETS
-    return local_fits(u[near], np.moveaxis(y[:, near], 0, -1), resonant)
-
-
-def local_fits(u: ComplexArray, y: ComplexArray, resonant: BoolArray | None = None) -> LocalResponses:
-    """Frequency responses from what lies around some lines.
-
-    Args:
-        u: lines of the reference about each of them, shape (lines, 2 REACH + 1).
-        y: lines of the responses, shape (lines, 2 REACH + 1, channels).
-        resonant: as for `local_responses`.
-    """
-    lines, _, channels = y.shape
-    found = LocalResponses(
-        np.empty((channels, lines), dtype=np.complex128),
-        np.empty((channels, lines)),
-        np.empty(lines),
-        np.zeros((channels, lines)),
-        np.zeros(lines, dtype=np.bool_),
-        2 * (OFFSETS.size - 2 * (ORDER + 1)),
-    )
-    for number in range(lines):
-        own = _LocalFit(u[number], y[number], 0j)
-        if resonant is None or resonant[number]:
-            pole = _resonance(own)
-            if resonant is not None or pole.log_likelihood > own.log_likelihood + _SURE:
-                own = pole
-                found.resonant[number] = True
-                found.resonance[:, number] = own.resonance_variance()
-        found.estimate[:, number] = own.coefficients[0]
-        found.noise[:, number] = own.noise
-        found.factor[number] = own.factor
-    return found
-
-
-class _LocalFit:
-    """Least-squares fit about one line: (H U + T) / A, with H and T polynomials and A = 1 + a x.
-
-    Args:
-        u: reference, shape (n,).
-        y: responses, shape (n, channels).
-        a: coefficient of the resonance; 0 = none.
-    """
-
-    def __init__(self, u: ComplexArray, y: ComplexArray, a: complex) -> None:
-        self.u, self.y, self.a = u, y, a
-        self._below = 1.0 + a * _PLACE
-        design = np.concatenate((u[:, np.newaxis] * _POWERS, _POWERS), axis=1) / self._below[:, np.newaxis]
-        scale = np.linalg.norm(design, axis=0)
-        self._q, r = np.linalg.qr(design / scale)
-        self._back = np.linalg.inv(r) / scale[:, np.newaxis]
-        projected = np.conj(self._q.T) @ y
-        self.coefficients = self._back @ projected
-        self._fitted = self._q @ projected
-        self._residual = y - self._fitted
-        squares = np.maximum((np.abs(self._residual) ** 2).sum(axis=0), 1e-300)
-        left = u.size - 2 * (ORDER + 1)
-        self.noise = squares / (left - (1.0 / y.shape[1] if a else 0.0))
-        self.factor = float((np.abs(self._back[0]) ** 2).sum())
-        self.log_likelihood = -left * float(np.log(squares).sum())
-
-    def _across(self, column: ComplexArray) -> ComplexArray:
-        """What the polynomials cannot make of columns, shape (n, channels)."""
-        return np.asarray(column - self._q @ (np.conj(self._q.T) @ column))
-
-    def linear_pole(self) -> complex:
-        """The coefficient that leaves least of A Y − H U − T, over the present A (Sanathanan and Koerner)."""
-        rest = self._across(self.y / self._below[:, np.newaxis])
-        slope = self._across(self.y * (_PLACE / self._below)[:, np.newaxis])
-        return -self._along(slope, rest)[0]
-
-    def better_pole(self) -> complex:
-        """The coefficient after a step of Gauss and Newton."""
-        return self.a + self._along(self._slope(), -self._residual)[0]
-
-    def resonance_variance(self) -> FloatArray:
-        """Variance of the responses at the line that comes from that of the resonance, shape (channels,)."""
-        _, information = self._along(self._slope(), self._residual)
-        moved = self._back[0] @ (np.conj(self._q.T) @ self._moved())
-        result: FloatArray = np.abs(moved) ** 2 / max(information, 1e-300)
-        return result
-
-    def _moved(self) -> ComplexArray:
-        """Minus the change of the fit by a, its polynomials kept, shape (n, channels)."""
-        return np.asarray(self._fitted * (_PLACE / self._below)[:, np.newaxis])
-
-    def _slope(self) -> ComplexArray:
-        """Minus the change of the fit by a, shape (n, channels)."""
-        return self._across(self._moved())
-
-    def _along(self, slope: ComplexArray, rest: ComplexArray) -> tuple[complex, float]:
-        """Weighted least-squares coefficient of a slope in what is left, and the information on it."""
-        weights = 1.0 / np.maximum(self.noise, 1e-300)
-        information = float((weights * (np.abs(slope) ** 2).sum(axis=0)).sum())
-        product = complex((weights * (np.conj(slope) * rest).sum(axis=0)).sum())
-        return product / max(information, 1e-300), information
-
-
-def _resonance(plain: _LocalFit) -> _LocalFit:
-    """The fit with the resonance that suits all responses best."""
-    best = plain
-    for turn in range(_POLE_TURNS):
-        linear = turn < _LINEAR_TURNS
-        found = _LocalFit(plain.u, plain.y, best.linear_pole() if linear else best.better_pole())
-        if not np.isfinite(found.log_likelihood) or found.log_likelihood <= best.log_likelihood:
-            if linear:
-                continue
-            break
-        best = found
-    return best
-
-
-def choose_bins(reference: FloatArray, response: FloatArray, sample_rate: float, wanted: int) -> IntArray:
-    """Lines evenly spread over decades and over the turns of the response's phase, within the driven band.
-
-    Args:
-        reference: samples, shape (n,).
-        response: samples of the drive-point response, shape (n,).
-        sample_rate: Hz.
-        wanted: most lines.
-
-    Returns:
-        Lines of the Fourier transform of the whole, ascending, far enough apart to be nearly independent; may be empty.
-    """
-    size = reference.size
-    segment = max(256, size // 12)
-    if size < segment:
-        return np.zeros(0, dtype=np.int64)
-    frequency, power = welch(reference, sample_rate, nperseg=segment)
-    _, cross = csd(reference, response, sample_rate, nperseg=segment)
-    driven = (power > _DRIVEN * power[1:].max()) & (frequency > 0.0) & (frequency < _HIGHEST * sample_rate)
-    if not driven.any():
-        return np.zeros(0, dtype=np.int64)
-    low, high = frequency[driven][0], frequency[driven][-1]
-    own = np.arange(size // 2 + 1) * sample_rate / size
-    inside = np.flatnonzero((own >= low) & (own <= high))
-    inside = inside[(inside > REACH) & (inside < own.size - REACH - 1)]
-    if inside.size < 2:
-        return np.zeros(0, dtype=np.int64)
-    turns = np.interp(own[inside], frequency, np.concatenate(([0.0], np.cumsum(np.abs(_steps(cross))))))
-    # A resonance (a turn by π) has as many lines as a factor of four in frequency.
-    way = np.log(own[inside] / own[inside[0]]) + turns * math.log(4.0) / math.pi
-    marks = np.linspace(way[0], way[-1], wanted)
-    picked = inside[np.searchsorted(way, marks).clip(0, inside.size - 1)]
-    result = []
-    last = -(10**9)
-    for line in picked:
-        if line - last > REACH:
-            result.append(int(line))
-            last = int(line)
-    return np.array(result, dtype=np.int64)
-
-
-def _steps(cross: ComplexArray) -> FloatArray:
-    smooth = np.convolve(cross, np.array([0.25, 0.5, 0.25]), mode="same")
-    result: FloatArray = np.angle(smooth[1:] * np.conj(smooth[:-1]))
-    # Noise turns the phase to and fro: what exceeds a quarter turn a step is no resonance.
-    return np.where(np.abs(result) < 0.5 * math.pi, result, 0.0)
+from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_signals.local_responses import OFFSETS, REACH, choose_bins, local_fits, local_responses
 
 
 def random_observations(
@@ -276,7 +57,7 @@ def random_observations(
     for channel, fault in stretch.faults.items():
         if channel in channels and channel not in usable_whole:
             notes.append(f"{name}: channel {channel} is left out: {fault}.")
-    recorded = {own.name: theirs for theirs, own in channels.items()}
+    recorded = {model_channel.name: theirs for theirs, model_channel in channels.items()}
     kinds = (Quantity.VOLTAGE, Quantity.CURRENT)
     present = [
         channel
@@ -291,7 +72,7 @@ def random_observations(
         return empty((*notes, f"{name}: the random test is left out: {why}."))
     outputs = np.stack([stretch.row(recorded[channel.name])[part] for channel in present])
     outputs = outputs - outputs.mean(axis=1, keepdims=True)
-    if input_samples.size < _FEWEST_LINES * 2:
+    if input_samples.size < THRESHOLDS.reading.random_fewest_lines * 2:
         return empty((*notes, f"{name}: the random test is left out: {input_samples.size} samples are too few."))
     drive_point = view.rig.drive_point
     guide = next((row for row, c in enumerate(present) if c.point == drive_point and c.quantity in MOTIONS), 0)
@@ -354,10 +135,10 @@ def _believed(
     size = np.abs(estimate)
     result = size.copy()
     for row in range(len(channels)):
-        own = np.abs(responses[row] / responses[-1])
-        if np.all(np.isfinite(own)) and np.all(own > 0.0):
-            strong = own >= np.median(own)
-            result[row] = own * np.median(size[row, strong] / own[strong])
+        magnitude = np.abs(responses[row] / responses[-1])
+        if np.all(np.isfinite(magnitude)) and np.all(magnitude > 0.0):
+            strong = magnitude >= np.median(magnitude)
+            result[row] = magnitude * np.median(size[row, strong] / magnitude[strong])
     return result
 
 

@@ -25,20 +25,12 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RecordTest
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations, Part, joined
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.linear_modes import damped_modes
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-_DECAY = 5.0
-_HOLD_ERROR = 3e-3
-_FINEST = 32
-_PADDING = 512
-_LONGEST_START = 0.1
-_FEWEST_SAMPLES = 200
-_FEWEST_ROWS = 50
-_LOWEST = 0.05
 
 
 def spread_samples(start: int, stop: int, count: int) -> NDArray[np.int64]:
@@ -55,14 +47,14 @@ def white_noise(samples: FloatArray, sample_rate: float) -> float:
     """Standard deviation of white noise as strong as the lowest twentieth of the spectrum."""
     segment = min(samples.size, max(64, samples.size // 64))
     _, power = welch(samples - samples.mean(), sample_rate, nperseg=segment)
-    return float(math.sqrt(np.quantile(power[1:-1], _LOWEST) * 0.5 * sample_rate))
+    return float(math.sqrt(np.quantile(power[1:-1], THRESHOLDS.reading.record_noise_quantile) * 0.5 * sample_rate))
 
 
 def interpolated(samples: FloatArray, factor: int) -> FloatArray:
     """Band-limited interpolation; sample k comes to stand at ``factor`` k, shape (factor n,)."""
     if factor == 1:
         return samples
-    size = min(_PADDING, samples.size - 1)
+    size = min(THRESHOLDS.reading.record_padding_samples, samples.size - 1)
     # Odd reflections at the ends: no step where the ends of the Fourier transform meet.
     head = 2.0 * samples[0] - samples[size:0:-1]
     tail = 2.0 * samples[-1] - samples[-2 : -size - 2 : -1]
@@ -78,9 +70,9 @@ def refinement(response: FloatArray, sample_rate: float) -> int:
     frequency, power = welch(response - response.mean(), sample_rate, nperseg=min(response.size, 1024))
     share = np.cumsum(power) / np.sum(power)
     highest = float(frequency[np.searchsorted(share, 0.99)])
-    wanted = math.pi * highest / math.sqrt(3.0 * _HOLD_ERROR) / sample_rate
+    wanted = math.pi * highest / math.sqrt(3.0 * THRESHOLDS.reading.record_hold_error) / sample_rate
     factor: int = 2 ** max(0, math.ceil(math.log2(max(wanted, 1e-9))))
-    return min(_FINEST, factor)
+    return min(THRESHOLDS.reading.record_finest_steps, factor)
 
 
 def record_observations(
@@ -103,9 +95,9 @@ def record_observations(
     """
     parts = []
     for number, stretch in enumerate(stretches):
-        own = f"{name} {number + 1}" if len(stretches) > 1 else name
+        test_name = f"{name} {number + 1}" if len(stretches) > 1 else name
         budget = settings.record_rows // len(stretches)
-        parts.append(_one(own, stretch, view, channels, settings, budget, linear_hold))
+        parts.append(_one(test_name, stretch, view, channels, settings, budget, linear_hold))
     return joined(parts)
 
 
@@ -128,19 +120,21 @@ def _one(
             else f"its input cannot be used ({stretch.faults[source.name]})"
         )
         return empty((f"{name}: the record is left out: {why}.",))
-    recorded = {own.name: theirs for theirs, own in channels.items()}
+    recorded = {model_channel.name: theirs for theirs, model_channel in channels.items()}
     present = [
         channel
         for channel in channels.values()
         if recorded[channel.name] in {c.name for c in stretch.channels} - set(stretch.faults) - {source.name}
         and channel.quantity is not Quantity.VOLTAGE
     ]
-    if not present or stretch.samples < _FEWEST_SAMPLES:
+    if not present or stretch.samples < THRESHOLDS.reading.record_fewest_samples:
         why = "it has no response" if not present else f"{stretch.samples} samples are too few"
         return empty((*notes, f"{name}: the record is left out: {why}."))
     slowest = _slowest(view)
     start = _start(slowest, stretch)
-    independent = max(_FEWEST_ROWS, int((stretch.samples - start) / stretch.sample_rate * slowest))
+    independent = max(
+        THRESHOLDS.reading.record_fewest_rows, int((stretch.samples - start) / stretch.sample_rate * slowest)
+    )
     indices = spread_samples(start, stretch.samples, min(independent, max(1, budget // len(present))))
     count = max(1, min(settings.record_segments, indices.size // 20))
     bounds = np.linspace(start, stretch.samples, count + 1).round().astype(np.int64)
@@ -160,12 +154,12 @@ def _one(
                 row,
             )  # fmt: skip
     factor = 1 if linear_hold else refinement(stretch.row(recorded[present[0].name]), stretch.sample_rate)
-    own = channels.get(source.name, source)
+    model_channel = channels.get(source.name, source)
     test = RecordTest(
         name=name,
         drive_point=view.rig.drive_point,
         sample_rate=factor * stretch.sample_rate,
-        input_channel=own,
+        input_channel=model_channel,
         input=interpolated(source_samples - source_samples.mean(), factor),
         channels=tuple(present),
         segment_bounds=factor * bounds.astype(np.float64),
@@ -182,5 +176,10 @@ def _slowest(view: ModelView) -> float:
 
 def _start(slowest: float, stretch: SampleStretch) -> int:
     """First sample that the model's unknown initial state does not reach, at most a tenth of the record."""
-    longest = _LONGEST_START * stretch.samples
-    return int(min(_DECAY / slowest * stretch.sample_rate if slowest > 0.0 else longest, longest))
+    longest = THRESHOLDS.reading.record_longest_start * stretch.samples
+    return int(
+        min(
+            THRESHOLDS.reading.record_decay_constants / slowest * stretch.sample_rate if slowest > 0.0 else longest,
+            longest,
+        )
+    )

@@ -16,18 +16,17 @@ from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTes
 from nmt_diagnose.observations.kinds.phase_resonance_observations import LockedWindow, analyse_window
 from nmt_diagnose.observations.kinds.stepped_table_observations import jumps_of
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations, Part, joined
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.windows.segments import Segment
-
-FEWEST_LINES = 5
-"""Windows of one level and direction from which they are a frequency response."""
 
 
 def is_response(windows: Sequence[tuple[Segment, SampleStretch]]) -> bool:
     """Whether stepped-sine windows visit frequencies enough, with a measured force, to be a frequency response."""
-    return len(windows) >= FEWEST_LINES and all(s.find(Quantity.FORCE) is not None for _, s in windows)
+    return len(windows) >= THRESHOLDS.reading.stepped_fewest_lines and all(
+        s.find(Quantity.FORCE) is not None for _, s in windows
+    )
 
 
 def stepped_sine_observations(
@@ -59,15 +58,18 @@ def stepped_sine_observations(
     groups = _groups(analysed)
     for number, group in enumerate(groups):
         direction = _direction(group)
-        own = name
+        test_name = name
         if len(groups) > 1:
             level = group[0].segment.level
             text = f" at {level:g} {group[0].segment.level_unit}" if math.isfinite(level) else f" {number + 1}"
-            own = f"{name}{text} {'up' if direction > 0 else 'down'}"
-        if len(group) < FEWEST_LINES:
-            notes.append(f"{own}: {len(group)} lines are no frequency response; measure {FEWEST_LINES} or more.")
+            test_name = f"{name}{text} {'up' if direction > 0 else 'down'}"
+        if len(group) < THRESHOLDS.reading.stepped_fewest_lines:
+            notes.append(
+                f"{test_name}: {len(group)} lines are no frequency response; measure "
+                f"{THRESHOLDS.reading.stepped_fewest_lines} or more."
+            )
             continue
-        parts.append(_one(own, group, direction, view, channels, settings))
+        parts.append(_one(test_name, group, direction, view, channels, settings))
     return joined([empty(notes), *parts])
 
 
@@ -120,7 +122,7 @@ def _one(
         low, high = order[jump].frequency_hz, order[jump + 1].frequency_hz
         notes.append(f"{name}: it jumps between {low:.5g} and {high:.5g} Hz; both lines are left out.")
     lines = np.flatnonzero(kept)
-    if lines.size < FEWEST_LINES:
+    if lines.size < THRESHOLDS.reading.stepped_fewest_lines:
         return empty((*notes, f"{name}: left out: {lines.size} of its lines can be used."))
     frequency = np.array([order[k].frequency_hz for k in lines])
     level = np.array([abs(order[k].amplitudes[order[k].row(force.name), 1]) for k in lines])

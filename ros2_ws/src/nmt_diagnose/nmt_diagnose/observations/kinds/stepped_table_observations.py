@@ -14,24 +14,14 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.noise.neighbour_cubics import neighbour_cubics
-from nmt_diagnose.observations.observables import Observations, Part, joined
+from nmt_diagnose.observations.noise.scatter import neighbour_cubics
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.observables import ObservableTable
 from nmt_record.exchange.unit_table import REFERENCE_UNITS, quantity_of_unit
 from nmt_rig.rig import ShakingTableSection
 
-# Relative noise of a table that neither states any nor has lines enough to show it.
-WITHOUT_STD = 0.02
-_FEWEST_FOR_SCATTER = 12
-# Relative standard deviation of a scatter that is known by the median distance of n values from the cubics through
-# their neighbours, times the root of n (by simulation of normal noise, 30 to 400 values).
-MEDIAN_STD = 1.7
-# Levels that differ by less are one.
-_SAME_LEVEL = 1e-3
-# A jump: a step of ln H that is large and stands out among its neighbours.
-_JUMP, _STANDS_OUT = 0.5, 4.0
 _WHAT = {"force": "force", "base": "acceleration of the base", "voltage": "voltage", "response": "response"}
 
 
@@ -42,8 +32,8 @@ def has_levels(table: ObservableTable) -> bool:
     """
     if "coherence" in table.columns:
         return False
-    given = [table.columns[name] for name in ("level", "force_n") if name in table.columns]
-    return table.level > 0.0 or any(bool(np.any(column > 0.0)) for column in given)
+    level_columns = [table.columns[name] for name in ("level", "force_n") if name in table.columns]
+    return table.level > 0.0 or any(bool(np.any(column > 0.0)) for column in level_columns)
 
 
 def measured_together(tables: Sequence[ObservableTable], drive_point: int) -> list[list[int]]:
@@ -121,8 +111,8 @@ def stepped_table_observations(
     omega = 2.0 * np.pi * frequency
     if held == "response":
         # The held motion may be given as another derivative than the responses.
-        given = quantity_of_unit(table.level_unit or table.quantity.unit)
-        amplitude = amplitude * omega ** (MOTIONS[table.quantity] - MOTIONS[given])
+        level_quantity = quantity_of_unit(table.level_unit or table.quantity.unit)
+        amplitude = amplitude * omega ** (MOTIONS[table.quantity] - MOTIONS[level_quantity])
     elif held == "base" and table.level_unit:
         moved = quantity_of_unit(table.level_unit)
         amplitude = amplitude * omega ** (
@@ -137,9 +127,9 @@ def stepped_table_observations(
         return empty((*notes, f"{name}: left out: it has no usable line."))
     groups = _groups(level, usable)
     parts = []
-    for own_level, mine in groups:
-        own = name if len(groups) == 1 else f"{name} at {own_level:g} {table.level_unit}".strip()
-        parts.append(_one(own, tables, held, mine, amplitude, view, channels, settings))
+    for own_level, selected in groups:
+        test_name = name if len(groups) == 1 else f"{name} at {own_level:g} {table.level_unit}".strip()
+        parts.append(_one(test_name, tables, held, selected, amplitude, view, channels, settings))
     return joined([empty(notes), *parts])
 
 
@@ -173,7 +163,7 @@ def _groups(level: FloatArray, usable: NDArray[np.bool_]) -> list[tuple[float, N
     """Rows of each level, lowest first."""
     order = np.flatnonzero(usable)
     order = order[np.argsort(level[order], kind="stable")]
-    steps = np.diff(level[order]) > _SAME_LEVEL * np.abs(level[order[1:]])
+    steps = np.diff(level[order]) > THRESHOLDS.reading.stepped_same_level * np.abs(level[order[1:]])
     pieces = np.split(order, np.flatnonzero(steps) + 1)
     return [(float(np.median(level[piece])), np.sort(piece)) for piece in pieces]
 
@@ -182,7 +172,7 @@ def _one(
     name: str,
     tables: Sequence[ObservableTable],
     held: str,
-    mine: NDArray[np.int64],
+    selected: NDArray[np.int64],
     amplitude: FloatArray,
     view: ModelView,
     channels: Sequence[MeasuredChannel],
@@ -190,20 +180,20 @@ def _one(
 ) -> Observations:
     """Observables of one level."""
     frequency = tables[0].columns["frequency_hz"]
-    order = mine[np.argsort(frequency[mine], kind="stable")]
+    order = selected[np.argsort(frequency[selected], kind="stable")]
     f = frequency[order]
     notes: list[str] = []
     measured = []
     for table, channel in zip(tables, channels, strict=True):
         own = name if len(tables) == 1 else f"{name}, {channel.name}"
-        std, said, degrees = _noise(own, table, order, table.responses[order], f)
-        notes += said
+        std, sentences, degrees = _noise(own, table, order, table.responses[order], f)
+        notes += sentences
         measured.append((channel, table.responses[order], std, degrees))
-    shown = [float(std[0]) for _, _, std, degrees in measured if math.isfinite(degrees)]
-    if len(shown) == len(measured) > 1:  # one sentence for all of them
-        low, high = 100.0 * min(shown), 100.0 * max(shown)
+    estimated = [float(std[0]) for _, _, std, degrees in measured if math.isfinite(degrees)]
+    if len(estimated) == len(measured) > 1:  # one sentence for all of them
+        low, high = 100.0 * min(estimated), 100.0 * max(estimated)
         notes = [
-            f"{name}: no uncertainties are given; the lines of its {len(shown)} points scatter by {low:.2g} to "
+            f"{name}: no uncertainties are given; the lines of its {len(estimated)} points scatter by {low:.2g} to "
             f"{high:.2g} % about a smooth course."
         ]
     # The channel that moves most in its own noise says how large the motion was.
@@ -266,11 +256,14 @@ def _noise(
     found = scatter_of_lines(f, h, table.phase_known)
     if not math.isfinite(found):
         return (
-            np.full(h.size, WITHOUT_STD),
-            [f"{name}: no uncertainties are given; {100 * WITHOUT_STD:g} % is taken for every line."],
+            np.full(h.size, THRESHOLDS.noise.stepped_default_std),
+            [
+                f"{name}: no uncertainties are given; {100 * THRESHOLDS.noise.stepped_default_std:g} % is taken for "
+                "every line."
+            ],
             math.inf,
         )
-    degrees = (2 if table.phase_known else 1) * h.size / (2.0 * MEDIAN_STD**2)
+    degrees = (2 if table.phase_known else 1) * h.size / (2.0 * THRESHOLDS.noise.median_relative_std**2)
     return (
         np.full(h.size, found),
         [f"{name}: no uncertainties are given; its lines scatter by {100 * found:.2g} % about a smooth course."],
@@ -292,13 +285,13 @@ def scatter_of_lines(frequency: FloatArray, response: ComplexArray, phase_known:
     Returns:
         The standard deviation; NaN for fewer than twelve lines.
     """
-    if frequency.size < _FEWEST_FOR_SCATTER:
+    if frequency.size < THRESHOLDS.noise.stepped_fewest_for_scatter:
         return math.nan
     log = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
     middle, near, weights = neighbour_cubics(frequency)
-    rest = (log[middle] - np.sum(weights * log[near], axis=1)) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
+    residual = (log[middle] - np.sum(weights * log[near], axis=1)) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
     # Median of |x| of a normal variable: 0.6745 σ.
-    found = np.abs(np.concatenate([rest.real, rest.imag]) if phase_known else rest.real)
+    found = np.abs(np.concatenate([residual.real, residual.imag]) if phase_known else residual.real)
     return max(float(np.median(found)) / 0.6745, 1e-4) if found.size else math.nan
 
 
@@ -308,7 +301,11 @@ def jumps_of(response: ComplexArray) -> list[int]:
     result = []
     for i, step in enumerate(steps):
         around = [steps[k] for k in (i - 2, i - 1, i + 1, i + 2) if 0 <= k < steps.size]
-        if step > _JUMP and around and step > _STANDS_OUT * max(around):
+        if (
+            step > THRESHOLDS.reading.stepped_jump
+            and around
+            and step > THRESHOLDS.reading.stepped_jump_ratio * max(around)
+        ):
             result.append(i)
     return result
 

@@ -18,18 +18,12 @@ from nmt_diagnose.observations.kinds.stepped_table_observations import (
     stepped_table_observations,
 )
 from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
-from nmt_diagnose.observations.noise.neighbour_cubics import neighbour_cubics
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.noise.scatter import neighbour_cubics
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.observations.row_table import Place, RowTable, empty
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.observables import ObservableTable
 from nmt_rig.rig import Rig
-
-_WRONG_FREQUENCY = 1.6
-_WITHOUT_STD = 0.02
-_FEWEST_FOR_SCATTER = 7
-# Relative standard deviation of a scatter of n points about the cubics through their neighbours, times the root of n.
-_CUBIC_STD = 1.3
 
 
 def table_observations(
@@ -82,7 +76,7 @@ def _backbone(
     if not good.any():
         return empty((f"{name}: left out: it has no row with frequency and amplitude.",))
     ratios = [nearest_ratio(float(value), view.frequencies_hz) for value in frequency[good]]
-    if all(max(ratio, 1.0 / ratio) > _WRONG_FREQUENCY for ratio in ratios):
+    if all(max(ratio, 1.0 / ratio) > THRESHOLDS.reading.table_wrong_frequency_ratio for ratio in ratios):
         return empty((f"{name}: left out: its frequencies lie at no mode of the model {view.rig.name}.",))
     damping, damping_std = _column(table, "damping_ratio"), _column(table, "damping_ratio_std")
     frequency_std = _column(table, "frequency_hz_std")
@@ -90,7 +84,7 @@ def _backbone(
     rows = RowTable()
     where = np.flatnonzero(good)
     unstated = max(floors.table_log_frequency, scatter_about_a_course(amplitude[good], np.log(frequency[good])))
-    shown = _scatter_of_damping(amplitude[good], damping[good])
+    scatter = _scatter_of_damping(amplitude[good], damping[good])
     notes = [] if good.all() else [f"{name}: {int((~good).sum())} of {good.size} rows have no value and are left out."]
     for level, index in enumerate(where):
         place = Place(level, 0.0, float(frequency[index]), float(amplitude[index]))
@@ -102,14 +96,14 @@ def _backbone(
         )  # fmt: skip
         if math.isfinite(damping[index]):
             known = math.isfinite(damping_std[index]) and damping_std[index] > 0.0
-            share = floors.decay_damping if known else max(floors.table_damping, shown)
+            share = floors.decay_damping if known else max(floors.table_damping, scatter)
             rows.add(
                 Part.DAMPING, float(damping[index]), float(damping_std[index]) if known else 0.0,
                 share * abs(float(damping[index])), place, 0, 1,
             )  # fmt: skip
     degrees = math.inf
     if not np.any(np.isfinite(frequency_std[where])):
-        degrees = where.size / (2.0 * _CUBIC_STD**2)
+        degrees = where.size / (2.0 * THRESHOLDS.noise.cubic_relative_std**2)
         notes.append(f"{name}: no uncertainties are given; {100 * unstated:.2g} % is taken for every frequency.")
     test = BackboneTable(name, view.rig.drive_point, channel, amplitude[where].copy(), degrees)
     return rows.observations(test, notes)
@@ -135,11 +129,11 @@ def scatter_about_a_course(x: FloatArray, y: FloatArray) -> float:
     """
     x, first = np.unique(x, return_index=True)
     y = y[first]
-    if x.size < _FEWEST_FOR_SCATTER:
+    if x.size < THRESHOLDS.noise.table_fewest_for_scatter:
         return 0.0
     middle, near, weights = neighbour_cubics(x)
-    rest = y[middle] - np.sum(weights * y[near], axis=1)
-    return math.sqrt(float(np.mean(rest**2 / (1.0 + np.sum(weights**2, axis=1)))))
+    residual = y[middle] - np.sum(weights * y[near], axis=1)
+    return math.sqrt(float(np.mean(residual**2 / (1.0 + np.sum(weights**2, axis=1)))))
 
 
 def _responses(
@@ -158,14 +152,14 @@ def _responses(
     if table.noise > 0.0:
         std = np.where(np.isfinite(std), std, table.noise)
     stated = np.isfinite(std)
-    std = np.where(stated, std, _WITHOUT_STD)
+    std = np.where(stated, std, THRESHOLDS.noise.table_default_std)
     # Without uncertainties a coherence says something, but not how much was averaged: the line counts for less below 1.
     coherence = np.clip(_column(table, "coherence"), 1e-6, 1.0)
     weak = ~stated & np.isfinite(coherence)
     std[weak] = np.maximum(std[weak], np.sqrt(0.5 * (1.0 - coherence[weak]) / coherence[weak]))
     # A magnitude has a corner at an antiresonance, where the response itself goes smoothly through zero.
-    shown = table.phase_known and not stated.any()
-    everywhere = noise_of_weak_lines(frequency[good], response[good]) if shown else 0.0
+    noise_from_lines = table.phase_known and not stated.any()
+    everywhere = noise_of_weak_lines(frequency[good], response[good]) if noise_from_lines else 0.0
     std = np.hypot(std, everywhere / np.where(size > 0.0, size, 1.0))
     good &= std <= settings.largest_std
     candidates = np.flatnonzero(good)
@@ -177,7 +171,10 @@ def _responses(
     notes = []
     if not stated.any():
         noise = f"; weak lines show {everywhere:.2g} {table.units.get('real', '')} besides" if everywhere else ""
-        notes.append(f"{name}: no uncertainties are given; {100 * _WITHOUT_STD:g} % is taken for every line{noise}.")
+        notes.append(
+            f"{name}: no uncertainties are given; {100 * THRESHOLDS.noise.table_default_std:g} % is taken for every "
+            f"line{noise}."
+        )
     rows = RowTable()
     level = table.level if math.isfinite(table.level) else 0.0
     for number, index in enumerate(chosen):
@@ -218,14 +215,18 @@ def noise_of_weak_lines(frequency: FloatArray, response: NDArray[np.complex128])
     """
     frequency, first = np.unique(frequency, return_index=True)
     response = response[first]
-    if frequency.size < 2 * _FEWEST_FOR_SCATTER:
+    if frequency.size < 2 * THRESHOLDS.noise.table_fewest_for_scatter:
         return 0.0
     middle, near, weights = neighbour_cubics(frequency)
     apart = np.abs(response[middle] - np.sum(weights * response[near], axis=1))
     apart /= np.sqrt(1.0 + np.sum(weights**2, axis=1))
     weak = np.abs(response[middle]) <= np.median(np.abs(response))
     # The distance in the plane of a complex number follows Rayleigh's law.
-    return float(np.median(apart[weak])) / math.sqrt(2.0 * math.log(2.0)) if weak.sum() >= _FEWEST_FOR_SCATTER else 0.0
+    return (
+        float(np.median(apart[weak])) / math.sqrt(2.0 * math.log(2.0))
+        if weak.sum() >= THRESHOLDS.noise.table_fewest_for_scatter
+        else 0.0
+    )
 
 
 def _spread(frequency: FloatArray, response: NDArray[np.complex128], wanted: int) -> NDArray[np.int64]:

@@ -13,8 +13,8 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RingDownTest
 from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.thresholds import THRESHOLDS
 
-_FEWEST_PAIRS = 6
 # Key of a sidecar's ``repeatability`` by part.
 _STATED = {
     Part.LOG_FREQUENCY: "frequency",
@@ -122,10 +122,10 @@ def repeatability(observations: Observations, repeats: Observations) -> tuple[Fl
     kinds = _types(observations.rows, observations)
     raised = 0
     for kind in np.unique(kinds[found]):
-        mine = found & (kinds == kind)
-        if int(mine.sum()) < _FEWEST_PAIRS:
+        selected = found & (kinds == kind)
+        if int(selected.sum()) < THRESHOLDS.noise.floor_fewest_pairs:
             continue
-        excess = float(np.mean(0.5 * difference[mine] ** 2) - np.mean(stated[mine]))
+        excess = float(np.mean(0.5 * difference[selected] ** 2) - np.mean(stated[selected]))
         measured = np.sqrt(max(0.0, excess))
         every = kinds == kind
         raised += int(np.sum(every & (floor < measured)))
@@ -151,8 +151,8 @@ def _keys(observations: Observations) -> list[tuple[object, ...]]:
         test = observations.tests[rows.test[index]]
         channel = ""
         if rows.channel[index] >= 0:
-            own = getattr(test, "channels", None) or (getattr(test, "channel", None),)
-            channel = getattr(own[rows.channel[index]], "name", "")
+            channels = getattr(test, "channels", None) or (getattr(test, "channel", None),)
+            channel = getattr(channels[rows.channel[index]], "name", "")
         if isinstance(test, RandomTest):
             place: object = round(float(rows.frequency_hz[index]), 6)
         elif rows.part[index] == Part.LINE:

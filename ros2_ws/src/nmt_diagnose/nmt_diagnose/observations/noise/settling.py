@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.thresholds import THRESHOLDS
 
-# Sub-windows from which a transient is told, and how fast it may fall, over the window.
-_FEWEST, _RATES = 6, np.geomspace(0.5, 8.0, 25)
-# Standard deviations from which a channel shows a transient, or one of its own: noise makes as much in one of 250.
-_SHOWN = 4.0
-_LEAST = 1e-12  # ln of an amplitude that is exact
-# What a transient differs from an exponential by, relative: the loop moves, and damping depends on the amplitude.
-_INEXACT = 0.02
+# How fast a transient may fall, over the window.
+_RATES = np.geomspace(0.5, 8.0, 25)
+_EXACT_LOG_AMPLITUDE = 1e-12  # ln of an amplitude that is exact
 
 
 @dataclass(frozen=True)
@@ -65,7 +62,7 @@ def settling(logs: FloatArray, responses: NDArray[np.bool_]) -> Settling:
         The transient; sizes of zero where the sub-windows are fewer than six, or none shows.
     """
     count, channels = logs.shape
-    if count < _FEWEST:
+    if count < THRESHOLDS.noise.settling_fewest:
         return Settling(np.zeros(channels))
     time = (np.arange(count) + 0.5) / count
     values = logs - logs.mean(axis=0)
@@ -75,7 +72,7 @@ def settling(logs: FloatArray, responses: NDArray[np.bool_]) -> Settling:
         falling -= falling.mean()
         power = float(falling @ falling)
         tried = falling @ values / power
-        squares = ((values - np.outer(falling, tried)) ** 2).sum(axis=0) + _LEAST**2
+        squares = ((values - np.outer(falling, tried)) ** 2).sum(axis=0) + _EXACT_LOG_AMPLITUDE**2
         tries.append((float(np.log(squares).sum()), tried, squares / (count - 2) / power))
     best = int(np.argmin([lost for lost, _, _ in tries]))
     _, sizes, variances = tries[best]
@@ -83,10 +80,10 @@ def settling(logs: FloatArray, responses: NDArray[np.bool_]) -> Settling:
     if responses.any():
         weights = 1.0 / variances[responses]
         common = float(weights @ sizes[responses] / weights.sum())
-        if common**2 * weights.sum() > _SHOWN**2:
-            shared = responses & ((sizes - common) ** 2 <= _SHOWN**2 * variances)
-    shown = sizes**2 > _SHOWN**2 * variances
-    found = np.where(shared, common, np.where(shown, sizes, 0.0))
+        if common**2 * weights.sum() > THRESHOLDS.noise.settling_sigmas**2:
+            shared = responses & ((sizes - common) ** 2 <= THRESHOLDS.noise.settling_sigmas**2 * variances)
+    significant = sizes**2 > THRESHOLDS.noise.settling_sigmas**2 * variances
+    found = np.where(shared, common, np.where(significant, sizes, 0.0))
     leading = int(np.argmax(np.abs(sizes) / np.sqrt(variances)))
     return Settling(found, float(_RATES[best]), _doubt(tries, best, leading, count))
 
@@ -96,7 +93,7 @@ def _doubt(tries: list[tuple[float, FloatArray, FloatArray]], best: int, channel
 
     By the rates that fit nearly as well; the slowest that is tried stands for all that is slower, which nothing bounds.
     """
-    lost = np.array([own for own, _, _ in tries])
+    lost = np.array([cost for cost, _, _ in tries])
     weights = np.exp(-0.5 * (count - 2) * (lost - lost[best]))
     weights /= weights.sum()
     means = np.array([sizes[channel] * _mean(float(rate)) for rate, (_, sizes, _) in zip(_RATES, tries, strict=True)])
@@ -104,4 +101,4 @@ def _doubt(tries: list[tuple[float, FloatArray, FloatArray]], best: int, channel
         return 1.0
     known = float(tries[best][2][channel]) * _mean(float(_RATES[best])) ** 2
     spread = float(weights @ (means - means[best]) ** 2) + known
-    return min(1.0, math.hypot(math.sqrt(spread) / abs(means[best]), _INEXACT))
+    return min(1.0, math.hypot(math.sqrt(spread) / abs(means[best]), THRESHOLDS.noise.settling_inexact))

@@ -11,7 +11,7 @@ from typing import Literal
 
 from nmt_signals.channel_faults.mains_lines import MAINS_HZ
 
-PlaceKind = Literal[
+LocationKind = Literal[
     "structure", "boundary", "joint", "exciter", "force_sensor", "response_sensor", "controller", "time"
 ]
 
@@ -22,7 +22,7 @@ def joined(words: Iterable[str]) -> str:
 
 
 @dataclass(frozen=True)
-class Placement:
+class Location:
     """Where an effect or a source sits.
 
     Attributes:
@@ -32,21 +32,21 @@ class Placement:
         detail: what a reader sees beside the kind; empty where there is only one.
     """
 
-    kind: PlaceKind
+    kind: LocationKind
     points: tuple[int, ...] = ()
     channel: str = ""
     detail: str = ""
 
     @classmethod
-    def at(cls, kind: PlaceKind, point: int, other_point: int = 0) -> Placement:
+    def at(cls, kind: LocationKind, point: int, other_point: int = 0) -> Location:
         """At a point, or between two; ``other_point`` 0 is the ground."""
         points = (point, other_point) if other_point else (point,)
         return cls(kind, points, detail="-".join(str(item) for item in points))
 
     @classmethod
     def on_channel(
-        cls, kind: PlaceKind, channel: str, point: int, picked_up: int = 0, mains_hz: float = MAINS_HZ[0]
-    ) -> Placement:
+        cls, kind: LocationKind, channel: str, point: int, picked_up: int = 0, mains_hz: float = MAINS_HZ[0]
+    ) -> Location:
         """At the channel of a sensor at ``point``; ``picked_up`` is another point that it picks up."""
         detail = f"{channel}<{picked_up}" if picked_up else channel
         if mains_hz != MAINS_HZ[0]:
@@ -60,22 +60,22 @@ class Cause:
 
     Attributes:
         effect: name of the effect.
-        placement: where it acts.
+        location: where it acts.
         form: which of several forms of the effect; empty where there is one. No part of its label.
     """
 
     effect: str
-    placement: Placement
+    location: Location
     form: str = ""
 
     def same_but_for_form(self, other: Cause) -> bool:
         """Whether both are one effect at one place."""
-        return (self.effect, self.placement) == (other.effect, other.placement)
+        return (self.effect, self.location) == (other.effect, other.location)
 
     @property
     def label(self) -> str:
         """For example ``cubic_stiffness@4``."""
-        return f"{self.effect}@{self.placement.detail}" if self.placement.detail else self.effect
+        return f"{self.effect}@{self.location.detail}" if self.location.detail else self.effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +100,9 @@ class Explanation:
         return tuple(sorted(cause.effect for cause in self.causes))
 
     @property
-    def placements(self) -> tuple[Placement, ...]:
+    def locations(self) -> tuple[Location, ...]:
         """Where they act, in the order of the causes."""
-        return tuple(cause.placement for cause in self.causes)
+        return tuple(cause.location for cause in self.causes)
 
     @property
     def label(self) -> str:
@@ -112,4 +112,4 @@ class Explanation:
     @property
     def kinds(self) -> str:
         """Kinds of its places, each once."""
-        return joined(dict.fromkeys(placement.kind for placement in self.placements))
+        return joined(dict.fromkeys(location.kind for location in self.locations))

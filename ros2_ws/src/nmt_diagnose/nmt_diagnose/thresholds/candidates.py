@@ -1,0 +1,63 @@
+"""Where effects of the library may sit and how large they may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class CandidateThresholds:
+    """Where effects of the library may sit and how large they may be."""
+
+    mode_band_ratio: float = threshold(
+        1.3, "1",
+        "Frequency over a band's ends up to which a mode's own damping shows there.",
+        "",
+    )  # fmt: skip
+    large_delay_phase_rad: float = threshold(
+        0.3, "rad",
+        "Turn of the motion by a delay from which the first order fails and a fit begins there, too.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[candidates.large_delay_phase_rad]",
+    )  # fmt: skip
+    clip_depth: float = threshold(
+        0.1, "ln",
+        "Depth of clipping that is looked at where no samples stand at a level.",
+        "",
+    )  # fmt: skip
+    clip_depth_at_level: float = threshold(
+        0.5, "ln",
+        "Depth that counts from a level at which samples stand.",
+        "",
+    )  # fmt: skip
+    air_density_kg_m3: float = threshold(
+        1.2, "kg/m³",
+        "Air at 20 °C.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[candidates.air_density_kg_m3]",
+    )  # fmt: skip
+    largest_drag_coefficient: float = threshold(
+        10.0, "1",
+        "Of a plate that swings by about its width, where it is largest (Keulegan and Carpenter 1958).",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[candidates.largest_drag_coefficient]",
+    )  # fmt: skip
+    least_sheet_kg_m2: float = threshold(
+        2.7, "kg/m²",
+        "Mass of a sheet of aluminium of 1 mm over its area: the largest area that a mass is taken to have.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[candidates.least_sheet_kg_m2]",
+    )  # fmt: skip
+    largest_power_excess: float = threshold(
+        9.0, "1",
+        "Exponents of a power law beyond 1 that a rig file takes.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[candidates.largest_power_excess]",
+    )  # fmt: skip
+    joint_sliders: int = threshold(
+        120, "1",
+        "Neighbours differ by 8 % in slip displacement; fewer show as corners of the cost at small amplitudes.",
+        "",
+    )  # fmt: skip
+    least_motion_share: float = threshold(
+        1e-3, "1",
+        "Motion of a point over the largest below which an effect of the structure does nothing there.",
+        "",
+    )  # fmt: skip

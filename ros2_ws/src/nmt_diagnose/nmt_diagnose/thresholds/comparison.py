@@ -1,0 +1,79 @@
+"""Probabilities of explanations, of none and of something unnamed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class ComparisonThresholds:
+    """Probabilities of explanations, of none and of something unnamed."""
+
+    prior_none: float = threshold(
+        0.6, "1",
+        "Most models that are tested lack nothing that these tests show.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.prior_none]",
+    )  # fmt: skip
+    prior_one_effect: float = threshold(
+        0.25, "1",
+        "Prior probability that one effect of the library is missing.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.prior_one_effect]",
+    )  # fmt: skip
+    prior_two_effects: float = threshold(
+        0.05, "1",
+        "Prior probability that two effects of the library are missing.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.prior_two_effects]",
+    )  # fmt: skip
+    prior_unnamed: float = threshold(
+        0.1, "1",
+        "Prior probability that something is missing which the library lacks.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.prior_unnamed]",
+    )  # fmt: skip
+    noise_probability: float = threshold(
+        0.05, "1",
+        "Probability that what an explanation leaves is noise below which something unnamed is beside it: the "
+        "usual 5 %.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.noise_probability]",
+    )  # fmt: skip
+    equivalent_sigmas: float = threshold(
+        3.0, "σ",
+        "Distance below which recordings do not distinguish two explanations.",
+        "",
+    )  # fmt: skip
+    source_sizes: tuple[float, ...] = threshold(
+        (0.003, 0.03, 0.3, 3.0), "% of force or response",
+        "Sizes that an unnamed source may have, a decade apart.",
+        "",
+    )  # fmt: skip
+    credible_sigmas: float = threshold(
+        3.0, "prior deviations",
+        "Beyond three deviations of its prior a parameter is not believed.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.credible_sigmas]",
+    )  # fmt: skip
+    limit_std: float = threshold(
+        0.5, "1",
+        "Relative standard deviation of a limit that physics sets, of a drag coefficient for example.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.limit_std]",
+    )  # fmt: skip
+    incredible_probability: float = threshold(
+        0.01, "1",
+        "Probability that any parameter is as far off as the furthest below which an explanation is not adequate.",
+        "",
+    )  # fmt: skip
+    source_level_length: float = threshold(
+        1.5, "ln level",
+        "Range of ln level over which an unnamed source keeps its size.",
+        "",
+    )  # fmt: skip
+    source_line_length: float = threshold(
+        0.7, "ln frequency",
+        "Range of ln frequency over which an unnamed source keeps its size.",
+        "",
+    )  # fmt: skip
+    source_least_eigenvalue: float = threshold(
+        0.01, "1",
+        "Share of the largest eigenvalue below which a smooth course adds nothing.",
+        "",
+    )  # fmt: skip

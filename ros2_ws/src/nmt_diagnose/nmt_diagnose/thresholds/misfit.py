@@ -1,0 +1,63 @@
+"""What a model that lacks nothing may still be off by, and what it leaves out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class MisfitThresholds:
+    """What a model that lacks nothing may still be off by, and what it leaves out."""
+
+    shared_share: float = threshold(
+        0.2, "size that matters",
+        "Misfit that neighbouring levels and lines share, of a model that lacks nothing.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[misfit.shared_share]",
+    )  # fmt: skip
+    independent_share: float = threshold(
+        0.02, "size that matters",
+        "Misfit that each level and line has for itself.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[misfit.independent_share]",
+    )  # fmt: skip
+    level_length: float = threshold(
+        1.0, "ln level",
+        "Change of level over which the misfit stays the same.",
+        "",
+    )  # fmt: skip
+    line_length: float = threshold(
+        0.3, "ln frequency",
+        "Change of frequency over which the misfit stays the same.",
+        "",
+    )  # fmt: skip
+    static_share_above: float = threshold(
+        0.2, "1",
+        "Modes above the band as a share of the static flexibility of those that the model has.",
+        "",
+    )  # fmt: skip
+    static_share_below: float = threshold(
+        0.05, "1",
+        "Modes below the band, such as of a suspension, as the same share.",
+        "",
+    )  # fmt: skip
+    static_frequency_ratio: float = threshold(
+        0.1, "1",
+        "Frequency over the resonance's at which the static flexibility is taken.",
+        "",
+    )  # fmt: skip
+    large_log_ratio: float = threshold(
+        1.0, "ln",
+        "Measured over predicted magnitude at which no mean lies between them.",
+        "",
+    )  # fmt: skip
+    shape_reach: float = threshold(
+        2.0, "1",
+        "Frequencies of modes over those of the rows beyond which a mode adds a constant at most.",
+        "",
+    )  # fmt: skip
+    largest_mesh_change: float = threshold(
+        0.2, "1",
+        "Near a sharp resonance or zero the change by a finer mesh is not in proportion to the error.",
+        "",
+    )  # fmt: skip

@@ -1,0 +1,119 @@
+"""Modes of frequency responses against those of the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class ModeThresholds:
+    """Modes of frequency responses against those of the model."""
+
+    mode_share: float = threshold(
+        0.5, "1",
+        "Share of a response at its frequency that a mode carries in half of the channels.",
+        "",
+    )  # fmt: skip
+    unlike_mac: float = threshold(
+        0.3, "1",
+        "Modal assurance criterion below which two modes are different.",
+        "",
+    )  # fmt: skip
+    alike_mac: float = threshold(
+        0.5, "1",
+        "Modal assurance criterion below which the order of two modes is beyond doubt.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[modes.alike_mac]",
+    )  # fmt: skip
+    apart_log_frequency: float = threshold(
+        0.5, "ln frequency",
+        "Ratio of frequencies from which two modes are not the same.",
+        "",
+    )  # fmt: skip
+    near_log_frequency: float = threshold(
+        0.1, "ln frequency",
+        "Ratio of frequencies below which two modes are the same whatever sensors make of the shape.",
+        "",
+    )  # fmt: skip
+    same_log_frequency: float = threshold(
+        0.02, "ln frequency",
+        "Ratio of frequencies below which a mode of two tests is one.",
+        "",
+    )  # fmt: skip
+    frequency_std: float = threshold(
+        1e-3, "ln frequency",
+        "How near the model's modes are brought to the measured ones before lines are fitted.",
+        "",
+    )  # fmt: skip
+    damping_std: float = threshold(
+        0.1, "ln damping",
+        "The same of damping, which responses show less well.",
+        "",
+    )  # fmt: skip
+    edge_ratio: float = threshold(
+        1.3, "1",
+        "Frequency over an end of the band up to which a pole that the model lacks may be noise: responses are "
+        "small there.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[modes.edge_ratio]",
+    )  # fmt: skip
+    around_log_frequency: float = threshold(
+        0.1, "ln frequency",
+        "Frequencies around a mode that the model seems to lack in which it has to show.",
+        "",
+    )  # fmt: skip
+    missed_sigmas: float = threshold(
+        3.0, "σ",
+        "Misfit of the lines around from which a channel shows that a mode is missing.",
+        "",
+    )  # fmt: skip
+    certain_sigmas: float = threshold(
+        10.0, "σ",
+        "The same from which no effect is tried in its place.",
+        "",
+    )  # fmt: skip
+    certain_channel_share: float = threshold(
+        0.8, "1",
+        "Share of the channels that have to show it for that.",
+        "",
+    )  # fmt: skip
+    vector_fitting_rounds: int = threshold(
+        20, "1",
+        "Relocations of the poles (Gustavsen and Semlyen 1999).",
+        "",
+    )  # fmt: skip
+    extra_pole_pairs: int = threshold(
+        3, "1",
+        "Pairs of poles beside those of the modes: what noise and modes outside of the band need.",
+        "",
+    )  # fmt: skip
+    highest_measured_damping: float = threshold(
+        0.05, "1",
+        "Damping ratio beyond which a pole of a response is no mode.",
+        "",
+    )  # fmt: skip
+    highest_model_damping: float = threshold(
+        0.3, "1",
+        "Damping ratio beyond which a mode of the model is not paired.",
+        "",
+    )  # fmt: skip
+    fewest_lines: int = threshold(
+        20, "1",
+        "Fewer lines do not determine poles.",
+        "",
+    )  # fmt: skip
+    unpaired_residual: float = threshold(
+        1e3, "σ",
+        "Residual of a model that has no such modes: larger than any that has.",
+        "",
+    )  # fmt: skip
+    start_steps: int = threshold(
+        40, "1",
+        "Most steps of a search that brings modes together.",
+        "",
+    )  # fmt: skip
+    least_width_lines: float = threshold(
+        0.3, "lines",
+        "Width of a resonance over the spacing of the lines below which a pole is noise.",
+        "",
+    )  # fmt: skip

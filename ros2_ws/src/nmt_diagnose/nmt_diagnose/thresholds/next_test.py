@@ -1,0 +1,43 @@
+"""Which further test would tell explanations apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class NextTestThresholds:
+    """Which further test would tell explanations apart."""
+
+    least_sigmas: float = threshold(
+        3.0, "σ",
+        "A test that tells less apart is not worth making.",
+        "",
+    )  # fmt: skip
+    most_sigmas: float = threshold(
+        99.0, "σ",
+        "A larger number tells no more.",
+        "",
+    )  # fmt: skip
+    doubtful_probability: float = threshold(
+        0.05, "1",
+        "Probability of no effect at all from which that competes.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[next_test.doubtful_probability]",
+    )  # fmt: skip
+    random_lines: int = threshold(
+        80, "1",
+        "Lines of a random test that is computed ahead.",
+        "",
+    )  # fmt: skip
+    typical_response_std: float = threshold(
+        5e-3, "1",
+        "Uncertainty of a line of a random test of which the tests at hand hold none.",
+        "",
+    )  # fmt: skip
+    second_class_share: float = threshold(
+        0.02, "1",
+        "Probability of the second class over the first from which a test between them is sought.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[next_test.second_class_share]",
+    )  # fmt: skip

@@ -1,0 +1,86 @@
+"""Uncertainties of observables from the recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class NoiseThresholds:
+    """Uncertainties of observables from the recordings."""
+
+    drift_sigmas: float = threshold(
+        4.0, "σ",
+        "A drift over the window that its noise makes once in 16 000 windows.",
+        "",
+    )  # fmt: skip
+    lean_ratio: float = threshold(
+        2.0, "1",
+        "Mean over the window of a transient over its change from begin to end: measured 1.8 on the joint "
+        "resonator.",
+        "",
+    )  # fmt: skip
+    stepped_default_std: float = threshold(
+        0.02, "1",
+        "Relative noise of a table that neither states any nor has lines enough to show it.",
+        "",
+    )  # fmt: skip
+    stepped_fewest_for_scatter: int = threshold(
+        12, "lines",
+        "Fewer lines do not show their scatter.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[noise.stepped_fewest_for_scatter]",
+    )  # fmt: skip
+    median_relative_std: float = threshold(
+        1.7, "1",
+        "Relative standard deviation of a scatter by the median of n distances, times √n (simulated, 30 to 400 "
+        "values).",
+        "",
+    )  # fmt: skip
+    table_default_std: float = threshold(
+        0.02, "1",
+        "The same of a backbone or linear response.",
+        "",
+    )  # fmt: skip
+    table_fewest_for_scatter: int = threshold(
+        7, "points",
+        "Fewer points do not show their scatter.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[noise.table_fewest_for_scatter]",
+    )  # fmt: skip
+    cubic_relative_std: float = threshold(
+        1.3, "1",
+        "Relative standard deviation of a scatter of n points about the cubics through their neighbours, times "
+        "√n.",
+        "",
+    )  # fmt: skip
+    floor_fewest_pairs: int = threshold(
+        6, "pairs",
+        "Fewer repeats do not show what a test repeats to.",
+        "",
+    )  # fmt: skip
+    moderated_fewest: int = threshold(
+        3, "variances",
+        "Fewer variances do not show how they spread.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[noise.moderated_fewest]",
+    )  # fmt: skip
+    most_degrees_of_freedom: float = threshold(
+        1e4, "1",
+        "A variance with more is known.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[noise.most_degrees_of_freedom]",
+    )  # fmt: skip
+    settling_fewest: int = threshold(
+        6, "sub-windows",
+        "Fewer sub-windows show no transient.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[noise.settling_fewest]",
+    )  # fmt: skip
+    settling_sigmas: float = threshold(
+        4.0, "σ",
+        "Deviations from which a channel shows a transient: noise makes as much in one of 250.",
+        "",
+    )  # fmt: skip
+    settling_inexact: float = threshold(
+        0.02, "1",
+        "What a transient differs from an exponential by: the loop moves, and damping depends on the amplitude.",
+        "",
+    )  # fmt: skip

@@ -1,0 +1,88 @@
+"""Predictions of the model: operating range, search for resonances, converters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class PredictionThresholds:
+    """Predictions of the model: operating range, search for resonances, converters."""
+
+    resonance_search_share: float = threshold(
+        0.25, "1",
+        "Part of the measured frequency within which the model's resonance is looked for.",
+        "",
+    )  # fmt: skip
+    held_rounds: int = threshold(
+        2, "1",
+        "Rounds between a held amplitude and the drive that makes it.",
+        "",
+    )  # fmt: skip
+    far_off_ratio: float = threshold(
+        2.0, "1",
+        "Measured over modelled motion beyond which the model is no measure of it.",
+        "",
+    )  # fmt: skip
+    most_joined_points: int = threshold(
+        4, "1",
+        "Pairs of more points are more than recordings distinguish.",
+        "",
+    )  # fmt: skip
+    line_width: float = threshold(
+        0.01, "1",
+        "Relative distance within which a line of the observations is that of the mains.",
+        "",
+    )  # fmt: skip
+    coarse_steps: float = threshold(
+        64.0, "1",
+        "Steps of amplitude beyond which a staircase adds less than a hundredth of a step to any harmonic.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[prediction.coarse_steps]",
+    )  # fmt: skip
+    noise_reach_sigmas: float = threshold(
+        4.0, "σ",
+        "Deviations within which noise reaches a clipping level often enough to matter.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[prediction.noise_reach_sigmas]",
+    )  # fmt: skip
+    continued_log_step: float = threshold(
+        0.5, "ln",
+        "Step of the motion from line to line beyond which a state is not the continuation of the one before.",
+        "",
+    )  # fmt: skip
+    delay_step_turns: float = threshold(
+        1.0 / 16.0, "turns",
+        "Turns of the highest line between delays that are tried.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[prediction.delay_step_turns]",
+    )  # fmt: skip
+    latest_delay_s: float = threshold(
+        0.01, "s",
+        "No converter or filter is later than ten milliseconds.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[prediction.latest_delay_s]",
+    )  # fmt: skip
+    largest_magnitude_sigmas: float = threshold(
+        4.0, "σ",
+        "Standard deviations of a magnitude up to which its error corrects the phase.",
+        "",
+    )  # fmt: skip
+    largest_shape_mix: float = threshold(
+        1e-3, "1",
+        "Part of another shape that a shape may take in while the first order will do.",
+        "tests/diagnose/test_twin.py::test_poles_followed_to_first_order_miss_the_second_order_only[beam]",
+    )  # fmt: skip
+    far_pole_ratio: float = threshold(
+        3.0, "1",
+        "Poles beyond the band by that factor hardly move those in it.",
+        "",
+    )  # fmt: skip
+    decay_largest_step: float = threshold(
+        0.05, "ln amplitude",
+        "Step of a decay over which frequency and damping are as good as constant.",
+        "",
+    )  # fmt: skip
+    unit_source_share: float = threshold(
+        0.01, "1",
+        "Share of the fundamental that a unit source is: small enough for the first order.",
+        "",
+    )  # fmt: skip

@@ -1,0 +1,190 @@
+"""What of a recording becomes an observable."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class ReadingThresholds:
+    """What of a recording becomes an observable."""
+
+    wrong_unit_ratio: float = threshold(
+        5.0, "1",
+        "No sensor's error makes a channel this many times too large beside the others; a wrong unit does.",
+        "",
+    )  # fmt: skip
+    wrong_unit_ratio_force: float = threshold(
+        30.0, "1",
+        "The same of a force, which follows the model less closely near a resonance.",
+        "",
+    )  # fmt: skip
+    wrong_frequency_ratio: float = threshold(
+        1.6, "1",
+        "Frequency over the nearest of the model from which the model is of another structure.",
+        "",
+    )  # fmt: skip
+    near_node_share: float = threshold(
+        0.1, "1",
+        "Response over the largest of its quantity below which a channel is near a node of the model.",
+        "",
+    )  # fmt: skip
+    furthest_phase_rad: float = threshold(
+        math.radians(60.0), "rad",
+        "Error of the phase at lock from which a channel's sign is wrong or the loop held something else.",
+        "",
+    )  # fmt: skip
+    hum_sigmas: float = threshold(
+        6.0, "σ",
+        "Amplitude over the noise from which the line of the less common mains is observed.",
+        "",
+    )  # fmt: skip
+    hidden_step_share: float = threshold(
+        0.3, "σ",
+        "A step of the converter below this share of the noise adds less than 1 % to it.",
+        "",
+    )  # fmt: skip
+    step_std_share: float = threshold(
+        0.25, "1",
+        "A step of a whole deviation of the noise changes hardly any observable: its weight is that of four "
+        "deviations.",
+        "",
+    )  # fmt: skip
+    limit_std_share: float = threshold(
+        0.1, "1",
+        "Standard deviation of a clipping level over it.",
+        "",
+    )  # fmt: skip
+    same_limit_share: float = threshold(
+        0.01, "1",
+        "Clipping levels that differ by less are one.",
+        "",
+    )  # fmt: skip
+    repeats_std_share: float = threshold(
+        0.1, "1",
+        "By how much of it the share of repeated samples may be off, all levels together.",
+        "",
+    )  # fmt: skip
+    random_fewest_lines: int = threshold(
+        200, "lines",
+        "Fewer lines carry no local fits.",
+        "",
+    )  # fmt: skip
+    record_decay_constants: float = threshold(
+        5.0, "time constants",
+        "What was before the record has fallen to 0.7 % by then.",
+        "",
+    )  # fmt: skip
+    record_hold_error: float = threshold(
+        3e-3, "1",
+        "Error of a straight line between samples of the drive that steps between them keep below.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[reading.record_hold_error]",
+    )  # fmt: skip
+    record_finest_steps: int = threshold(
+        32, "1",
+        "Steps between samples of the drive.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[reading.record_finest_steps]",
+    )  # fmt: skip
+    record_padding_samples: int = threshold(
+        512, "samples",
+        "Mirrored samples at either end of a resampled drive.",
+        "",
+    )  # fmt: skip
+    record_longest_start: float = threshold(
+        0.1, "1",
+        "Share of a record that its start may take.",
+        "",
+    )  # fmt: skip
+    record_fewest_samples: int = threshold(
+        200, "samples",
+        "Shorter records tell nothing.",
+        "",
+    )  # fmt: skip
+    record_fewest_rows: int = threshold(
+        50, "samples",
+        "Samples of a record that count as independent at the least.",
+        "",
+    )  # fmt: skip
+    record_noise_quantile: float = threshold(
+        0.05, "1",
+        "Quantile of the spectrum that is its noise.",
+        "",
+    )  # fmt: skip
+    decay_wrong_frequency_ratio: float = threshold(
+        1.6, "1",
+        "Frequency of a decay over that of the model's mode from which it is of another mode.",
+        "",
+    )  # fmt: skip
+    decay_slow_share: float = threshold(
+        0.01, "1",
+        "Part of the damping for each d ln ω / d ln A that a model of a slow decay is wrong by.",
+        "",
+    )  # fmt: skip
+    decay_few_nodes: int = threshold(
+        3, "nodes",
+        "Decays of fewer nodes are left out.",
+        "",
+    )  # fmt: skip
+    decay_other_mode_share: float = threshold(
+        0.2, "1",
+        "Motion in another mode from which a decay is not of one mode.",
+        "",
+    )  # fmt: skip
+    decay_cross_shift: float = threshold(
+        2.0, "1",
+        "Shift by the motion in another mode over that by as much motion of its own, of a cubic spring.",
+        "tests/diagnose/test_decay_of_two_masses.py::test_what_another_mode_shifts_is_part_of_the_uncertainty",
+    )  # fmt: skip
+    decay_few_spectral_periods: int = threshold(
+        3, "1",
+        "Times the periods that spectra need, up to which turning points are tried.",
+        "",
+    )  # fmt: skip
+    decay_largest_ratio_std: float = threshold(
+        0.1, "1",
+        "Uncertainty of a ratio of amplitudes beyond which it tells nothing.",
+        "",
+    )  # fmt: skip
+    decay_worst_damping_std: float = threshold(
+        0.3, "1",
+        "Relative uncertainty of a damping beyond which ln of amplitudes is no longer Gaussian.",
+        "",
+    )  # fmt: skip
+    stepped_fewest_lines: int = threshold(
+        5, "lines",
+        "Fewer windows are no frequency response.",
+        "",
+    )  # fmt: skip
+    stepped_same_level: float = threshold(
+        1e-3, "1",
+        "Levels that differ by less are one.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[reading.stepped_same_level]",
+    )  # fmt: skip
+    stepped_jump: float = threshold(
+        0.5, "ln H",
+        "Step from line to line that is a jump.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[reading.stepped_jump]",
+    )  # fmt: skip
+    stepped_jump_ratio: float = threshold(
+        4.0, "1",
+        "A jump's step over those of its neighbours.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[reading.stepped_jump_ratio]",
+    )  # fmt: skip
+    few_levels: int = threshold(
+        3, "levels",
+        "Fewer locked levels are worth a note.",
+        "",
+    )  # fmt: skip
+    stretch_fewest_samples: int = threshold(
+        16, "samples",
+        "Shorter stretches are left out.",
+        "",
+    )  # fmt: skip
+    table_wrong_frequency_ratio: float = threshold(
+        1.6, "1",
+        "Frequency of a table over that of the model's mode from which it is of another mode.",
+        "",
+    )  # fmt: skip

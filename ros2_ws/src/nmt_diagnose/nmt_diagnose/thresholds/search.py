@@ -1,0 +1,115 @@
+"""The search for explanations: which candidates are fitted, and from where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class SearchThresholds:
+    """The search for explanations: which candidates are fitted, and from where."""
+
+    first_effects: int = threshold(
+        5, "1",
+        "Effects that are fitted: to first order several laws do nearly the same.",
+        "",
+    )  # fmt: skip
+    first_locations: int = threshold(
+        2, "1",
+        "Locations of each effect that are fitted; others follow for the best.",
+        "",
+    )  # fmt: skip
+    least_cost_fall: float = threshold(
+        6.0, "−2 ln p",
+        "Promised fall of the cost below which nothing is fitted: less than the prior of one effect and its "
+        "location costs.",
+        "",
+    )  # fmt: skip
+    alike_cosine: float = threshold(
+        0.98, "1",
+        "Cosine between changes of the rows from which two effects count as one of those that are fitted.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[search.alike_cosine]",
+    )  # fmt: skip
+    pair_heads: int = threshold(
+        2, "1",
+        "Explanations that second effects are added to.",
+        "",
+    )  # fmt: skip
+    second_effects: int = threshold(
+        2, "1",
+        "Second effects that are fitted to each head.",
+        "",
+    )  # fmt: skip
+    second_cost_fall: float = threshold(
+        16.0, "−2 ln p",
+        "Promised fall of the cost from which a second effect is fitted: the prior of a pair costs more than that "
+        "of one.",
+        "",
+    )  # fmt: skip
+    weak_sigmas: float = threshold(
+        3.0, "σ",
+        "Strength below which a member of two effects contributes nothing.",
+        "",
+    )  # fmt: skip
+    wider_strength: float = threshold(
+        2.5, "prior deviations",
+        "Strength over its prior deviation from which a wider part of the prior is tried.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[search.wider_strength]",
+    )  # fmt: skip
+    finalists: int = threshold(
+        8, "1",
+        "Explanations that are fitted again about the best one.",
+        "",
+    )  # fmt: skip
+    far_behind_log_evidence: float = threshold(
+        40.0, "ln evidence",
+        "How far a finalist may lie behind: more than a fit to the end gains.",
+        "",
+    )  # fmt: skip
+    lost_cost_rise: float = threshold(
+        20.0, "−2 ln p",
+        "Rise of the cost over the fit without the effect from which a fit has diverged.",
+        "",
+    )  # fmt: skip
+    other_locations_share: float = threshold(
+        0.1, "1",
+        "Share of the best fall of the cost from which the best effect is fitted at its other locations, too.",
+        "",
+    )  # fmt: skip
+    noise_scale: float = threshold(
+        2.0, "1",
+        "Learnt scale of a group of rows from which explanations are also climbed from low levels.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[search.noise_scale]",
+    )  # fmt: skip
+    same_optimum_cost: float = threshold(
+        1.0, "−2 ln p",
+        "Difference of costs below which two fits of one explanation ended in the same optimum.",
+        "",
+    )  # fmt: skip
+    climbed_effects: int = threshold(
+        3, "1",
+        "Effects that are climbed from low levels.",
+        "",
+    )  # fmt: skip
+    same_log_scale: float = threshold(
+        0.1, "ln",
+        "Ln of a group's scale over that of the model alone below which the group is as it was.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[search.same_log_scale]",
+    )  # fmt: skip
+    initial_strength: float = threshold(
+        0.01, "scales",
+        "Little, and more than rounding.",
+        "",
+    )  # fmt: skip
+    first_order_sigmas: float = threshold(
+        1.0, "σ",
+        "Change by a strength of one scale below which an effect shows at finite strength only.",
+        "",
+    )  # fmt: skip
+    shape_starts: tuple[float, ...] = threshold(
+        (0.5, 1.0, 2.0), "1",
+        "A shape without a grid of its own is looked at within a factor of two.",
+        "",
+    )  # fmt: skip

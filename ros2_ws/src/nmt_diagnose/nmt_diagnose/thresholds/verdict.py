@@ -1,0 +1,169 @@
+"""Verdict, held-out data, warnings and what is reported."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class VerdictThresholds:
+    """Verdict, held-out data, warnings and what is reported."""
+
+    alarm_log_odds: float = threshold(
+        1.5, "ln odds",
+        "Ln of the odds against no gap from which a gap is claimed: four and a half to one.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.alarm_log_odds]",
+    )  # fmt: skip
+    recalibration_cost_fall: float = threshold(
+        25.0, "−2 ln p",
+        "Fall of the cost by the model's parameters alone from which that is a calibration: five standard "
+        "deviations.",
+        "",
+    )  # fmt: skip
+    partial_closed_share: float = threshold(
+        0.95, "1",
+        "Share of the gap that an explanation which leaves more than noise has to close to be reported as a "
+        "partial one.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.partial_closed_share]",
+    )  # fmt: skip
+    worse_prediction_sigmas: float = threshold(
+        1.0, "σ",
+        "Standard deviations by which held-out rows must be predicted worse for an explanation to be refused.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.worse_prediction_sigmas]",
+    )  # fmt: skip
+    prior_cost_fall: float = threshold(
+        9.0, "−2 ln p",
+        "Fall of what priors of parameters and chain cost from which a further effect is reported however small: "
+        "three deviations.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.prior_cost_fall]",
+    )  # fmt: skip
+    judged_explanations: int = threshold(
+        3, "1",
+        "Explanations whose predictions of held-out rows are judged; each takes a fit for each split.",
+        "",
+    )  # fmt: skip
+    ranked_explanations: int = threshold(
+        8, "1",
+        "Explanations that are reported.",
+        "",
+    )  # fmt: skip
+    as_likely_share: float = threshold(
+        1.0 / 3.0, "1",
+        "Share of the likeliest detail's probability from which another is named beside it.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.as_likely_share]",
+    )  # fmt: skip
+    open_prediction_share: float = threshold(
+        0.3, "1",
+        "Uncertainty of a prediction over the change by the explanation, both rms, up to which held-out rows "
+        "judge it.",
+        "",
+    )  # fmt: skip
+    left_over_scale: float = threshold(
+        2.0, "1",
+        "What is left over the floor from which it is more than noise.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[verdict.left_over_scale]",
+    )  # fmt: skip
+    small_left_share: float = threshold(
+        0.15, "1",
+        "Share of the gap from which what is left is a warning.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[verdict.small_left_share]",
+    )  # fmt: skip
+    visible_sigmas: float = threshold(
+        5.0, "σ",
+        "Standard deviations at which an effect is visible: chance gets there once in 1.7 million, and candidates "
+        "are up to a thousand.",
+        "",
+    )  # fmt: skip
+    excess_sigmas: float = threshold(
+        3.0, "σ",
+        "Standard deviations by which the squares of a level or band must exceed noise for a size of what is left "
+        "to be reported.",
+        "",
+    )  # fmt: skip
+    cause_probability: float = threshold(
+        0.9, "1",
+        "Probability from which a sentence says the cause, not the most probable cause.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.cause_probability]",
+    )  # fmt: skip
+    least_remainder: float = threshold(
+        0.01, "1",
+        "A gap of which less is left is closed.",
+        "",
+    )  # fmt: skip
+    remainder_observables: int = threshold(
+        3, "1",
+        "Observables that are named with what is left.",
+        "",
+    )  # fmt: skip
+    remainder_third_share: float = threshold(
+        0.5, "1",
+        "Share of the squares in one third of the levels from which most of what is left lies there.",
+        "",
+    )  # fmt: skip
+    remainder_fewest_levels: int = threshold(
+        3, "1",
+        "Fewer levels have no thirds.",
+        "",
+    )  # fmt: skip
+    course_fewest_levels: int = threshold(
+        5, "1",
+        "A quadratic through fewer levels leaves too little to test.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.course_fewest_levels]",
+    )  # fmt: skip
+    held_out_fewest_levels: int = threshold(
+        4, "1",
+        "Of fewer levels every second one leaves too few to fit.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[verdict.held_out_fewest_levels]",
+    )  # fmt: skip
+    held_out_fewest_responses: int = threshold(
+        3, "1",
+        "Levels of a frequency response from which they are held out by level.",
+        "",
+    )  # fmt: skip
+    held_out_fewest_for_two: int = threshold(
+        5, "1",
+        "Levels of a frequency response from which the highest two are held out, not the highest one.",
+        "",
+    )  # fmt: skip
+    bootstrap_resamples: int = threshold(
+        1000, "1",
+        "The 5 % ends of an interval then rest on fifty resamples each.",
+        "",
+    )  # fmt: skip
+    map_bands: int = threshold(
+        10, "1",
+        "Bands of lines in the map of residuals.",
+        "",
+    )  # fmt: skip
+    least_location_probability: float = threshold(
+        0.005, "1",
+        "A location below it is not listed: it would read 0 %.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.least_location_probability]",
+    )  # fmt: skip
+    other_location_probability: float = threshold(
+        0.05, "1",
+        "Probability from which a sentence names another location, too.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.other_location_probability]",
+    )  # fmt: skip
+    bootstrap_fewest: int = threshold(
+        50, "resamples",
+        "Fewer resamples with a gap have no 5 % ends.",
+        "",
+    )  # fmt: skip
+    least_gap_ratio: float = threshold(
+        1.02, "1",
+        "Rms over the floor below which there is no gap to close.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.least_gap_ratio]",
+    )  # fmt: skip
+    many_lines: int = threshold(
+        60, "lines",
+        "More lines of a test stand or fall by tenths, fewer one by one.",
+        "",
+    )  # fmt: skip
+    many_levels: int = threshold(
+        20, "levels",
+        "More levels or lines count by tenths in the size of a change.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.many_levels]",
+    )  # fmt: skip

@@ -1,0 +1,110 @@
+"""Clipping, steps of the converter, repeated samples and lines of the mains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class ChannelFaultThresholds:
+    """Clipping, steps of the converter, repeated samples and lines of the mains."""
+
+    clipped_fewest_samples: int = threshold(
+        6, "samples",
+        "Fewer samples at one value happen without clipping.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.clipped_fewest_samples]",
+    )  # fmt: skip
+    clipped_fewest_visits: int = threshold(
+        3, "1",
+        "Times that the signal came to the level: a single stop is a rest.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.clipped_fewest_visits]",
+    )  # fmt: skip
+    clipped_crowding: float = threshold(
+        5.0, "1",
+        "Samples at the level over those at any value next to it: of a sine in steps the last value holds at most "
+        "2.4 times as many as the one before, the arc sine of a step against that of two.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.clipped_crowding]",
+    )  # fmt: skip
+    clipped_neighbours: int = threshold(
+        8, "values",
+        "Values below the level whose samples are counted.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.clipped_neighbours]",
+    )  # fmt: skip
+    flat_depth: float = threshold(
+        3e-3, "half swings",
+        "Depth of a flat top.",
+        "",
+    )  # fmt: skip
+    flat_edge_depth: float = threshold(
+        3e-2, "half swings",
+        "Depth of its edge.",
+        "",
+    )  # fmt: skip
+    flat_share: float = threshold(
+        0.04, "periods",
+        "Part of a period at the extreme from which the top is flat; a sine has 0.025 there.",
+        "",
+    )  # fmt: skip
+    step_samples: int = threshold(
+        8192, "samples",
+        "Samples that are looked at for a step: enough for every value of a coarse converter.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.step_samples]",
+    )  # fmt: skip
+    step_fewest_values: int = threshold(
+        8, "values",
+        "Fewer different values show no common step.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.step_fewest_values]",
+    )  # fmt: skip
+    step_rounding: float = threshold(
+        0.02, "steps",
+        "Share of a step by which rounding of the numbers may move a value.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.step_rounding]",
+    )  # fmt: skip
+    finest_step: float = threshold(
+        1e-7, "ranges",
+        "A step of 24 bits is 6e-8 of the range; finer differences are rounding.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.finest_step]",
+    )  # fmt: skip
+    mains_longest_s: float = threshold(
+        4.0, "s",
+        "The mains wanders by 0.05 Hz: over longer pieces a line of fixed frequency would lose it.",
+        "",
+    )  # fmt: skip
+    mains_clearance_lines: float = threshold(
+        3.0, "lines",
+        "Distance from a harmonic within which its side lobes cover the mains.",
+        "",
+    )  # fmt: skip
+    mains_fewest_neighbours: int = threshold(
+        8, "lines",
+        "Fewer neighbouring lines do not show the noise.",
+        "",
+    )  # fmt: skip
+    folded_highest_order: int = threshold(
+        60, "1",
+        "Order of the drive up to which a harmonic folded at half the rate may lie on the mains.",
+        "",
+    )  # fmt: skip
+    repeats_fewest: int = threshold(
+        5, "samples",
+        "Fewer repeated samples happen by chance.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.repeats_fewest]",
+    )  # fmt: skip
+    repeats_least_share: float = threshold(
+        1e-4, "1",
+        "A smaller share changes nothing that is measured.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.repeats_least_share]",
+    )  # fmt: skip
+    repeats_steepness: float = threshold(
+        0.5, "rms step",
+        "Steps of the signal over the typical one from which a repeat is none of the signal's own.",
+        "",
+    )  # fmt: skip
+    repeats_crowding: float = threshold(
+        3.0, "1",
+        "Noise and a coarse converter make as many steps of one value up and down as repeats: so many times as "
+        "many are no chance.",
+        "",
+    )  # fmt: skip

@@ -1,0 +1,260 @@
+"""What thresholds decide, on either side of each: small cases whose outcome is known by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnose.test_residuals import run_observations
+from diagnose.test_warnings import GAP
+from scipy.stats import f as fisher
+
+from nmt_core.tolerances import TOLERANCES
+from nmt_diagnose.effects.location import Location
+from nmt_diagnose.effects.structure_effects import _excess, largest_air_drag
+from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, SourceEvidence
+from nmt_diagnose.inference.diagnose import _verdict
+from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Share, Verdict
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.inference.fitting import Data, FitResult
+from nmt_diagnose.inference.gap import ClosedShare, _share
+from nmt_diagnose.inference.noise import Groups
+from nmt_diagnose.inference.residual_tests import residual_tests
+from nmt_diagnose.inference.result_rows import place_rows
+from nmt_diagnose.inference.search import _spread_of
+from nmt_diagnose.inference.sentences import _where, sentences
+from nmt_diagnose.inference.size import Objection, _band, _lowers_prior_cost
+from nmt_diagnose.inference.warnings import beyond_physical_limits
+from nmt_diagnose.observations.noise.scatter import moderated
+from nmt_diagnose.twin.converter import recorded_harmonics
+from nmt_diagnose.twin.lateness import delay_of
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.rig import load_rig
+from nmt_signals.channel_faults.clipping import clipping_level
+from nmt_signals.channel_faults.converter_faults import converter_step, repeated_share
+
+SOURCE = Location("controller")
+
+
+def clipped(runs: int, length: int, neighbour: int = 1, far: int = 1) -> float:
+    """Level of samples with runs at 1; the value next to it ``neighbour`` times, the ninth below it ``far`` times."""
+    below = [0.9 - 0.01 * k for k in range(60)]
+    crowd = [0.9] * (neighbour - 1) + [0.82] * (far - 1)
+    other = iter([*below, *crowd])
+    samples = [value for _ in range(runs) for value in (next(other), *[1.0] * length)]
+    return clipping_level(np.array([*samples, *other]))
+
+
+def staircase(values: int, off: float = 0.0) -> float:
+    samples = np.arange(float(values))
+    samples[2] += off
+    return converter_step(samples)
+
+
+def repeats(count: int, samples: int = 2000) -> bool:
+    """Whether so many samples of a sine that repeat the one before are noticed, at its zeros."""
+    wave = np.sin(0.3 * np.arange(samples) + 0.1)
+    steep = np.flatnonzero(np.abs(wave[5:-5]) < 0.05)[:: max(1, samples // 2000)][:count] + 5
+    wave[steep] = wave[steep - 1]
+    assert steep.size == count
+    return repeated_share(wave) > 0.0
+
+
+def recorded(amplitude: float, level: float = math.inf, step: float = 0.0, noise: float = 0.0) -> bool:
+    """Whether a converter changes a sine."""
+    basis = FourierBasis.up_to(1)
+    before = np.array([[0.0, amplitude]], dtype=np.complex128)
+    return bool(np.any(recorded_harmonics(before, np.array([[level, step, noise]]), basis) != before))
+
+
+def verdict(log_odds: float, value: float = 0.99, gain: float = 9.0, adequate: bool = True) -> Verdict:
+    left = () if adequate else (Objection("levels: frequency", "frequency", 0.004),)
+    leader = EquivalentClass((), 0.9, 0.9, left)
+    comparison = Comparison(0.05, 0.05, (leader,), {}, log_odds, {})
+    share = ClosedShare(3.0, 1.0, 1.0, value, 0.9, 1.0, gain)
+    return _verdict(comparison, leader, share, None, False, True, DiagnosisSettings(), False)
+
+
+def fitted(theta: float = 0.0, chain: float = 0.0) -> Any:
+    own = SimpleNamespace(prior_std=np.ones(1), calibration=(None,))
+    fit = SimpleNamespace(
+        theta=np.array([theta]), parametrisation=own, errors=SimpleNamespace(chain=np.array([chain])),
+        log_evidence=0.0, promised=0.0,
+    )  # fmt: skip
+    return SimpleNamespace(fit=fit)
+
+
+def explanation(count: int) -> Any:
+    """Effects without limits, each at the only place of the only effect of a library."""
+    candidate = SimpleNamespace(effect=SimpleNamespace(name="a"), site=SimpleNamespace(location=SOURCE, limits={}))
+    fit = SimpleNamespace(parametrisation=SimpleNamespace(values=lambda theta, index: {}), theta=np.zeros(0))
+    return SimpleNamespace(candidates=(candidate,) * count, fit=fit)
+
+
+def prior(count: int) -> float:
+    """Prior probability of an explanation by so many effects."""
+    found = explanation(count)
+    everything = Hypotheses(None, None, [], [found.candidates[0]], [], [])  # type: ignore[arg-type]
+    return math.exp(everything._prior(found))
+
+
+def compared() -> Comparison:
+    """No gap against a source that explains nothing."""
+    return Hypotheses(None, fitted(), [], [], [SourceEvidence(SOURCE, 0.0, 0.0)], []).compared()  # type: ignore[arg-type]
+
+
+def excess(chance: float) -> bool:
+    """Whether a scale that is by this chance as large counts as more than noise."""
+    groups = Groups(np.zeros(10, dtype=np.int64), ("a",), np.array([6.0]), np.zeros(1))
+    return bool(groups.excess(np.array([10.0 * fisher.isf(chance, 10, 6)]), np.array([10.0]))[0])
+
+
+def beyond(value: float) -> float:
+    """By how many standard deviations a parameter is larger than a limit of 1."""
+    found = explanation(1)
+    found.candidates[0].site.limits["c2"] = 1.0
+    found.fit.parametrisation.values = lambda theta, index: {"c2": value}
+    return beyond_physical_limits(found)[0, "c2"]
+
+
+def details(other: float) -> str:
+    places = {Location.at("structure", 2): 0.6, Location.at("structure", 3): other}
+    (row,) = place_rows(Comparison(0.0, 0.0, (), places, 0.0, {}), {})
+    return row.detail
+
+
+def listed(p: float) -> int:
+    places = {Location.at("structure", 2): 0.9, Location("exciter"): p}
+    return len(place_rows(Comparison(0.0, 0.0, (), places, 0.0, {}), {}))
+
+
+def certainty(p: float) -> bool:
+    """Whether a sentence says that something is the cause."""
+    head = Ranked("cubic_stiffness", "structure", "2", p, (), {}, Share(0.9, 0.8, 1.0), 9.0)
+    where = [PlaceShare("structure", "2", 1.0, p)]
+    return any("The cause is" in text for text in sentences(Verdict.EFFECT, where, [head], None, GAP, (), ()))
+
+
+def courses(levels: int) -> bool:
+    observations = run_observations(levels=levels)
+    every = np.ones(len(observations.rows), dtype=bool)
+    tests = residual_tests(observations, np.zeros(len(observations.rows)), every)
+    return any(test.name.startswith("smooth course") for test in tests)
+
+
+def over_measured(difference: float) -> float:
+    """Size of a predicted over a measured line that differ by so much in ln."""
+    observations = SimpleNamespace(values=np.zeros(2))
+    data = SimpleNamespace(lines=np.array([[0], [1]]), observations=observations)
+    return float(abs(Data._over_measured(data, np.array([difference, 0.0]))[0]))  # type: ignore[arg-type]
+
+
+def degrees(*variances: float) -> float:
+    return float(moderated(np.array(variances), 4.0)[1][0])
+
+
+def drag(rig: str) -> float:
+    return largest_air_drag(load_rig(rig), SimpleNamespace(effective_mass={1: 0.54}, total_mass=2.7), 1)  # type: ignore[arg-type]
+
+
+FREQUENCY = np.linspace(5.0, 200.0, 60)
+STEP = 1.0 / 16.0 / 200.0
+
+EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
+    "signals.channel_faults.clipped_fewest_samples": (lambda: (clipped(5, 1), clipped(6, 1)), (0.0, 1.0)),
+    "signals.channel_faults.clipped_fewest_visits": (lambda: (clipped(2, 4), clipped(3, 4)), (0.0, 1.0)),
+    "signals.channel_faults.clipped_crowding": (lambda: (clipped(9, 1, 2), clipped(10, 1, 2)), (0.0, 1.0)),
+    "signals.channel_faults.clipped_neighbours": (lambda: clipped(7, 1, 1, 6), 1.0),
+    "signals.channel_faults.step_fewest_values": (lambda: (staircase(7), staircase(8)), (0.0, 1.0)),
+    "signals.channel_faults.step_rounding": (lambda: (staircase(9, 0.03), staircase(9, 0.015)), (0.0, 1.0)),
+    "signals.channel_faults.finest_step": (
+        lambda: converter_step(np.array([*range(10), 3.0 + 5e-7])), pytest.approx(1.0)
+    ),
+    "signals.channel_faults.step_samples": (
+        lambda: converter_step(np.concatenate([np.arange(8192) % 90.0, np.sqrt(np.arange(8192.0))])), 1.0
+    ),
+    "signals.channel_faults.repeats_fewest": (lambda: (repeats(4), repeats(5)), (False, True)),
+    "signals.channel_faults.repeats_least_share": (lambda: (repeats(5, 120_000), repeats(5, 50_000)), (False, True)),
+    "noise.moderated_fewest": (lambda: (degrees(1.0, 40.0) > 4.0, degrees(1.0, 40.0, 9.0) > 4.0), (False, True)),
+    "noise.most_degrees_of_freedom": (lambda: degrees(1.0, 1.0, 1.0), 10_004.0),
+    "prediction.noise_reach_sigmas": (
+        lambda: (recorded(0.5, 1.0, noise=0.12), recorded(0.5, 1.0, noise=0.13)), (False, True)
+    ),
+    "prediction.coarse_steps": (lambda: (recorded(1.0, step=1.0 / 65), recorded(1.0, step=1.0 / 63)), (False, True)),
+    "prediction.latest_delay_s": (
+        lambda: [abs(delay_of(FREQUENCY, 2.0 * np.pi * FREQUENCY * late) - late) < 2e-4 for late in (9e-3, 0.012)],
+        [True, False],
+    ),
+    "prediction.delay_step_turns": (
+        lambda: delay_of(FREQUENCY, 2.0 * np.pi * FREQUENCY * 5.4 * STEP), pytest.approx(5.0 * STEP)
+    ),
+    "verdict.alarm_log_odds": (lambda: (verdict(1.4), verdict(1.6)), (Verdict.NONE, Verdict.EFFECT)),
+    "verdict.worse_prediction_sigmas": (
+        lambda: (verdict(9.0, -0.1, -1.1), verdict(9.0, -0.1, -0.9)), (Verdict.UNKNOWN, Verdict.EFFECT)
+    ),
+    "verdict.partial_closed_share": (
+        lambda: (verdict(9.0, 0.94, adequate=False), verdict(9.0, 0.96, adequate=False)),
+        (Verdict.UNKNOWN, Verdict.EFFECT),
+    ),
+    "verdict.prior_cost_fall": (
+        lambda: [_lowers_prior_cost(fitted(), fitted(2.0, math.sqrt(cost - 4.0))) for cost in (8.9, 9.1)],
+        [False, True],
+    ),
+    "verdict.as_likely_share": (lambda: (details(0.19), details(0.21)), ("2", "2 + 3")),
+    "verdict.least_location_probability": (lambda: (listed(0.004), listed(0.006)), (1, 2)),
+    "verdict.other_location_probability": (
+        lambda: [
+            "otherwise" in _where([PlaceShare("joint", "", 1.0, 0.9), PlaceShare("exciter", "", 0.1, p)])
+            for p in (0.04, 0.06)
+        ],
+        [False, True],
+    ),
+    "verdict.cause_probability": (lambda: (certainty(0.89), certainty(0.91)), (False, True)),
+    "verdict.many_levels": (
+        lambda: [int(_band(np.arange(n), np.zeros(n, dtype=int)).max()) for n in (20, 21)], [19, 9]
+    ),
+    "verdict.least_gap_ratio": (
+        lambda: [bool(np.isfinite(_share(np.array([before]), np.array([1.0]), 1.0))[0]) for before in (1.015, 1.025)],
+        [False, True],
+    ),
+    "verdict.course_fewest_levels": (lambda: (courses(4), courses(5)), (False, True)),
+    "comparison.credible_sigmas": (lambda: Hypotheses._evidence(fitted(4.0)), -0.5),
+    "comparison.limit_std": (lambda: beyond(2.0), 2.0),
+    "comparison.noise_probability": (lambda: (excess(0.06), excess(0.04)), (False, True)),
+    "comparison.prior_one_effect": (lambda: prior(1), pytest.approx(0.25)),
+    "comparison.prior_two_effects": (lambda: prior(2), pytest.approx(2.0 * 0.05)),
+    "comparison.prior_none": (lambda: compared().none, pytest.approx(0.6 / 0.7)),
+    "comparison.prior_unnamed": (lambda: compared().unknown, pytest.approx(0.1 / 0.7)),
+    "fits.strength_std": (lambda: [_spread_of(size) for size in (7.4, 7.6)], [1.0, 10.0]),
+    "fits.strength_spreads": (lambda: [_spread_of(size) for size in (7.0, 70.0, 700.0)], [1.0, 10.0, 100.0]),
+    "search.wider_strength": (lambda: [_spread_of(size) for size in (-7.4, -7.6)], [1.0, 10.0]),
+    "fits.largest_log_ratio": (lambda: (over_measured(2.0), over_measured(5.0)), pytest.approx((math.e**2, math.e**3))),
+    "fits.converged_cost_fall": (
+        lambda: [FitResult.converged.fget(SimpleNamespace(promised=fall)) for fall in (0.21, 0.19)],  # type: ignore[attr-defined]
+        [False, True],
+    ),
+    "candidates.largest_power_excess": (lambda: (_excess({"excess": 8.0}), _excess({"excess": 20.0})), (8.0, 9.0)),
+    # ½ ρ C_d A of the beam's face, and of 0.2 m² of sheet.
+    "candidates.air_density_kg_m3": (lambda: drag("beam"), pytest.approx(0.5 * 1.2 * 10.0 * 0.7 * 0.00527668)),
+    "candidates.largest_drag_coefficient": (lambda: drag("joint_resonator"), pytest.approx(0.5 * 1.2 * 10.0 * 0.2)),
+    "candidates.least_sheet_kg_m2": (lambda: drag("joint_resonator"), pytest.approx(0.5 * 1.2 * 10.0 * 0.2)),
+    # The arithmetic of the reasons.
+    "tolerances.phase_deg": (lambda: TOLERANCES.phase_deg, pytest.approx(math.degrees(math.atan(0.1 / 30)), rel=0.1)),
+    "tolerances.delay_s": (lambda: TOLERANCES.delay_s, pytest.approx(1.0 / 100_000)),
+    "tolerances.mains": (lambda: 20.0 * math.log10(TOLERANCES.mains), pytest.approx(-60.0)),
+    "tolerances.clock": (lambda: 25e-6 <= TOLERANCES.clock <= 50e-6, True),
+    "tolerances.gain": (lambda: 0.005 < TOLERANCES.gain < 0.015, True),
+    "tolerances.resonance_shift": (lambda: TOLERANCES.resonance_shift, pytest.approx(0.5 * 3e-4 * 2.0)),
+    "tolerances.image_share": (lambda: TOLERANCES.image_share, pytest.approx(1.0 / math.sqrt(3.0), rel=0.05)),
+    "tolerances.amplitude_scale": (lambda: TOLERANCES.amplitude_scale, pytest.approx(TOLERANCES.gain)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("path", EDGES)
+def test_a_threshold_decides(path: str) -> None:
+    outcome, expected = EDGES[path]
+    assert outcome() == expected

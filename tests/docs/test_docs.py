@@ -124,7 +124,9 @@ def test_generated_tables_are_up_to_date(page: Path) -> None:
 
 
 def test_every_message_section_node_and_command_has_its_table() -> None:
+    from nmt_core.threshold import thresholds_of
     from nmt_diagnose.effects.library import library
+    from nmt_diagnose.thresholds import THRESHOLDS
     from nmt_rig import rig
 
     shown = {region for page in REFERENCE for region in make_reference.regions(page.read_text(encoding="utf-8"))}
@@ -144,6 +146,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     wanted |= {("rig", name) for name in sections - {"Section"}}
     wanted |= {("python", name) for name in PYTHON}
     wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all"), ("quantities", "modal")}
+    wanted |= {("thresholds", path.rpartition(".")[0]) for path, *_ in thresholds_of(THRESHOLDS)}
     assert {region for region in shown if region[0] != "keys"} == wanted
 
 

@@ -135,9 +135,9 @@ class RigParts:
                 stiffness[i] += own if gap < 0.0 else 0.0
             for number in range(sampled_start[i], sampled_start[i + 1]):
                 own = next(element for element in ELEMENTS if element.kind == kinds[number])
-                leaves_noise_only = own.response(*parameters[number, : len(own.parameter_names())], 0.0, 0.0)
-                stiffness[i] += leaves_noise_only[1]
-                damping[i] += leaves_noise_only[2]
+                at_equilibrium = own.response(*parameters[number, : len(own.parameter_names())], 0.0, 0.0)
+                stiffness[i] += at_equilibrium[1]
+                damping[i] += at_equilibrium[2]
         return stiffness, damping
 
 

@@ -185,8 +185,8 @@ def _one(
     notes: list[str] = []
     measured = []
     for table, channel in zip(tables, channels, strict=True):
-        own = name if len(tables) == 1 else f"{name}, {channel.name}"
-        std, sentences, degrees = _noise(own, table, order, table.responses[order], f)
+        label = name if len(tables) == 1 else f"{name}, {channel.name}"
+        std, sentences, degrees = _noise(label, table, order, table.responses[order], f)
         notes += sentences
         measured.append((channel, table.responses[order], std, degrees))
     estimated = [float(std[0]) for _, _, std, degrees in measured if math.isfinite(degrees)]
@@ -197,9 +197,9 @@ def _one(
             f"{high:.2g} % about a smooth course."
         ]
     # The channel that moves most in its own noise says how large the motion was.
-    measured.sort(key=lambda own: float(np.median(own[2])))
-    h = np.column_stack([own[1] for own in measured]).astype(np.complex128)
-    std = np.column_stack([own[2] for own in measured])
+    measured.sort(key=lambda column: float(np.median(column[2])))
+    h = np.column_stack([response for _, response, _, _ in measured]).astype(np.complex128)
+    std = np.column_stack([deviations for _, _, deviations, _ in measured])
     kept = np.all(std <= settings.largest_std, axis=1)
     if held != "response":
         for jump in jumps_of(h[:, 0]):

@@ -45,7 +45,7 @@ def test_frequencies_and_band_may_be_arrays() -> None:
     assert (stepped.levels, stepped.frequencies_hz) == ((0.2,) * 3, (20.0, 20.5, 21.0))
     noise = plan_test("beam", np.array([0.05]), test="random", band_hz=np.array([10, 2000]), duration=np.float64(2.0))
     assert noise.band_hz == (10, 2000)
-    assert noise.goal["band_high_hz"] == 2000.0
+    assert noise.run_settings.excitation.band_high_hz == 2000.0
 
 
 def test_a_wrong_setting_is_named() -> None:

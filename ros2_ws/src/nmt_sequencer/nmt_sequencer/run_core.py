@@ -8,12 +8,12 @@ from typing import Any
 
 from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.command_judge import LONGEST_AHEAD, CommandJudge, CommandSource
-from nmt_core.messages.excitation import Excitation
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
 from nmt_core.messages.run_announcement import RunAnnouncement
+from nmt_core.messages.run_settings import RunSettings
 from nmt_core.text.number_words import level_list
-from nmt_core.vocabulary import ControlKind, ResultCode, RunPhase, StopCause
+from nmt_core.vocabulary import ResultCode, RunPhase, StopCause
 from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
 from nmt_sequencer.sequencer_settings import SequencerSettings
 from nmt_sequencer.steering import SteeringRequest
@@ -80,38 +80,20 @@ class RunCore:
             BenchError: the goal is not acceptable.
         """
         settings = self.settings
-        plan = RunPlan(
-            run_id=goal["run_id"] or time.strftime("run-%Y%m%d-%H%M%S"),
-            levels=tuple(goal["levels"]),
-            control=goal["control"] or ControlKind.VOLTAGE,
-            ramp=goal["ramp"] or settings.ramp,
-            window_periods=goal["window_periods"] or settings.window_periods,
-            timeout=goal["timeout"] or settings.timeout,
-            stop_on_lost_lock=goal["stop_on_lost_lock"],
-            open_loop_abort=settings.open_loop_abort,
-            excitation=Excitation.from_goal(goal),
-            frequencies_hz=tuple(goal["frequencies_hz"]),
-            levels_without=frozenset(int(index) for index in goal.get("levels_without", ())),
-        )
+        asked = RunSettings.of_goal(goal)
+        chosen = {
+            "run_id": asked.run_id or time.strftime("run-%Y%m%d-%H%M%S"),
+            "ramp": asked.ramp or settings.ramp,
+            "window_periods": asked.window_periods or settings.window_periods,
+            "timeout": asked.timeout or settings.timeout,
+        }
+        plan = RunPlan(**{**asked.values, **chosen}, open_loop_abort=settings.open_loop_abort)
         plan.check(settings.sample_rate, self.machine.limits)
         return plan
 
     def announcement(self, goal: str, plan: RunPlan) -> RunAnnouncement:
         """What the recorder is told of a plan before it begins; ``goal`` is the name of the goal."""
-        described = {
-            "control": int(plan.control),
-            "levels": [float(level) for level in plan.levels],
-            "ramp": float(plan.ramp),
-            "window_periods": int(plan.window_periods),
-            "timeout": float(plan.timeout),
-            "stop_on_lost_lock": bool(plan.stop_on_lost_lock),
-            "frequencies_hz": [float(frequency) for frequency in plan.frequencies_hz],
-            **plan.excitation.values,
-            "test": plan.excitation.test.label,
-            "pacing": self.settings.pacing,
-        }
-        if plan.levels_without:
-            described["levels_without"] = sorted(plan.levels_without)
+        described = {**plan.description, "pacing": self.settings.pacing}
         return RunAnnouncement(goal, plan.run_id, described)
 
     def join(self, next_sample: int) -> None:

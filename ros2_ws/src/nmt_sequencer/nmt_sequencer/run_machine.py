@@ -17,8 +17,8 @@ from dataclasses import dataclass, field, replace
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.cdr import bench_time_ns
-from nmt_core.messages.excitation import Excitation
 from nmt_core.messages.records import LevelCommand, LoopStatus, Steering
+from nmt_core.messages.run_settings import RunSettings
 from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct
 from nmt_sequencer.level_plan import NO_LIMITS, LevelLimits, check_levels
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest
@@ -29,34 +29,18 @@ _STOPPED = int(BlockFlag.STOP)
 
 
 @dataclass(frozen=True)
-class RunPlan:
-    """What to run.
+class RunPlan(RunSettings):
+    """What to run: what was asked for, with the sequencer's parameters in place of what was left open.
 
     Attributes:
-        run_id: name of the run.
-        levels: target amplitudes in order.
-        control: what the levels are, see :class:`~nmt_core.vocabulary.ControlKind`.
-        ramp: half-cosine between levels, s.
-        window_periods: whole periods to capture.
         timeout: bench time a level may take to lock, s; 0 = no limit.
-        stop_on_lost_lock: end the run at the first level that does not lock.
         open_loop_abort: end the run where a higher level would follow one that was lost without force or response.
-        excitation: kind of test and its settings.
-        frequencies_hz: frequency of each level; empty = none given.
-        levels_without: indices of levels without control of the force's harmonics.
     """
 
-    run_id: str
-    levels: tuple[float, ...]
-    control: int = ControlKind.VOLTAGE
     ramp: float = 0.5
     window_periods: int = 200
     timeout: float = 30.0
-    stop_on_lost_lock: bool = False
     open_loop_abort: bool = True
-    excitation: Excitation = field(default_factory=Excitation)
-    frequencies_hz: tuple[float, ...] = ()
-    levels_without: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         check_levels(self.levels, "Plan")

@@ -22,6 +22,7 @@ from nmt_core.messages.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.messages.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.messages.excitation import Excitation
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.run_settings import RunSettings
 from nmt_core.nodes.node_settings import PACINGS, NodeSettings
 from nmt_core.nodes.parameters import ParameterValue
 from nmt_core.settings import parameters_of, values_of, with_values
@@ -288,26 +289,26 @@ class TestPlan:
         return control.level_unit(Quantity[_response_topic(self.rig).upper()])
 
     @property
-    def goal(self) -> dict[str, Any]:
-        """Fields of the ``run_levels`` goal."""
+    def run_settings(self) -> RunSettings:
+        """What the run is asked for; what the test leaves open is the rig's."""
         test = self.rig.test
         window, ramp = self.window_periods, self.ramp
         if self.strategy == "ramp":
             window = RAMP_WINDOW if window is None else window
             linear = self.linear or linear_description(self.rig)
             ramp = window / linear.frequency_hz if ramp is None else ramp
-        return {
-            "run_id": self.run_id,
-            "control": int(ControlKind.named(self.control)),
-            "levels": [float(level) for level in self.levels],
-            "ramp": float(test.ramp_s if ramp is None else ramp),
-            "window_periods": int(test.window_periods if window is None else window),
-            "timeout": float(test.lock_timeout_s if self.timeout is None else self.timeout),
-            "stop_on_lost_lock": self.stop_on_lost_lock,
-            "frequencies_hz": list(self.level_frequencies_hz),
-            **self.excitation.values,
-            "levels_without": list(self.levels_without),
-        }
+        return RunSettings(
+            run_id=self.run_id,
+            levels=tuple(float(level) for level in self.levels),
+            control=ControlKind.named(self.control),
+            ramp=float(test.ramp_s if ramp is None else ramp),
+            window_periods=int(test.window_periods if window is None else window),
+            timeout=float(test.lock_timeout_s if self.timeout is None else self.timeout),
+            stop_on_lost_lock=self.stop_on_lost_lock,
+            excitation=self.excitation,
+            frequencies_hz=self.level_frequencies_hz,
+            levels_without=frozenset(self.levels_without),
+        )
 
 
 @dataclass(frozen=True)
@@ -317,7 +318,7 @@ class NodePlan:
     Attributes:
         plant, pll, sequencer, extract, recorder: settings of the node of that name.
         run: content of ``run.json``.
-        goal: fields of the action goal.
+        asked: what the run is asked for.
     """
 
     plant: PlantSettings
@@ -326,7 +327,12 @@ class NodePlan:
     extract: ExtractSettings
     recorder: RecorderSettings
     run: dict[str, Any]
-    goal: dict[str, Any]
+    asked: RunSettings
+
+    @property
+    def goal(self) -> dict[str, Any]:
+        """Fields of the action goal."""
+        return self.asked.goal
 
     @property
     def settings(self) -> dict[str, NodeSettings]:
@@ -451,14 +457,13 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         if lacking and pll.loop == "paper":
             raise BenchError(f"The paper's loop {does}; use the adaptive loop for {what}.")
     nodes = {"plant": plant, "pll": pll, "sequencer": sequencer, "extract": extract, "recorder": recorder}
-    goal = test.goal
+    asked = test.run_settings
     run = {
         "run_id": test.run_id,
         "rig": rig.name,
         "seed": rig.seed,
         "plan": {
-            **{key: value for key, value in goal.items() if key != "run_id"},
-            "test": test.excitation.test.label,
+            **asked.description,
             "pacing": test.pacing,
             **vars(limits),
         },
@@ -472,7 +477,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
     }
     recorder = replace(recorder, run_json=json.dumps(run), rig_yaml=test.rig_yaml)
-    return NodePlan(plant, pll, sequencer, extract, recorder, run, goal)
+    return NodePlan(plant, pll, sequencer, extract, recorder, run, asked)
 
 
 def _given(settings: S, test: TestPlan, name: str, peers: Mapping[str, Sequence[str]]) -> S:

@@ -138,9 +138,9 @@ def _with_chosen_block(plan: TestPlan) -> TestPlan:
     assert linear is not None  # every test that closes the phase loop has one
     known = {item.name for item in fields(LoopSettings)}
     settings = LoopSettings(**{name: value for name, value in _loop_values(plan).items() if name in known})
-    goal = plan.goal
-    window = plan.duration or goal["window_periods"] / linear.frequency_hz
-    level = LevelTime(goal["ramp"], window, plan.control != "voltage")
+    asked = plan.run_settings
+    window = plan.duration or asked.window_periods / linear.frequency_hz
+    level = LevelTime(asked.ramp, window, plan.control != "voltage")
     rate = float(plan.rig.sample_rate_hz)
     quantities = [sensor.quantity for sensor in plan.rig.sensors]
     channels = max(quantities.count(quantity) for quantity in quantities)

@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import replace
 from typing import Any
 
 from nmt_bench.page.bench_link import StartRequest
 from nmt_core.errors import BenchError
-from nmt_core.messages.excitation import MOST_HARMONICS, Excitation
-from nmt_core.vocabulary import AUTOMATIC, TestKind
+from nmt_core.messages.excitation import MOST_HARMONICS
+from nmt_core.messages.run_settings import RunSettings
+from nmt_core.vocabulary import AUTOMATIC
 from nmt_sequencer.level_plan import LevelLimits, parse_levels
 
-_KEPT = (
-    "control",
-    "ramp",
-    "window_periods",
-    "timeout",
-    "stop_on_lost_lock",
-    *(item.name for item in fields(Excitation) if item.name != "test"),
-)
 _MOST_PERIODS = 1_000_000
 
 
@@ -64,20 +57,24 @@ def goal_of(request: StartRequest, before: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         BenchError: a level is beyond the limits of the rig, or the run before gave each a frequency of its own.
     """
-    goal: dict[str, Any] = {name: before[name] for name in _KEPT if name in before}
-    label = before.get("test")
-    goal["test"] = int(next((kind for kind in TestKind if kind and kind.label == label), TestKind.PHASE_RESONANCE))
-    LevelLimits.of(before).check(request.levels, goal.get("control", 0), TestKind(goal["test"]), "The levels")
-    frequencies = list(before.get("frequencies_hz") or ())
-    if frequencies and len(set(frequencies)) > 1 and len(frequencies) != len(request.levels):
+    asked = RunSettings.described(before)
+    LevelLimits.of(before).check(request.levels, asked.control, asked.excitation.test, "The levels")
+    frequencies = asked.frequencies_hz
+    if len(set(frequencies)) > 1 and len(frequencies) != len(request.levels):
         raise BenchError(
             f"The run before gave each of its {len(frequencies)} levels a frequency of its own; ask for as many levels."
         )
     if len(set(frequencies)) == 1:
         frequencies = frequencies[:1] * len(request.levels)
-    goal.update(levels=list(request.levels), frequencies_hz=frequencies, run_id="")
-    if request.window_periods:
-        goal["window_periods"] = request.window_periods
+    excitation = asked.excitation
     if request.harmonics_control is not None:
-        goal["harmonics_control"] = request.harmonics_control
-    return goal
+        excitation = replace(excitation, harmonics_control=request.harmonics_control)
+    return replace(
+        asked,
+        run_id="",
+        levels=request.levels,
+        frequencies_hz=frequencies,
+        levels_without=frozenset(),
+        window_periods=request.window_periods or asked.window_periods,
+        excitation=excitation,
+    ).goal

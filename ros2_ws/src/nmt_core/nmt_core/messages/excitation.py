@@ -21,7 +21,6 @@ _FIELDS: dict[TestKind, tuple[str, ...]] = {
     TestKind.RING_DOWN: ("duration", "harmonics_control", "harmonics_target"),
 }
 
-_WHOLE = ("harmonics_control", "harmonics_target")
 MOST_HARMONICS = 50
 """Highest harmonic that can be asked for."""
 
@@ -54,14 +53,13 @@ class Excitation:
 
     @classmethod
     def from_goal(cls, goal: Mapping[str, Any]) -> Excitation:
-        """Read from the fields of an action goal.
+        """Read from the fields of an action goal; what is not there has its default.
 
         Raises:
             BenchError: no such kind of test.
         """
-        names = [item.name for item in fields(cls) if item.name != "test" and item.name not in _WHOLE]
-        values: dict[str, Any] = {name: float(goal[name]) for name in names}
-        values |= {name: int(goal.get(name, 0)) for name in _WHOLE}
+        kinds: dict[str, Any] = {item.name: type(item.default) for item in fields(cls) if item.name != "test"}
+        values: dict[str, Any] = {name: kind(goal[name]) for name, kind in kinds.items() if name in goal}
         return cls(TestKind.of(int(goal["test"])), **values)
 
     @property

@@ -1,0 +1,264 @@
+"""Every option of a test, every field of its plan and every setting of a run arrives where it belongs.
+
+Each is given a value that is not its default, one at a time, so that a wiring that is deleted fails the case of its
+field. A new field fails until it has a case here.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any, get_type_hints
+
+import pytest
+
+from nmt_bench.command_parser import CommandParser
+from nmt_bench.commands import hardware_options, linear_command, run_command, sweep_command
+from nmt_bench.page.bench_link import StartRequest
+from nmt_bench.page.start_goal import goal_of
+from nmt_core.messages.excitation import Excitation
+from nmt_core.messages.message_files import find_message_file, message_fields
+from nmt_core.messages.run_settings import RunSettings
+from nmt_core.options import add_options, options_of
+from nmt_core.settings import ordered_fields, parameters_of
+from nmt_core.vocabulary import TestKind
+from nmt_extract.extraction_settings import ExtractSettings
+from nmt_plant.plant_settings import PlantSettings
+from nmt_pll.pll_settings import PllSettings
+from nmt_record.bag.recorder_settings import RecorderSettings
+from nmt_rig.linear_description import linear_description
+from nmt_rig.rig import load_rig
+from nmt_sequencer.run_core import RunCore
+from nmt_sequencer.sequencer_settings import SequencerSettings
+from nmt_session.node_plan import NODES, TestPlan, plan_nodes
+
+SOURCES = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
+
+# -- from options to the test ------------------------------------------------------------------------------------------
+
+HERE = {
+    run_command: ("force", "reference", "calibration", "no_report", "quiet", "page"),
+    sweep_command: ("replace", "points", "reference", "quiet", "page"),
+    linear_command: ("force", "bag", "mode", "near", "modes", "segment", "reference", "quiet", "page"),
+}
+"""Options that the command itself takes; all others are of the test, and the bench gets them."""
+WORDS = {
+    "rig": ["clamped_beam"], "out": ["--out", "elsewhere"], "levels": ["0.1,0.3"], "set": ["seed=9"],
+    "device": ["portaudio"], "harmonics_control": ["9"], "band": ["20:900"], "start": ["16"], "stop": ["30"],
+    "stepped": ["5"], "domain": ["7"], "direction": ["down"],
+}  # fmt: skip
+NEEDED: dict[ModuleType, list[str]] = {
+    run_command: ["beam", "--levels", "0.2,0.4"],
+    sweep_command: ["beam", "--force", "1", "--from", "15", "--to", "25"],
+    linear_command: ["beam"],
+}
+ALSO = {(sweep_command, "periods"): ["--stepped", "5"]}
+
+
+class AskedError(Exception):
+    """What the bench was asked for."""
+
+
+def asked_for(command: ModuleType, words: list[str], monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the bench gets where a command is called so."""
+
+    def bench(*positional: Any, **settings: Any) -> None:
+        raise AskedError({"rig": positional[0], "levels": positional[1], **settings})
+
+    harness = ModuleType("nmt_bench.harness")
+    harness.Bench = bench  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "nmt_bench.harness", harness)
+    monkeypatch.setattr(hardware_options, "look_for_device", lambda *_: None)
+    monkeypatch.setattr(hardware_options, "checked_device", lambda _, device, __: {"device": device})
+    parser = CommandParser(prog=command.__name__)
+    kind = get_type_hints(command.run)["options"]
+    add_options(parser, kind)
+    options = options_of(kind, parser.parse_args(words))
+    calls = {
+        run_command: lambda: run_command._run(options),
+        sweep_command: lambda: sweep_command._measure(options, *sweep_command._checked(options)),
+        linear_command: lambda: linear_command._measure(options, linear_command._band(options.band), None),
+    }
+    with pytest.raises(AskedError) as asked:
+        calls[command]()
+    found: dict[str, Any] = asked.value.args[0]
+    return {name: str(value) if name == "out" else value for name, value in found.items()}
+
+
+def option_fields() -> list[tuple[ModuleType, str]]:
+    kinds = {command: get_type_hints(command.run)["options"] for command in HERE}
+    return [(command, item.name) for command, kind in kinds.items() for item in fields(kind)]
+
+
+@pytest.mark.parametrize(
+    ("command", "name"), [pair for pair in option_fields() if pair[1] not in HERE[pair[0]]], ids=lambda value: (
+        value if isinstance(value, str) else value.__name__.rpartition(".")[2]
+    )
+)  # fmt: skip
+def test_an_option_of_a_test_reaches_the_bench(
+    command: ModuleType, name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("linear.json").write_text(linear_description(load_rig("beam")).to_json(), encoding="utf-8")
+    kind = get_type_hints(command.run)["options"]
+    parser = CommandParser(prog="x")
+    add_options(parser, kind)
+    (action,) = (action for action in parser._actions if action.dest == name)
+    if name in WORDS:
+        words = WORDS[name][-1:]
+    elif action.nargs == 0:
+        words = []
+    elif action.choices:
+        words = [next(str(choice) for choice in action.choices if choice != action.default)]
+    else:
+        words = ["linear.json" if name == "linear" else "4"]
+    usual = [*NEEDED[command], *ALSO.get((command, name), []), "--out", "out"]
+    given = [*usual, action.option_strings[0], *words] if action.option_strings else [*words, *usual[1:]]
+    assert asked_for(command, given, monkeypatch) != asked_for(command, usual, monkeypatch)
+
+
+# -- from the plan of a test to its nodes ------------------------------------------------------------------------------
+
+BEAM = load_rig("beam")
+RANDOM = {"test": "random", "band_hz": (10.0, 900.0), "duration": 2.0}
+SWEEP = {"test": "sweep", "frequencies_hz": (15.0,), "frequency_end_hz": 25.0, "rate_hz_s": 0.5, "control": "force"}
+HARDWARE = {"device": "portaudio", "pacing": "realtime"}
+EVERY_NODE = frozenset(NODES)
+PLANS: dict[str, tuple[dict[str, Any], Any, frozenset[str]]] = {
+    "rig": ({}, load_rig("beam", ["recording.compression=zstd"]), frozenset(("recorder",))),
+    "rig_yaml": ({}, "name: other\n", frozenset(("rig.yaml",))),
+    "levels": ({}, (0.05, 0.4), frozenset(("asked", "pll"))),
+    "run_id": ({}, "mine", frozenset(("asked",))),
+    "pacing": ({}, "realtime", EVERY_NODE),
+    "latency_blocks": ({}, 2, frozenset(("plant", "pll", "sequencer"))),
+    "window_periods": ({}, 33, frozenset(("asked",))),
+    "ramp": ({}, 0.7, frozenset(("asked",))),
+    "timeout": ({}, 12.0, frozenset(("asked",))),
+    "stop_on_lost_lock": ({}, True, frozenset(("asked",))),
+    "linear": ({}, replace(linear_description(BEAM), source="test"), frozenset(("pll", "extract"))),
+    "node_values": ({}, {"pll": {"cutoff": 9.0}}, frozenset(("pll",))),
+    "control": ({}, "force", frozenset(("asked", "pll"))),
+    "strategy": ({}, "ramp", frozenset(("asked", "pll", "extract"))),
+    "test": ({"duration": 2.0}, "ring_down", frozenset(("asked",))),
+    "frequencies_hz": ({}, (21.0,), frozenset(("asked",))),
+    "band_hz": (RANDOM, (20.0, 800.0), frozenset(("asked",))),
+    "rate_hz_s": (SWEEP, 0.25, frozenset(("asked",))),
+    "frequency_end_hz": (SWEEP, 30.0, frozenset(("asked",))),
+    "duration": (RANDOM, 3.0, frozenset(("asked",))),
+    "device": ({"pacing": "realtime"}, "portaudio", frozenset(("plant", "pll", "sequencer"))),
+    "device_address": (HARDWARE, "host:1", frozenset(("plant",))),
+    "linked": ({}, False, EVERY_NODE),
+    "harmonics_control": ({}, 5, frozenset(("asked", "pll"))),
+    "harmonics_target": (
+        {"harmonics_control": 5, "rig": load_rig("beam", ["extraction.linear_modes=3"])},
+        "modal",
+        frozenset(("asked", "plant")),
+    ),
+    "levels_without": ({"harmonics_control": 5}, (0,), frozenset(("asked",))),
+    "tick_blocks": ({}, 3, frozenset(("sequencer", "plant", "pll"))),
+    "block_reason": ({}, "because", frozenset(("run.json",))),
+}
+"""For each field of a plan: what else the plan has, a value that is not the default, and where that arrives."""
+
+
+def test_every_field_of_a_plan_has_its_case() -> None:
+    assert set(PLANS) == {item.name for item in fields(TestPlan)}
+
+
+@pytest.mark.parametrize("name", sorted(PLANS))
+def test_a_field_of_the_plan_arrives_at_its_nodes(name: str) -> None:
+    beside, value, places = PLANS[name]
+    usual = {"rig": BEAM, "rig_yaml": "name: beam\n", "levels": (0.1, 0.4), "run_id": "usual", **beside}
+    if name == "test":
+        usual["duration"] = 0.0
+    changed = {**usual, **beside, name: value}
+    one, other = (plan_nodes(TestPlan(**plan), Path("bag"), Path("rig.yaml")) for plan in (usual, changed))
+    blank = {"run_json": "", "rig_yaml": ""}
+    found = {
+        node
+        for node in NODES
+        if {**one.values[node], **(blank if node == "recorder" else {})}
+        != {**other.values[node], **(blank if node == "recorder" else {})}
+    }
+    found |= {"asked"} if one.asked != other.asked else set()
+    found |= {"rig.yaml"} if one.recorder.rig_yaml != other.recorder.rig_yaml else set()
+    found |= {"run.json"} if one.run["block"] != other.run["block"] else set()
+    assert found == places
+
+
+# -- from what a run is asked for to goal, sequencer, run.json and page ------------------------------------------------
+
+RUN: dict[str, Any] = {
+    "run_id": "mine", "levels": (0.3, 0.5), "control": 3, "ramp": 0.7, "window_periods": 33, "timeout": 12.0,
+    "stop_on_lost_lock": True, "frequencies_hz": (21.0, 22.0), "levels_without": frozenset({1}),
+}  # fmt: skip
+EXCITATIONS: dict[str, Excitation] = {
+    "test": Excitation(TestKind.RING_DOWN, duration=1.0),
+    "band_low_hz": Excitation(TestKind.RANDOM, 20.0, 900.0, duration=1.0),
+    "band_high_hz": Excitation(TestKind.RANDOM, 10.0, 800.0, duration=1.0),
+    "rate_hz_s": Excitation(TestKind.SWEEP, rate_hz_s=0.5, frequency_end_hz=30.0),
+    "frequency_end_hz": Excitation(TestKind.SWEEP, rate_hz_s=1.0, frequency_end_hz=29.0),
+    "duration": Excitation(TestKind.RING_DOWN, duration=2.0),
+    "harmonics_control": Excitation(harmonics_control=7),
+    "harmonics_target": Excitation(harmonics_control=7, harmonics_target=1),
+}
+ASKED = [RunSettings(levels=(0.1, 0.2), excitation=item) for item in EXCITATIONS.values()] + [
+    replace(RunSettings(levels=(0.1, 0.2), excitation=Excitation(harmonics_control=5)), **{name: value})
+    for name, value in RUN.items()
+]
+ASKED = [
+    replace(item, frequencies_hz=(15.0, 16.0)) if item.excitation.test is TestKind.SWEEP else item for item in ASKED
+]
+
+
+def test_every_field_of_a_run_has_its_case_and_is_one_of_the_goal() -> None:
+    assert {*RUN, "excitation"} == {item.name for item in fields(RunSettings)}
+    assert set(EXCITATIONS) == {item.name for item in fields(Excitation)}
+    action = find_message_file("nmt_msgs/msg/Level").parents[1] / "action" / "RunLevels.action"
+    goal = action.read_text(encoding="utf-8").partition("\n---\n")[0]
+    assert {name for name, _ in message_fields(goal)} == set(RunSettings().goal)
+
+
+@pytest.mark.parametrize("asked", ASKED, ids=str)
+def test_what_a_run_is_asked_for_arrives_at_sequencer_description_and_page(asked: RunSettings) -> None:
+    assert RunSettings.of_goal(asked.goal) == asked
+    core = RunCore(SequencerSettings(pacing="realtime"))
+    plan = core.plan(asked.goal)
+    left_open = {"run_id": plan.run_id, "ramp": plan.ramp, "window_periods": plan.window_periods}
+    left_open["timeout"] = plan.timeout
+    assert {**asked.values, **{name: left_open[name] for name in left_open if not getattr(asked, name)}} == plan.values
+    for name in ("run_id", "ramp", "window_periods", "timeout"):
+        assert getattr(asked, name) in (0, "", getattr(plan, name))
+    described = json.loads(json.dumps(core.announcement("goal", plan).plan))
+    assert described["pacing"] == "realtime"
+    assert RunSettings.described(described) == replace(RunSettings(**plan.values), run_id="")
+    again = RunSettings.of_goal(goal_of(StartRequest(asked.levels), described))
+    assert again == replace(RunSettings(**plan.values), run_id="", levels_without=frozenset())
+
+
+# -- settings of nodes -------------------------------------------------------------------------------------------------
+
+
+def read_names(but: tuple[str, ...]) -> set[str]:
+    """Attributes that the sources read."""
+    names: set[str] = set()
+    for path in SOURCES.glob("nmt_*/nmt_*/**/*.py"):
+        if path.name in but:
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        loads = (node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load))
+        names |= {node.attr for node in loads}
+    return names
+
+
+def test_every_setting_of_a_node_is_read() -> None:
+    kinds = (PlantSettings, PllSettings, SequencerSettings, ExtractSettings, RecorderSettings)
+    read = read_names(("node_settings.py",))
+    for kind in kinds:
+        unread = [item.name for item in ordered_fields(kind) if item.name not in read]
+        assert unread in ([], ["rig"]), kind  # the name of the rig stands in the log of the parameters only
+        assert len({parameter.name for parameter in parameters_of(kind)}) == len(parameters_of(kind)), kind

@@ -59,6 +59,7 @@ LIBRARIES = {
     "lz4": Library("lz4", ">=4.0", apt="python3-lz4"),
     "matplotlib": Library("matplotlib", ">=3.6", "python3-matplotlib", "python3-matplotlib"),
     "mcap": Library("mcap", ">=1.1"),
+    "nfoursid": Library("nfoursid", ">=1.0.2", extra="identification"),
     # rosdep knows python3-numba for older Ubuntus only.
     "nidaqmx": Library("nidaqmx", ">=1.0", extra="hardware"),
     "numba": Library("numba", ">=0.59"),

@@ -12,8 +12,11 @@ setup(
     install_requires=[
         "jinja2>=3.1",
         "matplotlib>=3.6",
+        "nfoursid>=1.0.2",
         "numpy>=1.26",
+        "pandas>=2.0",
         "rich>=13.7",
+        "scipy>=1.11",
     ],
     extras_require={"test": ["pytest"]},
     zip_safe=False,

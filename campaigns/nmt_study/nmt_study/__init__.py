@@ -26,5 +26,9 @@ STUDIES: dict[str, tuple[str, str]] = {
         "nmt_study.method_comparison",
         "joint resonator: phase resonance, ring-downs, sweeps, stepped sines; bench time, accuracy, noise",
     ),
+    "identification": (
+        "nmt_study.identification",
+        "nonlinear subspace identification and the diagnosis' model on the same recordings: backbone, held-out sweep",
+    ),
 }
 """Module and one line of help of each study."""

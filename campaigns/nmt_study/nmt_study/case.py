@@ -14,7 +14,7 @@ from nmt_core.errors import BenchError
 PAPER_JOINT = 8000.0
 """Tangential stiffness of the paper's joint, N/m."""
 
-_EXCITATION = ("test", "frequencies_hz", "rate_hz_s", "frequency_end_hz", "duration")
+_EXCITATION = ("test", "frequencies_hz", "rate_hz_s", "frequency_end_hz", "duration", "band_hz")
 PLANNED = (
     "levels", "overrides", "exciter", "seed", "window_periods", "ramp", "timeout", "control", "strategy", *_EXCITATION,
     "harmonics_control", "harmonics_target",
@@ -40,11 +40,12 @@ class StudyCase:
         extract_values: further parameters of the extraction.
         control: ``voltage``, ``response`` or ``force``.
         strategy: ``stepped`` or ``ramp``.
-        test: kind of test, see :class:`nmt_session.node_plan.TestPlan`; its further settings are the next four.
+        test: kind of test, see :class:`nmt_session.node_plan.TestPlan`; its further settings are the next five.
         frequencies_hz: one for each level; empty where the kind needs none.
         rate_hz_s: sweep rate.
         frequency_end_hz: where a sweep ends.
-        duration: of a recorded decay, s.
+        duration: of a recorded decay or of random excitation, s.
+        band_hz: of random excitation, Hz; None where there is none.
         harmonics_control: harmonics 2 to this one of the force are controlled; 0 = none, ``auto`` = as many as can be.
         harmonics_target: what they are brought to, ``force`` (zero) or ``modal``.
         window_periods: whole periods a window.
@@ -72,6 +73,7 @@ class StudyCase:
     rate_hz_s: float = 0.0
     frequency_end_hz: float = 0.0
     duration: float = 0.0
+    band_hz: tuple[float, ...] | None = None
     harmonics_control: int | str = 0
     harmonics_target: str = "force"
     window_periods: int = 200
@@ -102,8 +104,8 @@ class StudyCase:
         if unknown := sorted(set(values) - known):
             raise BenchError(f"A case has no '{unknown[0]}'; delete the file to run it again.")
         data = dict(values)
-        for name in ("levels", "overrides", "frequencies_hz"):
-            if name in data:
+        for name in ("levels", "overrides", "frequencies_hz", "band_hz"):
+            if data.get(name) is not None:
                 data[name] = tuple(data[name])
         try:
             return cls(**data)
@@ -117,10 +119,13 @@ class StudyCase:
         if not self.harmonics_control:
             # Results from before there was control of harmonics stay valid.
             del values["harmonics_control"], values["harmonics_target"]
+        if self.band_hz is None:
+            # Those from before there was random excitation, too.
+            values.pop("band_hz", None)
         if self.test == "phase_resonance":
             # Results from before there were other kinds of test stay valid.
             for name in _EXCITATION:
-                del values[name]
+                values.pop(name, None)
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 
     @property

@@ -58,7 +58,8 @@ def level_timings(bag: Path, sample_rate: float, block_samples: int) -> dict[int
 
 
 def _overshoot(frequency: FloatArray, before: float, final: float) -> float:
-    if not (math.isfinite(before) and math.isfinite(final)) or frequency.size == 0:
+    # Random excitation has no frequency.
+    if not (math.isfinite(before) and math.isfinite(final)) or frequency.size == 0 or final == 0.0:
         return math.nan
     direction = math.copysign(1.0, final - before)
     return max(0.0, float(np.max(direction * (frequency - final)))) / final

@@ -6,7 +6,8 @@
 
 A page holds its tables between ``<!-- generated: KIND NAME -->`` and ``<!-- end -->``; everything else is
 written by hand. KIND is ``message`` (a .msg, .srv or .action file), ``parameters`` (the table of a node), ``rig``
-(a section of the rig file), ``elements`` (a file of local elements), ``keys`` (attributes of a class by its
+(a section of the rig file), ``elements`` (a file of local elements), ``devices`` (the sections of the
+converters), ``keys`` (attributes of a class by its
 docstring), ``options`` (a command), ``python`` (the public names of a package), ``effects`` (a place of the
 diagnosis), ``priors`` or ``quantities`` (of a modal point). The tables of parameters stand in the node modules, so
 they need ROS 2.
@@ -40,30 +41,6 @@ NODE_SETTINGS = {
 
 # What the keys of a rig file mean; units and ranges come from the models.
 RIG_MEANINGS: dict[str, dict[str, str]] = {
-    "PortAudioSection": {
-        "outputs": "drive channels; one",
-        "inputs": "measured channels: one for every sensor; a `voltage` sensor without one is what was put out",
-        "check_valid_hours": "age up to which a passing `./nmt check` lets a test begin",
-        "settling_s": "quiet time before the delay is measured",
-        "icp_settling_s": "the same where an input has an ICP supply: its bias settles in seconds",
-        "kind": "converter",
-        "name": "of the device as PortAudio lists it, or a part of the name; empty = the first that has the ports",
-        "host_api": "of PortAudio, or a part of its name: JACK, ALSA",
-        "latency_s": "asked of PortAudio; none = its low one",
-    },
-    "NiDaqmxSection": {
-        "outputs": "drive channels; one",
-        "inputs": "measured channels: one for every sensor; a `voltage` sensor without one is what was put out",
-        "check_valid_hours": "age up to which a passing `./nmt check` lets a test begin",
-        "settling_s": "quiet time before the delay is measured",
-        "icp_settling_s": "the same where an input has an ICP supply: its bias settles in seconds",
-        "kind": "converter",
-        "address": "host:port of NI's gRPC device server; empty = the driver of this computer",
-        "start_trigger": "terminal that starts the output; empty = that of the first input's device or its chassis",
-        "clock_source": "terminal of the output's sample clock; empty = that of the first input's device or chassis",
-        "buffer_blocks": "blocks that the output's buffer holds",
-        "stop_input": "analog input of the external stop line; none = there is no such line",
-    },
     "StopInputSection": {
         "port": "physical channel, beside those of the sensors",
         "range_v": "full scale of the port",
@@ -399,6 +376,22 @@ def rig_table(name: str) -> str:
     return _section_table(getattr(rig, name), rig.StructureSection, RIG_MEANINGS[name])
 
 
+def devices_table(name: str) -> str:
+    """Keys of the section ``device``: those of all kinds of converter, then of each, by their docstrings.
+
+    Args:
+        name: ``all``.
+    """
+    from nmt_rig.device_sections import DEVICES, DeviceSection
+
+    tables = [_section_table(DeviceSection, DeviceSection, _attributes(DeviceSection))]
+    for kind, model in DEVICES.items():
+        title = (model.__doc__ or "").partition("\n")[0].replace("``", "`")
+        keys = {"kind": "converter", **_attributes(DeviceSection), **_attributes(model)}
+        tables.append(f"**`kind: {kind}`**: {title}\n\n{_section_table(model, DeviceSection, keys)}")
+    return "\n\n".join(tables)
+
+
 def elements_table(name: str) -> str:
     """Keys of the local elements of one file, by its name; their docstrings say what they mean."""
     from nmt_rig.model.local_elements.element import ElementSection
@@ -423,7 +416,9 @@ def _section_table(model: Any, base: Any, meanings: dict[str, str]) -> str:
         kind, bounds = _type_and_range(key, field)
         value = field.get_default(call_default_factory=True)
         default = "required" if field.is_required() else _default(value)
-        lines.append(f"| `{key}` | {kind} | {_unit(key)} | {bounds} | {default} | {_cell(meanings[key])} |")
+        lines.append(
+            f"| `{key}` | {kind} | {_unit(key)} | {bounds} | {default} | {_cell(meanings[key].replace('``', '`'))} |"
+        )
     return "\n".join(lines)
 
 
@@ -570,6 +565,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "message": message_table,
     "parameters": parameters_table,
     "rig": rig_table,
+    "devices": devices_table,
     "elements": elements_table,
     "keys": keys_table,
     "options": options_table,

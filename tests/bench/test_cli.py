@@ -113,7 +113,7 @@ def test_help_of_a_command_is_that_of_its_option(capsys: pytest.CaptureFixture[s
         (("run", "x" * 5000, "--out", "out"), "there is no rig xxx"),
         (("export", "x" * 5000), "xxx…: this name is too long for a file"),
         (("export", "nowhere", "--format", "hdf5"), "There is no bag at nowhere"),
-        (("check", "beam", "--device", "simulated"), "give --device portaudio or nidaqmx"),
+        (("check", "beam", "--device", "simulated"), "give --device portaudio or nidaqmx or loopback"),
         (("run", "beam", "--levels", "0,5"), "decimals have a point"),
     ],
 )

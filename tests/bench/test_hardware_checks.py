@@ -60,3 +60,14 @@ def test_the_device_is_named_with_its_address_or_refused(bench):
         parsed_device("asio", rig)
     with pytest.raises(BenchError, match="an address for nidaqmx only"):
         parsed_device("portaudio@lab", rig)
+
+
+def test_a_check_of_the_converter_alone_lets_begin_only_what_asks_for_no_more(bench):
+    rig, section = bench
+    document = {"time": 1e9, "passed": True, "findings": [], "delay_samples": 7, "scope": "converter"}
+    keep_check(rig, section, document)
+    with pytest.raises(BenchError, match="looked at the converter alone; type: c"):
+        require_check(rig, section, "c", now=1e9)
+    less = section.model_copy(update={"check": "converter"})
+    keep_check(rig, less, document)
+    assert require_check(rig, less, "c", now=1e9)["delay_samples"] == 7

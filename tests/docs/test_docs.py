@@ -14,6 +14,7 @@ from typing import get_args
 import pytest
 
 from nmt_bench.cli import all_commands, build_parser
+from nmt_rig.device_sections import DEVICES
 from nmt_rig.model import local_elements
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -140,12 +141,13 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     wanted |= {("parameters", name) for name in ("common", *make_reference.NODE_SETTINGS)}
     wanted |= {("options", name) for name in all_commands()}
     sections = {name for name, kind in vars(rig).items() if isinstance(kind, type) and issubclass(kind, rig.Section)}
-    sections -= {"AttachmentSection"}
+    sections -= {"AttachmentSection", *(section.__name__ for section in DEVICES.values())}
     files = (name for _, name, _ in pkgutil.iter_modules(local_elements.__path__))
     wanted |= {("elements", name) for name in files}
     wanted |= {("rig", name) for name in sections - {"Section"}}
     wanted |= {("python", name) for name in PYTHON}
     wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all"), ("quantities", "modal")}
+    wanted.add(("devices", "all"))
     wanted |= {("thresholds", path.rpartition(".")[0]) for path, *_ in thresholds_of(THRESHOLDS)}
     assert {region for region in shown if region[0] != "keys"} == wanted
 

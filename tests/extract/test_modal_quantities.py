@@ -31,10 +31,10 @@ def test_every_quantity_has_its_standard_uncertainty_and_words() -> None:
 def test_a_field_without_its_standard_uncertainty_is_refused() -> None:
     @dataclass
     class Half:
-        q_factor: float = measured("1", "quality factor")
+        loudness: float = measured("1", "loudness of it")
         other: float = math.nan
 
-    with pytest.raises(TypeError, match="q_factor is followed by other; it must be q_factor_std"):
+    with pytest.raises(TypeError, match="loudness is followed by other; it must be loudness_std"):
         list(quantities_of(Half))
 
 
@@ -59,11 +59,11 @@ def test_the_floor_of_a_quantity_follows_from_its_powers() -> None:
 
 
 def test_columns_of_the_tables_stand_in_their_order() -> None:
-    names = [column.name for column in MODAL_COLUMNS]
-    assert names == [
+    known = (
         "frequency_hz", "damping_ratio", "hysteresis_damping", "modal_amplitude", "force_n", "pbmif", "gamma_force",
         "gamma_acceleration", "mac",
-    ]  # fmt: skip
+    )  # fmt: skip
+    assert tuple(column.name for column in MODAL_COLUMNS if column.name in known) == known
 
 
 ONE_MORE = """
@@ -75,11 +75,11 @@ from nmt_core.messages.modal_quantity import Powers, TableColumn, measured, quan
 
 @dataclass(frozen=True, eq=False)
 class WithOneMore(record.ModalPoint):
-    q_factor: float = measured(
-        "1", "quality factor", csv=True, from_harmonics=False, powers=Powers(force=-2), axis="quality factor",
+    loudness: float = measured(
+        "1", "loudness of it", csv=True, from_harmonics=False, powers=Powers(force=-2), axis="loudness of it",
         curve="$Q$", column=TableColumn("Qf", unit="dB", factor=10.0, rank=1, live=True, after="damping_ratio"),
     )
-    q_factor_std: float = math.nan
+    loudness_std: float = math.nan
 
 record.ModalPoint = WithOneMore
 record.QUANTITIES = tuple(quantities_of(WithOneMore))
@@ -96,7 +96,7 @@ from report.synthetic_run import synthetic_run
 
 folder = Path(sys.argv[1])
 data = synthetic_run(levels=4, failed=None)
-points = [WithOneMore(**{**vars(p), "q_factor": 12.5, "q_factor_std": 0.25}) for p in data.points]
+points = [WithOneMore(**{**vars(p), "loudness": 12.5, "loudness_std": 0.25}) for p in data.points]
 object.__setattr__(data, "points", points)
 write_results(points, folder)
 (folder / "report.html").write_text(report_html(data), encoding="utf-8")
@@ -106,8 +106,8 @@ console.print(modal_table(points, None, 70))
 head, rows = LiveView()._table(points)
 (folder / "page.txt").write_text(" | ".join([*head, *rows[0]["cells"]]), encoding="utf-8")
 run = RunResults.read(folder)
-(folder / "open.txt").write_text(f"{run.plot('q_factor').get_ylabel()} {run.rows()[0]['q_factor_std']}")
-(folder / "floor.txt").write_text(repr(floors(1e-3, 0, 0, dict.fromkeys(record.MEASURED, 1.0), 9, True)["q_factor"]))
+(folder / "open.txt").write_text(f"{run.plot('loudness').get_ylabel()} {run.rows()[0]['loudness_std']}")
+(folder / "floor.txt").write_text(repr(floors(1e-3, 0, 0, dict.fromkeys(record.MEASURED, 1.0), 9, True)["loudness"]))
 """
 
 
@@ -121,14 +121,14 @@ def test_one_more_quantity_is_everywhere_by_its_field_alone(tmp_path: Path) -> N
     )
     assert done.returncode == 0, done.stderr
     text = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()}
-    assert text["modal.csv"].splitlines()[0].endswith("mac,mac_std,q_factor,q_factor_std")
+    assert text["modal.csv"].splitlines()[0].endswith("mac,mac_std,loudness,loudness_std")
     assert text["modal.csv"].splitlines()[1].endswith(",12.5,0.25")
-    assert '"q_factor_std": 0.25' in text["modal.json"]
+    assert '"loudness_std": 0.25' in text["modal.json"]
     assert re.search(r"δ̃ +Qf +q", text["terminal.txt"])
     assert "125.0(2.5)" in text["terminal.txt"]
     assert "δ̃ / % | Qf / dB | q" in text["page.txt"]
     assert "125.0 ± 2.5" in text["page.txt"]
-    assert text["open.txt"] == "quality factor 0.25"
+    assert text["open.txt"] == "loudness of it 0.25"
     assert text["floor.txt"] == "0.002"
-    assert "Quality factor over modal amplitude" in text["report.html"]
+    assert "Loudness of it over modal amplitude" in text["report.html"]
     assert "125.0 <i>± 2.5</i>" in text["report.html"]

@@ -108,14 +108,14 @@ def test_a_table_of_another_release_is_read(points, tmp_path):
         rows = list(csv.DictReader(file))
     for row in rows:
         del row["mac"], row["mac_std"]
-        row |= {"q_factor": "41.5", "remark": "door open"}
+        row |= {"loudness": "41.5", "remark": "door open"}
     with (tmp_path / "other.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, sorted(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
     known, other = read_csv(tmp_path / "modal.csv"), read_csv(tmp_path / "other.csv")
-    assert set(other) == {*COLUMNS, "q_factor", "remark"}
-    assert other["q_factor"] == [41.5, 41.5]
+    assert set(other) == {*COLUMNS, "loudness", "remark"}
+    assert other["loudness"] == [41.5, 41.5]
     assert other["remark"] == ["door open"] * 2
     assert all(math.isnan(value) for name in ("mac", "mac_std") for value in other[name])
     for name in set(COLUMNS) - {"mac", "mac_std"}:

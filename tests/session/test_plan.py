@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,9 @@ import pytest
 import yaml
 
 from nmt_core.errors import BenchError
+from nmt_core.settings import parameters_of, values_of
+from nmt_pll.pll_settings import PllSettings
+from nmt_rig.rig import load_rig
 from nmt_session import TestPlan, plan_nodes, plan_test
 from nmt_session.node_plan import PlanSettings
 
@@ -53,3 +56,17 @@ def test_a_wrong_setting_is_named() -> None:
         plan_test("beam", [0.2], colour=1)
     with pytest.raises(BenchError, match="Pacing 'slow' is not known; use lockstep or realtime"):
         plan_test("beam", [0.2], pacing="slow")
+
+
+@pytest.mark.parametrize("name", [parameter.name for parameter in parameters_of(PllSettings)])
+def test_a_rig_file_takes_every_setting_of_the_page_or_says_why_not(name: str) -> None:
+    """The page of the node's parameters is what the reference of the rig file's section pll points to."""
+    value = 3.5 if name == "settling_time" else values_of(PllSettings())[name]
+    rig = load_rig("beam").model_copy(update={"pll": {name: value}})
+    plan = replace(plan_test("beam", [0.1]), rig=rig)
+    own = name in {item.name for item in fields(PllSettings)}
+    if own and name not in ("loop", "settling_time"):
+        with pytest.raises(BenchError, match=f"pll.{name} follows from the rig and its test; leave it out"):
+            plan_nodes(plan, Path("bag"), Path("rig.yaml"))
+    else:
+        assert values_of(plan_nodes(plan, Path("bag"), Path("rig.yaml")).pll)[name] == value

@@ -37,7 +37,7 @@ class PlantSettings(NodeSettings):
     device: str = setting(
         "",
         "What is driven: simulated (also when empty), or the converter of the rig file's section device, or a"
-        " kind of it with the simulated specimen's ports: portaudio, nidaqmx.",
+        " kind of it with the simulated specimen's ports.",
         choices=("", *SIMULATED_OR_CONVERTERS),
     )
     bundle_blocks: int = setting(

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 from nmt_core.errors import BenchError
 from nmt_core.files.validation_sentence import validation_sentence
 from nmt_core.messages.blocks import Quantity
-from nmt_rig.device_sections import AnyDevice
+from nmt_rig.device_sections import AnyDevice, with_driver_folder
 from nmt_rig.device_sections import InputPortSection as InputPortSection
 from nmt_rig.device_sections import NiDaqmxSection as NiDaqmxSection
 from nmt_rig.device_sections import OutputPortSection as OutputPortSection
@@ -556,7 +556,8 @@ def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:
     document = read_document(path)
     # What the structure's files hold can be changed too: those that say which file come first.
     first = [text for text in overrides if names_files(text.partition("=")[0].strip())]
-    read = with_channels(with_file_contents(apply_overrides(document, first), path.parent))
+    whole = with_file_contents(apply_overrides(document, first), path.parent)
+    read = with_channels(with_driver_folder(whole, path.parent))
     changed = apply_overrides(read, [text for text in overrides if text not in first])
     _move_exciter_elements(document.values, changed.values)
     rig = validate_rig(changed)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nmt_core.files.yaml_text import yaml_text
+from nmt_rig.device_sections import CustomSection
 from nmt_rig.rig import Rig, find_rig
 
 
@@ -15,11 +16,12 @@ def rig_text(rig: Rig, source: str | Path | None = None, overrides: Sequence[str
     Args:
         rig: the validated rig.
         source: name or path it was loaded from; without overrides its own text is kept, comments and
-            all, unless its structure comes from files beside it.
+            all, unless its structure or its driver comes from files beside it.
         overrides: ``key=value`` texts that were applied.
     """
-    # What a structure read from other files is written out: the text has to load without them.
-    if source is not None and not overrides and not getattr(rig.structure, "source", ""):
+    # What a structure read from other files is written out: the text has to load without them, and from elsewhere.
+    from_files = getattr(rig.structure, "source", "") or isinstance(rig.device, CustomSection)
+    if source is not None and not overrides and not from_files:
         return find_rig(source).read_text(encoding="utf-8")
     values = rig.model_dump(mode="json", exclude_none=True)
     header = f"# {rig.name}"

@@ -666,7 +666,7 @@ def _with_loops(pll: PllSettings, test: TestPlan, linear: LinearDescription | No
     Amplitude floors default to a fraction of the linear estimate at the lowest level.
     """
     values = dict(test.rig.pll)
-    chosen = _paper_values(values)
+    chosen = {**_node_values(values), **_paper_values(values)}
     if linear is not None:
         _add_floors(values, test, linear, response)
     if test.rig.limits.voltage_v is not None:
@@ -693,17 +693,38 @@ def _add_floors(values: dict[str, Any], test: TestPlan, linear: LinearDescriptio
 
 
 def _paper_values(values: dict[str, Any]) -> dict[str, Any]:
-    """Take the choice of the loop and the settings of the paper's loop out of the rig's settings, checked."""
+    """Take the settings of the paper's loop out of the rig's settings, checked."""
     chosen: dict[str, Any] = {}
-    if "loop" in values:
-        chosen["loop"] = str(values.pop("loop"))
     known = {PAPER_PREFIX + parameter.name for parameter in parameters_of(PaperSettings)}
     for name in [name for name in values if name.startswith(PAPER_PREFIX)]:
         if name not in known:
             raise BenchError(f"PLL setting '{name}' is not known; known are {', '.join(sorted(known))}.")
         chosen[name] = float(values.pop(name))
-    PaperSettings(**{name.removeprefix(PAPER_PREFIX): value for name, value in chosen.items() if name != "loop"})
+    PaperSettings(**{name.removeprefix(PAPER_PREFIX): value for name, value in chosen.items()})
     return chosen
+
+
+def _node_values(values: dict[str, Any]) -> dict[str, Any]:
+    """Take what belongs to the loop's node and to no loop out of the rig's settings: which loop, the settling time.
+
+    Raises:
+        BenchError: a setting that follows from the rig and its test.
+    """
+    names = {item.name for item in fields(PllSettings)} - {"loop_settings", "paper_settings"}
+    chosen = {name: values.pop(name) for name in list(values) if name in names}
+    for name in chosen:
+        if name in _FROM_RIG_AND_TEST:
+            raise BenchError(
+                f"The rig's pll.{name} follows from the rig and its test; leave it out of the section pll."
+            )
+    return chosen
+
+
+_FROM_RIG_AND_TEST = frozenset({item.name for item in fields(NodeSettings)}) | {
+    "linear_json", "force_per_volt_json", "drive_point", "sample_rate", "block_samples", "response_topic",
+    "bundle_blocks", "joined_input",
+}  # fmt: skip
+"""Settings of the loop's node that no rig file gives."""
 
 
 @cache

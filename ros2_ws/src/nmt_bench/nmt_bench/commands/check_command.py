@@ -14,8 +14,11 @@ from nmt_core.errors import BenchError
 from nmt_core.options import argument, option
 
 if TYPE_CHECKING:
+    from nmt_plant.check.converter_contract import ContractResult
     from nmt_plant.check.hardware_check import CheckResult
     from nmt_plant.devices.hardware_rig import HardwareRig
+    from nmt_rig.device_sections import AnyDevice
+    from nmt_rig.rig import Rig
 
 EXIT_PASSED, EXIT_FOUND = 0, 1
 
@@ -25,7 +28,8 @@ class CheckOptions:
     """Listens to the converter, then drives it with noise of at most one hundredth of the drive's limit, and compares
     every channel with the rig's model: noise, mains, offset, overload, open or shorted channels, dead ICP supply,
     sign, exchanged channels, sensitivity and delay of each, response to the drive, headroom for the planned levels,
-    clock, and frequency of each mode. A test on hardware begins only after a check that passed."""
+    clock, and frequency of each mode. A test on hardware begins only after a check that passed. A driver of your own is
+    tried with zeros first; with --set device.check=converter that is all."""
 
     rig: str = argument("name of a rig (for example beam) or path of a rig file", metavar="RIG")
     out: Path = dated_folder_option("check.json, report.html", "check")
@@ -53,25 +57,45 @@ def run(options: CheckOptions) -> int:
     from nmt_bench.commands.linear_input import read_linear
     from nmt_bench.hardware.chosen_device import look_for_device, parsed_device
     from nmt_bench.hardware.hardware_checks import fingerprint, keep_check
+    from nmt_plant.check.converter_contract import contract_mapping
     from nmt_plant.check.hardware_check import evaluate_check, record_check
     from nmt_plant.devices.device import DeviceFault
     from nmt_plant.devices.hardware_rig import HardwareRig, device_of
     from nmt_plant.real_time import real_time_priority
     from nmt_report.check_report import check_page
+    from nmt_rig.device_sections import DEVICE_KINDS
     from nmt_sequencer.level_plan import parse_levels
 
     rig = chosen_rig(options)
     kind, address = parsed_device(options.device, rig)
     if kind in ("", "simulated"):
         raise BenchError(
-            f"Rig {rig.name} is simulated and has no converter to check; give --device portaudio or nidaqmx, or write "
-            "a section 'device' into the rig file."
+            f"Rig {rig.name} is simulated and has no converter to check; give --device {' or '.join(DEVICE_KINDS)}, or "
+            "write a section 'device' into the rig file."
         )
     linear = read_linear(options.linear) if options.linear is not None else None
     levels = parse_levels(options.levels or rig.test.levels)
     section = device_of(rig, kind, address)
     look_for_device(section, rig)
     console = make_console()
+    document: dict[str, Any] = {
+        "rig": rig.name,
+        "device": section.kind,
+        "fingerprint": fingerprint(rig, section),
+        "time": time.time(),
+        "date": time.strftime("%Y-%m-%d %H:%M:%S"),
+        "scope": section.check,
+    }
+    if section.by_contract or section.check == "converter":
+        contract = _contract(rig, section)
+        if not contract.passed or section.check == "converter":
+            document |= {"passed": contract.passed, **contract_mapping(contract)}
+            with OutputFolder(options.out, options.force) as folder:
+                (folder / "check.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+            keep_check(rig, section, document)
+            _show_contract(contract, console, section.check_valid_hours)
+            console.print(f"Results in {options.out}: check.json", soft_wrap=True)
+            return EXIT_PASSED if contract.passed else EXIT_FOUND
     device = HardwareRig(rig, section, lead_blocks=_lead(rig.block_samples, rig.sample_rate_hz), probe_needed=False)
     try:
         device.configure()
@@ -100,6 +124,35 @@ def run(options: CheckOptions) -> int:
     _show(result, console, section.check_valid_hours)
     console.print(f"Results in {options.out}: check.json, report.html", soft_wrap=True)
     return EXIT_PASSED if result.passed else EXIT_FOUND
+
+
+def _contract(rig: Rig, section: AnyDevice) -> ContractResult:
+    """Try the converter alone, with zeros, in a process of its own."""
+    from nmt_plant.check.converter_contract import check_in_process
+
+    monitors = {rig.sensor_channel(sensor) for sensor in rig.sensors if sensor.quantity == "voltage"}
+    return check_in_process(
+        section.driver,
+        section.driver_arguments(float(rig.sample_rate_hz), int(rig.block_samples)),
+        float(rig.sample_rate_hz),
+        len(section.outputs),
+        len(section.inputs),
+        any(entry.channel in monitors for entry in section.inputs),
+    )
+
+
+def _show_contract(result: ContractResult, console: Any, valid: float) -> None:
+    for finding in result.findings:
+        words = finding.name.replace("_", " ")
+        console.print(f"{words}: {finding.sentence}; {finding.remedy}.", style="red", soft_wrap=True)
+    if result.passed:
+        delay = f"{result.delay_samples} samples" if result.delay_samples >= 0 else "measured at each start"
+        console.print(
+            f"The converter keeps the contract: {result.rate_hz:.6g} samples a second, turns of {result.turn_samples}, "
+            f"delay {delay}. Channels were not compared with the rig's model. Passed; tests may begin for {valid:g} h.",
+            style="green",
+            soft_wrap=True,
+        )
 
 
 def _lead(block: int, rate: float) -> int:

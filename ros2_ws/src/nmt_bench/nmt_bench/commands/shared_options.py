@@ -9,8 +9,8 @@ from nmt_bench.commands.output_folder import free_folder
 from nmt_core.options import option, option_made
 
 _DEVICE = (
-    "what is driven: {}portaudio, nidaqmx, or nidaqmx@HOST:PORT for NI's device server; a converter that the rig file "
-    "does not describe is taken for the simulated specimen's (default: the rig file's device{})"
+    "what is driven: {}portaudio, nidaqmx, or nidaqmx@HOST:PORT for NI's device server, loopback, custom; a converter "
+    "that the rig file does not describe is taken for the simulated specimen's (default: the rig file's device{})"
 )
 _FOLDER = "folder for the results ({}); made if it does not exist"
 

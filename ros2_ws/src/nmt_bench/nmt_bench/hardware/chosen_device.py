@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from nmt_bench.hardware.hardware_checks import require_check
 from nmt_core.errors import BenchError
-from nmt_rig.device_sections import DEVICE_KINDS, SIMULATED_OR_CONVERTERS, AnyDevice
+from nmt_rig.device_sections import DEVICE_KINDS, DEVICES, SIMULATED_OR_CONVERTERS, AnyDevice
 from nmt_rig.rig import Rig
 
 if TYPE_CHECKING:
@@ -24,8 +25,9 @@ def parsed_device(text: str, rig: Rig) -> tuple[str, str]:
     kind, _, address = text.partition("@")
     if kind and kind not in SIMULATED_OR_CONVERTERS:
         raise BenchError(f"--device '{kind}' is not known; use {', '.join(SIMULATED_OR_CONVERTERS)}.")
-    if address and kind != "nidaqmx":
-        raise BenchError("--device takes an address for nidaqmx only, as in nidaqmx@localhost:31763.")
+    if address and not (kind in DEVICES and DEVICES[kind].addressed):
+        addressed = " and ".join(name for name, section in DEVICES.items() if section.addressed)
+        raise BenchError(f"--device takes an address for {addressed} only, as in {addressed}@localhost:31763.")
     if not kind and rig.device is not None:
         kind = rig.device.kind
     return kind, address
@@ -69,21 +71,6 @@ def look_for_device(section: AnyDevice, rig: Rig) -> None:
     Raises:
         BenchError: driver, library or device is missing, with what fixes it.
     """
-    if section.kind == "portaudio":
-        from nmt_plant.converters.portaudio_converter import find_device, list_devices
-
-        ports = [
-            max(int(entry.port) for entry in section.inputs),
-            max(int(entry.port) for entry in section.outputs),
-        ]
-        devices = list_devices()
-        found = devices[find_device(devices, section.name, section.host_api, *ports)]
-        if "jack" in found["host_api"].lower() and round(found["rate"]) != round(rig.sample_rate_hz):
-            raise BenchError(
-                f"The JACK server runs at {found['rate']:g} Hz and rig {rig.name} at {rig.sample_rate_hz:g} Hz; write "
-                f"--set sample_rate_hz={found['rate']:g}, or start the server at the rig's rate."
-            )
-        return
-    from nmt_plant.converters.nidaqmx_converter import find_channels
-
-    find_channels(section.address, [str(entry.port) for entry in section.ports])
+    if section.finder:
+        module, _, function = section.finder.partition(":")
+        getattr(importlib.import_module(module), function)(section, rig)

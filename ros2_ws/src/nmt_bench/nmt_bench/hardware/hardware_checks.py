@@ -70,6 +70,8 @@ def require_check(rig: Rig, section: AnyDevice, command: str, now: float | None 
             f"Rig {rig.name} at its converter ({section.kind}) has not been checked since it was last changed; type: "
             f"{command}"
         ) from None
+    if section.check == "rig" and document.get("scope", "rig") != "rig":
+        raise BenchError(f"The last check of rig {rig.name} looked at the converter alone; type: {command}")
     age = ((time.time() if now is None else now) - made) / 3600.0
     if not passed:
         names = ", ".join(dict.fromkeys(str(each.get("name")) for each in document.get("findings", ())))

@@ -120,6 +120,8 @@ def _plain_path(location: Sequence[str | int], values: Any) -> KeyPath:
             node = node[part]
         elif rest or not isinstance(node, Mapping | list):
             continue
+        elif isinstance(node, Mapping) and part == node.get("kind"):
+            continue  # the section as a whole, by its tag
         path.append(part)
     return tuple(path)
 
@@ -131,9 +133,8 @@ def _suggestion(key: str, known: Sequence[str]) -> str:
 
 def _known_keys(model: type[BaseModel], values: Any, path: KeyPath) -> list[str]:
     """Keys of the section that contains the last part of a path."""
-    section = _section(model, values, path[:-1])
-    sections = [section] if hasattr(section, "model_fields") else getattr(section, "__args__", ())
-    return list(dict.fromkeys(key for each in sections for key in getattr(each, "model_fields", ())))
+    sections = _sections(_section(model, values, path[:-1]))
+    return list(dict.fromkeys(key for each in sections for key in each.model_fields))
 
 
 def _section(model: type[BaseModel], values: Any, path: KeyPath) -> Any:
@@ -148,8 +149,17 @@ def _section(model: type[BaseModel], values: Any, path: KeyPath) -> Any:
 
 def _kinds(annotation: Any) -> list[str]:
     """The kinds that a union of sections knows."""
-    fields = [getattr(each, "model_fields", {}).get("kind") for each in getattr(annotation, "__args__", ())]
+    fields = [section.model_fields.get("kind") for section in _sections(annotation)]
     return [kind for field in fields if field is not None for kind in field.annotation.__args__]
+
+
+def _sections(annotation: Any) -> list[Any]:
+    """The section classes that an annotation allows, in unions however they are nested."""
+    if hasattr(annotation, "model_fields"):
+        return [annotation]
+    if getattr(annotation, "__metadata__", None) is not None:
+        return _sections(annotation.__origin__)
+    return [section for part in getattr(annotation, "__args__", ()) for section in _sections(part)]
 
 
 def _variant(annotation: Any, node: Any) -> Any:
@@ -159,8 +169,8 @@ def _variant(annotation: Any, node: Any) -> Any:
         return _variant(annotation.__origin__, node)
     if isinstance(node, list):
         return arguments[0] if arguments else annotation
-    for candidate in arguments:
-        field = candidate.model_fields.get("kind") if hasattr(candidate, "model_fields") else None
+    for candidate in _sections(annotation):
+        field = candidate.model_fields.get("kind")
         if field is not None and isinstance(node, Mapping) and node.get("kind") in field.annotation.__args__:
             return candidate
     return annotation

@@ -135,23 +135,36 @@ class LoopbackConverter(SteadyClockConverter):
     Args:
         sample_rate: Hz.
         outputs: channels.
+        inputs: channels, all wired to the one output; 0 = as many as outputs.
+        gain: of what is measured over what is put out.
         delay: samples from a sample put out to the same sample measured.
         lost_at: index of a sample at which a loss of input is reported, in the count since the start; negative = none.
         **clock: of `SteadyClockConverter`.
     """
 
-    def __init__(self, sample_rate: float, outputs: int = 1, delay: int = 0, lost_at: int = -1, **clock: Any) -> None:
+    def __init__(
+        self,
+        sample_rate: float,
+        outputs: int = 1,
+        delay: int = 0,
+        lost_at: int = -1,
+        inputs: int = 0,
+        gain: float = 1.0,
+        **clock: Any,
+    ) -> None:
         super().__init__(sample_rate, **clock)
-        self.outputs = self.inputs = outputs
+        self.outputs, self.inputs = outputs, inputs or outputs
         self.delay = delay
-        self._line = np.zeros((outputs, delay))
+        self._gain = gain
+        self._line = np.zeros((self.inputs, delay))
         self._lost_at = lost_at
         self._taken = 0
 
     def exchange(self, values: FloatArray) -> Taken:
         """Wait until the samples are due; they come back after the delay."""
         super().exchange(values)
-        line = np.concatenate([self._line, values], axis=1)
+        heard = np.broadcast_to(self._gain * values, (self.inputs, values.shape[1]))
+        line = np.concatenate([self._line, heard], axis=1)
         count = values.shape[1]
         lost = self._taken <= self._lost_at < self._taken + count
         self._taken += count

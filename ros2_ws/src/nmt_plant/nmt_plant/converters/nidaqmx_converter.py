@@ -18,7 +18,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,10 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_plant.converters.converter import Converter, Taken
+
+if TYPE_CHECKING:
+    from nmt_rig.device_sections import NiDaqmxSection
+    from nmt_rig.rig import Rig
 
 _CONNECT_TIME = 5.0  # s
 _ASK_TIME = 60.0  # s
@@ -75,6 +79,11 @@ def session_options(address: str, name: str) -> Any:
             "the simulated specimen './nmt specimen RIG --device nidaqmx'."
         ) from None
     return nidaqmx.GrpcSessionOptions(channel, name)
+
+
+def find_rig_channels(section: NiDaqmxSection, rig: Rig) -> None:
+    """:func:`find_channels` for the ports of a rig."""
+    find_channels(section.address, [str(entry.port) for entry in section.ports])
 
 
 def find_channels(address: str, ports: Sequence[str]) -> None:

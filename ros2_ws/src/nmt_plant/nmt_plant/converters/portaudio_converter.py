@@ -16,7 +16,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,10 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_plant.converters.converter import Converter, Taken, Turn
+
+if TYPE_CHECKING:
+    from nmt_rig.device_sections import PortAudioSection
+    from nmt_rig.rig import Rig
 
 _MISSING = (
     "PortAudio is not installed (libportaudio.so.2); type 'sudo apt install libportaudio2', and 'jackd2' for JACK, "
@@ -72,6 +76,22 @@ def find_device(devices: Sequence[dict[str, Any]], name: str, host_api: str, inp
         f"PortAudio has no {wanted} with {inputs} inputs and {outputs} outputs; it lists: {listed}. Check the cable, "
         "the sound server (for JACK start 'jackd', for the simulated specimen './nmt specimen RIG'), and device.name."
     )
+
+
+def find_rig_device(section: PortAudioSection, rig: Rig) -> None:
+    """Refuse a device that PortAudio does not list, or a JACK server at another rate.
+
+    Raises:
+        BenchError: library or device is missing, with what fixes it.
+    """
+    ports = [max(int(entry.port) for entry in entries) for entries in (section.inputs, section.outputs)]
+    devices = list_devices()
+    found = devices[find_device(devices, section.name, section.host_api, *ports)]
+    if "jack" in found["host_api"].lower() and round(found["rate"]) != round(rig.sample_rate_hz):
+        raise BenchError(
+            f"The JACK server runs at {found['rate']:g} Hz and rig {rig.name} at {rig.sample_rate_hz:g} Hz; write "
+            f"--set sample_rate_hz={found['rate']:g}, or start the server at the rig's rate."
+        )
 
 
 def list_devices() -> list[dict[str, Any]]:

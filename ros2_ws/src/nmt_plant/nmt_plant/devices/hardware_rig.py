@@ -15,7 +15,7 @@ from nmt_plant.devices.guarded_device import GuardedDevice, owned_output
 from nmt_plant.devices.simulated_rig import channel_groups, guard_settings, rig_sensors
 from nmt_plant.oscillator import OscillatorBlock
 from nmt_plant.specimen import Specimen
-from nmt_rig.device_sections import AnyDevice, NiDaqmxSection, PortAudioSection, specimen_device
+from nmt_rig.device_sections import AnyDevice, specimen_device
 from nmt_rig.rig import Rig
 
 PROBE_SHARE = 0.005
@@ -23,10 +23,6 @@ PROBE_SHARE = 0.005
 HARDWARE_LEAD = 8
 """Blocks that wait at the output of hardware unless a test says otherwise."""
 _END_STOP = 0.999  # of the range, from which a sample counts as overload
-_CONVERTERS = {
-    "portaudio": "nmt_plant.converters.portaudio_converter:PortAudioConverter",
-    "nidaqmx": "nmt_plant.converters.nidaqmx_converter:NiDaqmxConverter",
-}
 
 
 class ConverterFigures(NamedTuple):
@@ -56,11 +52,12 @@ def device_of(rig: Rig, kind: str = "", address: str = "") -> AnyDevice:
 
     Args:
         rig: the rig.
-        kind: ``portaudio`` or ``nidaqmx``; empty = that of the file.
-        address: of NI's device server.
+        kind: of :data:`nmt_rig.device_sections.DEVICES`; empty = that of the file.
+        address: of a kind that takes one.
 
     Raises:
-        BenchError: the file has no section ``device`` and no kind is named.
+        BenchError: the file has no section ``device`` and no kind is named, or there is no such kind, or none without
+            a section.
     """
     section = rig.device
     if section is not None and kind in ("", section.kind):
@@ -69,36 +66,6 @@ def device_of(rig: Rig, kind: str = "", address: str = "") -> AnyDevice:
         raise BenchError(f"Rig {rig.name} has no section 'device'; write one, or name a kind with --device.")
     channels = [(sensor.channel, sensor.quantity) for sensor in rig_sensors(rig)]
     return specimen_device(kind, channels, dict(guard_settings(rig).limits), address)
-
-
-def converter_arguments(rig: Rig, device: AnyDevice) -> dict[str, Any]:
-    """Keyword arguments of the converter of a section, as JSON allows them."""
-    rate = float(rig.sample_rate_hz)
-    output = device.output
-    outputs = [[output.port, output.range_v, output.amplifier_gain]]
-    if isinstance(device, PortAudioSection):
-        return {
-            "sample_rate": rate,
-            "outputs": outputs,
-            "inputs": [[entry.port, entry.range_v] for entry in device.inputs],
-            "name": device.name,
-            "host_api": device.host_api,
-            "frames": 0,
-            "latency": device.latency_s,
-        }
-    assert isinstance(device, NiDaqmxSection)
-    stop = device.stop_input
-    return {
-        "sample_rate": rate,
-        "outputs": outputs,
-        "inputs": [[entry.port, entry.range_v, entry.coupling, entry.icp_ma, entry.serial] for entry in device.inputs],
-        "block_samples": int(rig.block_samples),
-        "address": device.address,
-        "start_trigger": device.start_trigger,
-        "clock_source": device.clock_source,
-        "buffer_blocks": device.buffer_blocks,
-        "stop": None if stop is None else [stop.port, stop.range_v, stop.threshold_v, stop.stops == "low"],
-    }
 
 
 class HardwareRig(GuardedDevice):
@@ -153,8 +120,8 @@ class HardwareRig(GuardedDevice):
                 settings,
                 lead_blocks=lead_blocks,
                 inputs=len(device.inputs),
-                converter=_CONVERTERS[device.kind],
-                arguments=converter_arguments(rig, device),
+                converter=device.driver,
+                arguments=device.driver_arguments(float(rig.sample_rate_hz), int(rig.block_samples)),
                 probe=probe,
                 **output,
             )

@@ -191,7 +191,9 @@ def test_who_may_only_watch_cannot_steer() -> None:
     async def test() -> None:
         async with page() as (server, bench, client):
             async with client.get(server.watch_address) as answer:
-                assert 'data-role="watch"' in await answer.text()
+                text = await answer.text()
+                assert 'data-role="watch"' in text
+                assert '<input id="start-levels" name="levels"' in text
             own = {"Origin": server.guard.origin}
             async with client.post(f"{server.guard.origin}/steer", json={"act": "end"}, headers=own) as answer:
                 assert answer.status == 403

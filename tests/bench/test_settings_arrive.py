@@ -18,8 +18,7 @@ import pytest
 
 from nmt_bench.command_parser import CommandParser
 from nmt_bench.commands import hardware_options, linear_command, run_command, sweep_command
-from nmt_bench.page.bench_link import StartRequest
-from nmt_bench.page.start_goal import goal_of
+from nmt_bench.page.start_goal import StartRequest, goal_of, start_form, start_request
 from nmt_core.messages.excitation import Excitation
 from nmt_core.messages.message_files import find_message_file, message_fields
 from nmt_core.messages.run_settings import RunSettings
@@ -238,6 +237,18 @@ def test_what_a_run_is_asked_for_arrives_at_sequencer_description_and_page(asked
     assert RunSettings.described(described) == replace(RunSettings(**plan.values), run_id="")
     again = RunSettings.of_goal(goal_of(StartRequest(asked.levels), described))
     assert again == replace(RunSettings(**plan.values), run_id="", levels_without=frozenset())
+
+
+def test_what_the_page_asks_for_arrives_in_the_goal_and_has_its_input() -> None:
+    orders = {"levels": "0.5", "window_periods": 44, "harmonics_control": "9"}
+    assert set(orders) == {item.name for item in fields(StartRequest)}
+    before = RunSettings(levels=(0.1,), excitation=Excitation(harmonics_control=5)).description
+    inputs = {"levels": "levels", "window_periods": "window_periods", "harmonics_control": "harmonics"}
+    for name, value in orders.items():
+        order = {"levels": "0.1", inputs[name]: value}
+        usual, asked = (goal_of(start_request(each), before) for each in ({"levels": "0.1"}, order))
+        assert {key for key in asked if asked[key] != usual[key]} == {name}
+    assert [word.partition('"')[0] for word in start_form().split('name="')[1:]] == ["levels", "harmonics"]
 
 
 # -- settings of nodes -------------------------------------------------------------------------------------------------

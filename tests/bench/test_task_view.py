@@ -13,11 +13,11 @@ import pytest
 from bench.frame_reader import read_frame
 
 from nmt_bench.commands.diagnose_command import _tell
-from nmt_bench.page.bench_link import StartRequest
-from nmt_bench.page.start_goal import goal_of, start_request
+from nmt_bench.page.start_goal import StartRequest, goal_of, start_request
 from nmt_bench.page.task_feed import TaskFeed, task_page
 from nmt_bench.page.task_view import TaskView
 from nmt_core.errors import BenchError
+from nmt_core.messages.run_settings import RunSettings
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.inference.progress import ProgressSentence
 
@@ -94,7 +94,7 @@ def test_a_run_from_the_page_is_the_run_before_with_other_levels() -> None:
     assert goal["test"] == TestKind.SWEEP
     assert (goal["control"], goal["window_periods"], goal["frequencies_hz"]) == (3, 50, [18.0] * 3)
     assert "pacing" not in goal
-    assert goal_of(StartRequest((0.1,)), {}) == {"test": 1, "levels": [0.1], "frequencies_hz": [], "run_id": ""}
+    assert goal_of(StartRequest((0.1,)), {}) == RunSettings(levels=(0.1,)).goal
     with pytest.raises(BenchError, match="ask for as many levels"):
         goal_of(asked, {"frequencies_hz": [18.0, 19.0]})
     for order in (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from nmt_bench.page.start_goal import StartRequest
 from nmt_sequencer.steering import SteeringRequest
 
 
@@ -14,21 +15,6 @@ class ServiceAnswer:
 
     taken: bool
     message: str
-
-
-@dataclass(frozen=True)
-class StartRequest:
-    """A run that a person asks for; what is not said here is as in the run before, or the sequencer's.
-
-    Attributes:
-        levels: in the order of the test, in the unit of the run before, else V.
-        window_periods: whole periods a window; 0 = as before.
-        harmonics_control: up to which the force's harmonics are controlled, see ``nmt_msgs/Level``; None = as before.
-    """
-
-    levels: tuple[float, ...]
-    window_periods: int = 0
-    harmonics_control: int | None = None
 
 
 class BenchLink(Protocol):

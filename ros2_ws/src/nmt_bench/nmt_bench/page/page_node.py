@@ -29,10 +29,10 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_msgs.msg import Bool, String
 
-from nmt_bench.page.bench_link import ServiceAnswer, StartRequest
+from nmt_bench.page.bench_link import ServiceAnswer
 from nmt_bench.page.live_view import LiveView
 from nmt_bench.page.message_records import RecordReader
-from nmt_bench.page.start_goal import goal_of
+from nmt_bench.page.start_goal import StartRequest, goal_of
 from nmt_core.base_node import STATE_QOS, BenchNode
 from nmt_core.dds_profile import seal_transport
 from nmt_core.errors import BenchError

@@ -19,7 +19,7 @@ from nmt_bench.page.bench_link import BenchLink, ServiceAnswer
 from nmt_bench.page.door import Door
 from nmt_bench.page.frames import write_frame
 from nmt_bench.page.guard import Guard, Role
-from nmt_bench.page.start_goal import start_request
+from nmt_bench.page.start_goal import start_form, start_request
 from nmt_bench.page.stop_door import StopDoor
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import SteeringAct
@@ -216,7 +216,7 @@ class PageServer:
         role = self._role(request)
         if role is Role.NOBODY:
             return self._refuse(403, "Open the address that the terminal shows.")
-        text = self._files[self.view.PAGE].decode()
+        text = self._files[self.view.PAGE].decode().replace("{{start}}", start_form())
         for name, value in (
             ("{{role}}", "replay" if self.player is not None else role.value),
             ("{{stop}}", self.stop_door.address),

@@ -619,9 +619,11 @@
   });
   get("start").addEventListener("submit", (event) => {
     event.preventDefault();
-    const levels = get("start-levels").value.trim().replace(/[;\s]+/g, ",").replace(/,+/g, ",");
-    if (!levels) { say("Write the levels of the new run, such as 0.2:1:5 for five levels from 0.2 to 1, or 0.2, 0.5, 1."); return; }
-    post("/start", { levels, harmonics: get("start-harmonics").value.trim() }).then((answer) => say(answer.taken ? "Taken: " + answer.message + "." : refused(answer)));
+    const order = {};
+    for (const [name, value] of new FormData(event.target)) { if (value.trim()) { order[name] = value.trim(); } }
+    if (order.levels) { order.levels = order.levels.replace(/[;\s]+/g, ",").replace(/,+/g, ","); }
+    if (!order.levels) { say("Write the levels of the new run, such as 0.2:1:5 for five levels from 0.2 to 1, or 0.2, 0.5, 1."); return; }
+    post("/start", order).then((answer) => say(answer.taken ? "Taken: " + answer.message + "." : refused(answer)));
   });
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.altKey || event.metaKey || event.repeat || /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName)) { return; }

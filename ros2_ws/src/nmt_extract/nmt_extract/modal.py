@@ -25,7 +25,8 @@ from nmt_extract.window import Window
 from nmt_extract.window_judge import Remark
 from nmt_signals.channel_faults import clipping
 from nmt_signals.harmonics import Moments, resolvable_harmonics, segment_moments, solve_moments, whole_period_bounds
-from nmt_signals.sine_fit import fit_frequency, strongest_line
+from nmt_signals.sine_fit import fit_frequency
+from nmt_signals.spectral_lines import strongest_line
 
 _SINE = 0.005  # harmonics over the fundamental of a force that is held to a sine
 

@@ -11,6 +11,7 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_rig.device_sections import DeviceSection
 from nmt_rig.rig import Rig, SensorSection
+from nmt_signals.channel_faults.mains_lines import MAINS_HZ
 
 FAULTS = {
     "noise": "the channel's noise floor is 300 times as high",
@@ -158,13 +159,13 @@ class Wiring:
                 case "noise":
                     arrived[row] += 300.0 * 2e-5 * self._random.standard_normal(n) * full / 10.0
                 case "mains":
-                    arrived[row] += 0.01 * full * np.sin(2 * np.pi * 50.0 * time)
+                    arrived[row] += 0.01 * full * np.sin(2 * np.pi * MAINS_HZ[0] * time)
                 case "offset":
                     arrived[row] += 0.2 * full
                 case "overload":
                     arrived[row] = np.where(np.sin(2 * np.pi * 3.0 * time) >= 0.0, 2.0 * full, -2.0 * full)
                 case "open":
-                    arrived[row] = 5e-5 * full * np.sin(2 * np.pi * 50.0 * time)
+                    arrived[row] = 5e-5 * full * np.sin(2 * np.pi * MAINS_HZ[0] * time)
                     arrived[row] += 4e-6 * full * self._random.standard_normal(n)
                 case "short":
                     arrived[row] = 0.0

@@ -19,6 +19,7 @@ from nmt_signals.harmonics import (
     solve_moments,
     synthesise,
 )
+from nmt_signals.spectral_lines import strongest_line
 from nmt_signals.thresholds import SIGNAL_FITS
 
 
@@ -84,20 +85,3 @@ def _gauss_newton(signal: FloatArray, sample_rate: float, frequency: float, harm
         "the force "
         "channel."
     )
-
-
-def strongest_line(signal: FloatArray, sample_rate: float) -> float:
-    """Frequency of the strongest line of the spectrum, between the lines by a parabola, Hz.
-
-    Args:
-        signal: shape ``(samples,)``.
-        sample_rate: Hz.
-    """
-    spectrum = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(signal.shape[0])))
-    peak = int(np.argmax(spectrum[1:])) + 1
-    if 0 < peak < spectrum.shape[0] - 1:
-        left, middle, right = spectrum[peak - 1 : peak + 2]
-        curvature = left - 2.0 * middle + right
-        if curvature < 0.0:
-            return float((peak + 0.5 * (left - right) / curvature) * sample_rate / signal.shape[0])
-    return float(peak * sample_rate / signal.shape[0])

@@ -18,6 +18,7 @@ from nmt_core.vocabulary import MOTIONS, QUANTITIES
 from nmt_record.exchange.import_sidecar import STEADY_KINDS, ChannelSection, SignalSection
 from nmt_record.exchange.import_table import SourceTable, split_name
 from nmt_record.exchange.unit_table import coordinate_of_unit, plain_unit, quantity_of_unit
+from nmt_signals.spectral_lines import line_amplitude, piece_spectra
 
 _WORDS = (
     (Quantity.FORCE, r"force|kraft|load|loadcell"),
@@ -259,20 +260,6 @@ def _check_power(
             )
 
 
-def _spectra(
-    signals: Sequence[FloatArray], sample_rate: float, pieces: int
-) -> tuple[FloatArray, list[np.ndarray]] | None:
-    """Spectra of consecutive pieces, shape (pieces, lines); None if samples are missing or too few."""
-    stacked = np.array(signals)
-    size = stacked.shape[1] // pieces
-    if size < 16 or not np.isfinite(stacked).all():
-        return None
-    cut = stacked[:, : size * pieces].reshape(len(signals), pieces, size)
-    cut = (cut - cut.mean(axis=2, keepdims=True)) * np.hanning(size)
-    lines = np.asarray(np.fft.rfftfreq(size, 1.0 / sample_rate)[1:], dtype=np.float64)
-    return lines, list(np.fft.rfft(cut, axis=2)[:, :, 1:])
-
-
 def _power_factor(
     force: ImportedChannel, response: ImportedChannel, stretch: CheckedStretch, sample_rate: float, steady: bool
 ) -> tuple[float, float] | None:
@@ -281,7 +268,7 @@ def _power_factor(
     Of steady segments at the strongest line, else over all lines.
     """
     cut = slice(stretch.first, min(stretch.stop, stretch.first + 2_000_000))
-    found = _spectra([force.data[cut], response.data[cut]], sample_rate, 1 if steady else 16)
+    found = piece_spectra([force.data[cut], response.data[cut]], sample_rate, 1 if steady else 16)
     if found is None:
         return None
     frequency, (forces, responses) = found
@@ -299,15 +286,7 @@ def _power_factor(
 
 def _amplitude(channel: ImportedChannel, stretch: CheckedStretch, sample_rate: float) -> tuple[float, float] | None:
     """Frequency and amplitude of the strongest line of a steady segment."""
-    found = _spectra([channel.data[stretch.first : min(stretch.stop, stretch.first + 2_000_000)]], sample_rate, 1)
-    if found is None:
-        return None
-    frequency, (spectrum,) = found
-    line = int(np.argmax(np.abs(spectrum[0])))
-    samples = min(stretch.stop - stretch.first, 2_000_000)
-    # Sum over the main lobe of the Hann window, so that the frequency between lines does not matter.
-    lobe = np.abs(spectrum[0][max(0, line - 3) : line + 4])
-    return float(frequency[line]), float(np.sqrt((lobe**2).sum() / 1.5) * 4.0 / samples)
+    return line_amplitude(channel.data[stretch.first : min(stretch.stop, stretch.first + 2_000_000)], sample_rate)
 
 
 def _kinematic_notes(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import FloatArray
+from nmt_signals.spectral_lines import common_line
 
 _PERIODS = 2.0  # length of the moving sine fit; its Hann window is half as long in effect
 _STEPS = 16  # positions of the fit in each length
@@ -54,7 +55,7 @@ def phase_jump(signals: Sequence[FloatArray], sample_rate: float) -> PhaseJump |
         signals: channels of one stretch, each (samples,), without missing samples.
         sample_rate: Hz.
     """
-    frequency = _strongest_frequency(signals, sample_rate)
+    frequency = common_line(signals, sample_rate)
     samples = signals[0].size
     if not frequency > 0.0 or samples * frequency < _FEWEST_PERIODS * sample_rate:
         return None
@@ -138,22 +139,6 @@ def _moving_fit(signal: FloatArray, weights: NDArray[np.complex128], step: int) 
     windows = np.lib.stride_tricks.sliding_window_view(signal, weights.size)[::step]
     parts = [windows[start : start + _BATCH] @ weights for start in range(0, windows.shape[0], _BATCH)]
     return np.concatenate(parts)
-
-
-def _strongest_frequency(signals: Sequence[FloatArray], sample_rate: float) -> float:
-    """Hz; the strongest line that the channels have in common, between the lines by a parabola."""
-    total: FloatArray = np.zeros(signals[0].size // 2 + 1)
-    for signal in signals:
-        centred = signal - signal.mean()
-        power = float(centred @ centred)
-        if power > 0.0:
-            total += np.abs(np.fft.rfft(centred * np.hanning(signal.size))) ** 2 / power
-    line = int(np.argmax(total))
-    if not 0 < line < total.size - 1 or not total[line] > 0.0:
-        return 0.0
-    left, middle, right = np.log(total[line - 1 : line + 2] + 1e-300)
-    shift = 0.5 * (left - right) / (left - 2.0 * middle + right) if left - 2.0 * middle + right < 0.0 else 0.0
-    return float((line + shift) * sample_rate / signals[0].size)
 
 
 def _spread(values: FloatArray) -> float:

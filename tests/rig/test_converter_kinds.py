@@ -12,7 +12,7 @@ from nmt_bench.commands import shared_options
 from nmt_core.errors import BenchError
 from nmt_plant.converters.converter import Converter
 from nmt_plant.devices.hardware_rig import device_of
-from nmt_rig.device_sections import DEVICES, CustomSection, DeviceSection
+from nmt_rig.device_sections import DEVICES, DeviceSection
 from nmt_rig.rig import Rig, load_rig
 
 
@@ -22,10 +22,14 @@ def named(text: str) -> Any:
 
 
 def section_of(kind: str) -> DeviceSection:
-    if kind != "custom":
-        return device_of(load_rig("beam"), kind)
+    """A section of a kind, with the ports of the beam; texts for what it needs besides."""
     ports = device_of(load_rig("beam"), "loopback")
-    return CustomSection(kind="custom", converter="module:Class", outputs=ports.outputs, inputs=ports.inputs)
+    needed = [name for name, field in DEVICES[kind].model_fields.items() if field.is_required()]
+    own = dict.fromkeys(needed, "module:Class") | {"kind": kind, "outputs": ports.outputs, "inputs": ports.inputs}
+    try:
+        return device_of(load_rig("beam"), kind)
+    except BenchError:
+        return DEVICES[kind](**own)
 
 
 @pytest.mark.parametrize("kind", DEVICES)

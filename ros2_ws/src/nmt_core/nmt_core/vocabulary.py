@@ -288,6 +288,11 @@ class TestKind(IntEnum):
         return self in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE, TestKind.RING_DOWN)
 
     @property
+    def is_noise(self) -> bool:
+        """Whether the drive is noise: levels are V rms, and there is no excitation phase and no one frequency."""
+        return self in (TestKind.RANDOM,)
+
+    @property
     def gives_modal_points(self) -> bool:
         """Whether its windows are extracted while the test runs."""
         return self in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE)

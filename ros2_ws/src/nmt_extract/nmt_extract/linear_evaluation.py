@@ -11,7 +11,6 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.wire import LEVEL
 from nmt_core.processes.work_progress import tell
-from nmt_core.vocabulary import TestKind
 from nmt_extract.linear_file import Linearity, linear_mapping, linearity
 from nmt_extract.linear_identification import LinearTest, LinearTestSettings, linear_test
 from nmt_record.bag.bag_reader import Bag
@@ -98,7 +97,7 @@ def evaluate_linear_test(
             raise BenchError(f"The {name} must be positive, got {value:g}.")
     if band_hz is not None and not 0.0 < band_hz[0] < band_hz[1] < math.inf:
         raise BenchError(f"The band must be two rising frequencies in Hz, got {band_hz[0]:g} and {band_hz[1]:g}.")
-    windows = [segment for segment in segments(bag) if segment.kind is TestKind.RANDOM]
+    windows = [segment for segment in segments(bag) if segment.kind.is_noise]
     whole = [segment for segment in windows if not segment.fault]
     if not whole:
         fault = f" ({windows[0].fault})" if windows else ""

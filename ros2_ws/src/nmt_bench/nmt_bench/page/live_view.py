@@ -215,7 +215,7 @@ class LiveView:
         elif block.first_sample > signals.recent.end_sample:
             self._gaps += 1
         signals.add(block)
-        if block.quantity in _RESPONSES and self._test is TestKind.RANDOM:
+        if block.quantity in _RESPONSES and self._test.is_noise:
             self._average(signals)
 
     def _average(self, response: TopicSignals) -> None:
@@ -651,7 +651,7 @@ class LiveView:
         status = self._status
         fundamental = status.frequency_hz if status is not None and status.frequency_hz > 0 else math.nan
         top = (HARMONICS + 1.5) * fundamental if math.isfinite(fundamental) else math.inf
-        if self._test is TestKind.RANDOM and self._levels:
+        if self._test.is_noise and self._levels:
             top, fundamental = 1.2 * self._levels[max(self._levels)].band_high_hz, math.nan
         shown = [("force", self._topics.get(Quantity.FORCE)), ("response", self._response)]
         data = {

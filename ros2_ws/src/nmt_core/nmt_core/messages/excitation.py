@@ -97,7 +97,7 @@ class Excitation:
                 raise BenchError(f"A {label} test has no {item.name}; leave it out or choose another kind of test.")
         self._check_frequencies(frequencies_hz, levels, nyquist)
         self._check_harmonics()
-        if self.test is TestKind.RANDOM:
+        if self.test.is_noise:
             if not 0.0 < self.band_low_hz < self.band_high_hz < nyquist:
                 raise BenchError(
                     f"The random band of {self.band_low_hz:g} to {self.band_high_hz:g} Hz must lie between 0 and half "
@@ -124,7 +124,7 @@ class Excitation:
 
     def _check_frequencies(self, frequencies_hz: Sequence[float], levels: int, nyquist: float) -> None:
         label = self.test.label.replace("_", " ")
-        if self.test is TestKind.RANDOM and frequencies_hz:
+        if self.test.is_noise and frequencies_hz:
             raise BenchError("A random test has a band and no frequencies; leave them out.")
         if self.test in (TestKind.SWEEP, TestKind.STEPPED_SINE) and not frequencies_hz:
             raise BenchError(f"A {label} test needs a frequency for every level; give frequencies_hz.")

@@ -114,6 +114,8 @@ _BROKEN = (
 )
 _CHANNEL_FAULTS = {WindowFault.UNIT: Consequence.CHANNELS, WindowFault.VALUE: Consequence.CHANNELS}
 _NO_PHASE = {WindowFault.SILENT: Consequence.NONE, WindowFault.PHASE_JUMP: Consequence.NONE}
+# Noise has no phase, and any part of it is as good as another.
+_OF_NOISE = {WindowFault.MISSING: Consequence.PARTS, **_NO_PHASE}
 _EXCEPTIONS: dict[TestKind, dict[WindowFault, Consequence]] = {
     # A sweep that was given up half way has measured the first half.
     TestKind.SWEEP: {
@@ -123,8 +125,6 @@ _EXCEPTIONS: dict[TestKind, dict[WindowFault, Consequence]] = {
         ),
         WindowFault.SILENT: Consequence.NONE,
     },
-    # Noise has no phase, and any part of it is as good as another.
-    TestKind.RANDOM: {WindowFault.MISSING: Consequence.PARTS, **_NO_PHASE},
     # The drive is switched off: the decay has its own phase.
     TestKind.RING_DOWN: _NO_PHASE,
     # Any excitation, any channels: the model is driven by the input that was measured.
@@ -159,7 +159,8 @@ class WindowPolicy:
 
 
 def _policy(kind: TestKind) -> WindowPolicy:
-    effects = {**dict.fromkeys(WindowFault, Consequence.WINDOW), **_CHANNEL_FAULTS, **_EXCEPTIONS.get(kind, {})}
+    exceptions = _EXCEPTIONS.get(kind, _OF_NOISE if kind.is_noise else {})
+    effects = {**dict.fromkeys(WindowFault, Consequence.WINDOW), **_CHANNEL_FAULTS, **exceptions}
     return WindowPolicy(kind, effects, kind in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE))
 
 

@@ -142,10 +142,10 @@ def stepped_decays(z: FloatArray, amplitudes: FloatArray, channel: int, rig: Rig
     size = rig.local.offsets[-1] + 2
     output = rig.model.inputs.shape[1] - 1 + channel
     for level in range(z.shape[0]):
-        own = z[level]
-        true, weight = closure(own, amplitudes[level], channel, rig)
-        residual, jacobian = evaluate_decay(own, true, weight, output, rig)
-        result[level] = own - newton_step(jacobian, residual, own, size)
+        unknowns = z[level]
+        true, weight = closure(unknowns, amplitudes[level], channel, rig)
+        residual, jacobian = evaluate_decay(unknowns, true, weight, output, rig)
+        result[level] = unknowns - newton_step(jacobian, residual, unknowns, size)
     return result
 
 
@@ -159,15 +159,15 @@ def _drive(true: complex, output: int, t: ComplexArray, g: FloatArray, offset: i
 
 
 @njit(cache=True)
-def _pole_amounts(own: FloatArray, true: complex, output: int, rig: RigTables) -> ComplexArray:
+def _pole_amounts(unknowns: FloatArray, true: complex, output: int, rig: RigTables) -> ComplexArray:
     """Fundamental of each pole of the linear model, (k,)."""
     model, _, factor, tables = rig
     poles, inputs = model.poles, model.inputs
     offset, size = _fundamental(tables), tables.offsets[-1] + 2
     r = inputs.shape[1] - 1
-    omega = own[-2]
-    s = omega * (1j - own[-1])
-    g = local_amounts(own[: r * size].copy().reshape(r, size), omega, factor, tables)
+    omega = unknowns[-2]
+    s = omega * (1j - unknowns[-1])
+    g = local_amounts(unknowns[: r * size].copy().reshape(r, size), omega, factor, tables)
     t, _ = transfer_at(s, model, r + 1)
     h = _drive(true, output, t, g, offset)
     result = np.empty(poles.size, dtype=np.complex128)
@@ -211,15 +211,15 @@ def observed_ratios(z: FloatArray, amplitudes: FloatArray, channel: int, rig: Ri
     output = r + channel
     step = 1e-3
     for level in range(z.shape[0]):
-        own = z[level]
-        omega = own[-2]
-        s = omega * (1j - own[-1])
-        true, weight = closure(own, amplitudes[level], channel, rig)
-        residual, jacobian = evaluate_decay(own, true, weight, output, rig)
-        moved, _ = evaluate_decay(own, true * (1.0 + 1e-5), weight, output, rig)
-        along = newton_step(jacobian, (residual - moved) / 1e-5, own, size)
-        amounts = _pole_amounts(own, true, output, rig)
-        later = _pole_amounts(own + step * along, true * (1.0 + step), output, rig)
+        unknowns = z[level]
+        omega = unknowns[-2]
+        s = omega * (1j - unknowns[-1])
+        true, weight = closure(unknowns, amplitudes[level], channel, rig)
+        residual, jacobian = evaluate_decay(unknowns, true, weight, output, rig)
+        moved, _ = evaluate_decay(unknowns, true * (1.0 + 1e-5), weight, output, rig)
+        along = newton_step(jacobian, (residual - moved) / 1e-5, unknowns, size)
+        amounts = _pole_amounts(unknowns, true, output, rig)
+        later = _pole_amounts(unknowns + step * along, true * (1.0 + step), output, rig)
         t, _ = transfer_at(s, model, r + 1)
         shift = np.zeros(r + 1, dtype=np.complex128)
         for o in range(r + 1):
@@ -230,13 +230,13 @@ def observed_ratios(z: FloatArray, amplitudes: FloatArray, channel: int, rig: Ri
                 change_of_shape = (later[k] - amounts[k]) / step - amounts[k]
                 shift[o] += (out / (s - poles[k]) - by_s) * change_of_shape
                 shift[o] -= 1j * acceleration[row, k] * along[-2] * amounts[k]
-        change = np.zeros(own.size)
+        change = np.zeros(unknowns.size)
         held = -shift[r] / t[output, r]
         change[r * size], change[r * size + 1] = held.real * weight, held.imag * weight
         for o in range(r):
             value = shift[o] + t[o, r] * held
             change[o * size + offset], change[o * size + offset + 1] = -value.real, value.imag
-        result[level] = own[-1] / (1.0 + omega * newton_step(jacobian, change, own, size)[-1])
+        result[level] = unknowns[-1] / (1.0 + omega * newton_step(jacobian, change, unknowns, size)[-1])
     return result
 
 
@@ -259,10 +259,10 @@ def decay_shapes(
     r = model.inputs.shape[1] - 1
     result = np.empty((z.shape[0], places.size), dtype=np.complex128)
     for level in range(z.shape[0]):
-        own = z[level]
-        omega, ratio = own[-2], own[-1]
+        unknowns = z[level]
+        omega, ratio = unknowns[-2], unknowns[-1]
         s = omega * (1j - ratio)
-        g = local_amounts(own[: r * size].copy().reshape(r, size), omega, factor, tables)
+        g = local_amounts(unknowns[: r * size].copy().reshape(r, size), omega, factor, tables)
         t, _ = transfer_at(s, model, r + 1)
         true = amplitudes[level] / abs(sensor_gain(1j * omega, channels[channel])[0]) + 0j
         drive = _drive(true, r + channel, t, g, offset)

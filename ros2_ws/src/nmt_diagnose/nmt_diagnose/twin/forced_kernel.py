@@ -98,7 +98,7 @@ def forced_orders(orders: np.ndarray, factor: FloatArray, tables: LocalTables) -
 def balance(
     z: FloatArray,
     g: FloatArray,
-    given: int,
+    held_channel: int,
     target: complex,
     omega: float,
     transfer: ComplexArray,
@@ -122,7 +122,7 @@ def balance(
                 set_residual(residual, z, o * size + offsets[n], value, orders[n])
             else:
                 measured[o - r] = sensor_gain(1j * omega, channels[o - r])[0] * value
-    closure = a - target if given < 0 else measured[given] - target
+    closure = a - target if held_channel < 0 else measured[held_channel] - target
     residual[local] = closure.real
     residual[local + 1] = closure.imag
     return residual, measured
@@ -131,7 +131,7 @@ def balance(
 @njit(cache=True)
 def balance_slopes(
     dg: FloatArray,
-    given: int,
+    held_channel: int,
     omega: float,
     transfer: ComplexArray,
     orders: np.ndarray,
@@ -159,18 +159,18 @@ def balance_slopes(
                 set_jacobian(jacobian, o * size + offsets[n], column, orders[n])
             else:
                 slopes[o - r] = sensor_gain(1j * omega, channels[o - r])[0] * column
-    if given < 0:
+    if held_channel < 0:
         jacobian[local, local] = 1.0
         jacobian[local + 1, local + 1] = 1.0
     else:
-        jacobian[local] = slopes[given].real
-        jacobian[local + 1] = slopes[given].imag
+        jacobian[local] = slopes[held_channel].real
+        jacobian[local + 1] = slopes[held_channel].imag
     return jacobian, slopes
 
 
 @njit(cache=True)
 def linear_start(
-    given: int,
+    held_channel: int,
     target: complex,
     omega: float,
     stiffness: FloatArray,
@@ -197,11 +197,11 @@ def linear_start(
         closed[i, i] += 1.0
     w = np.linalg.solve(closed, transfer[one, :r, r].copy())
     a = target
-    if given >= 0:
-        value = transfer[one, r + given, r]
+    if held_channel >= 0:
+        value = transfer[one, r + held_channel, r]
         for j in range(r):
-            value -= transfer[one, r + given, j] * tangent[j] * w[j]
-        a = target / (sensor_gain(1j * omega, channels[given])[0] * value)
+            value -= transfer[one, r + held_channel, j] * tangent[j] * w[j]
+        a = target / (sensor_gain(1j * omega, channels[held_channel])[0] * value)
     z = np.zeros(r * size + 2)
     for i in range(r):
         z[i * size + offsets[one]] = (w[i] * a).real
@@ -212,7 +212,7 @@ def linear_start(
 
 
 @njit(cache=True)
-def _scales(z: FloatArray, target: complex, given: int, r: int, size: int) -> tuple[FloatArray, FloatArray]:
+def _scales(z: FloatArray, target: complex, held_channel: int, r: int, size: int) -> tuple[FloatArray, FloatArray]:
     """Size of the unknowns, and one over that of the residuals."""
     scale = np.ones(z.size)
     for i in range(r):
@@ -230,7 +230,7 @@ def _scales(z: FloatArray, target: complex, given: int, r: int, size: int) -> tu
 @njit(cache=True)
 def newton_line(
     z: FloatArray,
-    given: int,
+    held_channel: int,
     target: complex,
     omega: float,
     transfer: ComplexArray,
@@ -246,9 +246,9 @@ def newton_line(
     size = offsets[orders.size - 1] + 2
     z = z.copy()
     nz = z.size
-    scale, weights = _scales(z, target, given, r, size)
+    scale, weights = _scales(z, target, held_channel, r, size)
     g, dg, _ = harmonic_forces(z[: r * size].copy().reshape(r, size), omega, factor, tables)
-    residual, measured = balance(z, g, given, target, omega, transfer, orders, offsets, channels)
+    residual, measured = balance(z, g, held_channel, target, omega, transfer, orders, offsets, channels)
     error = np.linalg.norm(residual * weights)
     inverse = np.zeros((nz, nz))
     slopes = np.zeros((channels.shape[0], nz), dtype=np.complex128)
@@ -256,7 +256,7 @@ def newton_line(
     for _ in range(iterations):
         if not np.isfinite(error):
             break
-        jacobian, slopes = balance_slopes(dg, given, omega, transfer, orders, offsets, channels)
+        jacobian, slopes = balance_slopes(dg, held_channel, omega, transfer, orders, offsets, channels)
         for i in range(nz):
             for j in range(nz):
                 jacobian[i, j] *= weights[i] * scale[j]
@@ -273,7 +273,7 @@ def newton_line(
         for _ in range(_HALVINGS):
             trial = z + fraction * step
             g, dg, _ = harmonic_forces(trial[: r * size].copy().reshape(r, size), omega, factor, tables)
-            residual, measured = balance(trial, g, given, target, omega, transfer, orders, offsets, channels)
+            residual, measured = balance(trial, g, held_channel, target, omega, transfer, orders, offsets, channels)
             after = np.linalg.norm(residual * weights)
             if after < error * (1.0 - 0.1 * fraction) or after < 1e-10 or length < tolerance:
                 break
@@ -286,7 +286,7 @@ def newton_line(
 
 @njit(cache=True)
 def climb_line(
-    given: int,
+    held_channel: int,
     target: complex,
     omega: float,
     stiffness: FloatArray,
@@ -301,10 +301,10 @@ def climb_line(
     """Solve one line up from a small amplitude, in steps that shrink where they fail."""
     orders, offsets = tables.orders, tables.offsets
     share, reached, ratio = _LOWEST, 0.0, 4.0
-    guess = linear_start(given, share * target, omega, stiffness, damping, transfer, orders, offsets, channels)
+    guess = linear_start(held_channel, share * target, omega, stiffness, damping, transfer, orders, offsets, channels)
     for _ in range(_CLIMB_STEPS):
         trial = newton_line(
-            guess, given, share * target, omega, transfer, channels, factor, tables, iterations, tolerance
+            guess, held_channel, share * target, omega, transfer, channels, factor, tables, iterations, tolerance
         )
         if trial.converged or reached == 0.0:
             found = trial
@@ -325,7 +325,7 @@ def climb_line(
 def solve_lines(
     start: FloatArray,
     known: np.ndarray,
-    given: int,
+    held_channel: int,
     target: ComplexArray,
     omega: FloatArray,
     stiffness: FloatArray,
@@ -339,7 +339,7 @@ def solve_lines(
     Args:
         start: (lines, nz) unknowns to start from.
         known: (lines,) whether a line has a start.
-        given: row of the channel whose fundamental is given; −1 = the amplitude of the drive is.
+        held_channel: row of the channel whose fundamental is given; −1 = the amplitude of the drive is.
         target: (lines,) given complex amplitudes.
         omega: (lines,) true angular frequencies, rad/s.
         stiffness, damping: (r,) tangents of the local forces at rest.
@@ -368,16 +368,26 @@ def solve_lines(
         done = False
         if known[line]:
             done, z, g, inverse, y, slope = newton_line(
-                start[line], given, target[line], w, transfer, channels, factor, tables, iterations, tolerance
+                start[line], held_channel, target[line], w, transfer, channels, factor, tables, iterations, tolerance
             )
         if not done:
-            z = linear_start(given, target[line], w, stiffness, damping, transfer, orders, offsets, channels)
+            z = linear_start(held_channel, target[line], w, stiffness, damping, transfer, orders, offsets, channels)
             done, z, g, inverse, y, slope = newton_line(
-                z, given, target[line], w, transfer, channels, factor, tables, iterations, tolerance
+                z, held_channel, target[line], w, transfer, channels, factor, tables, iterations, tolerance
             )
         if not done:
             done, z, g, inverse, y, slope = climb_line(
-                given, target[line], w, stiffness, damping, transfer, channels, factor, tables, iterations, tolerance
+                held_channel,
+                target[line],
+                w,
+                stiffness,
+                damping,
+                transfer,
+                channels,
+                factor,
+                tables,
+                iterations,
+                tolerance,
             )
         if done:
             good[line] = True
@@ -393,12 +403,12 @@ def solve_lines(
 def step_lines(
     z: FloatArray,
     forces: FloatArray,
-    own: np.ndarray,
+    shared_positions: np.ndarray,
     kept: np.ndarray,
     fresh: np.ndarray,
     inverses: FloatArray,
     slopes: ComplexArray,
-    given: int,
+    held_channel: int,
     target: ComplexArray,
     omega: FloatArray,
     rig: RigTables,
@@ -412,7 +422,7 @@ def step_lines(
     Args:
         z, inverses, slopes: solution of the neighbouring rig, as :func:`solve_lines` gives it.
         forces: (lines, r, size) its local forces where elements and frequencies are the same; without lines otherwise.
-        own, kept: positions of the unknowns that both have, in those of this rig and of the solved one.
+        shared_positions, kept: positions of the unknowns that both have, in those of this rig and of the solved one.
         fresh: positions of the others in those of this rig.
 
     Returns:
@@ -431,15 +441,15 @@ def step_lines(
             continue
         w = omega[line]
         here = np.zeros(r * size + 2)
-        for k in range(own.size):
-            here[own[k]] = z[line, kept[k]]
+        for k in range(shared_positions.size):
+            here[shared_positions[k]] = z[line, kept[k]]
         if forces.shape[0] > 0:
             g = forces[line]
         else:
             g = local_amounts(here[: r * size].copy().reshape(r, size), w, factor, tables)
         wanted = driven_orders(g, orders, offsets)
         transfer = transfers(w, orders, wanted, model)
-        residual, y = balance(here, g, given, target[line], w, transfer, orders, offsets, channels)
+        residual, y = balance(here, g, held_channel, target[line], w, transfer, orders, offsets, channels)
         if fresh.size > 0:
             for k in fresh:
                 here[k] = -residual[k]
@@ -447,13 +457,13 @@ def step_lines(
             more = driven_orders(g, orders, offsets)
             if np.any(more & ~wanted):
                 transfer = transfers(w, orders, more, model)
-            residual, y = balance(here, g, given, target[line], w, transfer, orders, offsets, channels)
+            residual, y = balance(here, g, held_channel, target[line], w, transfer, orders, offsets, channels)
         known = np.zeros(z.shape[1])
-        for k in range(own.size):
-            known[kept[k]] = residual[own[k]]
+        for k in range(shared_positions.size):
+            known[kept[k]] = residual[shared_positions[k]]
         step = -inverses[line] @ known
-        for k in range(own.size):
-            here[own[k]] += step[kept[k]]
+        for k in range(shared_positions.size):
+            here[shared_positions[k]] += step[kept[k]]
         for k in range(c):
             for b in range(step.size):
                 y[k] += slopes[line, k, b] * step[b]

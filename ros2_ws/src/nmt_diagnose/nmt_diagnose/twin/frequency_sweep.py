@@ -78,10 +78,10 @@ def _stable_states(
     """Amplitude and response of every stable state at a line, smallest first."""
     reference, growth, _ = _courses(rig, test, line, grid, settings)
     level = float(test.levels[line])
-    rest = np.log(np.abs(reference) / level)
+    log_ratio = np.log(np.abs(reference) / level)
     found = []
-    for k in np.flatnonzero((rest[:-1] < 0.0) & (rest[1:] >= 0.0)):
-        s = math.exp(np.interp(0.0, rest[k : k + 2], np.log(grid[k : k + 2])))
+    for k in np.flatnonzero((log_ratio[:-1] < 0.0) & (log_ratio[1:] >= 0.0)):
+        s = math.exp(np.interp(0.0, log_ratio[k : k + 2], np.log(grid[k : k + 2])))
         low, high = grid[k], grid[k + 1]
         for _ in range(_NEWTON_STEPS):
             value, growth, response = _courses(rig, test, line, np.array([s]), settings)

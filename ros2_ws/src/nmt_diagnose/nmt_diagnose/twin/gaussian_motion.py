@@ -174,12 +174,12 @@ def _powers(
     sums, products = fractions.sums, fractions.products
     count, columns = moved.size, r + 1
     rows = columns * columns
-    last = fractions.rest.size - columns
+    last = fractions.constant_part.size - columns
     at = np.empty(rows, dtype=np.int64)
     for e in range(rows):
         at[e] = e if e < r * columns else last + e - r * columns
     # Only what is needed, and beside each other.
-    constants, slopes, rest = fractions.constants[:, at], fractions.slopes[:, at], fractions.rest[at]
+    constants, slopes, constant_part = fractions.constants[:, at], fractions.slopes[:, at], fractions.constant_part[at]
     re, im = np.empty(rows), np.empty(rows)
     closed = np.empty((r, columns), dtype=np.complex128)
     now, then = np.empty(count + 1), np.zeros(count + 1)
@@ -188,7 +188,7 @@ def _powers(
     for line in range(omega.size):
         w = omega[line]
         s = 1j * w
-        re[:] = rest
+        re[:] = constant_part
         im[:] = 0.0
         for k in range(sums.size):
             a = products[k] - w * w

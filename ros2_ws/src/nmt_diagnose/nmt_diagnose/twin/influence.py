@@ -190,11 +190,11 @@ def _level_sources(
         size = float(np.max(np.abs(t[: r + parts.channels.shape[0], r + 1 + k]))) or 1.0
         residual = np.zeros(nz)
         for i in range(r):
-            own = -t[i, r + 1 + k] * amount
+            direct_change = -t[i, r + 1 + k] * amount
             offset = i * basis.size + basis.offsets[order]
-            residual[offset] = own.real
+            residual[offset] = direct_change.real
             if order:
-                residual[offset + 1] = -own.imag
+                residual[offset + 1] = -direct_change.imag
         direct = np.zeros_like(channels)
         gains = twin.gains(parts, 1j * order * state.omega)
         direct[:, order] = gains * t[r:, r + 1 + k] * amount
@@ -252,7 +252,7 @@ def random_influence(
 
 def _line_change(
     twin: RandomTwin, parts: RigParts, model: LinearModel | None, k: int, source: Source, omega: float,
-    responses: ComplexArray, own: Any, r: int,
+    responses: ComplexArray, channel_rows: Any, r: int,
 ) -> ComplexArray:  # fmt: skip
     """Change of the responses (channels,) by a unit source at one line."""
     change = np.zeros(responses.size, dtype=np.complex128)
@@ -274,6 +274,6 @@ def _line_change(
     # Unit: a share of the force at this line; where the channels have none, of the drive.
     force = [row for row, section in enumerate(parts.sections) if section is not None and section.quantity == "force"]
     size = abs(full[force[0], 0]) if force else 1.0
-    drive = full[own[-1], 0]
-    result: ComplexArray = THRESHOLDS.prediction.unit_source_share * size * full[own[:-1], 1] / drive
+    drive = full[channel_rows[-1], 0]
+    result: ComplexArray = THRESHOLDS.prediction.unit_source_share * size * full[channel_rows[:-1], 1] / drive
     return result

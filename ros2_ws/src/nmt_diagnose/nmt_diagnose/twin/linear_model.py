@@ -33,19 +33,19 @@ class LinearTables(NamedTuple):
 
 
 class Fractions(NamedTuple):
-    """Σ_k (c_k + s e_k) / (s² − σ_k s + π_k) + rest in real numbers, one k for each pair of poles.
+    """Σ_k (c_k + s e_k) / (s² − σ_k s + π_k) + constant part in real numbers, one k for each pair of poles.
 
     Attributes:
         sums, products: σ and π (k,).
         constants, slopes: c and e (k, entries).
-        rest: (entries,).
+        constant_part: (entries,).
     """
 
     sums: FloatArray
     products: FloatArray
     constants: FloatArray
     slopes: FloatArray
-    rest: FloatArray
+    constant_part: FloatArray
 
 
 @dataclass(frozen=True)
@@ -130,10 +130,10 @@ def real_fractions(
         count += pole.imag > 0.0 or abs(pole.imag) < 1e-12 * abs(pole)
     sums, products = np.empty(count), np.empty(count)
     constants, slopes = np.empty((count, rows.size * columns)), np.empty((count, rows.size * columns))
-    rest = np.empty(rows.size * columns)
+    constant_part = np.empty(rows.size * columns)
     for position in range(rows.size):
         for p in range(columns):
-            rest[position * columns + p] = feedthrough[rows[position], p].real
+            constant_part[position * columns + p] = feedthrough[rows[position], p].real
     k = 0
     for number in range(poles.size):
         pole = poles[number]
@@ -149,7 +149,7 @@ def real_fractions(
             output = displacement[o, number] + direct * pole
             for p in range(columns):
                 entry = position * columns + p
-                rest[entry] += (direct * inputs[number, p]).real
+                constant_part[entry] += (direct * inputs[number, p]).real
                 if not kept:
                     continue
                 residue = output * inputs[number, p]
@@ -161,7 +161,7 @@ def real_fractions(
                     constants[k, entry] = -2.0 * (residue * np.conj(pole)).real
                     slopes[k, entry] = 2.0 * residue.real
         k += kept
-    return sums, products, constants, slopes, rest
+    return sums, products, constants, slopes, constant_part
 
 
 @njit(cache=True)
@@ -273,26 +273,31 @@ def moved_model(
         return None
     mechanical, current, shapes = system.mechanical_size, system.current, frame.shapes
     size = shapes.shape[1]
-    own = slice(None, mechanical)
+    mechanical_part = slice(None, mechanical)
     # Differences first: the lowest modes are many digits below the highest.
     dm, dc, dk = (
-        shapes.T @ (getattr(system, name)[own, own] - getattr(before, name)[own, own]) @ shapes
+        shapes.T
+        @ (
+            getattr(system, name)[mechanical_part, mechanical_part]
+            - getattr(before, name)[mechanical_part, mechanical_part]
+        )
+        @ shapes
         for name in ("mass", "damping", "stiffness")
     )
-    damping = shapes.T @ before.damping[own, own] @ shapes
+    damping = shapes.T @ before.damping[mechanical_part, mechanical_part] @ shapes
     change = np.zeros((frame.right.shape[0],) * 2)
     change[size : 2 * size, :size] = dm * frame.squares - dk
     change[size : 2 * size, size : 2 * size] = dm @ damping - dc
     b = np.zeros((change.shape[0], inputs.shape[1]))
-    driven = shapes.T @ inputs[own]
+    driven = shapes.T @ inputs[mechanical_part]
     b[size : 2 * size] = driven - dm @ driven
     if current is not None:
-        pull, more = (shapes.T @ item.stiffness[own, current] for item in (before, system))
+        pull, more = (shapes.T @ item.stiffness[mechanical_part, current] for item in (before, system))
         change[size : 2 * size, -1] = dm @ pull - (more - pull)
         rates = []
         for item in (before, system):
             circuit = np.concatenate(
-                (item.stiffness[current, own] @ shapes, item.damping[current, own] @ shapes,
+                (item.stiffness[current, mechanical_part] @ shapes, item.damping[current, mechanical_part] @ shapes,
                  [item.stiffness[current, current]])
             )  # fmt: skip
             rates.append(circuit / item.damping[current, current])

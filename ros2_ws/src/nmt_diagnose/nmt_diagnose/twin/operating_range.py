@@ -159,12 +159,10 @@ def _of_samples(observations: Observations, part: Part) -> dict[str, float]:
     return found
 
 
-FittedExplanation = tuple[RigParts, float, float, np.ndarray, np.ndarray]
+Motion = tuple[RigParts, float, float, np.ndarray, np.ndarray]
 
 
-def _motions(
-    rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
-) -> list[FittedExplanation]:
+def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: TwinSettings) -> list[Motion]:
     """Parts, ω, drive, channel amplitudes and unknowns at the ends of a test."""
     if isinstance(test, PhaseResonanceTest):
         return _resonant(rig, test, channels, settings)
@@ -182,7 +180,7 @@ def _motions(
 
 def _resonant(
     rig: Rig, test: PhaseResonanceTest, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
-) -> list[FittedExplanation]:
+) -> list[Motion]:
     wider = PhaseResonanceTest(
         test.name, test.drive_point, test.response_channel,
         (*(c for c in channels), *(c for c in test.channels if c.name not in {k.name for k in channels})),
@@ -192,7 +190,7 @@ def _resonant(
     empty = Rows(nothing, nothing, nothing, nothing, nothing, np.zeros(0), np.zeros(0), np.zeros(0))
     twin = PhaseResonanceTwin(wider, empty, settings)
     cache = PartsCache(settings)
-    found: list[FittedExplanation] = []
+    found: list[Motion] = []
     solved = [
         (level, state)
         for level, state in zip(twin.levels, twin.solve(rig, cache, None), strict=True)
@@ -231,7 +229,7 @@ def _noise(
     omega: FloatArray,
     rms: float,
     ideal_force: bool,
-) -> list[FittedExplanation]:
+) -> list[Motion]:
     """Rms of flat noise over the lines through the system linearised at rest."""
     cache = PartsCache(settings)
     parts = cache.parts(rig, Setup(drive_point, ideal_force, channels, FourierBasis.up_to(1)))
@@ -255,7 +253,7 @@ def _noise(
 
 def _stepped(
     rig: Rig, test: SteppedSineTest, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
-) -> list[FittedExplanation]:
+) -> list[Motion]:
     """Lines of largest and smallest motion, in the shape that the system linearised at rest has at its resonance."""
     lead = test.channels[0]
     order = MOTIONS[lead.quantity]
@@ -265,7 +263,7 @@ def _stepped(
     every = (*channels, lead)
     parts = PartsCache(settings).parts(rig, Setup(test.drive_point, False, every, FourierBasis.up_to(1)))
     resting = _resting_frequencies(rig)
-    found: list[FittedExplanation] = []
+    found: list[Motion] = []
     for line in (int(np.nanargmax(motion)), int(np.nanargmin(motion))):
         nearest = np.argmin(np.abs(np.log(resting / test.lines_hz[line])))
         omega = 2.0 * np.pi * float(resting[nearest])
@@ -282,7 +280,7 @@ def _given(
     channels: tuple[MeasuredChannel, ...],
     settings: TwinSettings,
     frequency_hz: float,
-) -> list[FittedExplanation]:
+) -> list[Motion]:
     """Largest and smallest of the amplitudes of a test, through the system linearised at rest at its resonance."""
     cache = PartsCache(settings)
     channel = next((c for c in channels if c.name == test.channel.name), None)
@@ -292,7 +290,7 @@ def _given(
     omega = 2.0 * np.pi * float(resting[np.argmin(np.abs(np.log(resting / frequency_hz)))])
     q, y = _resting_response(parts, omega)
     size = abs(y[[c.name for c in every].index(test.channel.name)])
-    found: list[FittedExplanation] = []
+    found: list[Motion] = []
     for amplitude in (float(np.max(test.amplitudes)), float(np.min(test.amplitudes))):
         scale = amplitude / max(size, 1e-300)
         found.append((parts, omega, scale / parts.input_per_volt, y[: len(channels)] * scale, q * scale))
@@ -325,17 +323,17 @@ def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, observ
 
 
 def _as_measured(
-    motions: list[FittedExplanation],
+    motions: list[Motion],
     channels: tuple[MeasuredChannel, ...],
     test: Test,
     number: int,
     observations: Observations | None,
-) -> list[FittedExplanation]:
+) -> list[Motion]:
     """Motions of a test, scaled to what its own motion channels show where the model is off by more than a factor."""
     if observations is None or not motions:
         return motions
     names = [channel.name for channel in channels]
-    result: list[FittedExplanation] = []
+    result: list[Motion] = []
     for parts, omega, drive, amplitudes, unknowns in motions:
         ratios = [
             size / abs(amplitudes[names.index(name)])

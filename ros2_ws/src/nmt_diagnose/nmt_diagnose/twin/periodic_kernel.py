@@ -26,7 +26,7 @@ FACTOR_LINEAR, FACTOR_QUADRATIC = 1, 2
 # Position of the fundamental: the first order is 0.
 FUNDAMENTAL = 1
 # What is given besides the phase: ln of the drive's amplitude, or ln of the fundamental of one channel.
-DRIVE_GIVEN = -1
+DRIVE_HELD = -1
 
 
 class RigTables(NamedTuple):
@@ -49,12 +49,12 @@ class Control(NamedTuple):
     """What a level holds.
 
     Attributes:
-        given: ``DRIVE_GIVEN``, or the channel whose fundamental has the given amplitude.
+        held_channel: ``DRIVE_HELD``, or the channel whose fundamental has the given amplitude.
         force, response: channels whose phase was controlled.
         power: order of time derivative from that response to a velocity (1, 0, −1).
     """
 
-    given: int
+    held_channel: int
     force: int
     response: int
     power: int
@@ -244,19 +244,19 @@ def close(
     measured: ComplexArray, drive_log: float, control: Control, given_log: float, phase: float
 ) -> tuple[float, float]:
     """What phase (rad) and given amplitude (ln) are off by, for channels (c, n_orders)."""
-    given = control.given
+    held_channel = control.held_channel
     product = measured[control.force, FUNDAMENTAL] * np.conj(measured[control.response, FUNDAMENTAL])
     # velocity = (iω)^power response: a quarter turn per derivative.
     angle = np.angle(product) - 0.5 * np.pi * control.power - phase
     angle -= 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
-    own = drive_log if given == DRIVE_GIVEN else np.log(np.abs(measured[given, FUNDAMENTAL]))
-    return angle, own - given_log
+    log_amplitude = drive_log if held_channel == DRIVE_HELD else np.log(np.abs(measured[held_channel, FUNDAMENTAL]))
+    return angle, log_amplitude - given_log
 
 
 @njit(cache=True)
 def close_slopes(measured: ComplexArray, slopes: ComplexArray, control: Control, jacobian: FloatArray) -> None:
     """Slopes of :func:`close`, the last two rows of a Jacobian, by those of the channels (c, n_orders, nz)."""
-    given, force, response = control.given, control.force, control.response
+    held_channel, force, response = control.held_channel, control.force, control.response
     nz = jacobian.shape[0]
     last = nz - 1
     for b in range(nz):
@@ -264,11 +264,11 @@ def close_slopes(measured: ComplexArray, slopes: ComplexArray, control: Control,
             slopes[force, FUNDAMENTAL, b] / measured[force, FUNDAMENTAL]
             - slopes[response, FUNDAMENTAL, b] / measured[response, FUNDAMENTAL]
         ).imag
-    if given == DRIVE_GIVEN:
+    if held_channel == DRIVE_HELD:
         jacobian[last, last] = 1.0
     else:
         for b in range(nz):
-            jacobian[last, b] = (slopes[given, FUNDAMENTAL, b] / measured[given, FUNDAMENTAL]).real
+            jacobian[last, b] = (slopes[held_channel, FUNDAMENTAL, b] / measured[held_channel, FUNDAMENTAL]).real
 
 
 @njit(cache=True)
@@ -431,10 +431,10 @@ def residuals(
     residual = np.zeros((levels, local + 2))
     measured = np.zeros((levels, c, count), dtype=np.complex128)
     for level in range(levels):
-        own, left = z[level], residual[level]
-        omega = own[local]
-        amplitude = np.exp(own[local + 1])
-        displacement = own[:local].copy().reshape(r, size)
+        unknowns, left = z[level], residual[level]
+        omega = unknowns[local]
+        amplitude = np.exp(unknowns[local + 1])
+        displacement = unknowns[:local].copy().reshape(r, size)
         g = local_amounts(displacement, omega, factor, tables)
         for n in range(count):
             order = orders[n]
@@ -444,14 +444,16 @@ def residuals(
             if u == 0.0 and not np.any(g[:, offset]) and (order == 0 or not np.any(g[:, offset + 1])):
                 # Nothing acts at this order, and nothing responds.
                 for o in range(r):
-                    set_residual(left, own, o * size + offset, 0j, order)
+                    set_residual(left, unknowns, o * size + offset, 0j, order)
                 continue
             transfer = response_at(s, model, r + c, r if u == 0.0 else r + 1)
             for o in range(r + c):
                 value = output_of(transfer, o, u, g, offset, order)
                 if o < r:
-                    set_residual(left, own, o * size + offset, value, order)
+                    set_residual(left, unknowns, o * size + offset, value, order)
                 else:
                     measured[level, o - r, n] = sensor_gain(s, channels[o - r])[0] * value
-        left[local], left[local + 1] = close(measured[level], own[local + 1], control, given_log[level], phase[level])
+        left[local], left[local + 1] = close(
+            measured[level], unknowns[local + 1], control, given_log[level], phase[level]
+        )
     return residual, measured

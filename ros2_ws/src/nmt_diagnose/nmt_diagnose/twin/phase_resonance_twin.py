@@ -20,7 +20,7 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_diagnose.twin.converter import recorded_harmonics
 from nmt_diagnose.twin.parts_cache import PartsCache, Setup
 from nmt_diagnose.twin.periodic_kernel import (
-    DRIVE_GIVEN,
+    DRIVE_HELD,
     Control,
     channel_gains,
     evaluate,
@@ -35,7 +35,7 @@ from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
 # The fundamental of the measured force is given.
-FORCE_GIVEN = -2
+FORCE_HELD = -2
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class LevelProblem:
     """What a level asks for: phase and amplitude.
 
     Attributes:
-        given: ``DRIVE_GIVEN``, ``FORCE_GIVEN``, or a channel of the test whose fundamental has the given amplitude.
+        held_channel: ``DRIVE_HELD``, ``FORCE_HELD``, or a channel of the test whose fundamental has that amplitude.
         amplitude: given amplitude (of the drive: V; of the force: N; of the channel).
         phase: measured arg F₁ − arg(velocity₁), rad.
         frequency_hz: start of the solution (nominal clock), Hz.
@@ -90,7 +90,7 @@ class LevelProblem:
         harmonics: orders 2, 3, … of the drive over its fundamental.
     """
 
-    given: int
+    held_channel: int
     amplitude: float
     phase: float
     frequency_hz: float
@@ -153,16 +153,16 @@ class PeriodicLevels:
     def _problem(self, position: int) -> LevelProblem:
         level = self.test.levels[position]
         frequency = level.frequency_hz
-        amplitude, given = level.drive, DRIVE_GIVEN
+        amplitude, held_channel = level.drive, DRIVE_HELD
         if self.ideal_force:
-            amplitude, given = level.force_n, FORCE_GIVEN
+            amplitude, held_channel = level.force_n, FORCE_HELD
         elif self.test.held == "response":
-            given = 0
+            held_channel = 0
             # A backbone is followed from its lowest amplitude: its resonance may move to a multiple of the resting one.
             frequency = min(self.test.levels, key=lambda item: item.drive).frequency_hz
         middle = 0.5 * (level.start_s + level.stop_s)
         return LevelProblem(
-            given, amplitude, level.phase_error, frequency, middle, level.cycles_before, level.drive_harmonics
+            held_channel, amplitude, level.phase_error, frequency, middle, level.cycles_before, level.drive_harmonics
         )  # fmt: skip
 
     def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
@@ -245,15 +245,17 @@ class PeriodicLevels:
     def _arguments(self, parts: RigParts, level: LevelProblem, amplitude: float) -> tuple[Any, ...]:
         """Arguments of the kernel from ``control`` on."""
         drive = self._drive(parts, level, amplitude)
-        given = {DRIVE_GIVEN: DRIVE_GIVEN, FORCE_GIVEN: self._force}
-        own = given[level.given] if level.given in given else self._own[level.given]
-        control = Control(own, self._force, self._response, self.power)
+        held_channel = {DRIVE_HELD: DRIVE_HELD, FORCE_HELD: self._force}
+        measured_row = (
+            held_channel[level.held_channel] if level.held_channel in held_channel else self._own[level.held_channel]
+        )
+        control = Control(measured_row, self._force, self._response, self.power)
         return control, math.log(amplitude), level.phase, drive, parts.kernel_tables
 
     def _drive(self, parts: RigParts, level: LevelProblem, amplitude: float) -> ComplexArray:
         """Harmonics (n_orders,) of the input per unit of the drive, with those that were recorded."""
         # Saturation is followed where the drive is what is given.
-        drive = unit_drive(parts, amplitude if level.given == DRIVE_GIVEN else 0.0, self.ideal_force)
+        drive = unit_drive(parts, amplitude if level.held_channel == DRIVE_HELD else 0.0, self.ideal_force)
         if level.harmonics:
             drive += recorded_shares(level.harmonics, parts.basis) * (1.0 if self.ideal_force else parts.input_per_volt)
         return drive
@@ -295,8 +297,8 @@ class PeriodicLevels:
     def linear_start(self, parts: RigParts, level: LevelProblem, amplitude: float) -> FloatArray:
         """Unknowns of the system linearised at rest, at its phase resonance nearest to the measured frequency."""
         measured = 2.0 * np.pi * level.frequency_hz * parts.clock
-        given = level.given == DRIVE_GIVEN
-        drive = complex(unit_drive(parts, amplitude if given else 0.0, self.ideal_force)[self.basis.fundamental])
+        held_channel = level.held_channel == DRIVE_HELD
+        drive = complex(unit_drive(parts, amplitude if held_channel else 0.0, self.ideal_force)[self.basis.fundamental])
         grid = measured * np.linspace(
             1.0 - THRESHOLDS.prediction.resonance_search_share, 1.0 + THRESHOLDS.prediction.resonance_search_share, 161
         )
@@ -309,8 +311,8 @@ class PeriodicLevels:
             omega = float(crossings[np.argmin(np.abs(crossings - measured))])
         solution = self._linear(parts, level, omega, drive)
         w, channels = solution[0], solution[2]
-        if not given:
-            index = self._force if level.given == FORCE_GIVEN else self._own[level.given]
+        if not held_channel:
+            index = self._force if level.held_channel == FORCE_HELD else self._own[level.held_channel]
             size = abs(channels[index])
             amplitude = amplitude / size if size > 0.0 else amplitude
         r, size = parts.coordinates, self.basis.size
@@ -474,15 +476,15 @@ class PeriodicLevels:
             solved = [tangent.solved[number] for number in numbers]
             states = [state for state in (tangent.states[position] for position in solved) if state is not None]
             levels = self._held(parts, [self.levels[position] for position in solved], states)
-            z, own, kept = self._transferred(parts, levels, states)
+            z, shared_positions, kept = self._transferred(parts, levels, states)
             if kept is None:
                 return None
             residual, measured = self._residuals(parts, levels, z)
             known = np.zeros((len(numbers), tangent.inverse.shape[1]))
-            known[:, kept] = residual[:, own]
+            known[:, kept] = residual[:, shared_positions]
             steps = -np.einsum("lab,lb->la", tangent.inverse[numbers], known)
             channels = measured + np.einsum("lcnb,lb->lcn", tangent.slopes[numbers], steps)
-            z[:, own] += steps[:, kept]
+            z[:, shared_positions] += steps[:, kept]
             for k, (position, state) in enumerate(zip(solved, states, strict=True)):
                 result[position] = PeriodicState(z[k], parts.keys, state.drive, channels[k])
         return result
@@ -505,10 +507,10 @@ class PeriodicLevels:
         shared = shared_unknowns(old, parts.keys, size)
         if shared is None:
             return z, every, None
-        own, kept, fresh = shared
-        z[:, own] = before[:, kept]
+        shared_positions, kept, fresh = shared
+        z[:, shared_positions] = before[:, kept]
         z[:, fresh] = -self._residuals(parts, levels, z)[0][:, fresh]
-        return z, own, kept
+        return z, shared_positions, kept
 
     def _residuals(self, parts: RigParts, levels: list[LevelProblem], z: FloatArray) -> tuple[FloatArray, ComplexArray]:
         """Residuals (levels, nz) and channels (levels, c, n_orders) of several levels of one rig."""
@@ -546,8 +548,8 @@ class PhaseResonanceTwin(PeriodicLevels):
                 drives = np.array([state.drive for _, state in solved])
                 gains = parts.channels[self._voltages, 0]
                 channels[:, self._voltages, self.basis.fundamental] = np.outer(drives, gains)
-            own = channels[:, self._own]
-            recorded[positions] = recorded_harmonics(own, parts.limits[self._own], self.basis)
+            before_converter = channels[:, self._own]
+            recorded[positions] = recorded_harmonics(before_converter, parts.limits[self._own], self.basis)
         if self.ideal_force:
             # Without a known drive the phases refer to the measured force.
             turn = np.angle(recorded[:, self.force, self.basis.fundamental])
@@ -569,8 +571,8 @@ class PhaseResonanceTwin(PeriodicLevels):
                     elif kind == Part.PHASE:
                         values = np.angle(amplitude)
                     else:
-                        own = amplitude.real if kind == Part.REAL else amplitude.imag
-                        values = own / np.abs(recorded[level, channel, 1])
+                        quadrature = amplitude.real if kind == Part.REAL else amplitude.imag
+                        values = quadrature / np.abs(recorded[level, channel, 1])
                 result[where] = values
         result[np.isinf(result)] = np.nan
         return result

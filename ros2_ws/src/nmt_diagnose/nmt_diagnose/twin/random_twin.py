@@ -41,7 +41,7 @@ class Folding:
         frequencies: (images · nodes,) where responses are wanted, Hz.
         below: (images, nodes) whether an image lies below zero.
         weights: (images, nodes) share of its power.
-        own: (lines, 1) share of the drive at the lines themselves.
+        at_lines: (lines, 1) share of the drive at the lines themselves.
         between: (lines, nodes) from the nodes to the lines.
     """
 
@@ -49,7 +49,7 @@ class Folding:
     frequencies: FloatArray
     below: NDArray[np.bool_]
     weights: FloatArray
-    own: FloatArray
+    at_lines: FloatArray
     between: FloatArray
 
 
@@ -132,7 +132,7 @@ class RandomTwin:
         result = self._smoothed(rig, cache, parts, local, fractions)
         if self._folding is None:
             return result
-        return np.asarray(self._folding.own * result + self._images(parts, local, self._folding, fractions))
+        return np.asarray(self._folding.at_lines * result + self._images(parts, local, self._folding, fractions))
 
     def _local(self, parts: RigParts, fractions: Fractions) -> tuple[FloatArray, FloatArray]:
         """Stiffness and damping of the local forces under the motion that the drive makes, (r,) each; see
@@ -229,13 +229,13 @@ class RandomTwin:
         result = np.full(len(self.rows), np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             for part, (which, line, channel) in self._parts.items():
-                own = responses[line, channel]
+                line_response = responses[line, channel]
                 if part == Part.LOG_MAGNITUDE:
-                    result[which] = np.log(np.abs(own))
+                    result[which] = np.log(np.abs(line_response))
                 elif part == Part.PHASE:
-                    result[which] = np.angle(own)
+                    result[which] = np.angle(line_response)
                 else:
-                    result[which] = own.real if part == Part.REAL else own.imag
+                    result[which] = line_response.real if part == Part.REAL else line_response.imag
         result[np.isinf(result)] = np.nan
         return result
 
@@ -315,9 +315,9 @@ def linear_responses(
         fraction_tables: `Fractions` of coordinates and channels as a plain tuple, which comes from Python sooner.
         channels: sensor chains (c, 4).
     """
-    sums, products, constants, slopes, rest = Fractions(*fraction_tables)
+    sums, products, constants, slopes, constant_part = Fractions(*fraction_tables)
     c = channels.shape[0]
-    entries = rest.size
+    entries = constant_part.size
     columns = r + 1
     result = np.empty((omega.size, c), dtype=np.complex128)
     re = np.empty(entries)
@@ -326,7 +326,7 @@ def linear_responses(
     for line in range(omega.size):
         w = omega[line]
         s = 1j * w
-        re[:] = rest
+        re[:] = constant_part
         im[:] = 0.0
         for k in range(sums.size):
             a = products[k] - w * w

@@ -107,9 +107,11 @@ def _coordinate_forces(steps: Steps, factor: FloatArray, elements: ElementTables
         stiffness = 0.0
         damping = 0.0
         for e in range(jenkins_start[i], jenkins_start[i + 1]):
-            own, k, slider = _moved(jenkins[e, SLIDER_STIFFNESS], jenkins[e, SLIDER_SLIP], w[i], steps.sliders[e])
+            element_force, k, slider = _moved(
+                jenkins[e, SLIDER_STIFFNESS], jenkins[e, SLIDER_SLIP], w[i], steps.sliders[e]
+            )
             steps.moved[e] = slider
-            force += own
+            force += element_force
             stiffness += k
         for e in range(contacts_start[i], contacts_start[i + 1]):
             side, k = contacts[e, CONTACT_SIDE], contacts[e, CONTACT_STIFFNESS]
@@ -118,8 +120,8 @@ def _coordinate_forces(steps: Steps, factor: FloatArray, elements: ElementTables
                 force += side * k * overlap
                 stiffness += k
         for e in range(sampled_start[i], sampled_start[i + 1]):
-            own, k, c = response(kinds[e], parameters, e, w[i], v[i])
-            force += own
+            element_force, k, c = response(kinds[e], parameters, e, w[i], v[i])
+            force += element_force
             stiffness += k
             damping += c
         g[i] = force
@@ -266,15 +268,15 @@ def _step_one(drive: FloatArray, substeps: int, model: SteppedModel, elements: E
             by_velocity = 0.0
             for e in range(jenkins.shape[0]):
                 stiffness, slip = jenkins[e, SLIDER_STIFFNESS], jenkins[e, SLIDER_SLIP]
-                own = stiffness * (w - sliders[e])
-                if own > slip:
+                element_force = stiffness * (w - sliders[e])
+                if element_force > slip:
                     g += slip
                     moved[e] = w - slip / stiffness
-                elif own < -slip:
+                elif element_force < -slip:
                     g -= slip
                     moved[e] = w + slip / stiffness
                 else:
-                    g += own
+                    g += element_force
                     by_displacement += stiffness
                     moved[e] = sliders[e]
             for e in range(contacts.shape[0]):
@@ -284,8 +286,8 @@ def _step_one(drive: FloatArray, substeps: int, model: SteppedModel, elements: E
                     g += side * stiffness * overlap
                     by_displacement += stiffness
             for e in range(kinds.size):
-                own, stiffness, damping = response(kinds[e], parameters, e, w, v)
-                g += own
+                element_force, stiffness, damping = response(kinds[e], parameters, e, w, v)
+                g += element_force
                 by_displacement += stiffness
                 by_velocity += damping
             if abs(g - trial) <= TOLERANCE * max(largest, abs(g)):

@@ -130,14 +130,14 @@ class RigParts:
         jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = self.tables.elements
         for i in range(jenkins_start.size - 1):
             stiffness[i] += jenkins[jenkins_start[i] : jenkins_start[i + 1], SLIDER_STIFFNESS].sum()
-            for own, gap, _side in contacts[contacts_start[i] : contacts_start[i + 1]]:
+            for contact_stiffness, gap, _side in contacts[contacts_start[i] : contacts_start[i + 1]]:
                 # A gap is counted towards its stop, whatever the side: only a preloaded stop is closed at rest.
-                stiffness[i] += own if gap < 0.0 else 0.0
+                stiffness[i] += contact_stiffness if gap < 0.0 else 0.0
             for number in range(sampled_start[i], sampled_start[i + 1]):
-                own = next(element for element in ELEMENTS if element.kind == kinds[number])
-                at_equilibrium = own.response(*parameters[number, : len(own.parameter_names())], 0.0, 0.0)
-                stiffness[i] += at_equilibrium[1]
-                damping[i] += at_equilibrium[2]
+                element_class = next(element for element in ELEMENTS if element.kind == kinds[number])
+                at_rest = element_class.response(*parameters[number, : len(element_class.parameter_names())], 0.0, 0.0)
+                stiffness[i] += at_rest[1]
+                damping[i] += at_rest[2]
         return stiffness, damping
 
 
@@ -161,9 +161,9 @@ def shared_unknowns(
         return None
     pairs = [(list(keys).index(key), j) for j, key in enumerate(before) if key in keys]
     block, ends = np.arange(size), np.arange(2)
-    own = np.concatenate([*(i * size + block for i, _ in pairs), len(keys) * size + ends])
+    shared_positions = np.concatenate([*(i * size + block for i, _ in pairs), len(keys) * size + ends])
     kept = np.concatenate([*(j * size + block for _, j in pairs), len(before) * size + ends])
-    return own, kept, np.setdiff1d(np.arange(len(keys) * size + 2), own)
+    return shared_positions, kept, np.setdiff1d(np.arange(len(keys) * size + 2), shared_positions)
 
 
 def resting_tangent(parts: RigParts, s: complex) -> ComplexArray:

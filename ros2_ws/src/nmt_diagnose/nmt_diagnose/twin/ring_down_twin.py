@@ -105,8 +105,8 @@ class RingDownTwin:
         z[:, -2] *= 1.0 + _OFF_POLE
         amplitudes = np.array([state[2] for _, state in solved])
         moved = stepped_decays(z, amplitudes, self._own, parts.kernel_tables)
-        for (position, state), own in zip(solved, moved, strict=True):
-            result[position] = (own, parts.keys, state[2])
+        for (position, state), change in zip(solved, moved, strict=True):
+            result[position] = (change, parts.keys, state[2])
         return result
 
     def _arguments(self, parts: RigParts, z: FloatArray, amplitude: float) -> tuple[Any, ...]:

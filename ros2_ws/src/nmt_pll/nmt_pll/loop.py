@@ -345,6 +345,7 @@ class PhaseLockedLoop(LevelLoop):
                     self.schedule.amplitude_bandwidth,
                     self.schedule.plant_decay(self.decay),
                     self.block_duration,
+                    error,
                 )
             self._ramp = self.block_duration
             deviation = math.log(max(measured, 1e-300) / level.amplitude)

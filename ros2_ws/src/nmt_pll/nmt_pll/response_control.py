@@ -21,8 +21,10 @@ _LARGEST_SHARE = math.log(3.0)
 """Largest proportional part of ln u: the drive is at most three times what the integral part says."""
 _LARGEST_GAIN = 20.0
 """Largest ω_c / δ, so that noise of the amplitude stays small in the drive."""
-_LARGEST_STEP = 0.2
-"""Largest change of the integral part in an update."""
+_INTEGRAL_ERROR = 0.2
+"""Largest error that the integral part takes in, so that it does not run ahead while an amplitude rings up."""
+_GLIDE_ERROR = 0.1
+"""ln of target over amplitude, and rad of the phase, beyond which the target waits."""
 
 
 class ResponseController:
@@ -49,7 +51,14 @@ class ResponseController:
         self._from, self._since, self._glide = self.target, 0.0, glide
 
     def update(
-        self, level: float, measured: float, bandwidth: float, decay: float, duration: float, limit: float = math.inf
+        self,
+        level: float,
+        measured: float,
+        bandwidth: float,
+        decay: float,
+        duration: float,
+        phase_error: float = 0.0,
+        limit: float = math.inf,
     ) -> float:
         """New drive voltage after ``duration`` seconds.
 
@@ -59,6 +68,8 @@ class ResponseController:
             bandwidth: ω_c, rad/s.
             decay: δ of structure and exciter, rad/s.
             duration: s.
+            phase_error: deviation from the held phase, rad; while it is large the target waits, because with the
+                amplitude of a strongly nonlinear mode its frequency moves, too.
             limit: largest voltage, V.
 
         Returns:
@@ -67,14 +78,16 @@ class ResponseController:
         if measured <= 0.0 or level <= 0.0:
             return min(math.exp(self._log_voltage), limit)
         if self._from <= 0.0:
-            self._from = min(measured, level)
-        self._since += duration
+            self._from = min(max(measured, 0.5 * level), level)
+            self.target = self._from
+        if max(abs(math.log(self.target / measured)), abs(phase_error)) < _GLIDE_ERROR:
+            self._since += duration
         share = min(self._since / self._glide, 1.0) if self._glide > 0.0 else 1.0
         self.target = self._from * (level / self._from) ** (0.5 - 0.5 * math.cos(math.pi * share))
         error = math.log(self.target / measured)
         gain = min(bandwidth / decay, _LARGEST_GAIN)
-        step = gain * max(decay, 0.25 * bandwidth) * duration * error
+        step = gain * max(decay, 0.25 * bandwidth) * duration * min(max(error, -_INTEGRAL_ERROR), _INTEGRAL_ERROR)
         highest = math.log(limit) if limit < math.inf else math.inf
-        self._log_voltage = min(self._log_voltage + min(max(step, -_LARGEST_STEP), _LARGEST_STEP), highest)
+        self._log_voltage = min(self._log_voltage + step, highest)
         part = min(max(gain * error, -_LARGEST_SHARE), _LARGEST_SHARE)
         return min(math.exp(self._log_voltage + part), limit)

@@ -74,7 +74,8 @@ class LevelCommand:
     RING_DOWN that of the free decay; ``frequency_hz`` is the start of a SWEEP that goes to ``frequency_end_hz``.
     ``control`` is a :class:`~nmt_core.vocabulary.ControlKind`, or a number that the loop refuses; harmonics 2 to
     ``harmonics_control`` of the force are controlled (0 = none, 1 = as many as can be), ``harmonics_target`` is a
-    :class:`~nmt_core.vocabulary.HarmonicsTarget`.
+    :class:`~nmt_core.vocabulary.HarmonicsTarget`. ``response_order`` and ``force_order`` say which secondary resonance,
+    see :mod:`nmt_core.secondary_resonance`, and ``release`` is the response amplitude of its release (0 = none).
     """
 
     sequence: int
@@ -94,6 +95,9 @@ class LevelCommand:
     duration: float = 0.0
     harmonics_control: int = 0
     harmonics_target: int = 0
+    response_order: int = 0
+    force_order: int = 0
+    release: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,9 @@ import numpy as np
 from independent.harmonic_continuation import CubicModes, PhaseBranch, Solution
 from pll.stepped_loop import SteppedLoop
 
-from nmt_core.blocks import Quantity
-from nmt_core.records import LevelCommand
-from nmt_core.secondary_resonance import resonance_named
+from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.records import LevelCommand
+from nmt_core.messages.secondary_resonance import resonance_named
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
 from nmt_pll.level_loop import LockWindow, LoopOutput
 from nmt_pll.loop_settings import LoopSettings
@@ -34,16 +34,16 @@ def dimensionless(name: str) -> CubicModes:
 
 @cache
 def branch(name: str) -> tuple[PhaseBranch, tuple[Solution, ...]]:
-    """Solutions with the lag held: 3:1 from F = 0.05 to 1.2, 1:3 from the tip at F = 1 down to where it ends."""
+    """Solutions with the lag held: 3:1 from F = 0.2 to 1.05, 1:3 from the tip at F = 1 by the least force and back."""
     system = dimensionless(name)
     series = np.zeros((system.orders.size, 1), complex)
     if name == "3:1":
-        series[0, 0], series[1, 0] = 0.056, 2.2e-3j
+        series[0, 0], series[1, 0] = 0.21, 0.115j
         found = PhaseBranch(system, 270.0, 1.0)
-        return found, tuple(found.follow(Solution(series, 0.335, 0.05), 0.1, lambda item: item.force > 1.2))
+        return found, tuple(found.follow(Solution(series, 0.345, 0.2), 0.3, lambda item: item.force > 1.05))
     series[0, 0], series[1, 0] = 2.33 * np.exp(-1j * math.pi / 6.0), -0.088
     found = PhaseBranch(system, 90.0, 1.0)
-    return found, tuple(found.follow(Solution(series, 2.287, 1.0), -0.03, lambda item: item.force > 1.05))
+    return found, tuple(found.follow(Solution(series, 2.287, 1.0), -0.1, lambda item: item.force > 1.05))
 
 
 def at_force(name: str, force: float) -> list[Solution]:
@@ -86,7 +86,7 @@ class SecondaryRig(SteppedLoop):
     def run_level(
         self, force: float, seconds: float = 60.0, start: float = 0.0, release: float = 0.0, index: int | None = None
     ) -> Outcome:
-        """Until the window is over or the lock is lost; ``start``: excitation frequency over that of the linear mode."""
+        """Until the window is over or the lock is lost; ``start``: excitation frequency over the linear mode's."""
         self.sequence += 1
         self.loop.set_level(
             LevelCommand(

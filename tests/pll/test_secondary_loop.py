@@ -10,7 +10,7 @@ from pll.secondary_rig import FORCE, LENGTH, SecondaryRig, at_force
 from tiers import with_quick
 
 from nmt_core.errors import BenchError
-from nmt_core.secondary_resonance import resonance_named, resonance_of
+from nmt_core.messages.secondary_resonance import resonance_named, resonance_of
 from nmt_core.vocabulary import LoopState
 from nmt_pll import secondary_loop
 

@@ -295,6 +295,11 @@ class TestKind(IntEnum):
         )
 
     @property
+    def controls_harmonics(self) -> bool:
+        """Whether the harmonics of the force can be controlled."""
+        return self in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE, TestKind.RING_DOWN)
+
+    @property
     def gives_modal_points(self) -> bool:
         """Whether its windows are extracted while the test runs."""
         return self in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE, TestKind.SECONDARY_RESONANCE)

@@ -1,9 +1,9 @@
 """Secondary resonances: a phase loop on the resonant order of the response, and the release onto an isola.
 
-See :mod:`nmt_core.secondary_resonance` for orders and lags. With the lag θ held, the resonant order behaves as a mode
-in phase resonance does: its lag moves with the frequency as that of a first-order system, with the decay δ (3:1) or 3 δ
-(1:3), so that the closed-form gains of the phase-locked loop serve, in terms of the resonant frequency kΩ/ν and of the
-phase of the resonant order, θ/ν.
+Orders and lags are those of :mod:`nmt_core.messages.secondary_resonance`. With the lag θ held, the resonant order
+behaves as a mode in phase resonance does: its lag moves with the frequency as that of a first-order system, with the
+decay δ (3:1) or 3 δ (1:3). So the closed-form gains of the phase-locked loop serve, in terms of the resonant frequency
+kΩ/ν and of the phase of the resonant order, θ/ν.
 
 The subharmonic resonance is an isola: at rest its order does not grow. There the loop holds phase resonance of the mode
 itself at a stated response amplitude, then turns the drive to ν times the frequency at a moment at which the lag comes
@@ -21,12 +21,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmt_core.arrays import FloatArray
-from nmt_core.blocks import SampleBlock
 from nmt_core.errors import BenchError
-from nmt_core.linear_description import LinearDescription
-from nmt_core.records import LevelCommand
-from nmt_core.secondary_resonance import RESONANCES, SecondaryResonance, resonance_of
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import LevelCommand
+from nmt_core.messages.secondary_resonance import RESONANCES, SecondaryResonance, resonance_of
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, ControlKind, LoopState, TestKind
 from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.gains import LoopPlant
@@ -44,6 +44,7 @@ _CUTOFF = 0.3  # ω_LP over the base frequency: amplitude and frequency of a str
 _LEFT = 0.15  # of the release's amplitude, below which the response has left the isola
 _RELEASE_PHASE = math.radians(15.0)  # of the lag at the release
 _RELEASE_WAIT = 3.0  # s after which any lag is taken
+_FLOOR = 0.02  # of the release's amplitude, below which its response is no signal
 _SWITCH_PERIODS = 2.0  # half-cosine from the voltage of the release to that of the level, base periods
 
 
@@ -167,7 +168,7 @@ class SecondaryResonanceLoop(LevelLoop):
     def _measure(
         self, force: SampleBlock, response: SampleBlock, data: FloatArray
     ) -> tuple[float, float, float, float]:
-        """Error of the resonant order's phase (rad, NaN if not valid), force (N), amplitude of that order, its share."""
+        """Error of the resonant order's phase (rad, NaN if not valid), force (N), its amplitude and its share."""
         phase = force.oscillator
         if math.isnan(phase.cycles) or not phase.frequency_hz > 0.0:
             return math.nan, 0.0, 0.0, 0.0
@@ -244,8 +245,9 @@ class SecondaryResonanceLoop(LevelLoop):
         """Phase resonance of the mode at the amplitude of the next release."""
         self._stage = _Stage.RELEASE
         self._driven_at_resonance = True
-        self._primary = PhaseLockedLoop(self.linear, self.settings, self.sample_rate, self._block_samples)
         amplitude = level.release * RELEASES[self._releases]
+        floors = replace(self.settings, force_floor=0.0, response_floor=_FLOOR * amplitude)
+        self._primary = PhaseLockedLoop(self.linear, floors, self.sample_rate, self._block_samples)
         self._releases += 1
         self._switch_until = math.inf
         self._primary.set_level(

@@ -12,7 +12,8 @@ does not depend on where the phase is counted from. With a spring that hardens a
 * 1:3, subharmonic. Above its resonance the mode is in antiphase to the force, x₃ < 0. The power balance of the order 1,
   sin 3φ = 4 c ω / (3 α |x₁| |x₃|) with its lag φ, has its extreme amplitudes where 3φ = θ = 90°; φ = 30° modulo 120°.
 
-Volvert and Kerschen, Mechanical Systems and Signal Processing 167 (2022) 108510. A spring that softens turns both by 180°.
+A spring that softens turns both by 180°. Volvert and Kerschen, Mechanical Systems and Signal Processing 167 (2022)
+108510.
 """
 
 from __future__ import annotations

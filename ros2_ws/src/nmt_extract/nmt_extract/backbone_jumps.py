@@ -54,6 +54,18 @@ class BackboneJump:
         return f"{told}; no lock at {lost}." if lost else f"{told}."
 
 
+def backbone_sentences(points: Sequence[ModalPoint]) -> list[str]:
+    """What is to be said of a backbone: its jumps, and how far both directions agree.
+
+    Examples:
+        >>> backbone_sentences([])
+        []
+    """
+    difference = direction_difference(points)
+    told = [] if difference is None else [difference.sentence]
+    return [*(jump.sentence for jump in find_jumps(points)), *told]
+
+
 def find_jumps(points: Sequence[ModalPoint]) -> list[BackboneJump]:
     """Jumps among points in the order of the test.
 

@@ -429,6 +429,7 @@ def pace_line(result: RunResult) -> str:
 def _summarise(result: RunResult, reference: ReferenceCurve | None, console: Any, folder: Path, unwritten: str) -> None:
     from nmt_bench.commands.terminal import print_modal_table
     from nmt_core.vocabulary import ResultCode
+    from nmt_extract.backbone_jumps import backbone_sentences
 
     if result.points:
         print_modal_table(result.points, reference, console)
@@ -440,8 +441,8 @@ def _summarise(result: RunResult, reference: ReferenceCurve | None, console: Any
             f"Bench time {result.bench_time:.1f} s ({result.bench_time / levels:.1f} s a level) in "
             f"{result.wall_time:.1f} s: {result.real_time_factor:.1f} × real time; bag {result.bag_state}."
         )
-    for line in result.remarks:
-        console.print(line)
+    for line in (*result.remarks, *backbone_sentences(result.points)):
+        console.print(line, soft_wrap=True)
     if unwritten and folder.is_dir():
         console.print(unwritten, style="red", soft_wrap=True)
     if (folder / "report.html").exists():

@@ -160,7 +160,7 @@ class WindowPolicy:
 
 def _policy(kind: TestKind) -> WindowPolicy:
     effects = {**dict.fromkeys(WindowFault, Consequence.WINDOW), **_CHANNEL_FAULTS, **_EXCEPTIONS.get(kind, {})}
-    return WindowPolicy(kind, effects, kind in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE))
+    return WindowPolicy(kind, effects, kind.gives_modal_points)
 
 
 POLICIES: Mapping[TestKind, WindowPolicy] = {kind: _policy(kind) for kind in TestKind}

@@ -59,6 +59,17 @@ def test_a_release_reaches_the_tip_of_the_isola(force, release, latency, overrid
     assert "release" in outcome.reasons[-1]
 
 
+@pytest.mark.campaign
+def test_nine_of_twelve_starts_reach_the_isola():
+    reached = 0
+    for start in range(12):
+        changes = [*NOISE, f"seed={start + 1}"]
+        rig = SecondaryRig("1:3", changes, block_samples=180 + 7 * start)
+        outcome = rig.run_level(1.0, seconds=100.0, release=(0.4, 0.5, 0.6)[start % 3] * TIP[1.0])
+        reached += outcome.lock is not None and outcome.outputs[-1].response_amplitude > 0.99 * TIP[1.0] * LENGTH
+    assert reached >= 9
+
+
 def test_on_the_isola_the_force_can_be_stepped_on():
     rig = SecondaryRig("1:3")
     rig.run_level(0.6, release=0.5 * TIP[0.6])

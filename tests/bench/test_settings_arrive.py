@@ -55,7 +55,11 @@ NEEDED: dict[ModuleType, list[str]] = {
     sweep_command: ["beam", "--force", "1", "--from", "15", "--to", "25"],
     linear_command: ["beam"],
 }
-ALSO = {(sweep_command, "periods"): ["--stepped", "5"]}
+ALSO = {
+    (sweep_command, "periods"): ["--stepped", "5"],
+    (run_command, "release"): ["--resonance", "1:3"],
+    (run_command, "start_frequency"): ["--resonance", "3:1"],
+}
 
 
 class AskedError(Exception):
@@ -158,6 +162,9 @@ PLANS: dict[str, tuple[dict[str, Any], Any, frozenset[str]]] = {
         frozenset(("asked", "plant")),
     ),
     "levels_without": ({"harmonics_control": 5}, (0,), frozenset(("asked",))),
+    "resonance": ({"test": "secondary_resonance"}, "1:3", frozenset(("asked",))),
+    "release": ({"test": "secondary_resonance", "resonance": "1:3"}, 1e-3, frozenset(("asked",))),
+    "refinement": ({}, 1e-3, frozenset(("asked",))),
     "tick_blocks": ({}, 3, frozenset(("sequencer", "plant", "pll"))),
     "block_reason": ({}, "because", frozenset(("run.json",))),
 }
@@ -174,6 +181,8 @@ def test_a_field_of_the_plan_arrives_at_its_nodes(name: str) -> None:
     usual = {"rig": BEAM, "rig_yaml": "name: beam\n", "levels": (0.1, 0.4), "run_id": "usual", **beside}
     if name == "test":
         usual["duration"] = 0.0
+    if name == "resonance":
+        usual["resonance"] = "3:1"
     changed = {**usual, **beside, name: value}
     one, other = (plan_nodes(TestPlan(**plan), Path("bag"), Path("rig.yaml")) for plan in (usual, changed))
     blank = {"run_json": "", "rig_yaml": ""}
@@ -194,6 +203,7 @@ def test_a_field_of_the_plan_arrives_at_its_nodes(name: str) -> None:
 RUN: dict[str, Any] = {
     "run_id": "mine", "levels": (0.3, 0.5), "control": 3, "ramp": 0.7, "window_periods": 33, "timeout": 12.0,
     "stop_on_lost_lock": True, "frequencies_hz": (21.0, 22.0), "levels_without": frozenset({1}),
+    "refinement": 1e-3,
 }  # fmt: skip
 EXCITATIONS: dict[str, Excitation] = {
     "test": Excitation(TestKind.RING_DOWN, duration=1.0),
@@ -204,6 +214,9 @@ EXCITATIONS: dict[str, Excitation] = {
     "duration": Excitation(TestKind.RING_DOWN, duration=2.0),
     "harmonics_control": Excitation(harmonics_control=7),
     "harmonics_target": Excitation(harmonics_control=7, harmonics_target=1),
+    "response_order": Excitation(TestKind.SECONDARY_RESONANCE, response_order=3, force_order=1),
+    "force_order": Excitation(TestKind.SECONDARY_RESONANCE, response_order=1, force_order=3),
+    "release": Excitation(TestKind.SECONDARY_RESONANCE, response_order=1, force_order=3, release=1e-3),
 }
 ASKED = [RunSettings(levels=(0.1, 0.2), excitation=item) for item in EXCITATIONS.values()] + [
     replace(RunSettings(levels=(0.1, 0.2), excitation=Excitation(harmonics_control=5)), **{name: value})

@@ -243,6 +243,7 @@ class TestKind(IntEnum):
         STEPPED_SINE: fixed frequency with an amplitude held; one window of whole periods.
         RING_DOWN: phase-locked excitation that is switched off at the lock; the window is the free decay.
         RECORD: any excitation, in imported data only; the bench does no such test.
+        SECONDARY_RESONANCE: the phase lag of a resonant order other than that of the force is held; whole periods.
     """
 
     UNKNOWN = 0
@@ -252,6 +253,7 @@ class TestKind(IntEnum):
     STEPPED_SINE = 4
     RING_DOWN = 5
     RECORD = 6
+    SECONDARY_RESONANCE = 8
 
     @classmethod
     def of(cls, value: int) -> TestKind:
@@ -285,6 +287,16 @@ class TestKind(IntEnum):
     @property
     def closes_phase_loop(self) -> bool:
         """Whether the frequency is controlled by the phase, which needs a linear description."""
+        return self in (
+            TestKind.UNKNOWN,
+            TestKind.PHASE_RESONANCE,
+            TestKind.RING_DOWN,
+            TestKind.SECONDARY_RESONANCE,
+        )
+
+    @property
+    def controls_harmonics(self) -> bool:
+        """Whether the harmonics of the force can be controlled."""
         return self in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE, TestKind.RING_DOWN)
 
     @property
@@ -295,7 +307,7 @@ class TestKind(IntEnum):
     @property
     def gives_modal_points(self) -> bool:
         """Whether its windows are extracted while the test runs."""
-        return self in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE)
+        return self in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE, TestKind.SECONDARY_RESONANCE)
 
 
 TestKind.__test__ = False  # type: ignore[attr-defined]  # not a collection of tests

@@ -13,6 +13,7 @@ from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
+from nmt_extract.secondary_point import secondary_point
 from nmt_extract.window import SpoiledWindow, WindowAssembler
 
 
@@ -104,6 +105,8 @@ class Extractor:
         for window in self._assembler.take():
             if isinstance(window, SpoiledWindow):
                 points.append(rejected_point(window.lock, window.sample_rate, window.reason))
+            elif window.lock.force_order:
+                points.append(secondary_point(window, self.linear, self.settings))
             else:
                 points.append(modal_point(window, self.linear, self.settings, self._history))
         for point in points:

@@ -240,12 +240,12 @@ def modal_point(
     """
     settings = settings or ExtractionSettings()
     try:
-        return _WindowEvaluation(window, linear, settings, history or ChannelHistory()).point()
+        return WindowEvaluation(window, linear, settings, history or ChannelHistory()).point()
     except BenchError as error:
         return rejected_point(window.lock, window.sample_rate, str(error))
 
 
-class _WindowEvaluation:
+class WindowEvaluation:
     """One window on its way to a modal point; set 0 is the whole window, set k lacks sub-window k."""
 
     def __init__(
@@ -623,6 +623,8 @@ class _WindowEvaluation:
             normalised_shape=values.normalised_shape[0] * turn,
             participation=values.participation[0] * turn,
             harmonics_control=self.history.driven.get(lock.level_index, 0),
+            response_order=0,
+            force_order=0,
             **fields,
         )
 

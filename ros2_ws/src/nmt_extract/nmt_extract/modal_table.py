@@ -178,8 +178,9 @@ def write_loops(points: Iterable[ModalPoint], layout: HysteresisLayout, path: Pa
 def _point_to_mapping(point: ModalPoint) -> dict[str, Any]:
     values: dict[str, Any] = {item.name: getattr(point, item.name) for item in fields(point)}
     values["status"] = point.status.name
-    if not point.harmonics_control:
-        del values["harmonics_control"]
+    for name in ("harmonics_control", "response_order", "force_order"):
+        if not values[name]:
+            del values[name]
     for name in COMPLEX:
         values[name] = {"real": values[name].real, "imag": values[name].imag}
     return plain_json(values)  # type: ignore[no-any-return]

@@ -137,6 +137,17 @@ def synthesise(
     )
 
 
+def backbone_of_run(backbone: Path, linear: Path | None = None) -> tuple[SynthesisedBackbone, LinearDescription]:
+    """The backbone of a results folder (or ``modal.json``) as it was measured, and the linear description it used.
+
+    Raises:
+        BenchError: files that are missing or do not go together, or fewer than two levels that locked.
+    """
+    points, inputs = read_json(_file(backbone, "modal.json"))
+    description, _ = _others(linear, inputs, _points(points))
+    return SynthesisedBackbone.from_points([point for point in points if not point.force_order]), description
+
+
 def _frequencies(
     low: float | None, high: float | None, tables: Sequence[FrequencyResponseTable]
 ) -> tuple[float, float]:

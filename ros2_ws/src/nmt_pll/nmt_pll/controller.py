@@ -60,6 +60,10 @@ class GainSchedule:
         limit = self.amplitude_bandwidth
         return min(limit, decay * max(0.5, limit / total))
 
+    def plant_decay(self, structure_decay: float) -> float:
+        """Decay of structure and exciter at a present decay of the structure, rad/s."""
+        return self._present(structure_decay)[1]
+
     def _present(self, structure_decay: float) -> tuple[float, float]:
         """Decay of the structure, never below the linear one, and of the plant, rad/s."""
         decay = max(structure_decay, self.plant.structure_decay)

@@ -28,6 +28,7 @@ from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.lock import Dwell, LockCriteria
 from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.phase_detector import AdaptiveFourierFilter, phase_error
+from nmt_pll.response_control import ResponseController
 
 DEAD_BLOCKS = 1.5
 """Mean delay between measurement and its effect in blocks, besides the latency."""
@@ -74,6 +75,7 @@ class PhaseLockedLoop(LevelLoop):
         )
         self.start_frequency = self.controller.output
         self.amplitude_controller = AmplitudeController(self.schedule.amplitude_bandwidth)
+        self.response_controller = ResponseController()
         self.criteria = LockCriteria(
             settings.phase_tolerance,
             settings.frequency_tolerance,
@@ -297,6 +299,9 @@ class PhaseLockedLoop(LevelLoop):
             self._running_from = self._judged_from = end + round(delay * self.sample_rate)
         self._amplitude_before = self._amplitude
         self._amplitude = self._start_voltage(level, was_quiet)
+        if was_quiet:
+            self.response_controller.start(self._amplitude)
+        self.response_controller.aim(max(level.ramp, 2.0 / self.schedule.amplitude_bandwidth))
         self._prepare_harmonics(level, end, was_quiet)
         self.dwell.clear()
         self._deviation = 0.0
@@ -330,11 +335,18 @@ class PhaseLockedLoop(LevelLoop):
             measured = force if level.control == ControlKind.FORCE else response
             if level.control == ControlKind.FORCE:
                 self.amplitude_controller.bandwidth = self.schedule.force_bandwidth(self.decay)
+                self._amplitude = self.amplitude_controller.update(
+                    self._amplitude, level.amplitude, measured, self.block_duration
+                )
             else:
-                self.amplitude_controller.bandwidth = self.schedule.amplitude_bandwidth
-            self._amplitude = self.amplitude_controller.update(
-                self._amplitude, level.amplitude, measured, self.block_duration
-            )
+                self._amplitude = self.response_controller.update(
+                    level.amplitude,
+                    measured,
+                    self.schedule.amplitude_bandwidth,
+                    self.schedule.plant_decay(self.decay),
+                    self.block_duration,
+                    error,
+                )
             self._ramp = self.block_duration
             deviation = math.log(max(measured, 1e-300) / level.amplitude)
             self._deviation += 2.0 / self.dwell.length * (deviation - self._deviation)

@@ -18,6 +18,7 @@ from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.pll_settings import PllSettings
 from nmt_pll.random_drive import RandomDrive
+from nmt_pll.secondary_loop import SecondaryResonanceLoop
 from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
 
 
@@ -81,6 +82,8 @@ def lock_event(lock: LockWindow, response: Quantity, sample_rate: float) -> Lock
         window_periods=lock.periods,
         test=lock.level.test,
         time_ns=bench_time_ns(lock.sample, sample_rate),
+        response_order=lock.level.response_order,
+        force_order=lock.level.force_order,
     )
 
 
@@ -152,6 +155,7 @@ class LoopCore:
             else:
                 known = table_from_json(self.settings.force_per_volt_json)
                 loops.append(PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples, known))
+                loops.append(SecondaryResonanceLoop(linear, settings, self.sample_rate, self.block_samples))
         loops.append(
             RandomDrive(
                 drive_point,
@@ -169,7 +173,7 @@ class LoopCore:
     def _warm_up(self) -> None:
         """Compile the detector's kernel before the first block, not with it."""
         for loop in self.loops.values():
-            if not isinstance(loop, PhaseLockedLoop | SweepLoop | SteppedSineLoop):
+            if not isinstance(loop, PhaseLockedLoop | SecondaryResonanceLoop | SweepLoop | SteppedSineLoop):
                 continue
             loop.filter.process(loop.warm_up_data(), 0.0, 1.0)
             loop.filter.reset()

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from nmt_core.text.number_words import level_list
 from nmt_core.vocabulary import ControlKind
+from nmt_extract.backbone_jumps import backbone_sentences
 from nmt_extract.harmonics_indicators import any_control, indicators
 from nmt_extract.modal_point import Status
 from nmt_extract.uncertainty_budget import UncertaintySource, channel_tolerances_used, left_out
@@ -115,6 +116,7 @@ def _faults(data: RunReportData) -> list[str]:
         for point in data.points
         if point.reason or point.status != Status.OK
     ]
+    faults[:0] = backbone_sentences(data.points)
     if data.not_live:
         faults.insert(
             0,
@@ -163,6 +165,16 @@ def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
     return cards
 
 
+def _resonance(plan: Mapping[str, Any]) -> str | None:
+    """Which secondary resonance was held; None for phase resonance."""
+    k, nu = plan.get("response_order"), plan.get("force_order")
+    if not k or not nu:
+        return None
+    words = f"{k}:{nu}, {'superharmonic' if k > nu else 'subharmonic'}: values of order {k} of the response"
+    release = plan.get("release")
+    return f"{words}, released at {significant(release)} in the unit of the response" if release else words
+
+
 def _facts(data: RunReportData) -> list[tuple[str, str]]:
     run, plan, linear = data.run, data.run.get("plan", {}), data.linear
     facts: list[tuple[str, Any]] = [
@@ -178,6 +190,7 @@ def _facts(data: RunReportData) -> list[tuple[str, str]]:
             if linear is not None
             else None,
         ),
+        ("Resonance", _resonance(plan)),
         ("Level control", _CONTROLS.get(plan.get("control"), plan.get("control"))),
         ("Window", f"{plan['window_periods']} periods" if plan.get("window_periods") else None),
         ("Sampling", f"{significant(data.sample_rate, 6)} Hz"),

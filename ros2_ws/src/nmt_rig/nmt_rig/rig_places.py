@@ -24,7 +24,7 @@ def rig_names() -> list[str]:
 
     Examples:
         >>> rig_names()
-        ['beam', 'clamped_beam', 'joint_resonator']
+        ['beam', 'clamped_beam', 'internal_resonance', 'joint_resonator', 'strong_cubic']
         >>> all(find_rig(name).is_file() for name in rig_names())
         True
     """

@@ -19,8 +19,9 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.records import LevelCommand, LoopStatus, Steering
 from nmt_core.messages.run_settings import RunSettings
-from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct
+from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct, TestKind
 from nmt_sequencer.level_plan import NO_LIMITS, LevelLimits, check_levels
+from nmt_sequencer.refinement import LevelRefinement
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest
 
 NO_HORIZON = 2**62
@@ -52,6 +53,12 @@ class RunPlan(RunSettings):
             raise BenchError(f"The time-out must be finite and >= 0 s, got {self.timeout}.")
         if self.window_periods < 1:
             raise BenchError(f"A window needs at least one period, got {self.window_periods}.")
+        if not 0.0 <= self.refinement < 1.0:
+            raise BenchError(f"The refinement must be from 0 (none) to below 1, got {self.refinement}.")
+        if self.refinement and (self.frequencies_hz or self.levels_without):
+            raise BenchError("Levels can be put in only where all are done alike: leave out --compare and frequencies.")
+        if self.refinement and self.excitation.test is not TestKind.PHASE_RESONANCE:
+            raise BenchError("Levels are put in between in phase resonance tests only; leave out the refinement.")
 
     def check(self, sample_rate: float, limits: LevelLimits = NO_LIMITS) -> None:
         """Refuse (BenchError) what a bench of this sample rate (Hz) cannot do, and what its rig does not allow."""
@@ -144,6 +151,7 @@ class RunMachine:
     _acts: list[Steering] = field(default_factory=list)
     _act_count: int = 0
     _decided: int = 0
+    _refinement: LevelRefinement | None = None
 
     @property
     def active(self) -> bool:
@@ -204,6 +212,7 @@ class RunMachine:
         self._steering.clear()
         self._end_request = None
         self._act_count = 0
+        self._refinement = LevelRefinement(plan.refinement, plan.levels) if plan.refinement else None
         tick = self.pacing.tick
         begin = self.horizon if self.pacing.lockstep else self.newest + 1
         self._next_tick = (begin // tick + 1) * tick
@@ -549,7 +558,26 @@ class RunMachine:
             record.ended = report.last_sample
         else:
             return
+        if self._refinement is not None:
+            self._refine(self._refinement, record, report, effective)
         self._next_level(effective)
+
+    def _refine(self, refinement: LevelRefinement, record: LevelRecord, report: LoopStatus, effective: int) -> None:
+        """Put a level before the next one if the backbone bends; noted as any change of the plan."""
+        plan = self.plan
+        assert plan is not None
+        rest = plan.levels[record.index + 1 :]
+        if record.complete:
+            refinement.add(record.amplitude, report.frequency_hz)
+            level = refinement.before(rest[0]) if rest else None
+        else:
+            level = refinement.after_loss(record.amplitude)
+            rest = (record.amplitude, *rest)
+        if level is None:
+            return
+        request = SteeringRequest(SteeringAct.CHANGE_LEVELS, levels=(level, *rest), source="the step control")
+        self.plan = with_rest(plan, record.index, request.levels, ())
+        self._note(request, report.last_sample + 1, effective)
 
     def _next_level(self, effective: int) -> None:
         plan = self.plan

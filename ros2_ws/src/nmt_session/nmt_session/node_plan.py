@@ -23,6 +23,7 @@ from nmt_core.messages.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_B
 from nmt_core.messages.excitation import Excitation
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.run_settings import RunSettings
+from nmt_core.messages.secondary_resonance import resonance_named
 from nmt_core.nodes.node_settings import PACINGS, NodeSettings
 from nmt_core.nodes.parameters import ParameterValue
 from nmt_core.settings import parameters_of, values_of, with_values
@@ -102,6 +103,9 @@ class PlanSettings(TypedDict, total=False):
     harmonics_control: int | str | None
     harmonics_target: str | None
     levels_without: Sequence[int]
+    resonance: str
+    release: float
+    refinement: float
 
 
 @dataclass(frozen=True)
@@ -138,6 +142,9 @@ class TestPlan:
             None = as the rig says.
         harmonics_target: ``force`` (they are brought to zero) or ``modal``; None = as the rig says.
         levels_without: indices of levels in which they are not controlled nevertheless, for comparison.
+        resonance: ``3:1`` or ``1:3`` for the test ``secondary_resonance``; empty otherwise.
+        release: response amplitude at the drive point that a release onto an isola begins with, m or m/s²; 0 = none.
+        refinement: relative deviation of the frequency from a straight backbone above which levels are put in.
         tick_blocks: blocks between two decisions of the sequencer.
         block_reason: why blocks are as long as they are, where that was chosen; see `nmt_session.block_length`.
 
@@ -173,6 +180,9 @@ class TestPlan:
     harmonics_control: int | str | None = None
     harmonics_target: str | None = None
     levels_without: Sequence[int] = ()
+    resonance: str = ""
+    release: float = 0.0
+    refinement: float = 0.0
     tick_blocks: int = 5
     block_reason: str = ""
 
@@ -206,6 +216,12 @@ class TestPlan:
                 raise BenchError(f"The {name} must be positive and below 1e6 s, got {value:g}.")
         if self.band_hz is not None and len(self.band_hz) != 2:
             raise BenchError(f"band_hz needs a lower and an upper edge, got {len(self.band_hz)} values.")
+        if (kind is TestKind.SECONDARY_RESONANCE) != bool(self.resonance):
+            raise BenchError("A secondary resonance test needs the resonance, 3:1 or 1:3; other tests have none.")
+        if self.refinement and (self.strategy == "ramp" or kind is not TestKind.PHASE_RESONANCE):
+            raise BenchError(
+                "Levels are put in between in stepped phase resonance tests only; leave out the refinement."
+            )
         if self.strategy == "ramp" and kind is not TestKind.PHASE_RESONANCE:
             raise BenchError("The strategy ramp is one of phase resonance tests; leave the strategy at stepped.")
         rate = float(self.rig.sample_rate_hz)
@@ -246,6 +262,8 @@ class TestPlan:
             float(self.duration),
             self.controlled_harmonics,
             int(HarmonicsTarget.named(str(target))) if self.controlled_harmonics else 0,
+            *(resonance_named(self.resonance)[:2] if self.resonance else (0, 0)),
+            float(self.release),
         )
 
     @property
@@ -259,7 +277,8 @@ class TestPlan:
         """
         given = self.harmonics_control
         if given is None:
-            given = self.rig.test.harmonics_control if TestKind.named(self.test).closes_phase_loop else 0
+            can = TestKind.named(self.test).controls_harmonics
+            given = self.rig.test.harmonics_control if can else 0
         if given == "auto":
             return AUTOMATIC
         try:
@@ -308,6 +327,7 @@ class TestPlan:
             excitation=self.excitation,
             frequencies_hz=self.level_frequencies_hz,
             levels_without=frozenset(self.levels_without),
+            refinement=float(self.refinement),
         )
 
 
@@ -688,6 +708,8 @@ def _add_floors(values: dict[str, Any], test: TestPlan, linear: LinearDescriptio
     lowest = min(test.levels) / per_volt
     if "force_floor" not in values and lowest * force_per_volt > 0:
         values["force_floor"] = 0.02 * lowest * force_per_volt
+    if test.resonance:  # its response is not that of the mode in phase resonance
+        return
     if "response_floor" not in values and lowest * response_per_volt > 0:
         values["response_floor"] = 0.02 * lowest * response_per_volt
 

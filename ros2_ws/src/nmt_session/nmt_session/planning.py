@@ -71,7 +71,7 @@ def plan_test(
     control, kind = settings.get("control", "voltage"), TestKind.named(settings.get("test", "phase_resonance"))
     if levels is None and control != "voltage":
         raise BenchError(f"Levels of {control} are needed: those of rig {loaded.name} are voltages; give --levels.")
-    if levels is None and not kind.closes_phase_loop:
+    if levels is None and (not kind.closes_phase_loop or kind is TestKind.SECONDARY_RESONANCE):
         label = kind.label.replace("_", " ")
         raise BenchError(f"A {label} test needs levels: those of rig {loaded.name} are for phase resonance.")
     plan = loaded.test.levels if levels is None else levels

@@ -85,6 +85,30 @@ class RunOptions:
         " or force fundamental that is held (N) (default: voltage)",
         choices=("voltage", "response", "force"),
     )
+    refine: float | None = option(
+        None,
+        "put levels between those of the plan where the backbone bends: largest relative deviation of the "
+        "frequency from a straight line, such as 0.001 (default: the plan as it is)",
+        metavar="TOL",
+    )
+    resonance: str | None = option(
+        None,
+        "hold the phase lag of a secondary resonance in place of phase resonance: 3:1 superharmonic, 1:3 "
+        "subharmonic; levels are voltages or forces",
+        choices=("3:1", "1:3"),
+    )
+    release: float | None = option(
+        None,
+        "with --resonance 1:3: drive-point response (m or m/s^2) that the mode is brought to before the drive "
+        "turns to three times its frequency; about half the amplitude of the isola's tip, which "
+        "'./nmt synthesis --resonance 1:3' tells",
+        metavar="A",
+    )
+    start_frequency: float | None = option(
+        None,
+        "with --resonance: first frequency of the excitation, Hz (default: from the linear frequency)",
+        metavar="HZ",
+    )
     direction: str = option(
         "given",
         "order of the levels: up, down, up and down again, or as given (default)",
@@ -168,6 +192,8 @@ def _run(options: RunOptions) -> int:
     from nmt_core.vocabulary import PointStatus
     from nmt_record.exchange.calibration_file import read_calibration
 
+    if not options.resonance and (options.release is not None or options.start_frequency is not None):
+        raise BenchError("--release and --start-frequency belong to --resonance; give it, or leave them out.")
     linear = read_linear(options.linear) if options.linear is not None else None
     sheet = None if options.calibration is None else read_calibration(options.calibration)
     bench = bench_of(
@@ -185,6 +211,11 @@ def _run(options: RunOptions) -> int:
         harmonics_target=options.harmonics_target,
         compare=options.compare or 0,
         latency_blocks=options.latency_blocks,
+        refinement=options.refine or 0.0,
+        test="secondary_resonance" if options.resonance else "phase_resonance",
+        resonance=options.resonance or "",
+        release=options.release or 0.0,
+        frequencies_hz=() if options.start_frequency is None else (options.start_frequency,),
     )
     if linear is not None:
         check_fits(linear, bench.rig, str(options.linear))
@@ -287,8 +318,8 @@ def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunR
 
 def _reference(choice: str | None, bench: Bench, result: RunResult) -> ReferenceCurve | None:
     """The backbone to compare with: a file, or EPMC of the rig's model, solved at the measured amplitudes too."""
-    if choice == "none":
-        return None
+    if choice == "none" or (choice is None and bench.test.resonance):
+        return None  # what the force drives beside the resonant order moves it off the mode's own backbone
     import numpy as np
 
     from nmt_report.run_data import ReferenceCurve, read_reference
@@ -340,7 +371,7 @@ def _write_budget(
     from nmt_extract.uncertainty_budget import write_budget
     from nmt_record.bag.bag_reader import Bag
 
-    good = [point for point in result.points if point.status is PointStatus.OK]
+    good = [point for point in result.points if point.status is PointStatus.OK and not point.force_order]
     if not good or result.bag is None or not result.bag.exists():
         return ()
     budgets, inputs = bag_budget(
@@ -398,6 +429,7 @@ def pace_line(result: RunResult) -> str:
 def _summarise(result: RunResult, reference: ReferenceCurve | None, console: Any, folder: Path, unwritten: str) -> None:
     from nmt_bench.commands.terminal import print_modal_table
     from nmt_core.vocabulary import ResultCode
+    from nmt_extract.backbone_jumps import backbone_sentences
 
     if result.points:
         print_modal_table(result.points, reference, console)
@@ -409,8 +441,8 @@ def _summarise(result: RunResult, reference: ReferenceCurve | None, console: Any
             f"Bench time {result.bench_time:.1f} s ({result.bench_time / levels:.1f} s a level) in "
             f"{result.wall_time:.1f} s: {result.real_time_factor:.1f} × real time; bag {result.bag_state}."
         )
-    for line in result.remarks:
-        console.print(line)
+    for line in (*result.remarks, *backbone_sentences(result.points)):
+        console.print(line, soft_wrap=True)
     if unwritten and folder.is_dir():
         console.print(unwritten, style="red", soft_wrap=True)
     if (folder / "report.html").exists():

@@ -34,7 +34,13 @@ class SynthesisOptions:
     start: float | None = option(None, "first frequency, Hz (default: that of the sweeps)", name="--from", metavar="f1")
     stop: float | None = option(None, "last frequency, Hz (default: that of the sweeps)", name="--to", metavar="f2")
     points: int = option(801, "frequencies of synthesis.csv (default: 801)", metavar="N")
-    out: Path = dated_folder_option("synthesis.csv, report.html", "synthesis")
+    resonance: str | None = option(
+        None,
+        "a secondary resonance in place of the response: where its lag is that of resonance, and the isola, at the "
+        "forces of --levels (default: none)",
+        choices=("3:1", "1:3"),
+    )
+    out: Path = dated_folder_option("synthesis.csv or secondary.csv, report.html", "synthesis")
     force: bool = replace_option()
 
 
@@ -45,6 +51,8 @@ def run(options: SynthesisOptions) -> int:
         BenchError: files that are missing or do not go together, no force or no frequencies.
     """
     check_output(options.out, options.force)
+    if options.resonance:
+        return _secondary(options)
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.sweep_command import comparison_lines
@@ -75,6 +83,38 @@ def run(options: SynthesisOptions) -> int:
     for line in result.remarks:
         console.print(line, style="yellow", soft_wrap=True)
     console.print(f"Results in {options.out}: synthesis.csv, report.html")
+    return 0
+
+
+def _secondary(options: SynthesisOptions) -> int:
+    """Synthesise a secondary resonance from the backbone of the primary mode."""
+    from nmt_bench.commands.console import make_console
+    from nmt_core.errors import BenchError
+    from nmt_core.files.whole_file import write_whole
+    from nmt_core.messages.secondary_resonance import resonance_named
+    from nmt_extract.secondary_synthesis import secondary_csv, synthesise_secondary
+    from nmt_report.secondary_figures import secondary_page
+    from nmt_sequencer.level_plan import parse_levels
+
+    if options.levels is None:
+        raise BenchError("Nothing says at which force the secondary resonance is; give forces: --levels F.")
+    resonance = resonance_named(str(options.resonance))
+    forces = parse_levels(options.levels)
+    synthesis = synthesise_secondary(options.backbone, options.linear)
+    console = make_console()
+    table = secondary_csv(synthesis, resonance, forces)
+    with OutputFolder(options.out, options.force) as folder:
+        write_whole(folder / "secondary.csv", table)
+        write_whole(folder / "report.html", secondary_page(synthesis, resonance, forces, options.backbone.name))
+    for force in forces:
+        found = synthesis.solve(resonance, force)
+        if not found.modal_amplitude.size:
+            console.print(f"{force:g} N: no {resonance.label} resonance within the measured amplitudes.")
+            continue
+        tip = float(found.modal_amplitude[0]) * synthesis.drive_shape
+        told = f"{force:g} N: {found.excitation_hz[0]:.4f} Hz, {tip:.4g} m at the drive point"
+        console.print(f"{told}; release from {0.5 * tip:.3g} m." if resonance.needs_release else f"{told}.")
+    console.print(f"Results in {options.out}: secondary.csv, report.html")
     return 0
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.messages.secondary_resonance import resonance_of
 from nmt_core.vocabulary import AUTOMATIC, ControlKind, HarmonicsTarget, TestKind
 
 _LONGEST = 1e6  # s
@@ -19,6 +20,7 @@ _FIELDS: dict[TestKind, tuple[str, ...]] = {
     TestKind.SWEEP: ("rate_hz_s", "frequency_end_hz"),
     TestKind.STEPPED_SINE: (),
     TestKind.RING_DOWN: ("duration", "harmonics_control", "harmonics_target"),
+    TestKind.SECONDARY_RESONANCE: ("response_order", "force_order", "release"),
 }
 
 MOST_HARMONICS = 50
@@ -40,6 +42,8 @@ class Excitation:
         duration: s; RANDOM: length of the window, RING_DOWN: of the free decay in it.
         harmonics_control: harmonics 2 to this one of the force are controlled; 0 = none, 1 = as many as can be.
         harmonics_target: what they are brought to, see :class:`~nmt_core.vocabulary.HarmonicsTarget`.
+        response_order, force_order: SECONDARY_RESONANCE: k and ν, see :mod:`nmt_core.messages.secondary_resonance`.
+        release: SECONDARY_RESONANCE: response amplitude that a release onto an isola begins with; 0 = none.
     """
 
     test: TestKind = TestKind.PHASE_RESONANCE
@@ -50,6 +54,9 @@ class Excitation:
     duration: float = 0.0
     harmonics_control: int = 0
     harmonics_target: int = 0
+    response_order: int = 0
+    force_order: int = 0
+    release: float = 0.0
 
     @classmethod
     def from_goal(cls, goal: Mapping[str, Any]) -> Excitation:
@@ -111,6 +118,17 @@ class Excitation:
             )
         if self.test is TestKind.SWEEP:
             self._check_sweep(frequencies_hz, nyquist)
+        if self.test is TestKind.SECONDARY_RESONANCE:
+            self._check_resonance(control)
+
+    def _check_resonance(self, control: int) -> None:
+        resonance = resonance_of(self.response_order, self.force_order)
+        if control == ControlKind.RESPONSE:
+            raise BenchError("In a secondary resonance levels are voltages or forces; choose control voltage or force.")
+        if self.release < 0.0:
+            raise BenchError(f"The response amplitude of a release must not be negative, got {self.release:g}.")
+        if self.release > 0.0 and not resonance.needs_release:
+            raise BenchError(f"A {resonance.label} resonance needs no release; leave it out.")
 
     def _check_harmonics(self) -> None:
         highest = self.harmonics_control

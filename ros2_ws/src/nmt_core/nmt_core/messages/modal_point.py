@@ -50,6 +50,8 @@ class ModalPoint:
         normalised_shape: φ̃₁, 1/√kg, shape ``(points,)``.
         participation: Γ, shape ``(modes,)``.
         harmonics_control: harmonics 2 to this one of the force were controlled; 0 = none, 1 = as many as could be.
+        response_order, force_order: k and ν of a secondary resonance; values are those of the order k, n counts in
+            ``frequency_hz`` / ν, see :mod:`nmt_core.messages.secondary_resonance`; 0 = phase resonance.
     """
 
     level_index: int
@@ -184,6 +186,8 @@ class ModalPoint:
     normalised_shape: ComplexArray = field(default_factory=_empty)
     participation: ComplexArray = field(default_factory=_empty)
     harmonics_control: int = 0
+    response_order: int = 0
+    force_order: int = 0
 
     def __post_init__(self) -> None:
         for name in COMPLEX:

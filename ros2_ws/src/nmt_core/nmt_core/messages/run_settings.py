@@ -25,6 +25,8 @@ class RunSettings:
         excitation: kind of test and its settings.
         frequencies_hz: frequency of each level, Hz; empty = none given.
         levels_without: indices of levels without control of the force's harmonics.
+        refinement: relative deviation of the frequency from a straight backbone above which levels are put in between;
+            0 = none.
     """
 
     run_id: str = ""
@@ -37,6 +39,7 @@ class RunSettings:
     excitation: Excitation = field(default_factory=Excitation)
     frequencies_hz: tuple[float, ...] = ()
     levels_without: frozenset[int] = frozenset()
+    refinement: float = 0.0
 
     @classmethod
     def of_goal(cls, goal: Mapping[str, Any]) -> RunSettings:

@@ -161,7 +161,7 @@ class WindowPolicy:
 def _policy(kind: TestKind) -> WindowPolicy:
     exceptions = _EXCEPTIONS.get(kind, _OF_NOISE if kind.is_noise else {})
     effects = {**dict.fromkeys(WindowFault, Consequence.WINDOW), **_CHANNEL_FAULTS, **exceptions}
-    return WindowPolicy(kind, effects, kind in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE))
+    return WindowPolicy(kind, effects, kind.gives_modal_points)
 
 
 POLICIES: Mapping[TestKind, WindowPolicy] = {kind: _policy(kind) for kind in TestKind}

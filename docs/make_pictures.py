@@ -6,6 +6,7 @@ python docs/make_pictures.py out/pictures --check      # exit code 1 if a stored
 python docs/make_pictures.py out/pictures --notebooks  # and the outputs of the notebooks
 
 bench.svg: the nodes, and the backbone they measured. harmonics.svg: what control of the force's harmonics does.
+self_excited.svg: a damping curve that passes through zero.
 page.png: the live page replaying the demo. The others: the first screen of every kind of report, for docs/gallery.md.
 """
 
@@ -29,6 +30,7 @@ from matplotlib.patches import FancyBboxPatch
 from nbclient import NotebookClient
 from PIL import Image
 
+from nmt_extract.limit_cycles import limit_cycles
 from nmt_extract.modal_table import read_csv, read_json
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import load_rig
@@ -116,6 +118,39 @@ def draw_bench(results: Path, target: Path) -> None:
     figure.savefig(target, metadata={"Date": None})
 
 
+def draw_self_excited(results: Path, target: Path) -> None:
+    """Frequency and damping ratio of a self-excited rig with its limit cycles, beside the computed mode."""
+    points = [point for point in read_json(results / "modal.json")[0] if point.reason == ""]
+    q = np.array([point.modal_amplitude for point in points])
+    computed = compute_reference(load_rig(results / "rig.yaml"), 15, np.linspace(0.3 * q.min(), 1.04 * q.max(), 150))
+    matplotlib.rcParams.update({"svg.hashsalt": "nmt", "font.family": "DejaVu Sans"})
+    figure = Figure(figsize=(9.6, 3.3), facecolor="white")
+    left, right = figure.subplots(1, 2)
+    figure.subplots_adjust(left=0.065, right=0.985, top=0.95, bottom=0.15, wspace=0.2)
+    hertz = [point.omega_rad_s / (2.0 * np.pi) for point in points]
+    percent = [100.0 * point.damping_ratio for point in points]
+    for axes, line, values, label in (
+        (left, computed.omega_rad_s / (2.0 * np.pi), hertz, "modal frequency, Hz"),
+        (right, 100.0 * computed.damping_ratio, percent, "damping ratio, %"),
+    ):
+        axes.plot(1e3 * computed.modal_amplitude, line, color=LINE, linewidth=1.2, label="computed (EPMC)")
+        axes.plot(1e3 * q, values, "o", color=ACCENT, markersize=4.5, label="measured (simulated rig)")
+        axes.set_xlabel("modal amplitude, 10⁻³ m√kg", fontsize=8, color=INK)
+        axes.set_ylabel(label, fontsize=8, color=INK)
+        axes.tick_params(labelsize=8, colors=INK)
+        axes.grid(alpha=0.25, linewidth=0.5)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    right.axhline(0.0, color=INK, linewidth=0.6)
+    for cycle in limit_cycles(points):
+        kind = "stable limit cycle" if cycle.stable else "unstable limit cycle"
+        fill = INK if cycle.stable else "white"
+        place = 1e3 * cycle.modal_amplitude
+        right.plot([place], [0.0], "o", color=INK, markersize=8, markerfacecolor=fill, label=kind)
+    right.legend(fontsize=8, frameon=False, loc="upper left")
+    figure.savefig(target, metadata={"Date": None})
+
+
 def draw_harmonics(without: Path, controlled: Path, target: Path) -> None:
     """Force harmonics where they are greatest, and the error of damping, without and with control of them."""
     matplotlib.rcParams.update({"svg.hashsalt": "nmt", "font.family": "DejaVu Sans"})
@@ -167,6 +202,7 @@ REPORTS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "synthesis": ("synthesis", 900, ("synthesis", "--backbone", "backbone", "--sweep", "sweep")),
     "reference": ("reference", 800, ("reference", "beam")),
     "controlled": ("controlled", 0, ("run", "beam", "--harmonics-control", "auto")),
+    "self_excited": ("self_excited", 0, ("run", "subcritical", "--kind", "self_excited")),
     "heavy": ("heavy", 0, ("run", "beam", "--set", HEAVY, "--levels", "0.05:1.5:8", "--periods", "60")),
     "diagnosis": ("diagnosis", 1150, ("diagnose", "--model", "beam", "--real", "heavy")),
     "study": ("study", 1000, ("study", "exciter_location", "--quick")),
@@ -263,6 +299,7 @@ def main(arguments: list[str] | None = None) -> int:
         made = Path(folder)
         draw_bench(options.results / "demo", made / "bench.svg")
         draw_harmonics(options.results / "demo", options.results / "controlled", made / "harmonics.svg")
+        draw_self_excited(options.results / "self_excited", made / "self_excited.svg")
         asyncio.run(screenshots(options.results, made))
         asyncio.run(live_page(options.results / "demo" / "bag", made / "page.png"))
         shrink(made)

@@ -286,6 +286,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     "TestSection": {
         "mode": "target mode, from 1",
         "levels": "plan of drive amplitudes in V: `a:b:n` or `a,b,c`",
+        "response_levels": "plan of amplitudes of the response at the drive point for a self-excited test",
         "ramp_s": "half-cosine between levels",
         "window_periods": "whole periods a window; fewer than 3 are rejected by the extraction",
         "lock_timeout_s": "bench time a level may take to lock, after its ramp",
@@ -312,7 +313,7 @@ _UNITS = {
     "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_m2": "N/m²", "_ns2_m2": "N s²/m²", "_ns_m": "N s/m", "_n_m": "N/m",
     "_kg_m3": "kg/m³", "_m_s2": "m/s²", "_m_s": "m/s", "_n_a": "N/A", "_kg": "kg", "_pa": "Pa", "_hz": "Hz",
     "_nm_rad": "N m/rad", "_ns_m2": "N s/m²", "_ns_m3": "N s/m³", "_n_sp_mp": "N sᵖ/mᵖ", "_n_sa_m": "N sᵅ/m",
-    "_per_s": "1/s", "_per_m": "1/m", "_per_m2": "1/m²",
+    "_ns_m5": "N s/m⁵", "_per_s": "1/s", "_per_m": "1/m", "_per_m2": "1/m²",
     "_ohm": "Ω", "_m_n": "m/N", "_h": "H", "_n": "N", "_m": "m", "_s": "s", "_v": "V", "_v_s": "V/s", "_volt": "N/V",
 }  # fmt: skip
 

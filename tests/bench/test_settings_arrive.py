@@ -129,6 +129,9 @@ def test_an_option_of_a_test_reaches_the_bench(
 BEAM = load_rig("beam")
 RANDOM = {"test": "random", "band_hz": (10.0, 900.0), "duration": 2.0}
 SWEEP = {"test": "sweep", "frequencies_hz": (15.0,), "frequency_end_hz": 25.0, "rate_hz_s": 0.5, "control": "force"}
+SELF_EXCITED = {
+    "rig": load_rig("subcritical"), "test": "self_excited", "control": "response", "levels": (0.001, 0.002),
+}  # fmt: skip
 HARDWARE = {"device": "portaudio", "pacing": "realtime"}
 EVERY_NODE = frozenset(NODES)
 PLANS: dict[str, tuple[dict[str, Any], Any, frozenset[str]]] = {
@@ -165,6 +168,7 @@ PLANS: dict[str, tuple[dict[str, Any], Any, frozenset[str]]] = {
     "resonance": ({"test": "secondary_resonance"}, "1:3", frozenset(("asked",))),
     "release": ({"test": "secondary_resonance", "resonance": "1:3"}, 1e-3, frozenset(("asked",))),
     "refinement": ({}, 1e-3, frozenset(("asked",))),
+    "method": (SELF_EXCITED, "envelope", frozenset(("pll",))),
     "tick_blocks": ({}, 3, frozenset(("sequencer", "plant", "pll"))),
     "block_reason": ({}, "because", frozenset(("run.json",))),
 }

@@ -49,6 +49,8 @@ def test_what_a_bench_can_do_passes_and_goes_through_messages(fields, frequencie
         ({"test": TestKind.STEPPED_SINE}, (21.0, 5000.0), 1, "frequency of 5000 Hz"),
         ({"test": TestKind.STEPPED_SINE}, (21.0, math.nan), 1, "frequency of nan Hz"),
         ({"test": TestKind.RING_DOWN}, (), 1, "ring down test needs a duration"),
+        ({"test": TestKind.SELF_EXCITED, "duration": 5.0}, (), 1, "levels of the response"),
+        ({"test": TestKind.SELF_EXCITED}, (), 2, "self excited test needs a duration"),
         ({"test": TestKind.UNKNOWN}, (), 1, "does no unknown test"),
         ({"duration": 3.0}, (), 1, "phase resonance test has no duration"),
         ({**SWEEP, "band_low_hz": 10.0}, (390.0, 390.0), 1, "sweep test has no band_low_hz"),

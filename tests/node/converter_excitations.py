@@ -23,10 +23,10 @@ from node.converter_bench import KINDS, RATES, ConverterBench, converter_bench, 
 from nmt_bench.harness import Bench
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import ResultCode
+from nmt_extract.ring_down import ring_down
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import read_signals, segments
 from nmt_rig.linear_description import linear_description
-from nmt_study.ring_down import ring_down
 
 Values = dict[str, float]
 SWEEP = ("--control", "voltage", "--force", "0.05", "--from", "21.5", "--to", "25.5", "--rate", "0.2")

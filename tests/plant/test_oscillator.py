@@ -166,7 +166,7 @@ def test_random_has_its_rms_and_band():
         {"waveform": Waveform.SINE, "frequency_hz": 10.0, "amplitude": -1.0},
         {"waveform": Waveform.RANDOM, "amplitude": 1.0},
         {"waveform": Waveform.SWEEP, "frequency_hz": 10.0, "rate_hz_s": -1.0, "frequency_end_hz": 20.0},
-        {"waveform": Waveform.SINE, "frequency_hz": 10.0, "harmonics": ((1, 1j),)},
+        {"waveform": Waveform.SINE, "frequency_hz": 10.0, "harmonics": ((0, 1j),)},
     ],
 )
 def test_bad_commands_are_refused(command):
@@ -177,3 +177,25 @@ def test_bad_commands_are_refused(command):
 def test_beyond_half_the_sample_rate_is_refused():
     with pytest.raises(BenchError, match="half the sample rate"):
         Oscillator(RATE).apply(sine(1000.0, harmonics=((5, 1.0),)))
+
+
+def test_a_term_of_order_one_turns_the_fundamental() -> None:
+    """Half-cosine from one complex amplitude to the next within a block; the bound is that of the sum."""
+    oscillator = Oscillator(RATE)
+    before, after = -0.6 + 0.2j, 0.1 - 0.5j
+    voltages = []
+    for value in (before, after):
+        size = abs(value)
+        oscillator.apply(sine(25.0, size, 0.02, harmonics=((1, value - size),)))
+        assert oscillator.bound(200) == pytest.approx(max(abs(before), size) if voltages else size)
+        voltages.append(oscillator.block(200).voltage)
+    share = 0.5 - 0.5 * np.cos(np.pi * np.arange(201) / 200)
+    wave = np.exp(2j * np.pi * 25.0 * (np.arange(201) + 200) / RATE)
+    np.testing.assert_allclose(voltages[1], ((before + (after - before) * share) * wave).real, atol=1e-12)
+    assert oscillator.is_feedback
+
+
+def test_harmonics_begin_at_order_one() -> None:
+    check_drive(sine(25.0, harmonics=((1, -0.5 + 0j),)))
+    with pytest.raises(BenchError, match="order of at least 1"):
+        check_drive(sine(25.0, harmonics=((0, 0.5 + 0j),)))

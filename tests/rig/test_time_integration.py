@@ -26,10 +26,11 @@ from nmt_rig.model.local_elements.dampers import (
     AmplitudeDamper,
     EddyBrake,
     LinearDamper,
+    PolynomialDamper,
     PowerLawDamper,
     QuadraticDrag,
 )
-from nmt_rig.model.local_elements.friction import Jenkins, TanhFriction
+from nmt_rig.model.local_elements.friction import Jenkins, StribeckBelt, TanhFriction
 from nmt_rig.model.local_elements.springs import CubicSpring, LinearSpring, QuadraticSpring, QuinticSpring
 from nmt_rig.model.propagator import state_space
 from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator
@@ -97,6 +98,8 @@ AGAINST_SOLVE_IVP = [
     one(QuadraticDrag, 40.0),
     one(AmplitudeDamper, 4e7),
     one(PowerLawDamper, 40.0, 1.5),
+    one(PolynomialDamper, -3.0, 4e7, 1e13),
+    one(StribeckBelt, 1.0, 3.0, 0.3, 0.2),
     one(TanhFriction, 0.5, 0.05),
     one(UnilateralStop, 50_000.0, 2e-4),
     one(TwoSidedGap, 50_000.0, 2e-4),

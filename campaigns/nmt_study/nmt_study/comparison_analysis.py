@@ -16,13 +16,13 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_extract.constant_amplitude import SolvedPoints, fit_at_amplitudes, half_power, solve_points
 from nmt_extract.modal_point import Status
+from nmt_extract.ring_down import Decay, average_decays, ring_down
 from nmt_extract.swept_response import FrequencyResponseTable, stepped_point, stepped_table, sweep_table
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Segment, Signals, read_signals, segments
 from nmt_rig.linear_description import linear_description
 from nmt_study.case import StudyCase
 from nmt_study.case_reference import case_rig
-from nmt_study.ring_down import Decay, average_decays, ring_down
 
 SWEEP_POINTS = 200
 _WIDTH = 0.3

@@ -17,11 +17,12 @@ from nmt_rig.model.local_elements.dampers import (
     AmplitudeDamper,
     AnyDamper,
     LinearDamper,
+    PolynomialDamper,
     PowerLawDamper,
     QuadraticDrag,
 )
 from nmt_rig.model.local_elements.element import LocalElement
-from nmt_rig.model.local_elements.friction import AnyFriction, Jenkins, TanhFriction
+from nmt_rig.model.local_elements.friction import AnyFriction, Jenkins, StribeckBelt, TanhFriction
 from nmt_rig.model.local_elements.springs import (
     AnySpring,
     CubicSpring,
@@ -133,6 +134,8 @@ def test_energy_that_dampers_take_a_cycle(exponent: float) -> None:
         return float(np.pi * a * harmonic(basis, force, 1).imag)
 
     assert dissipated(AmplitudeDamper(D, 2.5)) == pytest.approx(np.pi / 4 * 2.5 * OMEGA * a**4, rel=1e-13)
+    polynomial = np.pi * OMEGA * a**2 * (-0.4 + 2.5 / 4.0 * a**2 + 1.2 / 8.0 * a**4)
+    assert dissipated(PolynomialDamper(D, -0.4, 2.5, 1.2)) == pytest.approx(polynomial, rel=1e-13)
     integral = 2.0 * np.sqrt(np.pi) * gamma(0.5 * exponent + 1.0) / gamma(0.5 * exponent + 1.5)
     expected = 2.5 * OMEGA**exponent * a ** (exponent + 1.0) * integral
     assert dissipated(PowerLawDamper(D, 2.5, exponent)) == pytest.approx(expected, rel=1e-6)
@@ -169,6 +172,7 @@ DIFFERENTIATED: dict[str, list[LocalElement]] = {
     "drag": [QuadraticDrag(D, 1.5), LinearDamper(D, 0.3)],
     "tanh": [TanhFriction(D, 1.0, 0.5)],
     "dampers": [AmplitudeDamper(D, 1.5), PowerLawDamper(D, 0.7, 2.6)],
+    "self-excited": [PolynomialDamper(D, -0.5, 1.5, 0.3), StribeckBelt(D, 0.4, 1.0, 4.0, 1.5)],
 }
 
 
@@ -223,6 +227,8 @@ def sampling_error(local: LocalForces, displacement: np.ndarray) -> float:
         (AmplitudeDamper(D, 3.0), 1e-13),
         (PowerLawDamper(D, 3.0, 1.5), 1e-6),
         (TanhFriction(D, 3.0, 0.1), 1e-6),
+        (PolynomialDamper(D, -1.0, 2.0, 3.0), 1e-13),
+        (StribeckBelt(D, 1.0, 3.0, 1.5, 2.0), 1e-6),
     ],
 )
 def test_sampling_error_stays_below_one_in_a_million(element: LocalElement, bound: float) -> None:

@@ -243,6 +243,8 @@ class TestKind(IntEnum):
         STEPPED_SINE: fixed frequency with an amplitude held; one window of whole periods.
         RING_DOWN: phase-locked excitation that is switched off at the lock; the window is the free decay.
         RECORD: any excitation, in imported data only; the bench does no such test.
+        SELF_EXCITED: a motion that the structure feeds by itself is held at an amplitude of the response, or released
+            and passed; one window each, of whole periods where it is held.
         SECONDARY_RESONANCE: the phase lag of a resonant order other than that of the force is held; whole periods.
     """
 
@@ -253,6 +255,7 @@ class TestKind(IntEnum):
     STEPPED_SINE = 4
     RING_DOWN = 5
     RECORD = 6
+    SELF_EXCITED = 7
     SECONDARY_RESONANCE = 8
 
     @classmethod
@@ -292,6 +295,7 @@ class TestKind(IntEnum):
             TestKind.PHASE_RESONANCE,
             TestKind.RING_DOWN,
             TestKind.SECONDARY_RESONANCE,
+            TestKind.SELF_EXCITED,
         )
 
     @property
@@ -307,7 +311,12 @@ class TestKind(IntEnum):
     @property
     def gives_modal_points(self) -> bool:
         """Whether its windows are extracted while the test runs."""
-        return self in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE, TestKind.SECONDARY_RESONANCE)
+        return self in (
+            TestKind.UNKNOWN,
+            TestKind.PHASE_RESONANCE,
+            TestKind.SECONDARY_RESONANCE,
+            TestKind.SELF_EXCITED,
+        )
 
 
 TestKind.__test__ = False  # type: ignore[attr-defined]  # not a collection of tests

@@ -13,7 +13,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import MOTIONS
+from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_extract import channel_judge, window_judge
 from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
@@ -259,6 +259,7 @@ class WindowEvaluation:
         self.other_shapes: list[ComplexArray] = []  # with what else could be in the place of what is left out
         self.other_amplitudes: ComplexArray | None = None  # with another polynomial in the place of the drift
         self.drifted: dict[int, float] = {}  # height of the drift by row
+        self.self_excited = window.lock.test is TestKind.SELF_EXCITED
         self._find_rows()
         self._find_phase()
         self._find_harmonics()
@@ -588,6 +589,8 @@ class WindowEvaluation:
         fields["frequency_hz"] = float(self.frequency_hz[0])
         fields["frequency_hz_std"] = self.frequency_std
         fields["omega_rad_s"] = float(omega[0])
+        if self.self_excited:  # the force may work either way: its phase counts from the line of the velocity
+            fields["phase_error"] = math.remainder(fields["phase_error"], math.pi)
         fields["omega_rad_s_std"] = math.hypot(
             2.0 * math.pi * self.frequency_std,
             fields["damping_ratio"] * omega[0] * math.hypot(fields["phase_error"], fields["phase_error_std"]),
@@ -635,7 +638,7 @@ class WindowEvaluation:
         drive = self._integrated(self.amplitudes[:, self.drive_row], self.drive_quantity, omega, 0)
         velocity = 1j * omega[0] * np.arange(drive.shape[1]) * drive[0]
         force = self.amplitudes[0, self.force_row]
-        remarks = window_judge.judge_phase(fields)
+        remarks = [] if self.self_excited else window_judge.judge_phase(fields)
         remarks += window_judge.judge_harmonics(fields, force, velocity, self.amplitudes[0, self.drive_row])
         remarks += self._drift_remarks(omega, fields)
         if self.parts:
@@ -646,7 +649,9 @@ class WindowEvaluation:
             turned = parts[:, 1] * (1j * omega[0]) ** (1 - MOTIONS[self.drive_quantity])
             if not self.settings.power_balance:
                 seconds = window.samples / rate
-                remarks += window_judge.judge_steadiness(middle, parts[:, 0], turned, fields, seconds)
+                remarks += window_judge.judge_steadiness(
+                    middle, parts[:, 0], turned, fields, seconds, of_damping=not self.self_excited
+                )
             remarks += self._burst_remarks(omega, fields)
         return remarks
 

@@ -22,6 +22,7 @@ from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.numerics.arrays import ComplexArray
 from nmt_extract.harmonics_indicators import HARMONICS_COLUMNS, any_control, indicators
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
+from nmt_extract.limit_cycles import limit_cycles, write_limit_cycles
 from nmt_extract.modal_point import COMPLEX, QUANTITIES, ModalPoint, Status
 
 COLUMNS = ("level", *(item.name + suffix for item in QUANTITIES if item.csv for suffix in ("", "_std")))
@@ -139,7 +140,8 @@ def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
 def write_results(points: Sequence[ModalPoint], folder: Path | str, inputs: Mapping[str, Any] | None = None) -> None:
     """Write ``modal.csv`` and ``modal.json`` into a folder that exists, and ``hysteresis.csv`` where there are loops.
 
-    There are where ``inputs["extraction"]["hysteresis"]`` names points and masses of a chain with a joint.
+    ``limit_cycles.csv`` is written where the damping ratio passes through zero. There are loops where
+    ``inputs["extraction"]["hysteresis"]`` names points and masses of a chain with a joint.
 
     Raises:
         BenchError: a file cannot be written.
@@ -151,6 +153,9 @@ def write_results(points: Sequence[ModalPoint], folder: Path | str, inputs: Mapp
     """
     write_csv(points, Path(folder) / "modal.csv")
     write_json(points, Path(folder) / "modal.json", inputs)
+    cycles = limit_cycles(points)
+    if cycles:
+        write_limit_cycles(cycles, Path(folder) / "limit_cycles.csv")
     layout = ((inputs or {}).get("extraction") or {}).get("hysteresis")
     if layout is not None:
         write_loops(points, HysteresisLayout.from_mapping(layout), Path(folder) / "hysteresis.csv")

@@ -36,6 +36,7 @@ _PHASE_NOTED = 5e-4  # relative error of damping by the phase, from which on it 
 _LEAK = 1e-5  # of the fundamental: what a drift may add to it unseen
 _SURE = 6.0  # standard deviations
 _UNSTEADY = 0.01  # of the damping ratio: error by a level that still changes
+_SELF_EXCITED = 0.05  # damping ratio that errors count by where it may be zero
 _STEADY = 1e-3  # the same, from which on it is part of the uncertainty
 _RUNNING = math.radians(3.0)  # phase over the window: half of it to each side makes 0.03 % of damping
 _SILENT = 0.05  # rms over a period, of the median one
@@ -221,7 +222,13 @@ def without_drift(cycles: FloatArray, data: FloatArray, harmonics: int, order: i
 
 
 def judge_steadiness(
-    time: FloatArray, force: ComplexArray, velocity: ComplexArray, values: Mapping[str, float], seconds: float
+    time: FloatArray,
+    force: ComplexArray,
+    velocity: ComplexArray,
+    values: Mapping[str, float],
+    seconds: float,
+    *,
+    of_damping: bool = True,
 ) -> list[Remark]:
     """Remarks on a level and on a phase that change over the window.
 
@@ -232,20 +239,25 @@ def judge_steadiness(
         force, velocity: fundamental in each part, same shape.
         values: of the point: damping_ratio, omega_rad_s, modal_amplitude, frequency_hz.
         seconds: length of the window.
+        of_damping: errors count by the damping ratio; else, where it may be zero, by `_SELF_EXCITED`, and the phase of
+            a force that may vanish says nothing of clocks.
     """
     if time.size < 3:
         return []
     remarks = []
     growth, std = _slope(time, np.log(np.abs(velocity)))
     error = abs(growth) / values["omega_rad_s"]
-    if error > _STEADY * values["damping_ratio"] and abs(growth) > _SURE * std:
+    size = values["damping_ratio"] if of_damping else _SELF_EXCITED
+    if error > _STEADY * size and abs(growth) > _SURE * std:
         change = 100.0 * math.expm1(growth * seconds)
         sentence = (
             f"The level was not steady: the response at the drive point changes by {change:.2g} % over the window; "
             "wait longer before the window, or extract with 'power_balance: true'."
         )
         parts = {"damping_ratio": error, "self_excitation": 2.0 * values["omega_rad_s"] * error}
-        remarks.append(Remark(sentence if error > _UNSTEADY * values["damping_ratio"] else "", parts))
+        remarks.append(Remark(sentence if error > _UNSTEADY * size else "", parts))
+    if not of_damping:
+        return remarks
     angles = force * velocity.conj()
     angles = np.angle(angles * np.conj(angles.sum()))
     slope, std = _slope(time, angles)

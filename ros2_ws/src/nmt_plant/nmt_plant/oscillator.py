@@ -2,7 +2,8 @@
 
 The phase never jumps: a new frequency bends it at a block boundary. The drive is u = Re Σ A_n exp(i n θ) for
 SINE and SWEEP, band-limited Gaussian noise for RANDOM. Harmonics that change go to their new amplitudes along a
-half-cosine within one block, so that a controller of theirs does not make steps.
+half-cosine within one block, so that a controller of theirs does not make steps. A term of order 1 turns the
+fundamental: the drive of a feedback, whose size and phase follow the response.
 """
 
 from __future__ import annotations
@@ -74,6 +75,10 @@ class Envelope:
         share = min((self._elapsed + samples) / self._length, 1.0)
         end = self._start + (self.target - self._start) * (0.5 - 0.5 * math.cos(math.pi * share))
         return max(self.value, end)
+
+    def reaches_target_in(self, samples: int) -> bool:
+        """Whether it is at its target after so many samples or before, and was set off at the present one or rests."""
+        return self._elapsed >= self._length or (self._elapsed == 0 and self._length == samples)
 
     def values(self, count: int) -> FloatArray:
         """Values at the present and the following samples, shape (count,)."""
@@ -231,6 +236,11 @@ class Oscillator:
         """Whether the drive is a sine or a sweep."""
         return self._waveform in (Waveform.SINE, Waveform.SWEEP)
 
+    @property
+    def is_feedback(self) -> bool:
+        """Whether the fundamental is turned: the drive follows the response, which then does not follow from it."""
+        return any(order == 1 for order, _ in self._harmonics)
+
     def bound(self, samples: int) -> float:
         """Largest amplitude in the next `samples`, V: harmonics added up, `PEAK_FACTOR` times a random rms."""
         largest = self._amplitude.largest(samples)
@@ -238,8 +248,15 @@ class Oscillator:
             return PEAK_FACTOR * largest
         if self._harmonics:
             before = self._harmonics_before
-            sizes = (max(abs(value), abs(before.get(order, 0.0))) for order, value in self._harmonics)
-            largest += self._harmonic_weight.largest(samples) * sum(sizes)
+            weight = self._harmonic_weight.largest(samples)
+            for order, value in self._harmonics:
+                start = before.get(order, value)
+                if order == 1 and self._amplitude.reaches_target_in(samples):
+                    # Both parts of the fundamental move along one half-cosine: it is largest at an end.
+                    ends = self._amplitude.value + self._harmonic_weight.value * start, self._amplitude.target + value
+                    largest = max(map(abs, ends))
+                else:
+                    largest += weight * max(abs(value), abs(before.get(order, 0.0)))
         return largest
 
     def apply(self, command: DriveCommand) -> None:

@@ -170,9 +170,13 @@ class LevelLoop(ABC):
                 self._start(level, end, was_quiet)
                 self.machine.acquire(end, f"level {level.index} starts")
                 continue
-            self._amplitude = 0.0
+            self._end_excitation(level, end)
             if self.machine.state != LoopState.LOCK_LOST or not same_level:
                 self.machine.fix(end, "the drive goes to zero")
+
+    def _end_excitation(self, level: LevelCommand, end: int) -> None:
+        """Begin with a level of amplitude zero."""
+        self._amplitude = 0.0
 
     def _drive_point_rows(self, force: SampleBlock, response: SampleBlock) -> tuple[FloatArray, FloatArray]:
         """Samples of force and response at the drive point, (samples,) each; ValueError if they do not pair."""

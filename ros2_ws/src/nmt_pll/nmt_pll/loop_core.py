@@ -15,10 +15,12 @@ from nmt_core.vocabulary import ControlKind, LoopState, Quantity, TestKind, Wave
 from nmt_pll.harmonics_control import table_from_json
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop import PhaseLockedLoop
+from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.paper_loop import PaperLoop
 from nmt_pll.pll_settings import PllSettings
 from nmt_pll.random_drive import RandomDrive
 from nmt_pll.secondary_loop import SecondaryResonanceLoop
+from nmt_pll.self_excited_loop import SelfExcitedLoop
 from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
 
 
@@ -154,8 +156,12 @@ class LoopCore:
                 loops.append(PaperLoop(linear, paper, self.sample_rate, self.block_samples))
             else:
                 known = table_from_json(self.settings.force_per_volt_json)
-                loops.append(PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples, known))
-                loops.append(SecondaryResonanceLoop(linear, settings, self.sample_rate, self.block_samples))
+                self_excited = self._self_excited(linear, settings)
+                damped = min(linear.damping_ratios[linear.target_mode], linear.plant_damping_ratio) > 0.0
+                if damped or not self_excited:  # a rest that is unstable can be held by feedback only
+                    loops.append(PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples, known))
+                    loops.append(SecondaryResonanceLoop(linear, settings, self.sample_rate, self.block_samples))
+                loops += self_excited
         loops.append(
             RandomDrive(
                 drive_point,
@@ -170,10 +176,21 @@ class LoopCore:
             loops.append(given_frequency(drive_point, settings, self.sample_rate, self.block_samples))
         return {kind: loop for loop in loops for kind in loop.KINDS}
 
+    def _self_excited(self, linear: LinearDescription, settings: LoopSettings) -> list[LevelLoop]:
+        """The loop of self-excited tests, where the description has what it needs."""
+        method, limit = self.settings.self_excited_method, self.settings.response_limit
+        try:
+            return [SelfExcitedLoop(linear, settings, self.sample_rate, self.block_samples, method, limit)]
+        except BenchError:
+            if method != "auto":
+                raise
+            return []
+
     def _warm_up(self) -> None:
         """Compile the detector's kernel before the first block, not with it."""
         for loop in self.loops.values():
-            if not isinstance(loop, PhaseLockedLoop | SecondaryResonanceLoop | SweepLoop | SteppedSineLoop):
+            tracking = PhaseLockedLoop | SecondaryResonanceLoop | SelfExcitedLoop | SweepLoop | SteppedSineLoop
+            if not isinstance(loop, tracking):
                 continue
             loop.filter.process(loop.warm_up_data(), 0.0, 1.0)
             loop.filter.reset()

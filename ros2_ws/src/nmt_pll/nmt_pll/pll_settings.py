@@ -9,6 +9,7 @@ from nmt_core.nodes.node_settings import NodeSettings
 from nmt_core.settings import group, setting
 from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.self_excited_control import METHODS
 
 PAPER_PREFIX = "paper_"
 """Before the names of the settings of the paper's loop where they are parameters of the node."""
@@ -50,5 +51,14 @@ class PllSettings(NodeSettings):
         False, f"Take force and response at the drive point, joined, from {LOOP_INPUT} in place of their own topics."
     )
     settling_time: float = setting(2.0, "Random test: between the end of the ramp and the window.", unit="s", low=0.0)
+    self_excited_method: str = setting(
+        "auto", "Self-excited test: how an amplitude is reached; auto = by what is stable.", choices=METHODS
+    )
+    response_limit: float = setting(
+        0.0,
+        "Self-excited test: limit of the drive-point response, in its unit; at 85 % of it the motion is damped; "
+        "0 = none.",
+        low=0.0,
+    )
     loop_settings: LoopSettings = group(LoopSettings)
     paper_settings: PaperSettings = group(PaperSettings, prefix=PAPER_PREFIX)

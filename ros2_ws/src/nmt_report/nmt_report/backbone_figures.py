@@ -11,6 +11,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
 
+from nmt_extract.limit_cycles import limit_cycles
 from nmt_extract.modal_point import QUANTITIES
 from nmt_report.abscissa import Abscissa, abscissa_of
 from nmt_report.columns import unit_text
@@ -86,11 +87,17 @@ def damping_figure(data: RunReportData) -> ReportFigure:
         )
         main.legend(loc="best")
     main.set_ylabel(r"modal damping ratio $\tilde\delta$ / %")
-    main.set_ylim(bottom=0.0)
+    feeds = bool(np.any(damping < 0.0))
+    if feeds:
+        _limit_cycles(main, points, x)
+    else:
+        main.set_ylim(bottom=0.0)
     if data.reference is not None:
-        _deviation(residual, data, abscissa, points, damping, damping_std, 1)
+        _deviation(residual, data, abscissa, points, damping, damping_std, 1, relative=not feeds)
     _finish(main, residual, abscissa, x)
     caption = "Modal damping ratio δ̃ over " + abscissa.html + ". Bars: standard uncertainty." + _reference_caption(data)
+    if feeds:
+        caption += " Below zero the structure feeds its motion. Circles: limit cycles, filled where stable."
     label = "Modal damping ratio over modal amplitude"
     return ReportFigure("damping", "Damping δ̃(q)", caption, svg_text(figure, "damping", label, tips))
 
@@ -295,6 +302,16 @@ def _reference_line(main: Axes, data: RunReportData, abscissa: Abscissa, column:
     main.legend(loc="best")
 
 
+def _limit_cycles(main: Axes, points: Sequence[ModalPoint], x: Any) -> None:
+    """The line of zero damping, and where it is crossed."""
+    main.axhline(0.0, color=INK, linewidth=1.0)
+    q = np.array([point.modal_amplitude for point in points])
+    order = np.argsort(q)
+    for cycle in limit_cycles(points):
+        place = float(np.interp(cycle.modal_amplitude, q[order], np.asarray(x)[order]))
+        main.plot([place], [0.0], "o", color=RED, markersize=9, markerfacecolor=RED if cycle.stable else "white")
+
+
 def _deviation(
     residual: Axes | None,
     data: RunReportData,
@@ -303,14 +320,16 @@ def _deviation(
     value: Any,
     std: Any,
     column: int,
+    relative: bool = True,
 ) -> None:
     assert residual is not None
     assert data.reference is not None
     q = np.array([point.modal_amplitude for point in points])
     reference = np.array([data.reference.at(amplitude)[column] for amplitude in q])
     with np.errstate(invalid="ignore", divide="ignore"):
-        percent = 100.0 * (value / reference - 1.0)
-        bars = 100.0 * np.nan_to_num(std) / reference
+        unit = reference if relative else 1.0  # a damping ratio that may be zero: percentage points
+        percent = 100.0 * (value / reference - 1.0) if relative else 100.0 * (value - reference)
+        bars = 100.0 * np.nan_to_num(std) / unit
     residual.axhline(0.0, color=INK, linewidth=1.0)
     residual.errorbar(
         abscissa.of_points(points)[0],
@@ -322,7 +341,7 @@ def _deviation(
         elinewidth=1.0,
         capsize=2.0,
     )
-    residual.set_ylabel("dev. / %")
+    residual.set_ylabel("dev. / %" if relative else "dev. / points")
     reach = np.abs(percent) + np.nan_to_num(bars)
     limit = 1.2 * float(np.nanmax(reach)) if np.any(np.isfinite(reach)) else 1.0
     residual.set_ylim(-max(limit, 1e-3), max(limit, 1e-3))

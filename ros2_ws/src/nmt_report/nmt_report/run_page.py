@@ -13,6 +13,7 @@ from nmt_core.text.number_words import level_list
 from nmt_core.vocabulary import ControlKind
 from nmt_extract.backbone_jumps import backbone_sentences
 from nmt_extract.harmonics_indicators import any_control, indicators
+from nmt_extract.limit_cycles import feeds_its_motion, limit_cycles
 from nmt_extract.modal_point import Status
 from nmt_extract.uncertainty_budget import UncertaintySource, channel_tolerances_used, left_out
 from nmt_plant.real_time import read_histogram
@@ -89,17 +90,21 @@ def verdict(data: RunReportData) -> tuple[str, str]:
 
 
 def worst_deviation(data: RunReportData) -> tuple[float, float]:
-    """Largest relative deviation of ω̃ and of δ̃ from the reference; NaN without a reference."""
+    """Largest relative deviation of ω̃ and of δ̃ from the reference; NaN without a reference.
+
+    Of a structure that feeds its motion the deviation of δ̃ itself.
+    """
     if data.reference is None:
         return math.nan, math.nan
     worst = [math.nan, math.nan]
     controlled = any_control(data.points)
+    feeds = feeds_its_motion(data.points)
     for point in data.good_points:
         if controlled and not point.harmonics_control:
             continue  # a level for comparison
         expected = data.reference.at(point.modal_amplitude)
         for index, value in enumerate((point.omega_rad_s, point.damping_ratio)):
-            deviation = value / expected[index] - 1.0
+            deviation = value - expected[1] if feeds and index == 1 else value / expected[index] - 1.0
             if not abs(deviation) <= abs(worst[index]) and not math.isnan(deviation):
                 worst[index] = deviation
     return worst[0], worst[1]
@@ -159,7 +164,16 @@ def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
     if data.reference is not None:
         omega, damping = worst_deviation(data)
         label = f"Largest deviation from {data.reference.label}"
-        cards.append((label, f"f̃ {_percent(omega)}, δ̃ {_percent(damping)}", ""))
+        unit = " points" if feeds_its_motion(points) else ""
+        cards.append((label, f"f̃ {_percent(omega)}, δ̃ {_percent(damping)}{unit}", ""))
+        cards += [
+            (
+                "Stable limit cycle" if cycle.stable else "Unstable limit cycle",
+                f"{significant(cycle.omega_rad_s / (2.0 * math.pi), 6)} Hz",
+                f"q = {significant(cycle.modal_amplitude)} m√kg",
+            )
+            for cycle in limit_cycles(points)
+        ]
     else:
         cards.append(("PBMIF, worst level", significant(min(point.pbmif for point in points), 4), ""))
     return cards
@@ -227,7 +241,7 @@ def _modal_table(data: RunReportData) -> Table | None:
     head = [Column("Level", unit_text(data.points[0].level_unit))]
     head += [Column(column.heading, column.unit(exponents[column.name]) or "1") for column in columns]
     if data.reference is not None:
-        head += [Column("Δf̃", "%"), Column("Δδ̃", "%")]
+        head += [Column("Δf̃", "%"), Column("Δδ̃", "points" if feeds_its_motion(points) else "%")]
     rows = []
     for point in data.points:
         cells: list[str] = [significant(point.level)]
@@ -242,7 +256,9 @@ def _modal_table(data: RunReportData) -> Table | None:
         if data.reference is not None:
             expected = data.reference.at(point.modal_amplitude)
             cells.append(plain(100 * (point.omega_rad_s / expected[0] - 1), 4))
-            cells.append(plain(100 * (point.damping_ratio / expected[1] - 1), 2))
+            feeds = feeds_its_motion(points)
+            deviation = point.damping_ratio - expected[1] if feeds else point.damping_ratio / expected[1] - 1
+            cells.append(plain(100 * deviation, 3 if feeds else 2))
         rows.append(Row(cells))
     note = ""
     if data.reference is not None:

@@ -73,8 +73,9 @@ def shape_figure(data: RunReportData) -> ReportFigure | None:
 
 def harmonics_figure(data: RunReportData) -> ReportFigure | None:
     """Harmonics of force and drive-point displacement relative to the fundamental, one bar a level."""
-    points = spread_evenly(data.good_points, MOST_CURVES)
-    if not points or len(points[0].force_harmonics) < 2:
+    known = [point for point in data.good_points if point.harmonics > 1]  # of a released motion the fundamental alone
+    points = spread_evenly(known or data.good_points, MOST_CURVES)
+    if not points or len(points[0].force_harmonics) < 2 or not abs(points[0].force_harmonics[1]) > 0.0:
         return None
     figure = Figure(figsize=(12.9, 3.9))
     left, right = figure.subplots(1, 2)

@@ -21,6 +21,7 @@ from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_rig.model.epmc import EpmcBackbone, epmc_backbone
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -166,13 +167,22 @@ def default_amplitudes(rig: Rig, points: int = 100) -> FloatArray:
     """Modal amplitudes (points,) that cover the rig's default levels generously, in geometric steps, m√kg.
 
     From a third of what the lowest level gives to ten times what the highest gives on the sticking structure
-    or with the phase-resonant single-point drive.
+    or with the phase-resonant single-point drive. With levels of the response, as of a self-excited rig, from a
+    third of the lowest to the highest.
 
     Raises:
         BenchError: fewer than two points, or levels that are no numbers.
     """
     if points < 2:
         raise BenchError(f"a reference needs at least 2 points, got {points}; give a larger number.")
+    if rig.test.response_levels:
+        structure = build_structure(rig)
+        modes = sticking_modes(structure, build_resting_elements(rig, structure), rig.test.mode)
+        drive = abs(float(modes.shapes[modes.points.index(rig.drive_point), rig.test.mode - 1]))
+        order = MOTIONS[Quantity[rig.extraction.quantity.upper()]]
+        low, high = _level_range(rig.test.response_levels)
+        scale = drive * float(modes.frequencies[rig.test.mode - 1]) ** order
+        return np.geomspace(low / scale / 3.0, high / scale, points)
     levels = _level_range(rig.test.levels)
     # A range in whole decades: the fundamental alone tells it, at a quarter of the work.
     found = single_point_reference(without_exciter_effects(rig), None, levels, _RANGE_HARMONICS)

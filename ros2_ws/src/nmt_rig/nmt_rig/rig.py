@@ -211,11 +211,15 @@ class WatchdogSection(Section):
 
 
 class TestSection(Section):
-    """Defaults of a test on this rig: target mode (from 1), levels in volts of drive amplitude."""
+    """Defaults of a test on this rig: target mode (from 1), levels in volts of drive amplitude.
+
+    ``response_levels``: amplitudes of the response at the drive point for a self-excited test.
+    """
 
     __test__ = False
     mode: Annotated[int, Field(ge=1)] = 1
     levels: Annotated[str, Field(pattern=r"^[-+0-9.eE:, ]+$")] = "0.05:1.5:10"
+    response_levels: Annotated[str, Field(pattern=r"^[-+0-9.eE:, ]*$")] = ""
     ramp_s: Positive = 0.5
     window_periods: Annotated[int, Field(ge=3)] = 200
     lock_timeout_s: Positive = 60.0

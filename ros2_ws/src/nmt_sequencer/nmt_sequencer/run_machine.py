@@ -424,6 +424,8 @@ class RunMachine:
                 self._unacknowledged.popleft()
         if report.state == LoopState.LOCK_LOST and report.reason:
             self._loss_reasons[report.level_index] = report.reason
+        if self.phase == RunPhase.STOPPING and report.state == LoopState.FIXED and report.reason:
+            self._note_ending(report)
         if report.state in (LoopState.ACQUIRING, LoopState.LOCKED):
             # The phase is not a number where force or response is missing.
             (self._unanswered.add if math.isnan(report.phase_error) else self._unanswered.discard)(report.level_index)
@@ -505,6 +507,9 @@ class RunMachine:
         plan = self.plan
         assert plan is not None
         if self.phase == RunPhase.STOPPING:
+            if report.drive_amplitude > 0.0 and self._quiet_at is not None:  # the loop damps before its ramp
+                ends = report.last_sample + 1 + self.pacing.samples(self.pacing.quiet_ramp + self.pacing.settle)
+                self._quiet_at = max(self._quiet_at, ends)
             if self._quiet_at is not None and report.last_sample + 1 >= self._quiet_at:
                 self.phase = RunPhase.DONE
                 self._advance_horizon()
@@ -545,7 +550,8 @@ class RunMachine:
                 self._quiet(effective, ResultCode.LOCK_LOST, why)
                 return
             following = plan.levels[record.index + 1 : record.index + 2]
-            is_open = plan.open_loop_abort and plan.excitation.test.gives_modal_points
+            test = plan.excitation.test
+            is_open = plan.open_loop_abort and test.gives_modal_points and test is not TestKind.SELF_EXCITED
             if is_open and record.index in self._unanswered and following and following[0] > record.amplitude:
                 why = (
                     f"Level {record.index + 1} had no force or no response ({record.reason}), so no higher level "
@@ -594,6 +600,11 @@ class RunMachine:
         index = len(self.records)
         self.records.append(LevelRecord(index, plan.levels[index], effective))
         self._order(index, plan.levels[index], effective, plan.ramp, plan.window_periods, plan.timeout)
+
+    def _note_ending(self, report: LoopStatus) -> None:
+        """How the loop of a self-excited rig ended the motion belongs to the reason of the run's end."""
+        if self.plan is not None and self.plan.excitation.test is TestKind.SELF_EXCITED and "damp" in report.reason:
+            self.reason = f"{self.reason.rstrip()} At the end {report.reason}."
 
     def _quiet(self, effective: int, code: ResultCode, reason: str) -> None:
         self.phase = RunPhase.STOPPING

@@ -39,6 +39,7 @@ from nmt_pll.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from
 from nmt_pll.paper_settings import PaperSettings
 from nmt_pll.pll_settings import PAPER_PREFIX, PllSettings
+from nmt_pll.self_excited_control import METHODS
 from nmt_record.bag.bag_keys import SIMULATED_RIG, converter_name
 from nmt_record.bag.recorder_settings import RecorderSettings
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS, SPECIMEN
@@ -62,6 +63,8 @@ RAMP_WINDOW = 20
 RAMP_DELAY = 1.0
 """Periods from the start of a level to its window in the strategy ``ramp``."""
 
+SELF_EXCITED_DURATION = 5.0
+"""Longest time that a free motion is waited for, and that damping takes, unless the test says otherwise, s."""
 REAL_TIME_LEAD = 6
 """Blocks that wait at the output in real time unless the test says otherwise: a busy computer may be late by five."""
 OUTPUT_RECORD = "output.jsonl"
@@ -106,6 +109,7 @@ class PlanSettings(TypedDict, total=False):
     resonance: str
     release: float
     refinement: float
+    method: str
 
 
 @dataclass(frozen=True)
@@ -129,11 +133,13 @@ class TestPlan:
         strategy: ``stepped``: wait at every level for lock; ``ramp``: lock once, then ramp from level to level as long
             as a window lasts and extract during the ramps by the balance of power.
         test: kind of test, see :class:`nmt_core.vocabulary.TestKind`: ``phase_resonance``, ``random``, ``sweep``,
-            ``stepped_sine`` or ``ring_down``. Only the phase-locked kinds use a linear description.
+            ``stepped_sine``, ``ring_down`` or ``self_excited``. Only kinds that control a phase use a linear
+            description.
         frequencies_hz: start of the sweep or frequency of the stepped sine, one for all levels or one a level.
         band_hz: band of the noise of a random test, Hz; its levels are V rms.
         rate_hz_s, frequency_end_hz: rate and end of the sweep.
-        duration: length of the window of a random test, or of the free decay of a ring-down, s.
+        duration: length of the window of a random test, or of the free decay of a ring-down, s; of a self-excited test
+            the longest time that a free motion is waited for and that damping at the end takes, 0 = 5 s.
         device: what is driven: empty or ``simulated``, or a kind of converter, see `nmt_rig.device_sections`.
         device_address: of NI's device server.
         linked: whether plant, loop and sequencer are on one host, so that in lockstep they may hand on the sample path
@@ -145,6 +151,7 @@ class TestPlan:
         resonance: ``3:1`` or ``1:3`` for the test ``secondary_resonance``; empty otherwise.
         release: response amplitude at the drive point that a release onto an isola begins with, m or m/s²; 0 = none.
         refinement: relative deviation of the frequency from a straight backbone above which levels are put in.
+        method: how a self-excited test reaches its amplitudes, see :mod:`nmt_pll.self_excited_loop`.
         tick_blocks: blocks between two decisions of the sequencer.
         block_reason: why blocks are as long as they are, where that was chosen; see `nmt_session.block_length`.
 
@@ -183,6 +190,7 @@ class TestPlan:
     resonance: str = ""
     release: float = 0.0
     refinement: float = 0.0
+    method: str = "auto"
     tick_blocks: int = 5
     block_reason: str = ""
 
@@ -198,6 +206,7 @@ class TestPlan:
             ("Pacing", self.pacing, PACINGS),
             ("Device", self.device or SIMULATED, SIMULATED_OR_CONVERTERS),
             ("Strategy", self.strategy, STRATEGIES),
+            ("Method", self.method, METHODS),
         ):
             if value not in known:
                 raise BenchError(f"{what} '{value}' is not known; use {' or '.join(known)}.")
@@ -259,12 +268,17 @@ class TestPlan:
             float(high),
             float(self.rate_hz_s),
             float(self.frequency_end_hz),
-            float(self.duration),
+            float(self.duration or (SELF_EXCITED_DURATION if self.is_self_excited else 0.0)),
             self.controlled_harmonics,
             int(HarmonicsTarget.named(str(target))) if self.controlled_harmonics else 0,
             *(resonance_named(self.resonance)[:2] if self.resonance else (0, 0)),
             float(self.release),
         )
+
+    @property
+    def is_self_excited(self) -> bool:
+        """Whether the motion is one that the structure feeds."""
+        return TestKind.named(self.test) is TestKind.SELF_EXCITED
 
     @property
     def controlled_harmonics(self) -> int:
@@ -436,6 +450,8 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         linked=linked,
         joined_input=joined,
     )
+    if test.is_self_excited:
+        pll = replace(pll, self_excited_method=test.method, response_limit=limits.largest_response)
     sequencer = SequencerSettings(
         sample_rate=float(rig.sample_rate_hz),
         block_samples=int(rig.block_samples),
@@ -472,6 +488,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     for lacking, does, what in (
         (test.strategy == "ramp", "waits at every level", "the strategy ramp"),
         (test.excitation.test is TestKind.RING_DOWN, "does not switch off", "a ring-down test"),
+        (test.is_self_excited, "cannot hold such a motion", "a self-excited test"),
         (test.control != "voltage", "steps the voltage only", f"levels of {test.control}"),
     ):
         if lacking and pll.loop == "paper":
@@ -744,7 +761,7 @@ def _node_values(values: dict[str, Any]) -> dict[str, Any]:
 
 _FROM_RIG_AND_TEST = frozenset({item.name for item in fields(NodeSettings)}) | {
     "linear_json", "force_per_volt_json", "drive_point", "sample_rate", "block_samples", "response_topic",
-    "bundle_blocks", "joined_input",
+    "bundle_blocks", "joined_input", "self_excited_method", "response_limit",
 }  # fmt: skip
 """Settings of the loop's node that no rig file gives."""
 

@@ -68,7 +68,11 @@ def plan_test(
     else:
         loaded = load_rig(str(rig), changes)
         text = rig_text(loaded, rig, changes)
-    control, kind = settings.get("control", "voltage"), TestKind.named(settings.get("test", "phase_resonance"))
+    kind = TestKind.named(settings.get("test", "phase_resonance"))
+    if kind is TestKind.SELF_EXCITED:
+        settings.setdefault("control", "response")
+        levels = loaded.test.response_levels or None if levels is None else levels
+    control = settings.get("control", "voltage")
     if levels is None and control != "voltage":
         raise BenchError(f"Levels of {control} are needed: those of rig {loaded.name} are voltages; give --levels.")
     if levels is None and (not kind.closes_phase_loop or kind is TestKind.SECONDARY_RESONANCE):
@@ -120,6 +124,7 @@ def _leaves_block_open(plan: TestPlan) -> bool:
         and not plan.is_on_hardware
         and plan.lead_blocks == 0
         and kind.closes_phase_loop
+        and not plan.is_self_excited
         and plan.strategy == "stepped"
         and values.get("loop", "adaptive") == "adaptive"
         and not values.get("proportional")

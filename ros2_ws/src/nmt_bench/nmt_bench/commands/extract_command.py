@@ -116,7 +116,8 @@ def run(options: ExtractOptions) -> int:
         from nmt_core.messages.wire import MODAL_POINT
 
         console.print(_comparison(result.points, list(bag.records("modal_point", MODAL_POINT))))
-    written = ("modal.csv", "modal.json", "uncertainty.csv", "uncertainty.json", "hysteresis.csv", "report.html")
+    tables = ("modal.csv", "modal.json", "uncertainty.csv", "uncertainty.json", "hysteresis.csv", "limit_cycles.csv")
+    written = (*tables, "report.html")
     names = ", ".join(name for name in written if (options.out / name).exists())
     console.print(f"Results in {options.out}: {names}")
     return 0

@@ -16,6 +16,7 @@ RESULT_NAMES = (
     "modal.csv",
     "modal.json",
     "hysteresis.csv",
+    "limit_cycles.csv",
     "report.html",
     "rig.yaml",
     "run.json",

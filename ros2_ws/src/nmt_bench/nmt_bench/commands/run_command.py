@@ -59,6 +59,24 @@ class RunOptions:
         "bag/, modal.csv, modal.json, uncertainty.csv, report.html, rig.yaml, run.json", "run"
     )
     force: bool = replace_option()
+    kind: str = option(
+        "phase_resonance",
+        "self_excited: a rig that feeds its motion is held at amplitudes of the response, or released and measured as "
+        "it passes them; the damping ratio may have either sign (default: phase_resonance)",
+        choices=("phase_resonance", "self_excited"),
+    )
+    method: str = option(
+        "auto",
+        "of a self-excited test: amplitude control, velocity feedback, release of the motion, or by what is stable "
+        "(default: auto)",
+        choices=("auto", "amplitude", "feedback", "envelope"),
+    )
+    duration: float | None = option(
+        None,
+        "of a self-excited test: longest time that a free motion is waited for, and that damping at the end takes "
+        "(default: 5)",
+        metavar="S",
+    )
     linear: Path | None = option(
         None,
         "linear.json of './nmt linear' for loop and extraction (default: the linear modes of the rig's model)",
@@ -68,7 +86,7 @@ class RunOptions:
         None,
         "levels in the unit of --control: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or"
         " a "
-        "list a,b,c (default: the rig's, in V)",
+        "list a,b,c (default: the rig's, in V; of a self-excited test in the unit of the response)",
         metavar="PLAN",
     )
     strategy: str = option(
@@ -194,6 +212,9 @@ def _run(options: RunOptions) -> int:
 
     if not options.resonance and (options.release is not None or options.start_frequency is not None):
         raise BenchError("--release and --start-frequency belong to --resonance; give it, or leave them out.")
+    self_excited = options.kind == "self_excited"
+    if self_excited and options.resonance:
+        raise BenchError("A self-excited test has no secondary resonance; leave out --resonance or --kind.")
     linear = read_linear(options.linear) if options.linear is not None else None
     sheet = None if options.calibration is None else read_calibration(options.calibration)
     bench = bench_of(
@@ -204,7 +225,9 @@ def _run(options: RunOptions) -> int:
         timeout=options.timeout,
         stop_on_lost_lock=options.stop_on_lost_lock,
         node_values={"pll": {"loop": options.pll}} if options.pll else {},
-        control=options.control,
+        control="response" if self_excited and options.control == "voltage" else options.control,
+        method=options.method,
+        duration=options.duration or 0.0,
         strategy=options.strategy,
         linear=linear,
         harmonics_control=options.harmonics_control,
@@ -212,7 +235,7 @@ def _run(options: RunOptions) -> int:
         compare=options.compare or 0,
         latency_blocks=options.latency_blocks,
         refinement=options.refine or 0.0,
-        test="secondary_resonance" if options.resonance else "phase_resonance",
+        test="secondary_resonance" if options.resonance else options.kind,
         resonance=options.resonance or "",
         release=options.release or 0.0,
         frequencies_hz=() if options.start_frequency is None else (options.start_frequency,),
@@ -287,7 +310,9 @@ def _levels(options: RunOptions) -> list[float] | str | None:
     from nmt_rig.rig import load_rig
     from nmt_sequencer.level_plan import directed, parse_levels
 
-    plan = options.levels or load_rig(options.rig, options.set).test.levels
+    test = load_rig(options.rig, options.set).test
+    own = test.response_levels or test.levels if options.kind == "self_excited" else test.levels
+    plan = options.levels or own
     return directed(parse_levels(plan), options.direction)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from nmt_extract.limit_cycles import feeds_its_motion, limit_cycles
 from nmt_extract.modal_point import Status
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import concise, plain, significant, uncertain
@@ -64,9 +66,10 @@ def _table(
     for column in columns:
         unit = column.unit(exponents[column.name]) or "1"
         table.add_column(f"{column.shown.symbol}\n{unit}", justify="right", no_wrap=True)
+    feeds = feeds_its_motion(points)
     if reference is not None:
         table.add_column("Δf̃\n%", justify="right", no_wrap=True)
-        table.add_column("Δδ̃\n%", justify="right", no_wrap=True)
+        table.add_column("Δδ̃\npoints" if feeds else "Δδ̃\n%", justify="right", no_wrap=True)
     for point in points:
         cells = [significant(point.level)]
         if point.status != Status.OK:
@@ -76,7 +79,8 @@ def _table(
         if reference is not None:
             expected = reference.at(point.modal_amplitude)
             cells.append(plain(100 * (point.omega_rad_s / expected[0] - 1), 4))
-            cells.append(plain(100 * (point.damping_ratio / expected[1] - 1), 2))
+            deviation = point.damping_ratio - expected[1] if feeds else point.damping_ratio / expected[1] - 1
+            cells.append(plain(100 * deviation, 3 if feeds else 2))
         table.add_row(*cells)
     return table
 
@@ -87,6 +91,11 @@ def print_modal_table(points: Sequence[ModalPoint], reference: ReferenceCurve | 
         console.print("No modal point.")
         return
     console.print(modal_table(points, reference, console.width))
+    for cycle in limit_cycles(points):
+        kind = "Stable" if cycle.stable else "Unstable"
+        q = uncertain(cycle.modal_amplitude, cycle.modal_amplitude_std)
+        frequency = significant(cycle.omega_rad_s / (2.0 * math.pi), 6)
+        console.print(f"{kind} limit cycle at q = {q} m√kg, {frequency} Hz")
     for point in points:
         if point.reason or point.status != Status.OK:
             level = f"{significant(point.level)} {unit_text(point.level_unit)}"

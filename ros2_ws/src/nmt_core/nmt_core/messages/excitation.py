@@ -21,6 +21,7 @@ _FIELDS: dict[TestKind, tuple[str, ...]] = {
     TestKind.STEPPED_SINE: (),
     TestKind.RING_DOWN: ("duration", "harmonics_control", "harmonics_target"),
     TestKind.SECONDARY_RESONANCE: ("response_order", "force_order", "release"),
+    TestKind.SELF_EXCITED: ("duration",),
 }
 
 MOST_HARMONICS = 50
@@ -39,7 +40,8 @@ class Excitation:
         band_low_hz, band_high_hz: RANDOM: band of the noise, Hz.
         rate_hz_s: SWEEP: Hz/s, sign = direction.
         frequency_end_hz: SWEEP: Hz at which it ends.
-        duration: s; RANDOM: length of the window, RING_DOWN: of the free decay in it.
+        duration: s; RANDOM: length of the window, RING_DOWN: of the free decay in it, SELF_EXCITED: longest time that a
+            free motion is waited for, and that damping lasts at the end.
         harmonics_control: harmonics 2 to this one of the force are controlled; 0 = none, 1 = as many as can be.
         harmonics_target: what they are brought to, see :class:`~nmt_core.vocabulary.HarmonicsTarget`.
         response_order, force_order: SECONDARY_RESONANCE: k and ν, see :mod:`nmt_core.messages.secondary_resonance`.
@@ -112,6 +114,8 @@ class Excitation:
                 )
             if control != ControlKind.VOLTAGE:
                 raise BenchError("A random test has levels of voltage (V rms) only; leave the control at voltage.")
+        if self.test is TestKind.SELF_EXCITED and control != ControlKind.RESPONSE:
+            raise BenchError("A self-excited test has levels of the response; use --control response.")
         if "duration" in _FIELDS[self.test] and not 0.0 < self.duration < _LONGEST:
             raise BenchError(
                 f"A {label} test needs a duration that is positive and below 1e6 s, got {self.duration:g}."

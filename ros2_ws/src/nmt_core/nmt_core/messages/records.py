@@ -31,7 +31,8 @@ class DriveCommand(NamedTuple):
             restart it.
         apply_at_sample: first block that starts at or after this sample; 0 = next block.
         based_on_sample: last sample the command was computed from.
-        harmonics: (harmonic number >= 2, complex amplitude in V) of additional terms Re A_n exp(i n θ).
+        harmonics: (harmonic number, complex amplitude in V) of additional terms Re A_n exp(i n θ); number 1 turns the
+            fundamental and changes its size.
         band_low_hz, band_high_hz: band edges of RANDOM.
         rate_hz_s, frequency_end_hz: rate of SWEEP and where it holds.
     """

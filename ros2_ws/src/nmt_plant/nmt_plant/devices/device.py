@@ -55,8 +55,8 @@ def check_drive(command: DriveCommand) -> None:
         if command.frequency_end_hz <= 0 or way * command.rate_hz_s < 0 or (way != 0 and command.rate_hz_s == 0):
             raise BenchError("drive command: rate_hz_s must lead from frequency_hz to frequency_end_hz.")
     for order, value in command.harmonics:
-        if order < 2 or not (math.isfinite(value.real) and math.isfinite(value.imag)):
-            raise BenchError("drive command: harmonics need an order of at least 2 and a finite amplitude.")
+        if order < 1 or not (math.isfinite(value.real) and math.isfinite(value.imag)):
+            raise BenchError("drive command: harmonics need an order of at least 1 and a finite amplitude.")
 
 
 _WAVEFORMS = frozenset(waveform for waveform in Waveform if waveform is not Waveform.UNKNOWN)

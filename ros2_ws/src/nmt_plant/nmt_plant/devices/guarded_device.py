@@ -161,6 +161,11 @@ def owned_output(
     return OutputLink(owner, **link)
 
 
+def _fundamental(command: DriveCommand) -> float:
+    """Amplitude of the fundamental of a periodic drive, V, which a term of order 1 turns."""
+    return abs(command.amplitude + sum(value for order, value in command.harmonics if order == 1))
+
+
 class GuardedDevice(Device):
     """Commands, final samples, trips and publishing of a device; `_measure` and `_compute` are left to the device.
 
@@ -416,7 +421,8 @@ class GuardedDevice(Device):
             allowed = max(self._free_rise, self._rise_factor * self._seen) * (1.0 + 1e-9)
             share = 1.0 if wanted <= allowed else allowed / wanted
         reached = share * wanted
-        if not self._reason and self._oscillator.is_periodic and self._guard.predict(reached):
+        predicts = self._oscillator.is_periodic and not self._oscillator.is_feedback
+        if not self._reason and predicts and self._guard.predict(reached):
             self._trip(self._guard.reason, StopCause.LIMIT, self._settings.limit_ramp)
             self._output.to_zero()
             self._quiet_link(None)
@@ -569,7 +575,8 @@ class GuardedDevice(Device):
                     f"beyond the voltage limit of {limit:g} V; lower the level."
                 )
             return
-        together = command.amplitude + sum(abs(value) for _, value in command.harmonics)
+        together = _fundamental(command)
+        together += sum(abs(value) for order, value in command.harmonics if order > 1)
         if together > limit:
             what = "drive amplitude with its harmonics" if command.harmonics else "drive amplitude"
             raise BenchError(f"{what} {together:g} V is beyond the voltage limit of {limit:g} V; lower the level.")
@@ -577,9 +584,9 @@ class GuardedDevice(Device):
     def _check_slew(self, command: DriveCommand, slew: float) -> None:
         """Refuse a periodic command that changes faster than the slew limit, V/s, between its samples."""
         angle = math.pi * max(command.frequency_hz, command.frequency_end_hz) / self._sample_rate
-        fastest = command.amplitude * math.sin(angle)
+        fastest = _fundamental(command) * math.sin(angle)
         if command.harmonics:
-            fastest += sum(abs(value) * math.sin(order * angle) for order, value in command.harmonics)
+            fastest += sum(abs(value) * math.sin(order * angle) for order, value in command.harmonics if order > 1)
         fastest *= 2.0 * self._sample_rate
         if fastest > slew * (1.0 + 1e-9):
             raise BenchError(

@@ -362,8 +362,10 @@
 
   const perNewton = () => (facts.response_unit.includes("/") ? "(" + facts.response_unit + ")/N" : facts.response_unit + "/N");
 
+  const givesPoints = (test) => test === "phase_resonance" || test === "self_excited";
+
   function drawKinds() {
-    const test = facts.test, modal = test === "phase_resonance";
+    const test = facts.test, modal = givesPoints(test);
     get("backbone-panel").hidden = get("damping-panel").hidden = !modal;
     get("frf-panel").hidden = get("coherence-panel").hidden = test !== "random";
     get("swept-panel").hidden = test !== "sweep" && test !== "stepped_sine";
@@ -506,7 +508,7 @@
     } else {
       const others = facts.plan.filter((row) => row.why);
       for (const row of others) { const line_ = points.tBodies[0].insertRow(); line_.append(make("td", row.text + " " + facts.level_unit), make("td", row.state + ": " + row.why, { className: "reason" })); }
-      if (!others.length) { points.tBodies[0].insertRow().append(make("td", facts.test === "phase_resonance" ? "No modal point yet." : "This kind of test gives no modal points while it runs.")); }
+      if (!others.length) { points.tBodies[0].insertRow().append(make("td", givesPoints(facts.test) ? "No modal point yet." : "This kind of test gives no modal points while it runs.")); }
     }
     get("acts").replaceChildren(...facts.acts.map((words) => make("li", words)));
     const key = JSON.stringify(facts.channels);
@@ -541,7 +543,7 @@
       repeated.value = begun.some((row) => String(row.index) === chosen) ? chosen : "";
     }
     controls();
-    if (facts.test === "phase_resonance") {
+    if (givesPoints(facts.test)) {
       backbone("plot-frequency", "modal frequency / Hz", factArrays.point_f, factArrays.point_f_std, factArrays.reference_f, 2e-3);
       backbone("plot-damping", "modal damping ratio / %", factArrays.point_d, factArrays.point_d_std, factArrays.reference_d, 0.05);
     }

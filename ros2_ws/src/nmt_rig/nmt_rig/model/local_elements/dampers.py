@@ -91,6 +91,43 @@ class AmplitudeDamperSection(ElementSection):
 
 
 @dataclass(frozen=True)
+class PolynomialDamper(LocalElement):
+    """g = (c0 + c2 w² + c4 w⁴) v; damping that depends on the displacement, c0 in N s/m, c2 in N s/m³, c4 in N s/m⁵.
+
+    With c0 < 0 < c2 that of the van der Pol equation; with c2 < 0 < c0, c4 a rest that is stable beside a limit cycle
+    (subcritical Hopf bifurcation).
+    """
+
+    constant: float
+    square: float
+    fourth: float
+    degree: ClassVar[int] = 5
+
+    @staticmethod
+    def response(c0: float, c2: float, c4: float, w: float, v: float) -> Response:
+        """g and its tangents."""
+        w2 = w * w
+        damping = c0 + w2 * (c2 + w2 * c4)
+        return damping * v, 2.0 * w * (c2 + 2.0 * c4 * w2) * v, damping
+
+
+class PolynomialDamperSection(ElementSection):
+    """g = (c₀ + c₂ w² + c₄ w⁴) v: negative where it feeds the motion.
+
+    Attributes:
+        damping_ns_m: c₀; below zero the rest is unstable (van der Pol with c₂ above zero)
+        damping_ns_m3: c₂; below zero, with the others above, a limit cycle beside a stable rest
+        damping_ns_m5: c₄
+    """
+
+    kind: Literal["polynomial_damper"]
+    damping_ns_m: float
+    damping_ns_m3: float = 0.0
+    damping_ns_m5: float = 0.0
+    element: ClassVar = PolynomialDamper
+
+
+@dataclass(frozen=True)
 class PowerLawDamper(LocalElement):
     """g = c |v|ᵖ sgn v; coefficient c in N (s/m)ᵖ, exponent p ≥ 1 (Ruzicka and Derby 1971, section 2).
 
@@ -163,5 +200,10 @@ class EddyBrakeSection(ElementSection):
 
 
 AnyDamper = (
-    LinearDamperSection | QuadraticDragSection | AmplitudeDamperSection | PowerLawDamperSection | EddyBrakeSection
+    LinearDamperSection
+    | QuadraticDragSection
+    | AmplitudeDamperSection
+    | PolynomialDamperSection
+    | PowerLawDamperSection
+    | EddyBrakeSection
 )

@@ -120,4 +120,60 @@ class TanhFrictionSection(ElementSection):
     friction: ClassVar = True
 
 
-AnyFriction = JenkinsSection | TanhFrictionSection
+@dataclass(frozen=True)
+class StribeckBelt(LocalElement):
+    """Friction on a belt that runs with v_b: g = f(v - v_b) - f(-v_b), forces in N, velocities in m/s.
+
+    f(u) = (F_k + (F_s - F_k) exp(-|u| / v_s)) tanh(u / v_0), the Stribeck curve of kinetic force F_k, static force F_s
+    and decay velocity v_s; v_0 = v_s / 20 smooths its step. The force at rest is part of the rest position, so that w
+    counts from there. Where the curve falls the belt feeds the motion.
+
+    Raises:
+        ValueError: forces or velocities that are not positive, or a static force below the kinetic one.
+    """
+
+    kinetic: float
+    static: float
+    decay_velocity: float
+    belt_velocity: float
+    samples: ClassVar[tuple[int, int]] = (4096, 2048)  # no kink, but steep
+    must_be_positive: ClassVar[tuple[str, ...]] = ("kinetic", "static", "decay_velocity", "belt_velocity")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.static < self.kinetic:
+            raise ValueError(
+                f"{type(self).__name__}: static must be at least the kinetic force {self.kinetic}, got {self.static}"
+            )
+
+    @staticmethod
+    def response(kinetic: float, static: float, decay: float, belt: float, w: float, v: float) -> Response:
+        """g and its tangents."""
+        rest = (kinetic + (static - kinetic) * np.exp(-belt / decay)) * np.tanh(-20.0 * belt / decay)
+        u = v - belt
+        bump = (static - kinetic) * np.exp(-abs(u) / decay)
+        t = np.tanh(20.0 * u / decay)
+        side = 1.0 if u > 0.0 else -1.0
+        slope = (kinetic + bump) * (1.0 - t * t) * 20.0 / decay - side * bump / decay * t
+        return (kinetic + bump) * t - rest, 0.0, slope
+
+
+class StribeckBeltSection(ElementSection):
+    """Friction on a running belt: g = f(v − v_b) − f(−v_b), f(u) = (F_k + (F_s − F_k) e^(−|u|/v_s)) tanh(20 u/v_s).
+
+    Attributes:
+        kinetic_force_n: F_k, at high sliding velocity
+        static_force_n: F_s, at the onset of sliding
+        decay_velocity_m_s: v_s, over which the force falls
+        belt_velocity_m_s: v_b
+    """
+
+    kind: Literal["stribeck_belt"]
+    kinetic_force_n: Positive
+    static_force_n: Positive
+    decay_velocity_m_s: Positive
+    belt_velocity_m_s: Positive
+    element: ClassVar = StribeckBelt
+
+
+AnyFriction = JenkinsSection | TanhFrictionSection | StribeckBeltSection

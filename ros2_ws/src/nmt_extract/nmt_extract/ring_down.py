@@ -124,7 +124,9 @@ class Phasors:
     noise: FloatArray
 
 
-def fit_phasors(data: FloatArray, sample_rate: float, exponent: complex, harmonics: int = 3) -> Phasors:
+def fit_phasors(
+    data: FloatArray, sample_rate: float, exponent: complex, harmonics: int = 3, *, fast: bool = False
+) -> Phasors:
     """Decaying oscillation of all channels over a window, about its middle.
 
     Args:
@@ -132,6 +134,7 @@ def fit_phasors(data: FloatArray, sample_rate: float, exponent: complex, harmoni
         sample_rate: Hz.
         exponent: s₀, rad/s.
         harmonics: highest order.
+        fast: the growth changes fast: the amplitude has one power of time more, and harmonics go with its powers.
 
     Raises:
         BenchError: more unknowns than samples.
@@ -142,12 +145,12 @@ def fit_phasors(data: FloatArray, sample_rate: float, exponent: complex, harmoni
     place = time / scale
     wave = np.exp(exponent * time)
     columns = []
-    for power in range(3):
+    for power in range(4 if fast else 3):
         columns += [place**power * wave.real, -(place**power) * wave.imag]
     for order in range(2, harmonics + 1):
         if order * abs(exponent.imag) >= math.pi * sample_rate:
             break
-        high = np.exp((exponent.real + 1j * order * exponent.imag) * time)
+        high = np.exp(((order if fast else 1) * exponent.real + 1j * order * exponent.imag) * time)
         columns += [high.real, -high.imag]
     columns += [np.ones(samples), place]
     design = np.stack(columns, axis=1)
@@ -237,7 +240,7 @@ def decay_of(
     for factor in (2.0, 1.0):
         length = factor * limits[0]
         start = 2j * math.pi * frequency_hz
-        look = _window(data, sample_rate, settings.skip + 0.5 * length, length, start, inverse, settings.harmonics)
+        look = window_fit(data, sample_rate, settings.skip + 0.5 * length, length, start, inverse, settings.harmonics)
         if look is not None and look[1].real < 0.0:
             exponent = look[1]
             length = min(float(np.clip(settings.span / -exponent.real, *limits)), end - settings.skip)
@@ -248,11 +251,11 @@ def decay_of(
         length = min(length, 2.0 * (end - middle))
         if length < limits[0]:
             break
-        window = _window(data, sample_rate, middle, length, exponent, inverse, settings.harmonics)
+        window = window_fit(data, sample_rate, middle, length, exponent, inverse, settings.harmonics)
         if window is None:
             break
         fit, exponent, centre = window
-        row, relative = _modal_row(fit, inverse, drive, MOTIONS[quantity])
+        row, relative = modal_row(fit, inverse, drive, MOTIONS[quantity])
         if not relative < settings.worst_damping or not exponent.real < 0.0:
             break
         rows.append((centre, *row))
@@ -263,7 +266,7 @@ def decay_of(
     return Decay(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def _window(
+def window_fit(
     data: FloatArray,
     sample_rate: float,
     middle: float,
@@ -271,12 +274,14 @@ def _window(
     exponent: complex,
     inverse: FloatArray,
     harmonics: int,
+    *,
+    fast: bool = False,
 ) -> tuple[Phasors, complex, float] | None:
     """Fit of a window with its exponent iterated, that exponent and the middle (s); None if nothing decays in it."""
     samples = min(round(length * sample_rate), data.shape[1])
     first = min(max(0, round(middle * sample_rate - 0.5 * samples)), data.shape[1] - samples)
     part = data[:, first : first + samples]
-    fit = fit_phasors(part, sample_rate, exponent, harmonics)
+    fit = fit_phasors(part, sample_rate, exponent, harmonics, fast=fast)
     for _ in range(_ITERATIONS):
         modal = inverse @ fit.coefficients[1:]
         # The change that makes a₁ of the motion along its own shape vanish.
@@ -284,13 +289,13 @@ def _window(
         exponent += change
         if not (math.isfinite(exponent.real) and exponent.imag > 0.0 and abs(exponent.real) < exponent.imag):
             return None
-        fit = fit_phasors(part, sample_rate, exponent, harmonics)
+        fit = fit_phasors(part, sample_rate, exponent, harmonics, fast=fast)
         if abs(change) < 1e-9 * abs(exponent):
             break
     return fit, exponent, (first + 0.5 * (samples - 1)) / sample_rate
 
 
-def _modal_row(fit: Phasors, inverse: FloatArray, drive: int, order: int) -> tuple[tuple[float, ...], float]:
+def modal_row(fit: Phasors, inverse: FloatArray, drive: int, order: int) -> tuple[tuple[float, ...], float]:
     """Values of a window after its time, and the relative standard uncertainty of the damping ratio.
 
     Uncertainties by first-order propagation of the residual's white noise.

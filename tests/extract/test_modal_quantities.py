@@ -121,7 +121,7 @@ def test_one_more_quantity_is_everywhere_by_its_field_alone(tmp_path: Path) -> N
     )
     assert done.returncode == 0, done.stderr
     text = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()}
-    assert text["modal.csv"].splitlines()[0].endswith("mac,mac_std,loudness,loudness_std")
+    assert text["modal.csv"].splitlines()[0].endswith(",loudness,loudness_std")
     assert text["modal.csv"].splitlines()[1].endswith(",12.5,0.25")
     assert '"loudness_std": 0.25' in text["modal.json"]
     assert re.search(r"δ̃ +Qf +q", text["terminal.txt"])

@@ -70,12 +70,12 @@ def predictions(case: StudyCase, bag: Path, model_overrides: Sequence[str], poin
         },
     }
     verdict = outcome.diagnosis.verdict.value
-    first = outcome.diagnosis.ranking[0].effect if outcome.diagnosis.ranking else "nothing"
+    named = f" ({outcome.diagnosis.ranking[0].effect})" if verdict == "effect" else ""
     return {
         "levels": [],
         "reference": _backbone(rig, wide),
         "methods": methods,
-        "told": f"the diagnosis says {verdict} ({first}); the subspace model has {order} states.",
+        "told": f"the diagnosis says {verdict}{named}; the subspace model has {order} states.",
     }
 
 

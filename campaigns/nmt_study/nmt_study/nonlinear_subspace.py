@@ -1,8 +1,8 @@
 """Nonlinear subspace identification: polynomial forces as further inputs of a linear state space.
 
 A nonlinear restoring force p₂ w² + p₃ w³ + … at a known place is an input that was measured, because w was
-(Marchesiello and Garibaldi, Mech. Syst. Signal Process. 22 (2008) 81; Noël and Kerschen, Mech. Syst. Signal Process. 40
-(2013) 701):
+(Marchesiello and Garibaldi, Shock and Vibration 15 (2008) 345; Noël and Kerschen, Mech. Syst. Signal Process. 40 (2013)
+701):
 
     x⁺ = A x + B f + E [w², w³, …]ᵀ,   y = C x.
 

@@ -23,7 +23,7 @@ from nmt_core.messages.excitation import Excitation
 from nmt_core.messages.message_files import find_message_file, message_fields
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.options import add_options, options_of
-from nmt_core.settings import ordered_fields, parameters_of
+from nmt_core.settings import ordered_fields, parameters_of, values_of
 from nmt_core.vocabulary import TestKind
 from nmt_extract.extraction_settings import ExtractSettings
 from nmt_plant.plant_settings import PlantSettings
@@ -200,6 +200,40 @@ def test_a_field_of_the_plan_arrives_at_its_nodes(name: str) -> None:
     found |= {"rig.yaml"} if one.recorder.rig_yaml != other.recorder.rig_yaml else set()
     found |= {"run.json"} if one.run["block"] != other.run["block"] else set()
     assert found == places
+
+
+GIVEN = {
+    "lockstep": {
+        "plant": "rig_file bundle_blocks loop_topics drive_point reader_lead expected_peers watched_nodes linked",
+        "pll": "linear_json drive_point sample_rate block_samples bundle_blocks joined_input force_floor "
+        "response_floor voltage_limit pacing expected_peers watched_nodes linked",
+        "sequencer": "sample_rate block_samples largest_voltage largest_force largest_response expected_peers "
+        "watched_nodes linked",
+        "extract": "linear_json harmonics topics bundled rig pacing expected_peers linked",
+        "recorder": "output bundled run_json rig_yaml chunk_messages pacing expected_peers linked",
+    },
+    "realtime": {
+        "plant": "rig_file pacing latency_blocks output_record device device_address expected_peers watched_nodes",
+        "pll": "linear_json drive_point sample_rate block_samples force_floor response_floor latency_blocks "
+        "voltage_limit expected_peers watched_nodes",
+        "sequencer": "sample_rate block_samples pacing latency_blocks largest_voltage largest_force largest_response "
+        "expected_peers watched_nodes",
+        "extract": "linear_json harmonics topics rig expected_peers",
+        "recorder": "output run_json rig_yaml chunk_messages expected_peers",
+    },
+}
+"""Settings of each node that a plan gives other values than their defaults, by pacing."""
+
+
+@pytest.mark.parametrize("pacing", GIVEN)
+def test_a_plan_gives_each_node_these_settings(pacing: str) -> None:
+    rig = load_rig("beam", ["sample_rate_hz=8000", "block_samples=100"])
+    more = {**HARDWARE, "device_address": "host:1"} if pacing == "realtime" else {}
+    plan = plan_nodes(TestPlan(rig, "name: beam\n", (0.1, 0.4), **more), Path("bag"), Path("rig.yaml"))
+    for name, settings in plan.settings.items():
+        usual = values_of(type(settings)())
+        given = {key for key, value in values_of(settings).items() if value != usual[key]}
+        assert given == set(GIVEN[pacing][name].split()), name
 
 
 # -- from what a run is asked for to goal, sequencer, run.json and page ------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Unpack
 
-from nmt_bench.commands.hardware_options import DeviceOptions
+from nmt_bench.commands.shared_options import DeviceOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

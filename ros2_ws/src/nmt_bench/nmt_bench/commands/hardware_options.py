@@ -2,42 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
+from nmt_bench.commands.shared_options import DeviceOptions, RigOptions
 from nmt_bench.hardware.chosen_device import check_command, checked_device, look_for_device, parsed_device
 from nmt_rig.device_sections import DEVICE_KINDS
 from nmt_rig.rig import Rig, load_rig
 
 if TYPE_CHECKING:
     from nmt_session.node_plan import PlanSettings
-
-
-class RigOptions(Protocol):
-    """Options that say which rig, and what of it is changed."""
-
-    @property
-    def rig(self) -> str:
-        """Name or path of the rig."""
-
-    @property
-    def set(self) -> tuple[str, ...]:
-        """``key=value`` texts."""
-
-    @property
-    def exciter(self) -> int | None:
-        """Drive point; None = the rig's."""
-
-
-class DeviceOptions(RigOptions, Protocol):
-    """Options that say what is driven, and by which clock."""
-
-    @property
-    def device(self) -> str:
-        """Kind of converter, see ``--device``."""
-
-    @property
-    def pacing(self) -> str:
-        """``lockstep`` or ``realtime``."""
 
 
 def rig_changes(options: RigOptions) -> list[str]:

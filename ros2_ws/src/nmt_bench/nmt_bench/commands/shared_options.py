@@ -1,12 +1,42 @@
-"""Options that several commands have, each declared once."""
+"""Options that several commands have, each declared once, and what functions that take such options ask for."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Protocol
 
 from nmt_bench.commands.output_folder import free_folder
 from nmt_core.options import option, option_made
+
+
+class RigOptions(Protocol):
+    """Options that say which rig, and what of it is changed."""
+
+    @property
+    def rig(self) -> str:
+        """Name or path of the rig."""
+
+    @property
+    def set(self) -> tuple[str, ...]:
+        """``key=value`` texts."""
+
+    @property
+    def exciter(self) -> int | None:
+        """Drive point; None = the rig's."""
+
+
+class DeviceOptions(RigOptions, Protocol):
+    """Options that say what is driven, and by which clock."""
+
+    @property
+    def device(self) -> str:
+        """Kind of converter, see ``--device``."""
+
+    @property
+    def pacing(self) -> str:
+        """``lockstep`` or ``realtime``."""
+
 
 _DEVICE = (
     "what is driven: {}portaudio, nidaqmx, or nidaqmx@HOST:PORT for NI's device server, loopback, custom; a converter "

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-
 import pytest
 
 from nmt_core.messages.linear_description import LinearDescription
@@ -17,6 +15,7 @@ from nmt_extract.modal_point import Status
 LINEAR = LinearDescription("test", 2, 0, (2,), (139.0,), (0.01,), ((1.0,),), 1.0, 140.0, 0.02, 0.04)
 EVENT = LockEvent(0, 0.3, "V", 299, 22.0, 0.0, 300, 1000, 20)
 KIND_IN_LEVEL = 4 + 64  # after the time-out; the kind of test and five numbers follow
+KIND_IN_LOCK_EVENT = 80  # after the window
 
 
 def level(index: int, kind: int) -> bytes:
@@ -29,7 +28,10 @@ def level(index: int, kind: int) -> bytes:
 
 def lock(kind: int) -> bytes:
     """A serialised lock event."""
-    return LOCK_EVENT.write(EVENT)[:-1] + struct.pack("<B", kind)
+    raw = bytearray(LOCK_EVENT.write(EVENT))
+    assert raw[KIND_IN_LOCK_EVENT] == TestKind.PHASE_RESONANCE
+    raw[KIND_IN_LOCK_EVENT] = kind
+    return bytes(raw)
 
 
 def points(kind: int) -> list[Status]:

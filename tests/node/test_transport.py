@@ -39,7 +39,7 @@ from nmt_msgs.msg import Drive
 
 class Listener(BenchNode):
     def __init__(self):
-        super().__init__(sys.argv[1], ())
+        super().__init__(sys.argv[1])
         self.heard = {}
         self.bench_subscription(Drive, "drive", self.on_drive, SAMPLES_QOS)
         self.sender = self.bench_publisher(Drive, "drive", SAMPLES_QOS) if len(sys.argv) > 2 else None

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.numerics.arrays import FloatArray
@@ -77,6 +76,8 @@ def limit_cycles(points: Iterable[ModalPoint]) -> list[LimitCycle]:
         change = high.damping_ratio - low.damping_ratio
         if low.damping_ratio * high.damping_ratio > 0.0 or change == 0.0 or high.damping_ratio == 0.0:
             continue
+        from scipy.optimize import brentq  # late: most tests have no limit cycle
+
         at = float(brentq(damping, low.modal_amplitude, high.modal_amplitude))
         way = high.modal_amplitude - low.modal_amplitude
         share = (at - low.modal_amplitude) / way

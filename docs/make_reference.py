@@ -76,7 +76,8 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "substeps": "steps of the time integration per sample",
         "structure": "the linear structure, by `kind`",
         "local_elements": "nonlinear or additional elements, each by `kind`",
-        "exciter": "what drives the structure, by `kind`",
+        "exciter": "what drives the structure, by `kind`; of several exciters the first",
+        "exciters": "several exciters in place of `exciter`, the reference of amplitude and phase first",
         "sensors": "channels; at least the force and one response",
         "limits": "amplitudes that end a test",
         "watchdog": "what happens when drive commands stop",
@@ -229,6 +230,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     "SensorSection": {
         "quantity": "what it measures",
         "point": "point number, or `drive` for the drive point; none for voltage and current",
+        "exciter": "voltage and current: whose they are, a number from 1; default the first",
         "channel": "channel name; default f, x, v or a with the point number, u, i",
         "gain": "recorded value per true value",
         "noise_psd": "two-sided density S of the noise in units²/Hz; its variance is S / correlation time",
@@ -617,8 +619,8 @@ def _type_and_range(key: str, field: Any) -> tuple[str, str]:
     _describe(field.annotation, kinds, bounds)
     for item in field.metadata:
         bounds += _bound(item)
-    if key in ("structure", "exciter", "local_elements"):
-        kinds, bounds = (["list of sections"] if key == "local_elements" else ["section"]), []
+    if key in ("structure", "exciters", "local_elements") or (key == "exciter" and "section" in kinds):
+        kinds, bounds = (["list of sections"] if key in ("exciters", "local_elements") else ["section"]), []
     # A kind is named once however often the annotation repeats it.
     return " or ".join(dict.fromkeys(kinds)), ", ".join(dict.fromkeys(bounds))
 

@@ -104,6 +104,7 @@ drives = st.builds(
     st.integers(0, 2**40),
     st.lists(st.tuples(uint32, st.complex_numbers(allow_nan=False)), max_size=5).map(tuple),
     floats, floats, floats, floats,
+    st.lists(st.tuples(uint32, uint32, st.complex_numbers(allow_nan=False)), max_size=3).map(tuple),
 )  # fmt: skip
 statuses = st.builds(
     LoopStatus, st.integers(0, 2**40), uint32, uint32, st.sampled_from(LoopState), floats, floats, floats, floats,
@@ -131,6 +132,11 @@ def values_of(record: Any) -> dict[str, Any]:
         values["harmonics"] = [order for order, _ in harmonics]
         values["harmonics_real"] = [value.real for _, value in harmonics]
         values["harmonics_imag"] = [value.imag for _, value in harmonics]
+        terms = values.pop("terms")
+        values["exciters"] = [exciter for exciter, _, _ in terms]
+        values["exciter_orders"] = [order for _, order, _ in terms]
+        values["exciter_ratio_real"] = [ratio.real for _, _, ratio in terms]
+        values["exciter_ratio_imag"] = [ratio.imag for _, _, ratio in terms]
         return {**values, "stamp": bench_time_ns(record.based_on_sample, RATE)}
     if isinstance(record, LoopStatus):
         return {**record._asdict(), "stamp": bench_time_ns(record.last_sample, RATE)}

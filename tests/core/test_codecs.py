@@ -88,10 +88,13 @@ def fields_of(name: str) -> dict[str, str]:
     return dict(message_fields((MESSAGES / f"{name}.msg").read_text(encoding="utf-8")))
 
 
+TERMS = ("exciters", "exciter_orders", "exciter_ratio_real", "exciter_ratio_imag")
+
+
 @pytest.mark.parametrize(
     ("name", "record", "elsewhere"),
     [
-        ("Drive", DriveCommand, {"stamp", "harmonics_real", "harmonics_imag"}),
+        ("Drive", DriveCommand, {"stamp", "harmonics_real", "harmonics_imag", *TERMS}),
         ("Frequency", LoopStatus, {"stamp"}),
         ("Level", LevelCommand, set()),
         ("LockEvent", LockEvent, {"stamp"}),
@@ -112,7 +115,7 @@ def test_records_have_the_fields_of_their_message(name, record, elsewhere):
     names = {item.name for item in fields(record)} if is_dataclass(record) else set(record._fields)
     in_message = set(fields_of(name))
     assert elsewhere <= in_message
-    assert in_message - elsewhere == names - {"time_ns", "oscillator", "drive_point", *COMPLEX}
+    assert in_message - elsewhere == names - {"time_ns", "oscillator", "drive_point", "terms", *COMPLEX}
 
 
 # --- the bytes -------------------------------------------------------------------------------------------------------
@@ -221,6 +224,21 @@ def test_numbers_that_stand_for_nothing_are_refused():
         RUN_STATE.read(raw)
 
 
+def test_terms_of_several_exciters_come_back_and_those_of_one_cost_four_empty_lists():
+    terms = ((2, 1, 0.5 - 0.2j), (1, 3, 0.1j))
+    command = DriveCommand(Waveform.SINE, 20.0, 1.0, 0.1, 200, 199, harmonics=((3, 1j),), terms=terms)
+    assert read_drive(write_drive(command, RATE)) == command
+    plain = write_drive(DriveCommand(Waveform.SINE, 20.0, 1.0), RATE)
+    assert read_drive(plain).terms == ()
+    assert plain[-16:] == bytes(16)
+    values = {**command._asdict(), "stamp": 0, "harmonics": [], "harmonics_real": [], "harmonics_imag": []}
+    bad = rosbags_bytes(
+        "Drive", {**values, "exciters": [2], "exciter_orders": [1], "exciter_ratio_real": [], "exciter_ratio_imag": []}
+    )
+    with pytest.raises(BenchError, match="must have equal lengths"):
+        read_drive(bad)
+
+
 def test_harmonics_whose_lists_differ_in_length_are_refused():
     raw = bytearray(write_drive(DriveCommand(Waveform.SINE, 20.0, 1.0, harmonics=((3, 0.1 + 0.2j),)), RATE))
     assert read_drive(bytes(raw)).harmonics == ((3, 0.1 + 0.2j),)
@@ -228,7 +246,7 @@ def test_harmonics_whose_lists_differ_in_length_are_refused():
     real_only = rosbags_bytes(
         "Drive",
         {**DriveCommand(Waveform.SINE, 20.0, 1.0)._asdict(), "stamp": 0, "harmonics": [3], "harmonics_real": [0.1],
-         "harmonics_imag": []},
+         "harmonics_imag": [], **{name: [] for name in TERMS}},
     )  # fmt: skip
     assert len(real_only) != len(plain)
     with pytest.raises(BenchError, match="must have equal lengths"):

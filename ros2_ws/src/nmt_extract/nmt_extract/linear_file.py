@@ -110,6 +110,8 @@ def description(test: LinearTest) -> LinearDescription:
             tuple(float(value) for value in row) for row in np.column_stack([mode.shape_std for mode in test.modes])
         ),
         force_per_volt_rows=_force_per_volt(test),
+        exciter_points=(),
+        exciter_force_rows=(),
         **known,
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -72,6 +72,9 @@ class ModalQuantities:
         shape: fundamental ψ̃₁ at the points of Φ, m, shape ``(sets, points)``.
         linear_shape: of the mode under test, 1/√kg, shape ``(points,)``.
         coordinates: modal coordinates Φ⁺ψ̃₁, m√kg, shape ``(sets, modes)``.
+        further_force, further_velocity: of exciters besides the first at their points, shape
+            ``(sets, exciters - 1, H)``; powers are those of all exciters, S is the sum of each one's. |P|/S is 1 where
+            each exciter is in phase resonance at its own point.
     """
 
     omega: FloatArray
@@ -81,6 +84,8 @@ class ModalQuantities:
     shape: ComplexArray
     linear_shape: FloatArray
     coordinates: ComplexArray
+    further_force: ComplexArray | None = field(default=None, kw_only=True)
+    further_velocity: ComplexArray | None = field(default=None, kw_only=True)
 
     @cached_property
     def modal_amplitude(self) -> FloatArray:
@@ -95,7 +100,10 @@ class ModalQuantities:
     @cached_property
     def _power(self) -> FloatArray:
         """P_n, W, shape ``(sets, H)``."""
-        return np.asarray(0.5 * (self.velocity * self.force.conj()).real)
+        first = np.asarray(0.5 * (self.velocity * self.force.conj()).real)
+        if self.further_force is None or self.further_velocity is None:
+            return first
+        return np.asarray(first + 0.5 * (self.further_velocity * self.further_force.conj()).real.sum(axis=1))
 
     @cached_property
     def active_power(self) -> FloatArray:
@@ -105,7 +113,11 @@ class ModalQuantities:
     @cached_property
     def apparent_power(self) -> FloatArray:
         """S over all harmonics, W."""
-        return np.asarray(np.sqrt(_energy(self.velocity) * _energy(self.force)) * 0.5)
+        first = np.asarray(np.sqrt(_energy(self.velocity) * _energy(self.force)) * 0.5)
+        if self.further_force is None or self.further_velocity is None:
+            return first
+        further = np.sqrt(_energy(self.further_velocity) * _energy(self.further_force)).sum(axis=1)
+        return np.asarray(first + 0.5 * further)
 
     @cached_property
     def self_excitation(self) -> FloatArray:
@@ -124,7 +136,10 @@ class ModalQuantities:
 
     @cached_property
     def gamma_force(self) -> FloatArray:
-        """Fundamental over rms of all harmonics of the force."""
+        """Fundamental over rms of all harmonics of the force, of all exciters together."""
+        if self.further_force is not None:
+            fundamental = self.force_n**2 + _energy(self.further_force[:, :, 0])
+            return np.asarray(np.sqrt(fundamental / (_energy(self.force) + _energy(self.further_force).sum(axis=1))))
         return np.asarray(self.force_n / np.sqrt(_energy(self.force)))
 
     @cached_property
@@ -294,6 +309,19 @@ class WindowEvaluation:
                 f"({', '.join(map(str, self.linear.points))}) of the linear modes."
             )
         self._find_drive_rows()
+        self.exciter_rows = self._find_exciters()
+
+    def _find_exciters(self) -> list[tuple[int, int]]:
+        """Rows of force and response of every exciter, where there are several."""
+        rows = []
+        for point in self.linear.exciter_points:
+            force, motion = self._row(Quantity.FORCE, point), self._row(self.shape_quantity, point)
+            if force is None or motion is None:
+                raise BenchError(
+                    f"Force and {self.shape_quantity.topic} are not both measured at exciter point {point}."
+                )
+            rows.append((force, motion))
+        return rows if len(rows) > 1 else []
 
     def _find_drive_rows(self) -> None:
         candidates = (self.shape_quantity, *MOTIONS)
@@ -435,7 +463,8 @@ class WindowEvaluation:
         """Find the faulty channels of those in use; BenchError where too little is left without them."""
         window, linear, faults = self.window, self.linear, self.faults
         assert self.force_row is not None
-        rows = sorted({self.force_row, self.drive_row, self.gamma_row, *self.shape_rows})
+        exciter_rows = {row for pair in self.exciter_rows for row in pair}
+        rows = sorted({self.force_row, self.drive_row, self.gamma_row, *self.shape_rows, *exciter_rows})
         for row in rows:
             if np.ptp(window.data[row]) == 0.0:
                 faults[row] = "is dead: it does not move"
@@ -523,6 +552,8 @@ class WindowEvaluation:
         linear = self.linear
         if self.force_row in self.faults:
             raise BenchError(f"The force is not measured: {self.fault_words}")
+        if any(row in self.faults for pair in self.exciter_rows for row in pair):
+            raise BenchError(f"Force or response of an exciter is not measured: {self.fault_words}")
         self._find_drive_rows()
         gone = [k for k, row in enumerate(self.shape_rows) if row in self.faults]
         kept = [k for k in range(len(self.shape_rows)) if k not in gone]
@@ -560,6 +591,19 @@ class WindowEvaluation:
         return np.asarray(np.sqrt((self.parts - 1) / self.parts * away.sum(axis=0)))
 
     def _values(self, omega: FloatArray, shape: ComplexArray) -> ModalQuantities:
+        values = self._first_exciter(omega, shape)
+        if not self.exciter_rows:
+            return values
+        forces, motions = zip(*self.exciter_rows[1:], strict=True)
+        orders = np.arange(1, self.harmonics + 1)
+        motion = self._integrated(self.amplitudes[:, list(motions)], self.shape_quantity, omega, 0)
+        return replace(
+            values,
+            further_force=self.amplitudes[:, list(forces), 1:],
+            further_velocity=1j * orders * omega[:, None, None] * motion[:, :, 1:],
+        )
+
+    def _first_exciter(self, omega: FloatArray, shape: ComplexArray) -> ModalQuantities:
         return modal_quantities(
             omega,
             self.amplitudes[:, self.force_row],
@@ -628,6 +672,8 @@ class WindowEvaluation:
             harmonics_control=self.history.driven.get(lock.level_index, 0),
             response_order=0,
             force_order=0,
+            exciter_points=linear.exciter_points if self.exciter_rows else (),
+            exciter_forces=np.array([self.amplitudes[0, row] * turns for row, _ in self.exciter_rows]).ravel(),
             **fields,
         )
 

@@ -186,7 +186,11 @@ def _point_to_mapping(point: ModalPoint) -> dict[str, Any]:
     for name in ("harmonics_control", "response_order", "force_order"):
         if not values[name]:
             del values[name]
+    if not point.exciter_points:
+        del values["exciter_points"], values["exciter_forces"]
     for name in COMPLEX:
+        if name not in values:
+            continue
         values[name] = {"real": values[name].real, "imag": values[name].imag}
     return plain_json(values)  # type: ignore[no-any-return]
 
@@ -202,7 +206,7 @@ def _point_from_mapping(values: Mapping[str, Any]) -> ModalPoint:
             data[item.name] = _complex_array(value, 2 if item.name == "shape_harmonics" else 1)
         elif item.name == "status":
             data[item.name] = Status[value]
-        elif item.name == "points":
+        elif item.name in ("points", "exciter_points"):
             data[item.name] = tuple(value)
         else:
             data[item.name] = math.nan if value is None else value

@@ -243,6 +243,8 @@ class _SecondaryEvaluation(WindowEvaluation):
             harmonics_control=0,
             response_order=k,
             force_order=nu,
+            exciter_points=(),
+            exciter_forces=np.empty(0, dtype=np.complex128),
             **fields,
         )
 

@@ -22,6 +22,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_core.numerics.ramp import half_cosine
 from nmt_core.vocabulary import Waveform
+from nmt_plant.exciter_terms import ExciterTerms
 
 _LONGEST_RAMP = 86_400.0  # s
 _MOST_HARMONICS = 200
@@ -120,6 +121,8 @@ def check_command(command: DriveCommand, sample_rate: float) -> None:
         )
     if len(command.harmonics) > _MOST_HARMONICS:
         raise BenchError(f"the drive has {len(command.harmonics)} harmonics; use {_MOST_HARMONICS} at most.")
+    if len(command.terms) > _MOST_HARMONICS:
+        raise BenchError(f"the drive has {len(command.terms)} further terms; use {_MOST_HARMONICS} at most.")
     if command.waveform == Waveform.RANDOM:
         highest = command.band_high_hz
         least = _NARROWEST_BAND * sample_rate
@@ -130,8 +133,9 @@ def check_command(command: DriveCommand, sample_rate: float) -> None:
             )
     else:
         highest = max(command.frequency_hz, command.frequency_end_hz)
-        if command.harmonics:
-            highest *= max(order for order, _ in command.harmonics)
+        if command.harmonics or command.terms:
+            orders = [order for order, _ in command.harmonics] + [order for _, order, _ in command.terms]
+            highest *= max(orders)
     if highest >= nyquist:
         raise BenchError(f"the drive reaches {highest:g} Hz; it must stay below half the sample rate, {nyquist:g} Hz.")
 
@@ -186,10 +190,12 @@ class OscillatorBlock:
         voltage: (samples + 1,) V at the block's samples and at the first of the next block, for a
             first-order hold.
         phase: phase at the first sample.
+        further: (exciters - 1, samples + 1) V, the same of the exciters besides the first; None = there are none.
     """
 
     voltage: FloatArray
     phase: OscillatorPhase
+    further: FloatArray | None = None
 
 
 class Oscillator:
@@ -198,10 +204,14 @@ class Oscillator:
     Args:
         sample_rate: Hz.
         seed: of the random waveform.
+        exciters: number of exciters that it drives.
     """
 
-    def __init__(self, sample_rate: float, seed: int = 0) -> None:
+    def __init__(self, sample_rate: float, seed: int = 0, exciters: int = 1) -> None:
         self.sample_rate = sample_rate
+        self.exciters = exciters
+        self._terms = ExciterTerms(exciters)
+        self._further_noise: tuple[BandNoise, ...] = ()
         self._seed = seed
         self.cycles = 0.0
         self.frequency_hz = 0.0
@@ -245,7 +255,7 @@ class Oscillator:
         """Largest amplitude in the next `samples`, V: harmonics added up, `PEAK_FACTOR` times a random rms."""
         largest = self._amplitude.largest(samples)
         if self._waveform == Waveform.RANDOM:
-            return PEAK_FACTOR * largest
+            return PEAK_FACTOR * largest * (1.0 if self.exciters == 1 else self._terms.largest)
         if self._harmonics:
             before = self._harmonics_before
             weight = self._harmonic_weight.largest(samples)
@@ -257,7 +267,7 @@ class Oscillator:
                     largest = max(map(abs, ends))
                 else:
                     largest += weight * max(abs(value), abs(before.get(order, 0.0)))
-        return largest
+        return largest if self.exciters == 1 else largest * self._terms.largest
 
     def apply(self, command: DriveCommand) -> None:
         """Follow a command from the next block on.
@@ -276,8 +286,8 @@ class Oscillator:
         if random:
             band = (command.band_low_hz, command.band_high_hz)
             if self._noise is None or band != self._band:
-                seeds = np.random.SeedSequence([self._seed, 0x6472697665])
-                self._noise = BandNoise(*band, self.sample_rate, np.random.Generator(np.random.PCG64(seeds)))
+                self._noise = self._band_noise(band, 0)
+                self._further_noise = tuple(self._band_noise(band, row) for row in range(1, self.exciters))
                 self._band = band
         if random != (self._waveform == Waveform.RANDOM) and self._waveform != Waveform.OFF:
             self._amplitude.clear()
@@ -297,8 +307,15 @@ class Oscillator:
         else:
             self._harmonics_before.clear()
         self._harmonics = harmonics
+        if self.exciters > 1 or command.terms:
+            self._terms.aim(command.terms, self._amplitude.value == 0.0)
         self._amplitude.aim(command.amplitude, length)
         self._harmonic_weight.aim(1.0 if self._harmonics else 0.0, length)
+
+    def _band_noise(self, band: tuple[float, float], row: int) -> BandNoise:
+        """Noise of an exciter, counted from 0; that of the first is the same whatever others there are."""
+        seeds = np.random.SeedSequence([self._seed, 0x6472697665, *([row] if row else [])])
+        return BandNoise(*band, self.sample_rate, np.random.Generator(np.random.PCG64(seeds)))
 
     def ramp_to_zero(self, ramp: float) -> None:
         """Half-cosine to zero within `ramp` seconds, or sooner if it is on its way; phase and frequency go on."""
@@ -320,6 +337,7 @@ class Oscillator:
         if self._waveform == Waveform.RANDOM and self._noise is not None:
             voltage = self._amplitude.values(samples + 1) * self._noise.values(samples)
             phase = OscillatorPhase(self.cycles, 0.0, 0.0)
+            further = self._further_random(samples)
         else:
             phase = OscillatorPhase(self.cycles, self.frequency_hz, rate)
             voltage = np.empty(samples + 1)
@@ -334,6 +352,7 @@ class Oscillator:
                     amplitude = value if start == value or not before else start + (value - start) * fade
                     voltage += weight * (amplitude * np.exp(1j * order * theta)).real
                 before.clear()
+            further = self._further_periodic(voltage, phase)
             moved = self.cycles + duration * (self.frequency_hz + 0.5 * rate * duration)
             self.cycles = moved - math.floor(moved)
             self.frequency_hz = end
@@ -342,4 +361,28 @@ class Oscillator:
         if self.is_quiet:
             self._waveform = Waveform.OFF
             self._harmonics = ()
-        return OscillatorBlock(voltage, phase)
+            self._terms.clear()
+        return OscillatorBlock(voltage, phase, further)
+
+    def _further_periodic(self, voltage: FloatArray, phase: OscillatorPhase) -> FloatArray | None:
+        """Voltages of the exciters besides the first, (exciters - 1, samples + 1); further harmonics of the first are
+        added to ``voltage``.
+        """
+        if self.exciters == 1:
+            return None
+        signals = self._terms.signals(phase.phase(voltage.size, self.sample_rate))
+        if signals is None:
+            return np.zeros((self.exciters - 1, voltage.size))
+        signals *= self._amplitude.values(voltage.size)
+        voltage += signals[0]
+        return signals[1:]
+
+    def _further_random(self, samples: int) -> FloatArray | None:
+        """Noise of the exciters besides the first, (exciters - 1, samples + 1)."""
+        if self.exciters == 1:
+            return None
+        noise = np.array([source.values(samples) for source in self._further_noise])
+        weights = self._terms.signals(np.zeros(samples + 1))
+        if weights is None:
+            return np.zeros_like(noise)
+        return np.asarray(self._amplitude.values(samples + 1) * weights[1:] * noise, dtype=np.float64)

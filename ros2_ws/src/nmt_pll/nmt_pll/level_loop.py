@@ -50,6 +50,7 @@ class LoopOutput(NamedTuple):
         frequency_end_hz: SWEEP: where it ends, Hz.
         band_low_hz, band_high_hz: RANDOM: band of the noise, Hz.
         harmonics: order and complex amplitude (V) of the drive's harmonics.
+        terms: further terms of several exciters, as in `DriveCommand`.
     """
 
     last_sample: int
@@ -70,6 +71,7 @@ class LoopOutput(NamedTuple):
     band_low_hz: float = 0.0
     band_high_hz: float = 0.0
     harmonics: tuple[tuple[int, complex], ...] = ()
+    terms: tuple[tuple[int, int, complex], ...] = ()
 
 
 class LevelLoop(ABC):

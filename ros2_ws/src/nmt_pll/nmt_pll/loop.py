@@ -112,13 +112,17 @@ class PhaseLockedLoop(LevelLoop):
         if level.test is TestKind.RING_DOWN and level.amplitude > 0.0 and not 0.0 < level.duration < math.inf:
             raise BenchError(f"Level {level.index}: a ring-down needs a duration above 0 s, got {level.duration}.")
         if level.harmonics_control and level.harmonics_target == HarmonicsTarget.MODAL:
-            check_modes(self.linear, f"Level {level.index}")
+            self._check_modes(level)
         if level.harmonics_control > self._most_harmonics(level.harmonics_control):
             raise BenchError(
                 f"Level {level.index}: harmonics of the force can be controlled up to "
                 f"{self._most_harmonics(level.harmonics_control)} at this sample rate and cut-off of the filter, not "
                 f"up to {level.harmonics_control}; ask for fewer, or for auto."
             )
+
+    def _check_modes(self, level: LevelCommand) -> None:
+        """Refuse (BenchError) the modal target where the linear description has too few modes."""
+        check_modes(self.linear, f"Level {level.index}")
 
     def _most_harmonics(self, wanted: int) -> int:
         return most_harmonics(self.controller.high / (2.0 * math.pi), self.sample_rate, self.cutoff, wanted)
@@ -378,6 +382,11 @@ class PhaseLockedLoop(LevelLoop):
             return ""
         return self.harmonics.obstacle
 
+    @property
+    def _settled_words(self) -> str:
+        """How what is controlled besides the phase is at the lock; empty if nothing is."""
+        return self.harmonics.summary if self.harmonics is not None and self._harmonics_wanted else ""
+
     def _obstacle(self, valid: bool) -> str:
         """What keeps the loop from locking."""
         if not valid:
@@ -396,8 +405,8 @@ class PhaseLockedLoop(LevelLoop):
         if not self.criteria.locked(statistics, self._deviation) or self._harmonics_obstacle:
             return None
         reason = f"phase error {math.degrees(statistics.mean):.3f} deg over {self.settings.dwell_periods:g} periods"
-        if self.harmonics is not None and self._harmonics_wanted:
-            reason += f"; {self.harmonics.summary}"
+        if self._settled_words:
+            reason += f"; {self._settled_words}"
         return self._open_window(end, statistics.mean, reason)
 
     def _open_window(self, end: int, error: float, reason: str) -> LockWindow | None:

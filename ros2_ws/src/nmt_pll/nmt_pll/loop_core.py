@@ -12,6 +12,8 @@ from nmt_core.messages.command_judge import LONGEST_AHEAD, CommandJudge
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveCommand, LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import ControlKind, LoopState, Quantity, TestKind, Waveform
+from nmt_pll.appropriated_loop import AppropriatedLoop
+from nmt_pll.exciter_appropriation import matrix_table
 from nmt_pll.harmonics_control import table_from_json
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop import PhaseLockedLoop
@@ -43,6 +45,7 @@ def drive_command(output: LoopOutput, delay: int = 0) -> DriveCommand:
         output.band_high_hz,
         output.rate_hz_s,
         output.frequency_end_hz,
+        output.terms if output.amplitude > 0.0 else (),
     )
 
 
@@ -154,6 +157,9 @@ class LoopCore:
             if self.settings.loop == "paper":
                 paper = self.settings.paper_settings.beside(settings)
                 loops.append(PaperLoop(linear, paper, self.sample_rate, self.block_samples))
+            elif len(linear.exciter_points) > 1:
+                matrix = matrix_table(linear.exciter_force_rows, len(linear.exciter_points))
+                loops.append(AppropriatedLoop(linear, settings, self.sample_rate, self.block_samples, matrix))
             else:
                 known = table_from_json(self.settings.force_per_volt_json)
                 self_excited = self._self_excited(linear, settings)
@@ -170,6 +176,7 @@ class LoopCore:
                 settings.quiet_ramp,
                 self.settings.settling_time,
                 settings.latency_blocks,
+                self.settings.exciters,
             )
         )
         for given_frequency in (SweepLoop, SteppedSineLoop):

@@ -43,6 +43,8 @@ class LoopSettings:
         slew_limit: control of harmonics keeps drive and harmonics together below it, V/s; 0 = no limit.
         phase_offset_rad, loop_latency_s: φ₀ and τ of the phase the loop holds, arg F - arg v = φ₀ + ω τ, instead of 0;
             what a controller does whose channels are not matched in phase or time.
+        mac_limit, pbmif_limit: with several exciters, least MAC of the response with the linear target mode and least
+            generalised PBMIF at lock.
     """
 
     cutoff: float = setting(
@@ -98,6 +100,10 @@ class LoopSettings:
     loop_latency_s: float = setting(
         0.0, "Time by which the held force leads the velocity, besides the phase offset.", unit="s"
     )
+    mac_limit: float = setting(
+        0.8, "Several exciters: least MAC of the response with the linear target mode at lock; at most 1.", low=0.0
+    )
+    pbmif_limit: float = setting(0.9, "Several exciters: least generalised PBMIF at lock; at most 1.", low=0.0)
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -112,6 +118,9 @@ class LoopSettings:
         for name in ("phase_tolerance", "dwell_periods", "unlock_tolerance", "quiet_ramp", "delay_margin"):
             if getattr(self, name) <= 0:
                 raise BenchError(f"PLL setting '{name}' must be positive.")
+        for name in ("mac_limit", "pbmif_limit"):
+            if getattr(self, name) > 1.0:
+                raise BenchError(f"PLL setting '{name}' must be at most 1, got {getattr(self, name):g}.")
         if self.switch_off_periods > 1.0:
             raise BenchError(
                 f"PLL setting 'switch_off_periods' must be at most 1 period, got {self.switch_off_periods:g}."

@@ -28,6 +28,9 @@ class PllSettings(NodeSettings):
         "says nothing, control of harmonics measures it before the first level.",
     )
     drive_point: int = setting(0, "Point of the exciter if there is no linear description.", low=0)
+    exciters: int = setting(
+        1, "Number of exciters that a random test drives, each with a noise of its own.", low=1, high=64
+    )
     sample_rate: float = setting(10000.0, "Sample rate of the blocks.", unit="Hz", low=1.0)
     block_samples: int = setting(200, "Samples a block.", unit="samples", low=2, high=100000)
     response_topic: str = setting(

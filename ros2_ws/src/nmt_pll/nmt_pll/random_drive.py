@@ -24,6 +24,7 @@ class RandomDrive(LevelLoop):
         quiet_ramp: half-cosine to zero after a stop, s.
         settling_time: between the end of the ramp and the window, s.
         latency_blocks: blocks of buffering between command and excitation.
+        exciters: number of exciters, each with a noise of its own.
     """
 
     KINDS: ClassVar[tuple[TestKind, ...]] = (TestKind.RANDOM,)
@@ -36,9 +37,11 @@ class RandomDrive(LevelLoop):
         quiet_ramp: float = 0.5,
         settling_time: float = 2.0,
         latency_blocks: int = 0,
+        exciters: int = 1,
     ) -> None:
         super().__init__(drive_point, sample_rate, block_samples, quiet_ramp)
         self.settling_time = settling_time
+        self._terms = tuple((number, 1, 1.0 + 0j) for number in range(2, exciters + 1))
         self._delay = latency_blocks * block_samples
         self._settled_from = 0
         self._band = (0.0, 0.0)
@@ -65,7 +68,8 @@ class RandomDrive(LevelLoop):
         output = self._output(end, 0.0, math.nan, (amplitudes[0], amplitudes[1]), lock, flags)
         if not output.amplitude > 0.0:
             return output
-        return output._replace(waveform=Waveform.RANDOM, band_low_hz=self._band[0], band_high_hz=self._band[1])
+        low, high = self._band
+        return output._replace(waveform=Waveform.RANDOM, band_low_hz=low, band_high_hz=high, terms=self._terms)
 
     def _check_control(self, level: LevelCommand) -> None:
         if level.control != ControlKind.VOLTAGE:

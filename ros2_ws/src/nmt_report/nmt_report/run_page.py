@@ -18,6 +18,7 @@ from nmt_extract.modal_point import Status
 from nmt_extract.uncertainty_budget import UncertaintySource, channel_tolerances_used, left_out
 from nmt_plant.real_time import read_histogram
 from nmt_report.columns import shown_columns, status_text, unit_text
+from nmt_report.exciter_table import exciter_fact, exciter_table
 from nmt_report.html_page import Column, Row, Table, render
 from nmt_report.quantity_format import (
     duration,
@@ -54,6 +55,7 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         shape_figures=figures.get("shape", ()),
         run_figures=figures.get("run", ()),
         harmonics_table=_harmonics_table(data),
+        exciter_table=exciter_table(data),
         harmonics_notes=_harmonics_notes(data),
         level_table=_level_table(data),
         block_reason=_block_reason(data),
@@ -195,7 +197,7 @@ def _facts(data: RunReportData) -> list[tuple[str, str]]:
         ("Run", run.get("run_id")),
         ("Started", str(run.get("started", "")).replace("T", " ")),
         ("Rig", run.get("rig")),
-        ("Exciter", f"at point {linear.drive_point}" if linear is not None else None),
+        *([] if linear is None else [exciter_fact(linear)]),
         (
             "Target mode",
             f"{linear.target_mode + 1} (linear: {linear.frequency_hz:.3f} Hz, "

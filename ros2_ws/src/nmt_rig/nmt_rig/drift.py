@@ -40,13 +40,20 @@ class Drift:
         self._base: ElectromechanicalSystem | None = None
         self._stiffness: FloatArray = np.zeros((0, 0))
 
-    def advance(self, integrator: TimeIntegrator, inputs: FloatArray, phase: OscillatorPhase) -> FloatArray:
+    def advance(
+        self,
+        integrator: TimeIntegrator,
+        inputs: FloatArray,
+        phase: OscillatorPhase,
+        further: FloatArray | None = None,
+    ) -> FloatArray:
         """Integrate a block, with the drift up to each of its steps.
 
         Args:
             integrator: of the rig.
             inputs: (n + 1,) as for `TimeIntegrator.advance`.
             phase: oscillator phase at the block's first sample.
+            further: (exciters - 1, n + 1) inputs of the exciters besides the first; None = zero.
 
         Returns:
             (outputs, n).
@@ -67,11 +74,12 @@ class Drift:
             if into == 0:
                 self._apply(integrator, (self._sample + done) / self._rate, self._cycles_at(phase, done))
             length = min(n - done, self._step - into)
-            parts.append(integrator.advance(inputs[done : done + length + 1]))
+            others = None if further is None else further[:, done : done + length + 1]
+            parts.append(integrator.advance(inputs[done : done + length + 1], others))
             done += length
         self._cycles = self._cycles_at(phase, n)
         self._sample += n
-        return np.concatenate(parts, axis=1) if parts else integrator.advance(inputs)
+        return np.concatenate(parts, axis=1) if parts else integrator.advance(inputs, further)
 
     def _cycles_at(self, phase: OscillatorPhase, samples: int) -> float:
         """Periods of the drive until so many samples into the block."""

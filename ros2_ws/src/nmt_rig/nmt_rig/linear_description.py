@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_core.numerics.arrays import ComplexArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_rig.model.linear_modes import damped_modes, sticking_modes
 from nmt_rig.rig import Rig
-from nmt_rig.rig_model import build_resting_elements, build_shaker, build_structure, build_system, input_per_volt
+from nmt_rig.rig_model import (
+    build_resting_elements,
+    build_shaker,
+    build_structure,
+    build_system,
+    input_per_volt,
+    inputs_per_volt,
+)
+
+_NEAR_ROWS = 41  # of force per volt, within a fifth of the target mode's frequency
+_WIDE_ROWS = 120  # beside it, up to half the sample rate
 
 
 def force_per_volt(rig: Rig, frequencies_hz: Sequence[float]) -> ComplexArray:
@@ -25,6 +36,52 @@ def force_per_volt(rig: Rig, frequencies_hz: Sequence[float]) -> ComplexArray:
     system = build_system(rig)
     per_volt = input_per_volt(rig)
     return np.array([per_volt * system.response(2.0 * np.pi * float(f))[1] for f in frequencies_hz], complex)
+
+
+def exciter_force_rows(rig: Rig, frequencies_hz: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+    """Force at every exciter per volt of every exciter with all friction sticking, as rows of the description.
+
+    Args:
+        rig: the rig.
+        frequencies_hz: Hz, ascending.
+    """
+    system = build_system(rig)
+    volts = np.array(inputs_per_volt(rig))
+    rows = []
+    for frequency in frequencies_hz:
+        matrix = system.responses(2.0 * np.pi * float(frequency))[1] * volts
+        parts = np.column_stack([matrix.ravel().real, matrix.ravel().imag]).ravel()
+        rows.append((float(f"{frequency:.6g}"), *(float(f"{value:.6g}") for value in parts)))
+    return tuple(rows)
+
+
+def _several_exciters(rig: Rig, frequency_hz: float, shapes: FloatArray) -> dict[str, Any]:
+    """What the description says of several exciters; nothing where there is one.
+
+    Force and displacement per volt of the first are those with all exciters in the ratio that isolates the mode.
+
+    Args:
+        rig: the rig.
+        frequency_hz: of the target mode.
+        shapes: at the exciters' points, 1/√kg, shape (exciters, modes).
+    """
+    if len(rig.all_exciters) == 1:
+        return {}
+    motions, forces = build_system(rig).responses(2.0 * np.pi * frequency_hz)
+    volts = np.array(inputs_per_volt(rig))
+    wanted = np.linalg.pinv(shapes.T)[:, rig.test.mode - 1]
+    voltages = np.linalg.solve(forces * volts, wanted.astype(complex))
+    motion = build_system(rig).motion(rig.drive_point, motions @ (volts * voltages))
+    near = frequency_hz * np.linspace(0.8, 1.2, _NEAR_ROWS)
+    wide = np.geomspace(0.5 * frequency_hz, 0.5 * float(rig.sample_rate_hz), _WIDE_ROWS)
+    wide = wide[(wide < near[0]) | (wide > near[-1])]
+    first = abs(voltages[0]) or 1.0
+    return {
+        "force_per_volt": float(abs(wanted[0]) / first),
+        "displacement_per_volt": float(abs(motion) / first),
+        "exciter_points": rig.exciter_points,
+        "exciter_force_rows": exciter_force_rows(rig, sorted([*near.tolist(), *wide.tolist()])),
+    }
 
 
 def linear_description(rig: Rig) -> LinearDescription:
@@ -69,6 +126,11 @@ def linear_description(rig: Rig) -> LinearDescription:
     q, force = system.response(float(modes.frequencies[target]))
     per_volt = input_per_volt(rig)
     shaker = build_shaker(rig)
+    excited = modes.shapes[[modes.points.index(point) for point in rig.exciter_points]]
+    per_first_volt = {
+        "force_per_volt": per_volt * abs(force),
+        "displacement_per_volt": per_volt * float(abs(system.motion(rig.drive_point, q))),
+    }
     return LinearDescription(
         source="model",
         drive_point=rig.drive_point,
@@ -81,6 +143,5 @@ def linear_description(rig: Rig) -> LinearDescription:
         plant_frequency_rad_s=float(plant.frequencies[nearest]),
         plant_damping_ratio=float(plant.damping_ratios[nearest]),
         moving_mass_kg=0.0 if shaker is None else shaker.moving_mass,
-        force_per_volt=per_volt * abs(force),
-        displacement_per_volt=per_volt * float(abs(system.motion(rig.drive_point, q))),
+        **(per_first_volt | _several_exciters(rig, float(modes.frequencies[target]) / (2.0 * np.pi), excited)),
     )

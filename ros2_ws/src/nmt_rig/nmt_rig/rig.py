@@ -20,6 +20,7 @@ from nmt_rig.device_sections import PortAudioSection as PortAudioSection
 from nmt_rig.device_sections import StopInputSection as StopInputSection
 from nmt_rig.model.local_elements import AnyElement
 from nmt_rig.model.local_elements.attachments import AttachmentSection
+from nmt_rig.one_of_several import with_one_exciter
 from nmt_rig.rig_file import KeyPath, RigDocument, apply_overrides, read_document
 from nmt_rig.rig_places import RIG_PATH_VARIABLE as RIG_PATH_VARIABLE
 from nmt_rig.rig_places import find_rig as find_rig
@@ -111,6 +112,7 @@ class SensorSection(Section):
 
     quantity: Literal["force", "displacement", "velocity", "acceleration", "voltage", "current"]
     point: Point | Literal["drive"] | None = None
+    exciter: Annotated[int, Field(ge=1)] | None = None
     channel: Name | None = None
     gain: float = 1.0
     noise_psd: NotNegative = 0.0
@@ -135,8 +137,8 @@ class SensorSection(Section):
             raise ValueError(f"point is missing; a {self.quantity} sensor needs a point number or drive")
         if self.quantity in ("voltage", "current") and self.point is not None:
             raise ValueError(f"a {self.quantity} sensor belongs to no point; remove point")
-        if self.quantity == "force" and self.point not in (None, "drive"):
-            raise ValueError("force is measured at the drive point; write point: drive")
+        if self.exciter is not None and self.quantity not in ("voltage", "current"):
+            raise ValueError(f"exciter says whose voltage or current it is; remove it from a {self.quantity} sensor")
         if self.bits is not None and self.range is None:
             raise ValueError("bits needs range, the converter's full scale")
         if self.gain == 0.0:
@@ -292,6 +294,7 @@ class Rig(Section):
     structure: Annotated[AnyStructure, Field(discriminator="kind")]
     local_elements: Annotated[list[AnyElement], Field(default_factory=list)]
     exciter: Annotated[AnyExciter, Field(discriminator="kind")]
+    exciters: list[Annotated[AnyExciter, Field(discriminator="kind")]] | None = None
     sensors: Annotated[list[SensorSection], Field(min_length=1)]
     limits: LimitSection = LimitSection()
     watchdog: WatchdogSection = WatchdogSection()
@@ -303,10 +306,34 @@ class Rig(Section):
     recording: RecordingSection | None = None
     device: Annotated[AnyDevice, Field(discriminator="kind")] | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _first_of_several(cls, values: Any) -> Any:
+        """Of several exciters the first is the exciter that all tests with one know."""
+        if isinstance(values, dict) and isinstance(values.get("exciters"), list) and values["exciters"]:
+            return {"exciter": values["exciters"][0], **values}
+        return values
+
+    @model_validator(mode="after")
+    def _exciters_agree(self) -> Rig:
+        if self.exciters is not None and (not self.exciters or self.exciters[0] != self.exciter):
+            raise ValueError("give either exciter or exciters, a list of which the first is the reference")
+        return self
+
     @property
     def drive_point(self) -> int:
-        """Point number of the exciter."""
+        """Point number of the exciter, of several the first."""
         return self.exciter.point
+
+    @property
+    def all_exciters(self) -> tuple[AnyExciter, ...]:
+        """Every exciter, in the order of the file."""
+        return (self.exciter,) if self.exciters is None else tuple(self.exciters)
+
+    @property
+    def exciter_points(self) -> tuple[int, ...]:
+        """Point number of every exciter."""
+        return tuple(exciter.point for exciter in self.all_exciters)
 
     def sensor_point(self, sensor: SensorSection) -> int:
         """Point of a sensor, 0 for voltage and current."""
@@ -320,7 +347,8 @@ class Rig(Section):
             return sensor.channel
         letter = {"force": "f", "displacement": "x", "velocity": "v", "acceleration": "a"}.get(sensor.quantity)
         if letter is None:
-            return {"voltage": "u", "current": "i"}[sensor.quantity]
+            number = "" if sensor.exciter in (None, 1) else str(sensor.exciter)
+            return {"voltage": "u", "current": "i"}[sensor.quantity] + number
         return f"{letter}{self.sensor_point(sensor)}"
 
     def response_points(self, quantity: Quantity) -> tuple[int, ...]:
@@ -332,7 +360,10 @@ _HYSTERESIS_POINTS = ("excited_point", "middle_point", "free_point")
 
 
 def _points_used(rig: Rig) -> Iterator[tuple[KeyPath, int]]:
-    yield ("exciter", "point"), rig.exciter.point
+    if rig.exciters is None:
+        yield ("exciter", "point"), rig.exciter.point
+    for index, exciter in enumerate(rig.exciters or ()):
+        yield ("exciters", index, "point"), exciter.point
     for index, element in enumerate(rig.local_elements):
         yield ("local_elements", index, "point"), element.point
         if element.other_point is not None:
@@ -362,6 +393,7 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
             path = ("local_elements", index, "other_point")
             raise BenchError(f"{document.place(path)}: {_dotted(path)} must differ from point.")
         _check_element(rig, index, element, document)
+    _check_exciters(rig, document)
     seen: dict[str, int] = {}
     for index, sensor in enumerate(rig.sensors):
         channel = rig.sensor_channel(sensor)
@@ -378,8 +410,7 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
                 f"{place}: sensors.{index}.delay_s is {sensor.delay_s:g}; a channel can lead by one sampling interval "
                 f"({1.0 / rig.sample_rate_hz:g} s) at most; delay the other channels instead."
             )
-        if sensor.quantity == "current" and not isinstance(rig.exciter, ShakerSection):
-            raise BenchError(f"{document.place(path)}: a current sensor needs an electrodynamic_shaker.")
+        _check_exciter_of(rig, index, sensor, document)
     limited = {
         "channels": [entry.channel for entry in rig.limits.channels],
         "open_loop": [entry.channel for entry in rig.limits.open_loop],
@@ -412,10 +443,62 @@ def _check_references(rig: Rig, document: RigDocument) -> None:
             f"{place}: extraction.linear_modes is {rig.extraction.linear_modes}, but the structure has "
             f"{len(rig.structure.modes)} modes; lower it."
         )
-    if isinstance(rig.exciter, ShakingTableSection):
+    if isinstance(rig.exciter, ShakingTableSection) and rig.exciters is None:
         _check_table(rig, rig.exciter, document)
     _check_hysteresis(rig, document)
     _check_device(rig, document, seen)
+
+
+def _check_exciter_of(rig: Rig, index: int, sensor: SensorSection, document: RigDocument) -> None:
+    """A force is measured at an exciter; voltage and current belong to one that is there."""
+    place = document.place(("sensors", index))
+    if sensor.quantity == "force" and rig.sensor_point(sensor) not in rig.exciter_points:
+        raise BenchError(
+            f"{place}: sensors.{index}: force is measured at the drive point; write point: drive"
+            + (f", or one of {', '.join(map(str, rig.exciter_points))}." if rig.exciters else ".")
+        )
+    if sensor.quantity not in ("voltage", "current"):
+        return
+    number = sensor.exciter or 1
+    if number > len(rig.all_exciters):
+        raise BenchError(
+            f"{place}: sensors.{index}.exciter is {number}, but the rig has {len(rig.all_exciters)}; give a number "
+            "from 1 on, or leave it out for the first."
+        )
+    if sensor.quantity == "current" and not isinstance(rig.all_exciters[number - 1], ShakerSection):
+        raise BenchError(f"{place}: a current sensor needs an electrodynamic_shaker.")
+
+
+def _check_exciters(rig: Rig, document: RigDocument) -> None:
+    """Several exciters stand at different points, each with its force and its response measured."""
+    if rig.exciters is None:
+        return
+    measured = rig.response_points(Quantity[rig.extraction.quantity.upper()])
+    forces = rig.response_points(Quantity.FORCE)
+    for index, exciter in enumerate(rig.exciters):
+        place = document.place(("exciters", index))
+        if isinstance(exciter, ShakingTableSection):
+            raise BenchError(
+                f"{place}: exciters.{index}: a shaking_table moves everything; it can only be the exciter."
+            )
+        if rig.exciter_points.index(exciter.point) != index:
+            raise BenchError(f"{place}: exciters.{index}: another exciter is at point {exciter.point} already.")
+        if exciter.point not in forces or exciter.point not in measured:
+            lacking = "force" if exciter.point not in forces else rig.extraction.quantity
+            raise BenchError(
+                f"{place}: exciters.{index}: no {lacking} is measured at point {exciter.point}; add "
+                f"{{quantity: {lacking}, point: {exciter.point}}} to the sensors."
+            )
+    if len(rig.exciters) > rig.extraction.linear_modes:
+        raise BenchError(
+            f"{document.place(('extraction', 'linear_modes'))}: extraction.linear_modes must be at least the number of "
+            f"exciters ({len(rig.exciters)}), got {rig.extraction.linear_modes}."
+        )
+    if rig.device is not None and len(rig.exciters) > 1:
+        raise BenchError(
+            f"{document.place(('device',))}: a converter drives one exciter so far; remove device, or all exciters but "
+            "one."
+        )
 
 
 def _check_table(rig: Rig, table: ShakingTableSection, document: RigDocument) -> None:
@@ -557,7 +640,7 @@ def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:
         nmt_core.errors.BenchError: there is no rig wing...
     """
     path = find_rig(path_or_name)
-    document = read_document(path)
+    document, overrides = with_one_exciter(read_document(path), overrides)
     # What the structure's files hold can be changed too: those that say which file come first.
     first = [text for text in overrides if names_files(text.partition("=")[0].strip())]
     whole = with_file_contents(apply_overrides(document, first), path.parent)

@@ -18,6 +18,7 @@ from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.shaking_table import ShakingTable, effective_mass
 from nmt_rig.model.structure import Structure
 from nmt_rig.rig import (
+    AnyExciter,
     BeamSection,
     ChainSection,
     MatricesSection,
@@ -186,6 +187,8 @@ def refuse_beyond_harmonic_balance(rig: Rig, with_exciter: bool) -> None:
     exciter = rig.exciter
     if not with_exciter:
         return
+    if len(rig.all_exciters) > 1:
+        _refuse(rig, "several exciters")
     if isinstance(exciter, ShakerSection):
         if exciter.amplifier_saturation_v is not None:
             _refuse(rig, "exciter.amplifier_saturation_v")
@@ -216,8 +219,12 @@ def _refuse(rig: Rig, key: str) -> None:
 
 
 def build_shaker(rig: Rig) -> ElectrodynamicShaker | None:
-    """Shaker of a rig; None where an ideal force or a shaking table drives it."""
-    e = rig.exciter
+    """Shaker of a rig, of several the first; None where an ideal force or a shaking table drives it."""
+    return shaker_of(rig.exciter)
+
+
+def shaker_of(e: AnyExciter) -> ElectrodynamicShaker | None:
+    """The shaker that a section describes; None where it is another exciter."""
     if not isinstance(e, ShakerSection):
         return None
     return ElectrodynamicShaker(
@@ -290,12 +297,21 @@ def build_system(rig: Rig, structure: Structure | None = None) -> Electromechani
         build_attachments(rig, structure),
         build_exciter_elements(rig, structure),
         build_table(rig, structure),
+        [(exciter.point, shaker_of(exciter)) for exciter in rig.all_exciters[1:]],
     )
 
 
 def input_per_volt(rig: Rig) -> float:
     """Input of the system for 1 V of drive: 1 with a shaker, N/V with an ideal force, m/s²/V with a shaking table."""
-    e = rig.exciter
+    return inputs_per_volt(rig)[0]
+
+
+def inputs_per_volt(rig: Rig) -> tuple[float, ...]:
+    """`input_per_volt` of every exciter."""
+    return tuple(_input_per_volt(exciter) for exciter in rig.all_exciters)
+
+
+def _input_per_volt(e: AnyExciter) -> float:
     if isinstance(e, ShakerSection):
         return 1.0
     if isinstance(e, ShakingTableSection):

@@ -86,7 +86,9 @@ def with_channels(document: YamlDocument) -> YamlDocument:
         *({"quantity": "acceleration", "point": point} for point in points),
         {"quantity": "voltage"},
     ]
-    defaults = {"exciter": {"kind": "force", "point": points[0]}, "sensors": sensors}
+    defaults: dict[str, Any] = {"exciter": {"kind": "force", "point": points[0]}, "sensors": sensors}
+    if "exciters" in document.values:
+        del defaults["exciter"]
     return YamlDocument(document.name, {**defaults, **document.values}, document.places)
 
 

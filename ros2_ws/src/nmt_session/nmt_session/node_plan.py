@@ -414,8 +414,8 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     layout = extraction.hysteresis
     bundle = _bundle_blocks(test, len(topics))
     linked = _is_linked(test)
-    wants_shape = test.excitation.harmonics_target == HarmonicsTarget.MODAL
-    if wants_shape and linear is not None:
+    wants_shape = _wants_shape(test)
+    if wants_shape and linear is not None and len(linear.exciter_points) < 2:
         check_modes(linear, f"The test of rig {rig.name}")
     joined = linked or (not wants_shape and _joins_loop_input(test, response))
     for name in test.node_values:
@@ -443,6 +443,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         pacing=test.pacing,
         linear_json=linear_json,
         drive_point=int(rig.drive_point),
+        exciters=len(rig.all_exciters),
         response_topic=response,
         watched_nodes=("plant", "sequencer"),
         force_per_volt_json=_known_force(test, linear),
@@ -507,6 +508,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         "block": {"samples": int(rig.block_samples), "reason": test.block_reason},
         "device": device,
         "exciter_point": rig.drive_point,
+        **({"exciter_points": list(rig.exciter_points)} if len(rig.all_exciters) > 1 else {}),
         "linear": None if linear is None else json.loads(linear_json),
         "extraction": extraction.to_mapping(),
         "parameters": {name: values_of(settings) for name, settings in nodes.items()},
@@ -571,10 +573,15 @@ def _joins_loop_input(test: TestPlan, response: str) -> bool:
     return 8 * int(test.rig.block_samples) * channels > MOST_BYTES
 
 
+def _wants_shape(test: TestPlan) -> bool:
+    """Whether the loop takes all channels: for the modal target, and for several exciters."""
+    return test.excitation.harmonics_target == HarmonicsTarget.MODAL or len(test.rig.all_exciters) > 1
+
+
 def _is_linked(test: TestPlan) -> bool:
     """Whether the nodes hand on the sample path past the middleware."""
     channels = 2
-    if test.excitation.harmonics_target == HarmonicsTarget.MODAL:  # then the loop takes all channels
+    if _wants_shape(test):
         channels = 1 + len(test.rig.sensors)
     return test.linked and test.pacing == "lockstep" and 8 * channels * int(test.rig.block_samples) <= MOST_BYTES
 
@@ -760,7 +767,7 @@ def _node_values(values: dict[str, Any]) -> dict[str, Any]:
 
 
 _FROM_RIG_AND_TEST = frozenset({item.name for item in fields(NodeSettings)}) | {
-    "linear_json", "force_per_volt_json", "drive_point", "sample_rate", "block_samples", "response_topic",
+    "linear_json", "force_per_volt_json", "drive_point", "exciters", "sample_rate", "block_samples", "response_topic",
     "bundle_blocks", "joined_input", "self_excited_method", "response_limit",
 }  # fmt: skip
 """Settings of the loop's node that no rig file gives."""

@@ -29,6 +29,7 @@ from nmt_core.options import option, optional_argument
 
 if TYPE_CHECKING:
     from nmt_extract.linear_evaluation import LinearTestResult
+    from nmt_extract.several_inputs import SeveralInputsTest
     from nmt_record.bag.bag_reader import Bag
     from nmt_rig.rig import Rig
 
@@ -180,12 +181,18 @@ def _band(text: str) -> tuple[float, float]:
 # -- evaluation -------------------------------------------------------------------------------------------------------
 
 
-def _evaluate(bag: Bag, options: LinearOptions, band: tuple[float, float]) -> tuple[LinearTestResult, Rig | None]:
+def _evaluate(
+    bag: Bag, options: LinearOptions, band: tuple[float, float]
+) -> tuple[LinearTestResult | SeveralInputsTest, Rig | None]:
     """The recording's modes, and the rig it names; None where it names none."""
     from nmt_core.messages.blocks import Quantity
     from nmt_extract.linear_evaluation import evaluate_linear_test
 
     rig = _rig_of(bag)
+    if rig is not None and len(rig.all_exciters) > 1:
+        from nmt_bench.commands.several_exciters import evaluate_several
+
+        return evaluate_several(bag, rig, options), rig
     drive, modes, rig_mode, quantity = options.exciter, options.modes, 1, None
     if rig is not None:
         drive = rig.drive_point if drive is None else drive
@@ -226,7 +233,15 @@ def _rig_of(bag: Bag) -> Rig | None:
 # -- results ----------------------------------------------------------------------------------------------------------
 
 
-def _write(result: LinearTestResult, rig: Rig | None, folder: Path, options: LinearOptions) -> None:
+def _write(result: LinearTestResult | SeveralInputsTest, rig: Rig | None, folder: Path, options: LinearOptions) -> None:
+    from nmt_extract.linear_evaluation import LinearTestResult
+
+    if not isinstance(result, LinearTestResult):
+        from nmt_bench.commands.several_exciters import write_several
+
+        assert rig is not None
+        write_several(result, rig, folder)
+        return
     from nmt_extract.linear_file import frf_table
     from nmt_report.linear_report import exact_modes, linear_page
 
@@ -236,7 +251,14 @@ def _write(result: LinearTestResult, rig: Rig | None, folder: Path, options: Lin
     write_whole(folder / "report.html", linear_page(result, rig, exact))
 
 
-def _show(result: LinearTestResult, rig: Rig | None, options: LinearOptions, console: Any) -> None:
+def _show(result: LinearTestResult | SeveralInputsTest, rig: Rig | None, options: LinearOptions, console: Any) -> None:
+    from nmt_extract.linear_evaluation import LinearTestResult
+
+    if not isinstance(result, LinearTestResult):
+        from nmt_bench.commands.several_exciters import show_several
+
+        show_several(result, options.out, console)
+        return
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 

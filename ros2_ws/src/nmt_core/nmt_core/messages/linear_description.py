@@ -71,6 +71,9 @@ class LinearDescription:
         shape_stds: standard uncertainties of ``shapes``, 1/√kg; empty if not known.
         force_per_volt_rows: force per volt of drive over frequency as a test has measured it, rows of frequency (Hz),
             real and imaginary part (N/V), ascending; empty if not known.
+        exciter_points: points of several exciters, the drive point first; empty = one.
+        exciter_force_rows: force at every exciter per volt of every exciter, rows of frequency (Hz) and the matrix row
+            by row as real and imaginary parts (N/V), ascending; for several exciters.
     """
 
     source: str
@@ -88,6 +91,8 @@ class LinearDescription:
     displacement_per_volt: float = math.nan
     shape_stds: tuple[tuple[float, ...], ...] = ()
     force_per_volt_rows: tuple[tuple[float, float, float], ...] = ()
+    exciter_points: tuple[int, ...] = ()
+    exciter_force_rows: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
         modes = len(self.frequencies_rad_s)
@@ -100,6 +105,11 @@ class LinearDescription:
         if self.shape_stds and [len(row) for row in self.shape_stds] != [modes] * len(self.points):
             raise BenchError(
                 f"The linear description's shape_stds must have {len(self.points)} rows (points) of {modes} modes each."
+            )
+        if self.exciter_points and self.exciter_points[0] != self.drive_point:
+            raise BenchError(
+                f"The linear description's exciter_points must begin with its drive point {self.drive_point}, got "
+                f"{', '.join(map(str, self.exciter_points))}."
             )
         if not 0 <= self.target_mode < modes:
             raise BenchError(f"The linear description's target_mode must be below {modes}, got {self.target_mode}.")
@@ -118,8 +128,9 @@ class LinearDescription:
         """JSON text; NaN becomes null."""
         values = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(self).items()}
         values["shape_stds"] = [[None if math.isnan(x) else x for x in row] for row in self.shape_stds]
-        if not self.force_per_volt_rows:
-            del values["force_per_volt_rows"]
+        for name in ("force_per_volt_rows", "exciter_points", "exciter_force_rows"):
+            if not values[name]:
+                del values[name]
         return json.dumps(values)
 
     @classmethod
@@ -136,6 +147,8 @@ class LinearDescription:
             data["shapes"] = tuple(tuple(float(x) for x in row) for row in data["shapes"])
             data["shape_stds"] = _stds(values)
             data["force_per_volt_rows"] = _force_rows(values.get("force_per_volt_rows") or ())
+            data["exciter_points"] = tuple(values.get("exciter_points") or ())
+            data["exciter_force_rows"] = _matrix_rows(values.get("exciter_force_rows") or (), data["exciter_points"])
             for key in ("force_per_volt", "displacement_per_volt"):
                 if data.get(key) is None:
                     data[key] = math.nan
@@ -172,6 +185,21 @@ def _force_rows(rows: Any) -> tuple[tuple[float, float, float], ...]:
         raise BenchError(
             "The linear description's force_per_volt_rows must be rows of frequency, real and imaginary part with "
             "ascending frequency."
+        )
+    return found
+
+
+def _matrix_rows(rows: Any, points: tuple[Any, ...]) -> tuple[tuple[float, ...], ...]:
+    """Rows of 1 + 2 N² finite numbers with ascending frequency; TypeError, ValueError or BenchError otherwise."""
+    if any(not isinstance(point, int) for point in points):
+        raise TypeError("exciter_points must be whole numbers")
+    found = tuple(tuple(float(value) for value in row) for row in rows)
+    largest, length = _LARGEST["force_per_volt"], 1 + 2 * len(points) ** 2
+    good = all(len(row) == length and all(abs(x) <= largest for x in row) for row in found)
+    if not good or any(b[0] <= a[0] for a, b in pairwise(found)) or (len(points) > 1 and not found):
+        raise BenchError(
+            f"The linear description's exciter_force_rows must be rows of {length} numbers for {len(points)} exciters, "
+            "with ascending frequency."
         )
     return found
 

@@ -11,7 +11,7 @@ from nmt_core.messages.modal_quantity import Powers, TableColumn, measured, quan
 from nmt_core.numerics.arrays import ComplexArray
 from nmt_core.vocabulary import PointStatus
 
-COMPLEX = ("force_harmonics", "shape_harmonics", "normalised_shape", "participation")
+COMPLEX = ("force_harmonics", "shape_harmonics", "normalised_shape", "participation", "exciter_forces")
 """Names of the complex arrays."""
 
 
@@ -52,6 +52,9 @@ class ModalPoint:
         harmonics_control: harmonics 2 to this one of the force were controlled; 0 = none, 1 = as many as could be.
         response_order, force_order: k and ν of a secondary resonance; values are those of the order k, n counts in
             ``frequency_hz`` / ν, see :mod:`nmt_core.messages.secondary_resonance`; 0 = phase resonance.
+        exciter_points: measurement points of several exciters, the first's first; empty = one exciter.
+        exciter_forces: F_jn of several exciters, N, one exciter's 0..H after the other's; the powers are those of
+            all.
     """
 
     level_index: int
@@ -188,6 +191,8 @@ class ModalPoint:
     harmonics_control: int = 0
     response_order: int = 0
     force_order: int = 0
+    exciter_points: tuple[int, ...] = ()
+    exciter_forces: ComplexArray = field(default_factory=_empty)
 
     def __post_init__(self) -> None:
         for name in COMPLEX:

@@ -35,6 +35,8 @@ class DriveCommand(NamedTuple):
             fundamental and changes its size.
         band_low_hz, band_high_hz: band edges of RANDOM.
         rate_hz_s, frequency_end_hz: rate of SWEEP and where it holds.
+        terms: (exciter from 1, harmonic number, ratio r) of further terms amplitude · Re r exp(i n θ); of RANDOM the
+            exciters besides the first, each with a noise of its own. Empty = one exciter.
     """
 
     waveform: Waveform
@@ -48,6 +50,7 @@ class DriveCommand(NamedTuple):
     band_high_hz: float = 0.0
     rate_hz_s: float = 0.0
     frequency_end_hz: float = 0.0
+    terms: tuple[tuple[int, int, complex], ...] = ()
 
 
 class LoopStatus(NamedTuple):

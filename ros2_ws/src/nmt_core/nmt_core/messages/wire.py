@@ -248,14 +248,18 @@ class BlockWriter:
         self._buffer = buffer
 
 
-# stamp, apply, based, waveform, three numbers, three empty sequences, four numbers
-_DRIVE = struct.Struct("<4siIQQB7xdddIII4xdddd")
+# stamp, apply, based, waveform, three numbers, three empty sequences, four numbers, four empty sequences
+_DRIVE = struct.Struct("<4siIQQB7xdddIII4xddddIIII")
 
 
 def write_drive(drive: DriveCommand, sample_rate: float) -> bytes:
     """Serialise as ``nmt_msgs/Drive`` with the stamp of ``based_on_sample``."""
-    if drive.harmonics:
+    if drive.harmonics or drive.terms:
         values = {**drive._asdict(), "stamp": bench_time_ns(drive.based_on_sample, sample_rate)}
+        values["exciters"] = [exciter for exciter, _, _ in drive.terms]
+        values["exciter_orders"] = [order for _, order, _ in drive.terms]
+        values["exciter_ratio_real"] = [ratio.real for _, _, ratio in drive.terms]
+        values["exciter_ratio_imag"] = [ratio.imag for _, _, ratio in drive.terms]
         values["harmonics"] = [order for order, _ in drive.harmonics]
         values["harmonics_real"] = [value.real for _, value in drive.harmonics]
         values["harmonics_imag"] = [value.imag for _, value in drive.harmonics]
@@ -263,7 +267,7 @@ def write_drive(drive: DriveCommand, sample_rate: float) -> bytes:
     return _DRIVE.pack(
         ENCAPSULATION, *bench_stamp(drive.based_on_sample, sample_rate), drive.apply_at_sample, drive.based_on_sample,
         drive.waveform, drive.frequency_hz, drive.amplitude, drive.ramp, 0, 0, 0, drive.band_low_hz,
-        drive.band_high_hz, drive.rate_hz_s, drive.frequency_end_hz,
+        drive.band_high_hz, drive.rate_hz_s, drive.frequency_end_hz, 0, 0, 0, 0,
     )  # fmt: skip
 
 
@@ -278,12 +282,12 @@ def read_drive(raw: bytes) -> DriveCommand:
     if len(raw) < _DRIVE.size:
         raise ValueError("the message is not a whole Drive")
     values = _DRIVE.unpack_from(raw)
-    if values[9] or values[10] or values[11]:
+    if any(values[9:12]) or any(values[16:20]):
         return _HARMONIC_DRIVE.read(raw)
     waveform = _WAVEFORMS.get(values[5])
     if waveform is None:
         raise _unknown_waveform(values[5])
-    return DriveCommand._make((waveform, *values[6:9], values[3], values[4], (), *values[12:16]))
+    return DriveCommand._make((waveform, *values[6:9], values[3], values[4], (), *values[12:16], ()))
 
 
 _WAVEFORMS = {int(waveform): waveform for waveform in Waveform if waveform is not Waveform.UNKNOWN}
@@ -297,9 +301,15 @@ def _drive_record(values: dict[str, Any]) -> DriveCommand:
     real, imag, orders = values.pop("harmonics_real"), values.pop("harmonics_imag"), values["harmonics"]
     if not len(orders) == len(real) == len(imag):
         raise BenchError("drive command: harmonics, harmonics_real and harmonics_imag must have equal lengths.")
+    exciters, numbers = values.pop("exciters"), values.pop("exciter_orders")
+    ratios = values.pop("exciter_ratio_real"), values.pop("exciter_ratio_imag")
+    if not len(exciters) == len(numbers) == len(ratios[0]) == len(ratios[1]):
+        raise BenchError("drive command: exciters, exciter_orders and exciter_ratio_* must have equal lengths.")
     if values["waveform"] not in _WAVEFORMS:
         raise _unknown_waveform(values["waveform"])
     del values["time_ns"]
+    ratio = map(complex, ratios[0].tolist(), ratios[1].tolist())
+    values["terms"] = tuple(zip(exciters, numbers, ratio, strict=True))
     values["waveform"] = _WAVEFORMS[values["waveform"]]
     values["harmonics"] = tuple(zip(orders, map(complex, real.tolist(), imag.tolist()), strict=True))
     return DriveCommand(**values)

@@ -34,6 +34,7 @@ def check_drive(command: DriveCommand) -> None:
         and 0.0 <= command.amplitude < math.inf
         and 0.0 <= command.ramp < math.inf
         and not command.harmonics
+        and not command.terms
         and command.band_low_hz == command.band_high_hz == command.rate_hz_s == command.frequency_end_hz == 0.0
     ):
         return  # the ordinary case, once a block
@@ -57,6 +58,14 @@ def check_drive(command: DriveCommand) -> None:
     for order, value in command.harmonics:
         if order < 1 or not (math.isfinite(value.real) and math.isfinite(value.imag)):
             raise BenchError("drive command: harmonics need an order of at least 1 and a finite amplitude.")
+    for exciter, order, ratio in command.terms:
+        if exciter < 1 or order < 1 or (exciter, order) == (1, 1):
+            raise BenchError(
+                f"drive command: harmonic {order} of exciter {exciter} is no further term; exciters and orders count "
+                "from 1, and the fundamental of the first is the amplitude itself."
+            )
+        if not (math.isfinite(ratio.real) and math.isfinite(ratio.imag)):
+            raise BenchError(f"drive command: the ratio of exciter {exciter} must be finite, got {ratio}.")
 
 
 _WAVEFORMS = frozenset(waveform for waveform in Waveform if waveform is not Waveform.UNKNOWN)

@@ -10,7 +10,7 @@ import contextlib
 import math
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
@@ -166,6 +166,14 @@ def _fundamental(command: DriveCommand) -> float:
     return abs(command.amplitude + sum(value for order, value in command.harmonics if order == 1))
 
 
+def _ratio_sums(command: DriveCommand, weight: Callable[[int], float] = lambda order: 1.0) -> dict[int, float]:
+    """Exciter -> sum of |r_jn| times a weight of the order, with the 1 of the first exciter's fundamental."""
+    sums = {1: weight(1)}
+    for exciter, order, ratio in command.terms:
+        sums[exciter] = sums.get(exciter, 0.0) + abs(ratio) * weight(order)
+    return sums
+
+
 class GuardedDevice(Device):
     """Commands, final samples, trips and publishing of a device; `_measure` and `_compute` are left to the device.
 
@@ -180,6 +188,7 @@ class GuardedDevice(Device):
         seed: of the random waveform.
         output: process that owns the output, see `owned_output`; None = the samples go to `_measure` directly. With it
             a block is put out ``lead_blocks`` after it was made, and commands act that much later at the earliest.
+        exciters: number of outputs; several are guarded alike, and what stops one stops all.
     """
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -196,8 +205,14 @@ class GuardedDevice(Device):
         settings: GuardSettings,
         seed: int = 0,
         output: OutputLink | None = None,
+        exciters: int = 1,
     ) -> None:
         super().__init__()
+        if output is not None and exciters > 1:
+            raise BenchError(
+                "a process that owns the output drives one exciter so far; run a rig with several in lockstep."
+            )
+        self._exciters = exciters
         self._sample_rate = float(sample_rate)
         self._block_samples = block_samples
         self._groups = groups
@@ -213,10 +228,13 @@ class GuardedDevice(Device):
 
     def _prepare(self) -> None:
         """State at sample 0: drive at zero, nothing tripped, nothing pending."""
-        self._oscillator = Oscillator(self._sample_rate, self._seed)
+        self._oscillator = Oscillator(self._sample_rate, self._seed, self._exciters)
         self._watchdog = DriveWatchdog(self._settings.watchdog_blocks)
         settings = self._settings
-        self._output = OutputGuard(self._sample_rate, self._voltage_limit, self._slew_limit, settings.limit_ramp)
+        self._outputs = [
+            OutputGuard(self._sample_rate, self._voltage_limit, self._slew_limit, settings.limit_ramp)
+            for _ in range(self._exciters)
+        ]
         self._guard = LimitGuard(
             dict(settings.limits),
             settings.channels,
@@ -299,7 +317,7 @@ class GuardedDevice(Device):
             follows = state in (OutputState.FOLLOWING, OutputState.AT_ZERO)
             if self._last != 0.0 or (follows and any(block.voltage.any() for block, _ in self._made)):
                 return False
-        return self._oscillator.is_quiet and self._output.reaches_zero
+        return self._oscillator.is_quiet and all(output.reaches_zero for output in self._outputs)
 
     @property
     def output_sentence(self) -> str:
@@ -353,7 +371,7 @@ class GuardedDevice(Device):
     @property
     def spread_samples(self) -> int:
         """Samples that the slew limit has held back since the start."""
-        return self._output.spread
+        return sum(output.spread for output in self._outputs)
 
     def _start(self) -> None:
         # Compile, or load, what a block needs: not in the first one.
@@ -424,16 +442,22 @@ class GuardedDevice(Device):
         predicts = self._oscillator.is_periodic and not self._oscillator.is_feedback
         if not self._reason and predicts and self._guard.predict(reached):
             self._trip(self._guard.reason, StopCause.LIMIT, self._settings.limit_ramp)
-            self._output.to_zero()
+            for output in self._outputs:
+                output.to_zero()
             self._quiet_link(None)
         block = self._oscillator.block(n)
-        voltage = self._rising(block.voltage, share)
+        wanted_samples = [block.voltage, *(() if block.further is None else block.further)]
+        risen = self._rising(wanted_samples, share)
         self._reached = reached
-        final_samples = self._output.block(voltage, n)
-        if self._output.violation is not None:
+        final = [output.block(voltage, n) for output, voltage in zip(self._outputs, risen, strict=True)]
+        violations = [output.violation for output in self._outputs if output.violation is not None]
+        if violations:
             self._oscillator.ramp_to_zero(0.0)
+            for output in self._outputs:
+                if output.violation is None:
+                    output.to_zero()
             if not self._reason:
-                index, value = self._output.violation
+                index, value = min(violations)
                 self._trip(
                     f"output limit: the drive would have reached {value:.4g} V at sample "
                     f"{self._next_sample + self._lead * n + index}, "
@@ -441,7 +465,9 @@ class GuardedDevice(Device):
                     StopCause.LIMIT,
                     0.0,
                 )
-        return block if final_samples is block.voltage else replace(block, voltage=final_samples)
+        if block.further is not None:
+            return replace(block, voltage=final[0], further=np.array(final[1:]))
+        return block if final[0] is block.voltage else replace(block, voltage=final[0])
 
     @final
     def _put_out(self, block: OscillatorBlock) -> OscillatorBlock:
@@ -477,13 +503,13 @@ class GuardedDevice(Device):
             with contextlib.suppress(DeviceFault):  # the next read says so
                 self._link.quiet(self._reason, ramp)
 
-    def _rising(self, voltage: FloatArray, share: float) -> FloatArray:
-        """The voltage times the share that is let through, along a half-cosine from the last block's share."""
+    def _rising(self, voltages: Sequence[FloatArray], share: float) -> Sequence[FloatArray]:
+        """The voltages times the share that is let through, along a half-cosine from the last block's share."""
         start, self._share = min(self._share, share), share
         if start == 1.0:
-            return voltage
-        weight = start + (share - start) * half_cosine(np.arange(voltage.size) / self._block_samples)
-        return np.asarray(weight * voltage, dtype=np.float64)
+            return voltages
+        weight = start + (share - start) * half_cosine(np.arange(voltages[0].size) / self._block_samples)
+        return [np.asarray(weight * voltage, dtype=np.float64) for voltage in voltages]
 
     @abstractmethod
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
@@ -561,6 +587,9 @@ class GuardedDevice(Device):
             BenchError: a command beyond what the device can do, or beyond a limit of its output.
         """
         check_command(command, self._sample_rate)
+        beyond = [exciter for exciter, _, _ in command.terms if exciter > self._exciters]
+        if beyond:
+            raise BenchError(f"the drive names exciter {max(beyond)}, but there are {self._exciters}.")
         if self._voltage_limit is not None:
             self._check_peak(command, self._voltage_limit)
         if self._slew_limit is not None and command.waveform != Waveform.RANDOM:
@@ -568,8 +597,9 @@ class GuardedDevice(Device):
 
     def _check_peak(self, command: DriveCommand, limit: float) -> None:
         """Refuse a command whose samples would pass the voltage limit, V."""
+        ratios = _ratio_sums(command)
         if command.waveform == Waveform.RANDOM:
-            if PEAK_FACTOR * command.amplitude > limit:
+            if PEAK_FACTOR * command.amplitude * max(ratios.values()) > limit:
                 raise BenchError(
                     f"peaks of a random drive of {command.amplitude:g} V rms reach {PEAK_FACTOR:g} times as much, "
                     f"beyond the voltage limit of {limit:g} V; lower the level."
@@ -577,6 +607,7 @@ class GuardedDevice(Device):
             return
         together = _fundamental(command)
         together += sum(abs(value) for order, value in command.harmonics if order > 1)
+        together = max(together, command.amplitude * max(ratios.values()))
         if together > limit:
             what = "drive amplitude with its harmonics" if command.harmonics else "drive amplitude"
             raise BenchError(f"{what} {together:g} V is beyond the voltage limit of {limit:g} V; lower the level.")
@@ -587,6 +618,9 @@ class GuardedDevice(Device):
         fastest = _fundamental(command) * math.sin(angle)
         if command.harmonics:
             fastest += sum(abs(value) * math.sin(order * angle) for order, value in command.harmonics if order > 1)
+        if command.terms:
+            weighted = _ratio_sums(command, lambda order: math.sin(min(order * angle, 0.5 * math.pi)))
+            fastest = max(fastest, command.amplitude * max(weighted.values()))
         fastest *= 2.0 * self._sample_rate
         if fastest > slew * (1.0 + 1e-9):
             raise BenchError(
@@ -633,7 +667,8 @@ class GuardedDevice(Device):
         # The tripped drive must be at rest before anybody takes over again.
         self._oscillator.ramp_to_zero(0.0)
         self._pending.clear()
-        self._output.release()
+        for output in self._outputs:
+            output.release()
         self._guard.reset()
         self._seen, self._share = 0.0, 1.0
         self._watchdog.command()

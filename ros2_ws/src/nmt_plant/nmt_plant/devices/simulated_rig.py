@@ -22,12 +22,13 @@ from nmt_rig.model.assembly import (
     acceleration_output,
     current_output,
     displacement_output,
+    force_output,
     input_output,
     velocity_output,
 )
 from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator
 from nmt_rig.rig import Rig, ShakerSection
-from nmt_rig.rig_model import build_system, input_per_volt
+from nmt_rig.rig_model import build_system, inputs_per_volt
 from nmt_rig.sensors import Sensor, SensorChannel
 
 __all__ = [
@@ -67,19 +68,21 @@ def rig_sensors(rig: Rig) -> tuple[Sensor, ...]:
     )
 
 
-def sensor_output(system: ElectromechanicalSystem, sensor: Sensor, volts_to_input: float) -> OutputRow:
-    """Output row of what a sensor sees.
+def sensor_output(
+    system: ElectromechanicalSystem, sensor: Sensor, volts_to_input: float, exciter: int = 0
+) -> OutputRow:
+    """Output row of what a sensor sees; voltage and current are those of an exciter, counted from 0.
 
     Raises:
         ValueError: a quantity that no sensor measures, or a current without a shaker.
     """
     if sensor.quantity == Quantity.FORCE:
-        return system.force
+        return force_output(system, sensor.point)
     if sensor.quantity == Quantity.VOLTAGE:
-        row = input_output(system)
-        return OutputRow(row.acceleration, row.velocity, row.displacement, 1.0 / volts_to_input)
+        row = input_output(system, exciter)
+        return replace(row, feedthrough=1.0 / volts_to_input)
     if sensor.quantity == Quantity.CURRENT:
-        return current_output(system)
+        return current_output(system, exciter)
     by_point = {
         Quantity.DISPLACEMENT: displacement_output,
         Quantity.VELOCITY: velocity_output,
@@ -90,18 +93,22 @@ def sensor_output(system: ElectromechanicalSystem, sensor: Sensor, volts_to_inpu
     return by_point[sensor.quantity](system, sensor.point)
 
 
-def sensor_row(system: ElectromechanicalSystem, rig: Rig, index: int, volts_to_input: float) -> OutputRow:
+def sensor_row(
+    system: ElectromechanicalSystem, rig: Rig, index: int, volts_to_input: float | Sequence[float]
+) -> OutputRow:
     """Output row of one of the rig's sensors, with the mass of a force cell and the share of a transverse motion.
 
     Raises:
         ValueError: a quantity that no sensor measures, or a current without a shaker.
     """
     sensor, section = rig_sensors(rig)[index], rig.sensors[index]
-    row = sensor_output(system, sensor, volts_to_input)
+    exciter = (section.exciter or 1) - 1
+    own = volts_to_input if isinstance(volts_to_input, float | int) else volts_to_input[exciter]
+    row = sensor_output(system, sensor, own, exciter)
     if section.mass_kg and sensor.quantity == Quantity.FORCE:
-        row = row.plus(acceleration_output(system, system.drive_point), section.mass_kg)
+        row = row.plus(acceleration_output(system, sensor.point), section.mass_kg)
     if section.transverse is not None:
-        other = sensor_output(system, replace(sensor, point=section.transverse.point), volts_to_input)
+        other = sensor_output(system, replace(sensor, point=section.transverse.point), own, exciter)
         row = row.plus(other, section.transverse.fraction)
     return row
 
@@ -181,6 +188,7 @@ class SimulatedRig(GuardedDevice):
             settings,
             rig.seed,
             owned_output(rig.sample_rate_hz, block, settings, **output) if owned else None,
+            len(rig.all_exciters),
         )
         self._integrator: TimeIntegrator | None = None
         self._prepare()
@@ -213,17 +221,26 @@ class SimulatedRig(GuardedDevice):
         return bool(self._stop_file) and os.path.exists(self._stop_file)
 
     def _configure(self) -> None:
-        self._volts_to_input = input_per_volt(self.rig)
+        self._volts_to_inputs = inputs_per_volt(self.rig)
+        self._volts_to_input = self._volts_to_inputs[0]
         self._integrator = self._make_integrator()
-        exciter = self.rig.exciter
-        self._saturation = exciter.amplifier_saturation_v if isinstance(exciter, ShakerSection) else None
+        self._saturations = [
+            exciter.amplifier_saturation_v if isinstance(exciter, ShakerSection) else None
+            for exciter in self.rig.all_exciters
+        ]
+        self._saturation = self._saturations[0]
         self._voltage_rows = [row for row, s in enumerate(self.sensors) if s.quantity == Quantity.VOLTAGE]
+        # Row of each voltage sensor whose amplifier saturates, and its exciter, counted from 0.
+        exciters = [(section.exciter or 1) - 1 for section in self.rig.sensors]
+        self._saturated_rows = [
+            (row, exciters[row]) for row in self._voltage_rows if self._saturations[exciters[row]] is not None
+        ]
         # Compiles the time loop, or loads it: not in the first block.
         self._integrator.advance(np.zeros(2))
 
     def _make_integrator(self) -> TimeIntegrator:
         system = build_system(self.rig)
-        outputs = [sensor_row(system, self.rig, row, self._volts_to_input) for row in range(len(self.sensors))]
+        outputs = [sensor_row(system, self.rig, row, self._volts_to_inputs) for row in range(len(self.sensors))]
         return TimeIntegrator(system, self.true_sample_rate, outputs, self.rig.substeps)
 
     def _start(self) -> None:
@@ -237,16 +254,29 @@ class SimulatedRig(GuardedDevice):
         if self._saturation is not None:
             voltage = self._saturation * np.tanh(voltage / self._saturation)
         self._drive_voltage = drive.voltage[:-1]
+        further = self._further_inputs(drive)
         try:
             if self._drift.active:
-                values = self._drift.advance(self.integrator, self._volts_to_input * voltage, drive.phase)
+                values = self._drift.advance(self.integrator, self._volts_to_input * voltage, drive.phase, further)
             else:
-                values = self.integrator.advance(self._volts_to_input * voltage)
+                values = self.integrator.advance(self._volts_to_input * voltage, further)
         except (IntegrationError, ValueError) as error:
             raise DeviceFault(str(error)) from error
-        if self._saturation is not None:
-            values[self._voltage_rows] = drive.voltage[:-1]  # measured before the amplifier
+        for row, exciter in self._saturated_rows:  # measured before the amplifier
+            own = drive.voltage if exciter == 0 or drive.further is None else drive.further[exciter - 1]
+            values[row] = own[:-1]
         return values
+
+    def _further_inputs(self, drive: OscillatorBlock) -> FloatArray | None:
+        """Inputs of the exciters besides the first, (exciters - 1, n + 1), behind their amplifiers."""
+        if drive.further is None:
+            return None
+        inputs = np.empty_like(drive.further)
+        for row, voltage in enumerate(drive.further):
+            most = self._saturations[row + 1]
+            behind = voltage if most is None else most * np.tanh(voltage / most)
+            inputs[row] = self._volts_to_inputs[row + 1] * behind
+        return inputs
 
     def respond(self, voltage: FloatArray) -> FloatArray:
         """What the sensors record while a voltage acts, beside the device's own clock; needs a configured rig.

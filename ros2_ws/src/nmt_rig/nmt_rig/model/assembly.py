@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from nmt_rig.model.attached_shaker import AttachedShaker
 from nmt_rig.model.couplings import FORCE_FACTOR, Coupling, coupling_parameters
 from nmt_rig.model.local_elements.attachments import Attachment
 from nmt_rig.model.local_elements.element import LocalElement
@@ -23,7 +24,8 @@ class OutputRow:
     """Linear output of the system.
 
     y = acceleration · q̈ + velocity · q̇ + displacement · q + feedthrough · input + exciter_elements · Σ g, the sum
-    being over the local elements on the side of the exciter; rows have shape (n,).
+    being over the local elements on the side of the exciter; rows have shape (n,). The feedthrough is that of input 0,
+    of the first exciter, or of another one's input.
     """
 
     acceleration: Array
@@ -31,6 +33,7 @@ class OutputRow:
     displacement: Array
     feedthrough: float
     exciter_elements: float = 0.0
+    input: int = 0
 
     def plus(self, other: OutputRow, factor: float = 1.0) -> OutputRow:
         """This output and a multiple of another."""
@@ -40,7 +43,25 @@ class OutputRow:
             self.displacement + factor * other.displacement,
             self.feedthrough + factor * other.feedthrough,
             self.exciter_elements + factor * other.exciter_elements,
+            self.input if self.feedthrough != 0.0 else other.input,
         )
+
+
+@dataclass(frozen=True)
+class FurtherExciter:
+    """An exciter besides the first.
+
+    Attributes:
+        point: point number it acts on.
+        input_vector: (n,) column of its input, V with a shaker, N without.
+        force: output row set of its force on the structure, N; the feedthrough is that of its own input.
+        current: index of the coil's current, None without a shaker.
+    """
+
+    point: int
+    input_vector: Array
+    force: OutputRow
+    current: int | None = None
 
 
 @dataclass(frozen=True)
@@ -67,6 +88,7 @@ class ElectromechanicalSystem(PointMotion):
         on_exciter: for each element, whether it is on the side of the exciter; empty = none is.
         shapes: point number -> row (n,) of points that are no unknown of their own.
         base: motion of the shaking table, None without one.
+        further: exciters besides the first, in their order; empty = one exciter.
     """
 
     mass: Array
@@ -85,6 +107,7 @@ class ElectromechanicalSystem(PointMotion):
     on_exciter: tuple[bool, ...] = ()
     shapes: dict[int, Array] = field(default_factory=dict)
     base: BaseMotion | None = None
+    further: tuple[FurtherExciter, ...] = ()
 
     @property
     def size(self) -> int:
@@ -132,6 +155,17 @@ class ElectromechanicalSystem(PointMotion):
                     tangent = element.linear_stiffness + s * element.linear_damping
                     row = row + self.force.exciter_elements * tangent * element.direction
         return q, complex(row @ q + self.force.feedthrough)
+
+    def responses(self, frequency: float, sticking: bool = True) -> tuple[Array, Array]:
+        """Complex amplitudes of q (n, exciters) and of every exciter's force (exciters, exciters), N, for a unit input
+        of each at ω (rad/s).
+        """
+        columns = np.column_stack([self.input_vector, *(exciter.input_vector for exciter in self.further)])
+        q = np.linalg.solve(self.impedance(frequency, sticking), columns.astype(complex))
+        s = 1j * frequency
+        forces = [self.force, *(exciter.force for exciter in self.further)]
+        rows = np.array([s * s * row.acceleration + s * row.velocity + row.displacement for row in forces])
+        return q, rows @ q + np.diag([row.feedthrough for row in forces])
 
 
 def _solution(matrix: Array, right: Array) -> Array:
@@ -190,23 +224,29 @@ def _table_position(system: ElectromechanicalSystem, point: int, quantity: str) 
     return row
 
 
-def input_output(system: ElectromechanicalSystem) -> OutputRow:
-    """The input itself: voltage (V) with a shaker, force (N) without."""
+def force_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
+    """Force of the exciter at `point`, of the first where none is there, N."""
+    return next((exciter.force for exciter in system.further if exciter.point == point), system.force)
+
+
+def input_output(system: ElectromechanicalSystem, exciter: int = 0) -> OutputRow:
+    """The input of an exciter, counted from 0: voltage (V) with a shaker, force (N) without."""
     zero = np.zeros(system.size)
-    return OutputRow(zero, zero, zero, 1.0)
+    return OutputRow(zero, zero, zero, 1.0, input=exciter)
 
 
-def current_output(system: ElectromechanicalSystem) -> OutputRow:
-    """Coil current, A.
+def current_output(system: ElectromechanicalSystem, exciter: int = 0) -> OutputRow:
+    """Coil current of an exciter, counted from 0, A.
 
     Raises:
-        ValueError: the system has no shaker.
+        ValueError: it is no shaker.
     """
-    if system.current is None:
+    current = system.current if exciter == 0 else system.further[exciter - 1].current
+    if current is None:
         raise ValueError("the system has no shaker, hence no coil current")
     zero = np.zeros(system.size)
     row = np.zeros(system.size)
-    row[system.current] = 1.0
+    row[current] = 1.0
     return OutputRow(zero, zero, row, 0.0)
 
 
@@ -224,6 +264,7 @@ def assemble(
     attachments: Sequence[Attachment] = (),
     exciter_elements: Sequence[LocalElement] = (),
     table: ShakingTable | None = None,
+    further: Sequence[tuple[int, ElectrodynamicShaker | None]] = (),
 ) -> ElectromechanicalSystem:
     """Join structure, local elements, exciter and attachments.
 
@@ -237,12 +278,17 @@ def assemble(
     On a shaking table the ground of local elements moves with the table, and the force is the one that stands for the
     base acceleration at the drive point.
 
+    Exciters besides the first (`further`: point and shaker, None = an ideal force) stand on the structure as
+    attachments with an input: coil behind the structure, current at the end.
+
     Raises:
         KeyError: the structure has no such drive point.
         ValueError: an element's direction does not fit the structure; a table with a shaker, with elements on its side,
-            with attachments that have inertia, or under a structure without base load.
+            with attachments that have inertia, with further exciters, or under a structure without base load.
     """
     n = structure.size
+    if table is not None and further:
+        raise ValueError("a shaking table takes no further exciters")
     if table is not None:
         if shaker is not None or exciter_elements or any(attachment.inertial for attachment in attachments):
             raise ValueError(
@@ -266,7 +312,42 @@ def assemble(
             )
         for element in linear:
             system = _with_linear_on_exciter(system, element)
-    return _attached(system, n, attachments) if attachments else system
+    further_shakers = [
+        AttachedShaker(structure.selector(point), shaker) for point, shaker in further if shaker is not None
+    ]
+    attached = [*attachments, *further_shakers]
+    system = _attached(system, n, attached) if attached else system
+    return _with_further(system, n, further, attachments) if further else system
+
+
+def _with_further(
+    system: ElectromechanicalSystem,
+    n: int,
+    further: Sequence[tuple[int, ElectrodynamicShaker | None]],
+    attachments: Sequence[Attachment],
+) -> ElectromechanicalSystem:
+    """The system with inputs and forces of exciters whose shakers are attached behind ``attachments``."""
+    coil = n + sum(attachment.inertial for attachment in attachments)
+    current = system.size - sum(shaker is not None for _, shaker in further)
+    exciters = []
+    for number, (point, shaker) in enumerate(further, start=1):
+        drive = system.selector(point)
+        zero = np.zeros(system.size)
+        if shaker is None:
+            exciters.append(FurtherExciter(point, drive, OutputRow(zero, zero, zero, 1.0, input=number)))
+            continue
+        voltage, coils = np.zeros(system.size), np.zeros(system.size)
+        voltage[current], coils[coil] = 1.0, 1.0
+        force = OutputRow(
+            -shaker.table_mass * drive,
+            -(shaker.table_damping + shaker.coil_damping) * drive + shaker.coil_damping * coils,
+            -(shaker.table_stiffness + shaker.coil_stiffness) * drive + shaker.coil_stiffness * coils,
+            0.0,
+            input=number,
+        )
+        exciters.append(FurtherExciter(point, voltage, force, current))
+        coil, current = coil + 1, current + 1
+    return replace(system, further=tuple(exciters))
 
 
 def _with_linear_on_exciter(system: ElectromechanicalSystem, element: LocalElement) -> ElectromechanicalSystem:

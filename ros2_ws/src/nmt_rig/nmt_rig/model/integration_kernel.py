@@ -48,6 +48,7 @@ class LinearMotion(NamedTuple):
         start_weights, end_weights: (K+1, 2 + 2 ports, Z), (K+1, 2 ports, Z).
         port_rows, port_input: (3 own + 4 couplings, Z), (3 own + 4 couplings,).
         compliance: (K+1, 3 own + 4 couplings, 2 ports).
+        further_weights, further_port_input: (K+1, 2 further, Z), (further, 3 own + 4 couplings) of further exciters.
     """
 
     modal: bool
@@ -58,6 +59,8 @@ class LinearMotion(NamedTuple):
     port_rows: Array
     port_input: Array
     compliance: Array
+    further_weights: Array
+    further_port_input: Array
 
 
 class PortForces(NamedTuple):
@@ -271,6 +274,32 @@ def see_free(motion: LinearMotion, rows: int, lanes: int, u1: float, end: Array,
         for i in range(lanes, end.size):
             total0 += port_rows[r, i] * end[i]
         free[r] = (total0 + total1) + (total2 + total3)
+
+
+@loop_step
+def hold_further(inputs: Array, k: int, start: float, end: float, ends: Array) -> None:
+    """(further, 2) inputs of further exciters at two places between sample k and the next, as shares of the way."""
+    for f in range(ends.shape[0]):
+        change = inputs[f + 1, k + 1] - inputs[f + 1, k]
+        ends[f, 0] = inputs[f + 1, k] + start * change
+        ends[f, 1] = inputs[f + 1, k] + end * change
+
+
+@loop_step
+def move_further(motion: LinearMotion, level: int, ends: Array, end: Array) -> None:
+    """Add to the state at the end of a sub-step what further exciters do; (further, 2) inputs at its ends."""
+    weights = motion.further_weights
+    for f in range(ends.shape[0]):
+        for i in range(end.size):
+            end[i] += weights[level, 2 * f, i] * ends[f, 0] + weights[level, 2 * f + 1, i] * ends[f, 1]
+
+
+@loop_step
+def see_further(motion: LinearMotion, rows: int, ends: Array, free: Array) -> None:
+    """Add the direct share of the inputs of further exciters to what the ports see at the end of a sub-step."""
+    for f in range(ends.shape[0]):
+        for r in range(rows):
+            free[r] += motion.further_port_input[f, r] * ends[f, 1]
 
 
 @loop_step
@@ -535,7 +564,7 @@ def integrate(
             tuples, which come from Python sooner than named ones.
         memory_tables: likewise the `Memory`, updated.
         substeps: per sample.
-        inputs: (n + 1,) input at the samples and one beyond; straight between them.
+        inputs: (exciters, n + 1) input at the samples and one beyond; straight between them.
         state: (Z,) working state, updated.
         history, force_history: (Z, ≥ n) and (ports, ≥ n) work space.
         outputs: (outputs, n) overwritten.
@@ -557,14 +586,15 @@ def integrate(
     # Sums are taken four terms at a time, of systems with couplings one at a time.
     lanes = size - size % 4 if couplings == 0 else 0
     good = True
-    for k in range(inputs.size - 1):
+    ends = np.zeros((inputs.shape[0] - 1, 2))
+    for k in range(inputs.shape[1] - 1):
         for i in range(size):
             history[i, k] = state[i]
         for q in range(ports):
             force_history[q, k] = forces[q]
-        increment = (inputs[k + 1] - inputs[k]) / substeps
+        increment = (inputs[0, k + 1] - inputs[0, k]) / substeps
         for s in range(substeps):
-            u_start = inputs[k] + s * increment
+            u_start = inputs[0, k] + s * increment
             position = 0
             level = 0
             while position < ticks:
@@ -572,7 +602,12 @@ def integrate(
                 u0 = u_start + increment * (position / ticks)
                 u1 = u_start + increment * ((position + width) / ticks)
                 move_free(motion, level, u0, u1, forces, state, end)
+                hold_further(
+                    inputs, k, (s + position / ticks) / substeps, (s + (position + width) / ticks) / substeps, ends
+                )
+                move_further(motion, level, ends, end)
                 see_free(motion, rows, lanes, u1, end, free)
+                see_further(motion, rows, ends, free)
                 solved = True
                 if ports == 1 and affine:
                     solve_one_port(compliance, level, acting, branch, slider, sub)
@@ -586,5 +621,5 @@ def integrate(
                 accept(motion, acting, memory, level, corner, rows, sub, state)
                 position += width
                 level = widest_level(position, levels)
-    write_outputs(OutputRows(*output_tables), inputs, history, force_history, lanes, outputs)
+    write_outputs(OutputRows(*output_tables), inputs[0], history, force_history, lanes, outputs)
     return good and is_bounded(state)

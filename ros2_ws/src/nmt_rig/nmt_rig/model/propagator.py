@@ -43,6 +43,7 @@ class StateSpace:
         exciter_ports: (ports,) 1 where the elements are on the side of the exciter, else 0.
         couplings: forces of two arguments.
         observed: (2 couplings, N) what the couplings observe, in turn y₁ and y₂ of each.
+        b_further: (N, inputs) of the exciters besides the first.
     """
 
     a: Array
@@ -55,6 +56,7 @@ class StateSpace:
     exciter_ports: Array
     couplings: tuple[Coupling, ...] = ()
     observed: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    b_further: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def size(self) -> int:
@@ -84,8 +86,19 @@ class StateSpace:
             d_ports[i] = row.acceleration[:m] @ self.b_ports[m : 2 * m]
             if row.exciter_elements:
                 d_ports[i] += row.exciter_elements * self.exciter_ports
-            d_input[i] = row.acceleration[:m] @ self.b_input[m : 2 * m] + row.feedthrough
+            own = row.feedthrough if row.input == 0 else 0.0
+            d_input[i] = row.acceleration[:m] @ self.b_input[m : 2 * m] + own
         return c, d_ports, d_input
+
+    def further_output(self, rows: Sequence[OutputRow]) -> Array:
+        """D (outputs, inputs) of the inputs of the exciters besides the first."""
+        m = self.mechanical_size
+        result = np.zeros((len(rows), self.b_further.shape[1]))
+        for i, row in enumerate(rows):
+            for j in range(result.shape[1]):
+                own = row.feedthrough if row.input == j + 1 else 0.0
+                result[i, j] = row.acceleration[:m] @ self.b_further[m : 2 * m, j] + own
+        return result
 
 
 def state_space(system: ElectromechanicalSystem) -> StateSpace:
@@ -136,7 +149,20 @@ def state_space(system: ElectromechanicalSystem) -> StateSpace:
     space = StateSpace(
         a, b_input, b_ports, port_matrix, tuple(rest), np.array(ports, dtype=np.int64), m, np.array(exciter_ports)
     )
+    if system.further:
+        space = replace(space, b_further=_further_inputs(system, inverse_mass, size))
     return _with_couplings(space, system, inverse_mass) if system.couplings else space
+
+
+def _further_inputs(system: ElectromechanicalSystem, inverse_mass: NDArray[Any], size: int) -> Array:
+    """(N, inputs) columns of the inputs of the exciters besides the first."""
+    m = system.mechanical_size
+    columns = np.array([exciter.input_vector for exciter in system.further]).T
+    result = np.zeros((size, columns.shape[1]))
+    result[m : 2 * m] = inverse_mass @ columns[:m]
+    if size > 2 * m:
+        result[2 * m :] = np.linalg.inv(system.damping[m:, m:]) @ columns[m:]
+    return result
 
 
 def _with_couplings(space: StateSpace, system: ElectromechanicalSystem, inverse_mass: NDArray[Any]) -> StateSpace:
@@ -185,6 +211,9 @@ class Propagator:
         projection: (ports, Z) of port forces on the rates of the working coordinates; empty unless modal.
         holds: (K+1, 4, 4, pairs) blocks [xx, xy, yx, yy] that take such projected forces, their slopes at the start,
             forces and slopes at the end of a step to the working coordinates; empty unless modal.
+        further_weights: (K+1, 2 inputs, Z) weights of the inputs of exciters besides the first, in turn at the start
+            and at the end of a step.
+        further_port_input: (inputs, 3 ports) direct share of these inputs in ``port_rows``.
     """
 
     modal: bool
@@ -200,6 +229,8 @@ class Propagator:
     to_working: Array
     projection: Array
     holds: Array
+    further_weights: Array
+    further_port_input: Array
 
 
 def phi_functions(z: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
@@ -247,7 +278,8 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
     if not step > 0:
         raise ValueError(f"the time step must be positive, got {step}")
     ports = space.b_ports.shape[1]
-    inputs = np.column_stack([space.b_input, space.b_ports])
+    further = space.b_further.shape[1]
+    inputs = np.column_stack([space.b_input, space.b_ports, *space.b_further.T])
     values, vectors = np.linalg.eig(space.a)
     scale = np.linalg.norm(vectors, axis=1)
     scale[scale == 0.0] = 1.0
@@ -273,13 +305,11 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
         pair = np.zeros((levels + 1, 4, pairs))
         dense = np.zeros((0, size, size))
         left_inputs = left @ inputs
+        left_ports = left_inputs[:, 1 : 1 + ports]
         projection = np.zeros((ports, size))
-        projection[:, :u], projection[:, pairs : pairs + u] = (
-            left_inputs[upper, 1:].real.T,
-            left_inputs[upper, 1:].imag.T,
-        )
-        projection[:, u : u + f] = left_inputs[first, 1:].real.T
-        projection[:, pairs + u : pairs + u + g] = left_inputs[second, 1:].real.T
+        projection[:, :u], projection[:, pairs : pairs + u] = left_ports[upper].real.T, left_ports[upper].imag.T
+        projection[:, u : u + f] = left_ports[first].real.T
+        projection[:, pairs + u : pairs + u + g] = left_ports[second].real.T
         holds = np.zeros((levels + 1, 4, 4, pairs))
     else:
         size = space.size
@@ -288,7 +318,7 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
         dense = np.zeros((levels + 1, size, size))
         projection, holds = np.zeros((0, 0)), np.zeros((0, 4, 4, 0))
 
-    weights = [np.zeros((levels + 1, size, 1 + ports)) for _ in range(6)]
+    weights = [np.zeros((levels + 1, size, 1 + ports + further)) for _ in range(6)]
     if modal:
         steps = step / 2.0 ** np.arange(levels + 1)
         with np.errstate(over="ignore", invalid="ignore"):  # what grows without bound is refused when it moves
@@ -344,13 +374,22 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
     port_rows = rows @ from_working
     compliance = np.zeros((levels + 1, total, 2 * ports))
     for level in range(levels + 1):
-        compliance[level, :, :ports] = port_rows @ weights[4][level][:, 1:] + feedthrough
-        compliance[level, :, ports:] = port_rows @ weights[5][level][:, 1:]
+        compliance[level, :, :ports] = port_rows @ weights[4][level][:, 1 : 1 + ports] + feedthrough
+        compliance[level, :, ports:] = port_rows @ weights[5][level][:, 1 : 1 + ports]
 
+    of_ports = slice(1, 1 + ports)
     start_weights = np.concatenate(
-        [weights[0][:, :, :1], weights[1][:, :, :1], weights[2][:, :, 1:], weights[3][:, :, 1:]], axis=2
+        [weights[0][:, :, :1], weights[1][:, :, :1], weights[2][:, :, of_ports], weights[3][:, :, of_ports]], axis=2
     )
-    end_weights = np.concatenate([weights[4][:, :, 1:], weights[5][:, :, 1:]], axis=2)
+    end_weights = np.concatenate([weights[4][:, :, of_ports], weights[5][:, :, of_ports]], axis=2)
+    # In turn those of the start and of the end for each further input.
+    further_weights = np.stack([weights[0][:, :, 1 + ports :], weights[1][:, :, 1 + ports :]], axis=3)
+    further_weights = further_weights.reshape(levels + 1, size, 2 * further)
+    further_port_input = np.zeros((further, total))
+    for j in range(further):
+        further_port_input[j, 2 * own : seen] = port_map @ space.b_further[m : 2 * m, j]
+        if space.couplings:
+            further_port_input[j, rates:] = space.observed @ space.b_further[:, j]
     return Propagator(
         modal=bool(modal),
         pair=pair,
@@ -365,4 +404,6 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
         to_working=to_working,
         projection=projection,
         holds=holds,
+        further_weights=np.ascontiguousarray(further_weights.transpose(0, 2, 1)),
+        further_port_input=further_port_input,
     )

@@ -91,7 +91,8 @@ class TimeIntegrator:
         # Springs that stick are part of the linear motion, unless they are on the exciter's side, which outputs know.
         self._at_many_places = False
         ports = space.directions.shape[0]
-        if self._affine and not self._dense and ports > 1:
+        # The loop for many places knows one input only.
+        if self._affine and not self._dense and ports > 1 and not system.further:
             absorbed = [
                 element.linear_stiffness if isinstance(element, Jenkins) and not space.exciter_ports[port] else 0.0
                 for element, port in zip(space.elements, space.element_port, strict=True)
@@ -116,6 +117,7 @@ class TimeIntegrator:
         self._reach = rows.max(axis=0) if ports else np.zeros(rows.shape[1])
         c, self._d_ports, self._d_input = self._space.output(self._outputs)
         self._c = np.ascontiguousarray(c @ self._propagator.from_working)
+        self._d_further = self._space.further_output(self._outputs)
         for tables in ("_contact_tables", "_tables"):
             self.__dict__.pop(tables, None)
 
@@ -131,8 +133,9 @@ class TimeIntegrator:
         """`LinearMotion`, `PortForces` and `OutputRows` of the matrices and elements taken last, as plain tuples."""
         p = self._propagator
         motion = LinearMotion(
-            p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.compliance
-        )
+            p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.compliance,
+            p.further_weights, p.further_port_input,
+        )  # fmt: skip
         return tuple(motion), tuple(self._acting), (self._c, self._d_ports, self._d_input)
 
     @cached_property
@@ -250,12 +253,13 @@ class TimeIntegrator:
             forces[ports + q] += k * kinematics[ports + q]
         self._due[:] = 0.0
 
-    def advance(self, inputs: Array) -> Array:
+    def advance(self, inputs: Array, further: Array | None = None) -> Array:
         """Integrate over one block.
 
         Args:
             inputs: (n + 1,) input at the n samples of the block and at the first of the next, straight
                 between.
+            further: (exciters - 1, n + 1) inputs of the exciters besides the first; None = zero.
 
         Returns:
             (outputs, n) outputs at the n samples; the state moves on to the next block's first sample.
@@ -270,6 +274,10 @@ class TimeIntegrator:
         if not np.isfinite(inputs).all():
             raise ValueError("inputs must be finite")
         n = inputs.size - 1
+        others = len(self.system.further)
+        more = np.zeros((others, n + 1)) if further is None else np.ascontiguousarray(further, dtype=np.float64)
+        if more.shape != (others, n + 1) or not np.isfinite(more).all():
+            raise ValueError(f"further inputs must be finite and of shape {(others, n + 1)}, got {more.shape}")
         p = self._propagator
         if self._history.shape[1] < n:
             # Rows an odd number of cache lines apart: at a power of two a sample's values share one place of the cache.
@@ -294,7 +302,7 @@ class TimeIntegrator:
                 *self._tables,
                 tuple(self._memory),
                 self.substeps,
-                inputs,
+                np.concatenate([inputs[None, :], more]),
                 self._state,
                 self._history,
                 self._force_history,
@@ -302,6 +310,8 @@ class TimeIntegrator:
             )
         except ZeroDivisionError:  # a force without bound has no slope
             good = False
+        for values, direct in zip(more[:, :n], self._d_further.T, strict=True):
+            result += direct[:, None] * values
         return self._moved(n, good, result)
 
     def _moved(self, samples: int, good: bool, result: Array) -> Array:

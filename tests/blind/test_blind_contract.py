@@ -35,7 +35,7 @@ def check(folder: Path, contract: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("contract", "module", "line"),
     [
-        ("truth", "nmt_blind/cases/leak.py", "from nmt_diagnose.twin import forward"),
+        ("truth", "nmt_blind/cases/leak.py", "from nmt_diagnose.prediction import forward"),
         ("truth", "nmt_blind/cases/leak.py", "from nmt_diagnose.effects.library import library"),
         ("truth", "nmt_blind/cases/leak.py", "from nmt_rig.reference import single_point_reference"),
         ("layers", "nmt_diagnose/inference/leak.py", "from nmt_blind.cases.draw import draw_cases"),

@@ -6,14 +6,14 @@ import math
 from pathlib import Path
 
 import pytest
-from diagnose.twin_observations import chain, observations_of_twin, real
+from diagnose.predicted_observations import chain, observations_of_model, real
 
 from nmt_blind.campaign import explain
 from nmt_blind.campaign.explain import account, follows, measured_strengths, parameters_of
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.prediction.operating_range import operating_range
 
 MODEL = chain()
 KNOWN = ("cubic_stiffness", "viscous_damping", "second_friction_contact")
@@ -27,7 +27,7 @@ def entry(value: float) -> dict[str, object]:
 
 def test_a_strong_effect_is_found_and_its_truth_costs_no_more_than_the_winner() -> None:
     truth = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}])
-    observations = observations_of_twin(truth, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
+    observations = observations_of_model(truth, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
     found = account(MODEL, observations, SETTINGS, entry(2e8))
     assert found.winner == "cubic_stiffness@2"
     assert found.follows == "found"
@@ -40,7 +40,7 @@ def test_a_strong_effect_is_found_and_its_truth_costs_no_more_than_the_winner() 
 
 
 def test_true_figures_become_the_parameters_that_are_reported_as_them() -> None:
-    observations = observations_of_twin(MODEL, drives=(0.1, 0.4))
+    observations = observations_of_model(MODEL, drives=(0.1, 0.4))
     every = candidates(MODEL, operating_range(MODEL, observations.tests, observations=observations))
     contact = next(own for own in every if own.effect.name == "second_friction_contact")
     figures = {"kt": 120.0, "slip_force": 0.03}
@@ -72,7 +72,7 @@ def test_a_healthy_case_that_is_called_healthy_is_no_miss() -> None:
 
 def test_strengths_are_measured_by_the_noise_of_the_recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     truth = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}])
-    observations = observations_of_twin(truth, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
+    observations = observations_of_model(truth, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
     monkeypatch.setattr(explain, "_recorded", lambda folder, case, settings: (MODEL, observations))
     told: list[str] = []
     unknown = {**entry(1.0), "case": "0002", "effects": [{"name": "no_such_effect", "detail": "", "sigma": 3.0}]}

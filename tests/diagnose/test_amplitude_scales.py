@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnose.twin_observations import observations_of_twin
-from diagnose.twin_tests import chain
+from diagnose.predicted_observations import observations_of_model
+from diagnose.predicted_tests import chain
 from scipy.integrate import solve_ivp
 from tiers import with_quick
 
@@ -24,8 +24,8 @@ from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel,
 from nmt_diagnose.observations.kinds.table_observations import table_observations
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.twin.forward import Forward
-from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_record.exchange.observables import ObservableTable
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
@@ -200,7 +200,7 @@ def test_a_backbone_whose_resonance_doubles_has_a_prediction_at_every_amplitude(
 
 def test_motions_that_the_model_is_far_from_are_taken_as_measured() -> None:
     model = chain()
-    observations = observations_of_twin(model, noise=0.0, drives=(0.1, 0.4, 1.6))
+    observations = observations_of_model(model, noise=0.0, drives=(0.1, 0.4, 1.6))
     plain = operating_range(model, observations.tests)
     # Samples that were looked at show no step of a converter; without samples nothing says so.
     same = operating_range(model, observations.tests, observations=observations)

@@ -13,8 +13,8 @@ from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.twin.forward import Forward
-from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_signals.channel_faults.clipping import clipping_level
 
 

@@ -1,4 +1,4 @@
-"""Steps of converters in the samples, and what the twin makes of noise at a clipping level."""
+"""Steps of converters in the samples, and what the prediction makes of noise at a clipping level."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from diagnose.observation_bags import record, rig_with_noise, with_sensor
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.twin.converter import expected_clipped
-from nmt_diagnose.twin.forward import Forward
-from nmt_diagnose.twin.influence import Source
-from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.prediction.converter import expected_clipped
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.influence import Source
+from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_signals.channel_faults.converter_faults import converter_step
 
 

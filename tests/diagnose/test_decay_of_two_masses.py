@@ -1,4 +1,4 @@
-"""A decay of two masses whose shape changes with the amplitude, integrated here, against the twin of the diagnosis."""
+"""A decay of two masses whose shape changes with the amplitude, integrated here, against the prediction."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from diagnose.twin_tests import rows_of
+from diagnose.predicted_tests import rows_of
 from moved_threshold import moved_threshold
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
@@ -20,7 +20,7 @@ from nmt_diagnose.observations.kinds import ring_down_observations
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnose.twin_observations import chain, observations_of_twin, real
+from diagnose.predicted_observations import chain, observations_of_model, real
 
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.inference.diagnose import DiagnosisOutcome, diagnose_observations
@@ -34,7 +34,7 @@ PLACES = {
 
 def diagnosed(truth: Rig, known: tuple[str, ...] = KNOWN, look_ahead: bool = False, seed: int = 6) -> DiagnosisOutcome:
     withheld = tuple(effect.name for effect in library() if effect.name not in known)
-    observations = observations_of_twin(truth, seed=seed, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
+    observations = observations_of_model(truth, seed=seed, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
     return diagnose_observations(MODEL, observations, DiagnosisSettings(withheld=withheld, look_ahead=look_ahead))
 
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.twin.equivalent_linear import equivalents
-from nmt_diagnose.twin.forward import Forward
-from nmt_diagnose.twin.local_tables import local_tables
+from nmt_diagnose.prediction.equivalent_linear import equivalents
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.local_tables import local_tables
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements.contacts import TwoSidedGap, UnilateralStop
 from nmt_rig.model.local_elements.dampers import AmplitudeDamper, PowerLawDamper, QuadraticDrag

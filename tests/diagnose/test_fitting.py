@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose.twin_observations import chain, observations_of_twin, real
+from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.stats import f as fisher
 
 from nmt_diagnose.effects.calibration import calibration_parameters
@@ -20,10 +20,10 @@ from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups
 from nmt_diagnose.inference.search import Search
 from nmt_diagnose.observations.conditions import RandomTest
-from nmt_diagnose.twin.forward import Forward
-from nmt_diagnose.twin.lateness import delay_of, lateness
-from nmt_diagnose.twin.operating_range import operating_range
-from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.lateness import delay_of, lateness
+from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 
 MODEL = chain()
 
@@ -48,7 +48,7 @@ def test_a_step_is_that_of_parameters_and_chain_together() -> None:
 
 def test_a_fit_from_afar_arrives_where_one_from_nearby_does() -> None:
     truth = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}])
-    observations = observations_of_twin(truth, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
+    observations = observations_of_model(truth, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
     given = Forward(observations.tests, observations.rows).predict(MODEL)
     data = data_about(observations, MODEL, given, np.isfinite(given.values))
     operating = operating_range(MODEL, observations.tests, observations=observations)
@@ -91,7 +91,7 @@ def test_late_channels_are_effects_that_begin_there_and_no_modes() -> None:
     for sensor in late:
         if sensor["quantity"] == "acceleration":
             sensor["delay_s"] = 4e-3
-    observations = observations_of_twin(real(MODEL, sensors=late), seed=2, drives=(0.1, 0.4))
+    observations = observations_of_model(real(MODEL, sensors=late), seed=2, drives=(0.1, 0.4))
     found = {
         observations.tests[test].channels[channel].name: delay
         for (test, channel), delay in lateness(observations, MODEL).items()
@@ -114,14 +114,14 @@ def test_late_channels_are_effects_that_begin_there_and_no_modes() -> None:
 
 
 def test_what_the_harmonic_balance_leaves_out_is_part_of_the_uncertainty() -> None:
-    healthy = observations_of_twin(MODEL, noise=0.0, drives=(0.4, 1.6), random=False)
+    healthy = observations_of_model(MODEL, noise=0.0, drives=(0.4, 1.6), random=False)
     operating = operating_range(MODEL, healthy.tests)
     stiffness, gap = 0.3 * operating.effective_stiffness(2), 0.7 * operating.displacement[2]
     stop = [{"kind": "unilateral_stop", "point": 2, "stiffness_n_m": stiffness, "gap_m": gap}]
     rig = real(MODEL, local_elements=stop)
-    observations = observations_of_twin(rig, noise=0.0, drives=(0.4, 1.6), random=False)
+    observations = observations_of_model(rig, noise=0.0, drives=(0.4, 1.6), random=False)
     given = Forward(observations.tests, observations.rows).predict(rig)
-    fine = Forward(observations.tests, observations.rows, TwinSettings(harmonics=27)).predict(rig)
+    fine = Forward(observations.tests, observations.rows, PredictionSettings(harmonics=27)).predict(rig)
     parameters = free_parameters(rig, observations)
     everything = np.ones(len(observations.rows), dtype=bool)
     seen = model_alone(rig, observations, parameters, everything, LowLevelModes(observations, rig))[0]
@@ -133,7 +133,7 @@ def test_what_the_harmonic_balance_leaves_out_is_part_of_the_uncertainty() -> No
 def test_sources_act_on_the_model_as_it_was_fitted() -> None:
     """The model as given has its resonances elsewhere: a drift without a name is that of temperature all the same."""
     stiffer = real(MODEL, structure={"springs_n_m": [1.15 * k for k in MODEL.structure.springs_n_m]})
-    observations = observations_of_twin(stiffer, seed=3, drives=(0.1, 0.4))
+    observations = observations_of_model(stiffer, seed=3, drives=(0.1, 0.4))
     tests = tuple(replace(t, start_s=20.0, stop_s=60.0) if isinstance(t, RandomTest) else t for t in observations.tests)
     observations = replace(observations, tests=tests)
     everything, parameters = np.ones(len(observations.rows), dtype=bool), free_parameters(MODEL, observations)

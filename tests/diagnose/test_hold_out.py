@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from diagnose.linear_problem import observations_of
-from diagnose.twin_observations import chain, observations_of_twin, real
+from diagnose.predicted_observations import chain, observations_of_model, real
 
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.library import library
@@ -37,7 +37,7 @@ def test_no_fit_sees_a_test_that_is_held_out() -> None:
     model = chain()
     truth = real(model, local_elements=[{"kind": "quadratic_drag", "point": 2, "drag_ns2_m2": 1.0}])
     odd = real(truth, structure={"masses_kg": [0.51, 0.3]})
-    levels, other = (observations_of_twin(rig, seed=2, drives=(0.1, 0.4, 0.8, 1.6)) for rig in (truth, odd))
+    levels, other = (observations_of_model(rig, seed=2, drives=(0.1, 0.4, 0.8, 1.6)) for rig in (truth, odd))
     mixed = joined([levels.take(levels.rows.test == 0)])
     values = np.where(levels.rows.test == 0, levels.values, other.values)
     observations = type(levels)(levels.tests, levels.rows, values, levels.std, levels.floor)

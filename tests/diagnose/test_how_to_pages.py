@@ -15,7 +15,7 @@ from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import load_rig
 
 HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to"

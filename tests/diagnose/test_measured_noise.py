@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose.twin_observations import chain, observations_of_twin, real
+from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.integrate import quad
 
 from nmt_core.messages.blocks import Quantity
@@ -25,8 +25,8 @@ from nmt_diagnose.inference.search import FittedExplanation, Score, Search
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
-from nmt_diagnose.twin.forward import Forward
-from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 
@@ -37,7 +37,7 @@ HARDENING = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "st
 
 
 def observed(truth: Rig, seed: int = 6) -> Observations:
-    return observations_of_twin(truth, seed=seed, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
+    return observations_of_model(truth, seed=seed, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
 
 
 def stated(observations: Observations, factor: float) -> Observations:
@@ -114,7 +114,7 @@ def laboratory(observations: Observations) -> Observations:
 
 
 def test_images_of_a_held_drive_add_to_lines_however_small_a_response_is() -> None:
-    observations = laboratory(observations_of_twin(MODEL, seed=1, drives=(0.1, 0.4)))
+    observations = laboratory(observations_of_model(MODEL, seed=1, drives=(0.1, 0.4)))
     near = Forward(observations.tests, observations.rows).predict(MODEL)
     used = np.isfinite(near.values)
     data = data_about(observations, MODEL, near, used)
@@ -231,7 +231,7 @@ def _table_search() -> tuple[Search, int]:
 
 
 def test_a_channel_may_turn_all_frequencies_by_the_same_angle() -> None:
-    observations = laboratory(observations_of_twin(MODEL, drives=(0.1, 0.4)))
+    observations = laboratory(observations_of_model(MODEL, drives=(0.1, 0.4)))
     near = Forward(observations.tests, observations.rows).predict(MODEL)
     found = linear_chain(observations, MODEL, near)
     channels = observations.tests[1].channels
@@ -245,7 +245,7 @@ def test_a_channel_may_turn_all_frequencies_by_the_same_angle() -> None:
 
 def test_where_the_loop_truly_stood_is_no_gap() -> None:
     """Noise of the loop moves all observables of a window together: rows alone would be off by many deviations."""
-    wandering = laboratory(observations_of_twin(MODEL, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6), lock_noise=3e-2))
+    wandering = laboratory(observations_of_model(MODEL, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6), lock_noise=3e-2))
     found = diagnosed(wandering)
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
     assert found.features["rms:levels: frequency"] < 2.0

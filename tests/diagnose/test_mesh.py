@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose.twin_observations import observations_of_twin
+from diagnose.predicted_observations import observations_of_model
 
 from nmt_diagnose.inference.chain import linear_chain
 from nmt_diagnose.inference.diagnose import diagnose_observations
@@ -14,7 +14,7 @@ from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.inference.fitting import Metric
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig, load_rig
 
 COARSE = load_rig("beam", ["local_elements=[]", "structure.elements=7"])
@@ -25,7 +25,7 @@ def fine(rig: Rig) -> Rig:
 
 
 def test_a_recording_of_a_finer_mesh_is_healthy() -> None:
-    observations = observations_of_twin(fine(COARSE), seed=4, drives=(0.05, 0.1, 0.2, 0.4))
+    observations = observations_of_model(fine(COARSE), seed=4, drives=(0.05, 0.1, 0.2, 0.4))
     chains = tuple(MeasuringChain() for _ in observations.tests)
     observations = replace(observations, chains=chains, matters=dict(MATTERS))
     near = Forward(observations.tests, observations.rows).predict(COARSE)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose.twin_observations import chain, observations_of_twin, real
+from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.stats import multivariate_normal
 
 from nmt_diagnose.inference.diagnose import diagnose_observations
@@ -22,7 +22,7 @@ MODEL = chain()
 
 
 def observed(truth: object = MODEL, tolerances: bool = True) -> Observations:
-    found = observations_of_twin(truth, seed=3, drives=(0.1, 0.2, 0.4, 0.8, 1.6))  # type: ignore[arg-type]
+    found = observations_of_model(truth, seed=3, drives=(0.1, 0.2, 0.4, 0.8, 1.6))  # type: ignore[arg-type]
     own = MeasuringChain() if tolerances else None
     return replace(found, chains=tuple(own for _ in found.tests), matters=dict(MATTERS))
 

@@ -14,7 +14,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.chain import linear_chain
 from nmt_diagnose.observations.channels.measuring_chain import table_chain
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import ResidualSection, Rig
 
 LINES = np.linspace(40.0, 62.0, 34)

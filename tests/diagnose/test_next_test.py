@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnose.linear_problem import FunctionModel, observations_of
-from diagnose.twin_tests import chain
+from diagnose.predicted_tests import chain
 
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
@@ -42,7 +42,7 @@ def compared(*classes: tuple[tuple[FittedExplanation, ...], float], none: float 
 
 @pytest.fixture
 def future(monkeypatch: pytest.MonkeyPatch) -> dict[str, np.ndarray]:
-    """Columns of the two explanations in a test that has not been made; the twin predicts by them."""
+    """Columns of the two explanations in a test that has not been made; the prediction predicts by them."""
     generator = np.random.default_rng(3)
     columns = {CUBIC.label: generator.standard_normal(6), DRAG.label: generator.standard_normal(6)}
 

@@ -1,4 +1,4 @@
-"""A rig that is its own model: observables of the time-domain plant against the twin whiten to one."""
+"""A rig that is its own model: observables of the time-domain plant against the prediction whiten to one."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.twin.forward import Forward
-from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_rig.rig import Rig
 
-# The twin refines the mesh at least twice; so does the plant here.
+# The prediction refines the mesh at least twice; so does the plant here.
 MESH = ["structure.mesh_refinement=2"]
 ORDERS = 15
 
 
 def whitened(observations: Observations, rig: Rig) -> FloatArray:
-    values = Forward(observations.tests, observations.rows, TwinSettings(harmonics=ORDERS)).predict(rig).values
+    values = Forward(observations.tests, observations.rows, PredictionSettings(harmonics=ORDERS)).predict(rig).values
     difference = observations.values - values
     angles = np.isin(observations.rows.part, (Part.PHASE, Part.PHASE_ERROR))
     difference[angles] = (difference[angles] + np.pi) % (2.0 * np.pi) - np.pi

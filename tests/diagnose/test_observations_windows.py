@@ -25,7 +25,7 @@ from nmt_diagnose.observations.noise.settling import settling
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.model.linear_modes import damped_modes
 from nmt_rig.rig import Rig, load_rig
 from nmt_signals.local_responses import REACH, choose_bins, local_responses

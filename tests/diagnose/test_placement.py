@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from diagnose.twin_tests import chain, level, locked
+from diagnose.predicted_tests import chain, level, locked
 
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.location import Cause, Explanation, Location
-from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.prediction.operating_range import operating_range
 
 AT_2 = Cause("cubic_stiffness", Location.at("structure", 2))
 BETWEEN = Cause("cubic_stiffness", Location.at("structure", 2, 3))

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from diagnose.predicted_tests import rows_of
 from diagnose.test_stepped_sine import CHANNEL, DAMPER, OMEGA, oscillator
-from diagnose.twin_tests import rows_of
 from scipy.integrate import quad
 
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Part
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig
 
 START, STOP = 5.0, 65.0

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from diagnose.predicted_observations import chain, observations_of_model
 from diagnose.test_warnings import GAP
-from diagnose.twin_observations import chain, observations_of_twin
 
 from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Remainder, Share, Value, Verdict
 from nmt_diagnose.inference.remainder import remainder
@@ -21,7 +21,7 @@ LEFT = replace(GAP, closed=0.94, low=0.9, high=0.97)
 
 @pytest.fixture(scope="module")
 def observations() -> Observations:
-    return observations_of_twin(chain(), random=False, drives=np.linspace(0.1, 1.6, 9))
+    return observations_of_model(chain(), random=False, drives=np.linspace(0.1, 1.6, 9))
 
 
 def left_in(observations: Observations, part: Part, above: float) -> np.ndarray:

@@ -11,7 +11,7 @@ from diagnose.observation_bags import record, rig_with_noise, with_sensor
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.prediction.forward import Forward
 from nmt_signals.channel_faults.converter_faults import repeated_share
 
 SIZE = 20_000

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from diagnose.test_twin_effects import candidate, surroundings
+from diagnose.test_predicted_effects import candidate, surroundings
 
 from nmt_diagnose.effects.library import library
 from nmt_rig.rig import Rig

@@ -1,4 +1,4 @@
-"""Ring-downs as laboratories have them, against closed forms, an ordinary integrator and the twin."""
+"""Ring-downs as laboratories have them, against closed forms, an ordinary integrator and the prediction."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nmt_diagnose.observations.kinds.ring_down_observations import ring_down_obs
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 from nmt_signals.decays.decay_nodes import nodes
@@ -116,7 +116,7 @@ def test_a_decay_that_starts_at_twice_its_frequency(rate: float) -> None:
     assert math.exp(log[-1]) == pytest.approx(OMEGA, rel=2e-4)
     assert log == pytest.approx(np.log(exact_frequency(test.amplitudes, cubic)), abs=5e-4)
     assert test.frequency_hz == pytest.approx(HZ, rel=2e-4)
-    # The twin agrees with the integrator in frequency and in damping, a third of it from the change of frequency.
+    # The prediction agrees with the integrator in frequency and in damping, a third of it from the change of frequency.
     exact = {Part.LOG_FREQUENCY: 2e-4, Part.DAMPING: 2e-5}
     floor = np.array([exact.get(Part(part), 0.0) for part in observations.rows.part])
     observations = replace(observations, floor=np.hypot(observations.floor, floor))

@@ -14,9 +14,9 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.twin.forward import Forward
-from nmt_diagnose.twin.influence import Source
-from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.influence import Source
+from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_signals.channel_faults.mains_lines import mains_line
 
 RATE = 2000.0

@@ -1,4 +1,4 @@
-"""Frequency responses at held amplitudes: the twin against closed forms and time integration; tables."""
+"""Frequency responses at held amplitudes: the prediction against closed forms and time integration; tables."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, St
 from nmt_diagnose.observations.kinds.stepped_table_observations import jumps_of, scatter_of_lines
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.twin.forward import Forward, traced
-from nmt_diagnose.twin.frequency_sweep import frequency_sweep
-from nmt_diagnose.twin.operating_range import operating_range
-from nmt_diagnose.twin.stepped_sine_twin import whitened_difference
+from nmt_diagnose.prediction.forward import Forward, traced
+from nmt_diagnose.prediction.frequency_sweep import frequency_sweep
+from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.prediction.stepped_sine_predictor import whitened_difference
 from nmt_record.exchange.imported_run import read_import, write_import
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument

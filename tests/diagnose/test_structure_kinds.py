@@ -1,19 +1,19 @@
-"""The twin on structures given by modes or matrices, and on a shaking table; their parameters."""
+"""The prediction on structures given by modes or matrices, and on a shaking table; their parameters."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from diagnose.twin_tests import chain, level, locked, noise_test, rows_of
+from diagnose.predicted_tests import chain, level, locked, noise_test, rows_of
 
 from nmt_core.errors import BenchError
 from nmt_core.tolerances import MODEL_PRIORS
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.twin.forward import Forward
-from nmt_diagnose.twin.operating_range import operating_range
-from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
@@ -63,7 +63,7 @@ def test_both_kinds_are_the_same_structure_to_the_twin():
         near = level(1.0, 26.0)
         test, table = locked(rig, [level(0.1, 26.0), near], "x1")
         noise, more = noise_test(rig, 10.0, 80.0, 12, test=1)
-        values.append(Forward([test, noise], rows_of([*table, *more]), TwinSettings()).predict(rig))
+        values.append(Forward([test, noise], rows_of([*table, *more]), PredictionSettings()).predict(rig))
     assert all(np.all(prediction.converged) for prediction in values)
     np.testing.assert_allclose(values[0].values, values[1].values, atol=1e-7)
 
@@ -79,7 +79,7 @@ def test_the_twin_meets_harmonic_balance(make):
         drives = per_volt * np.array([1e-4, *volts])
         expected = phase_resonant_backbone(problem, drives).responses[1:]
         test, table = locked(rig, [level(v, guess) for v in volts], "x1")
-        states = Forward([test], rows_of(table), TwinSettings(harmonics=7)).predict(rig).states[0]
+        states = Forward([test], rows_of(table), PredictionSettings(harmonics=7)).predict(rig).states[0]
         for state, solution in zip(states, expected, strict=True):
             assert state.omega == pytest.approx(solution.angular_frequency, rel=1e-8)
             force = state.channels[0]
@@ -94,7 +94,7 @@ def test_a_table_under_a_test_held_by_its_force_is_the_equivalent_force():
     elements = {"local_elements": []}
     rig = modal(exciter=table | {"suspension_hz": 3.0, "bandwidth_hz": 300.0}, **elements)
     noise, rows = noise_test(rig, 10.0, 80.0, 9, reference="force")
-    found = np.exp(Forward([noise], rows_of(rows), TwinSettings()).predict(rig).values[::2])
+    found = np.exp(Forward([noise], rows_of(rows), PredictionSettings()).predict(rig).values[::2])
     structure = build_structure(rig)
     omega = 2.0 * np.pi * np.repeat(noise.lines_hz, len(noise.channels))
     exact = []
@@ -108,11 +108,11 @@ def test_a_table_under_a_test_held_by_its_force_is_the_equivalent_force():
     # The estimator's window mixes neighbouring lines.
     np.testing.assert_allclose(found, exact, rtol=0.03)
     plain = modal(exciter=table, **elements)
-    ideal = np.exp(Forward([noise], rows_of(rows), TwinSettings()).predict(plain).values[::2])
+    ideal = np.exp(Forward([noise], rows_of(rows), PredictionSettings()).predict(plain).values[::2])
     np.testing.assert_allclose(found, ideal, rtol=1e-12)
     by_voltage, more = noise_test(rig, 10.0, 80.0, 5)
     with pytest.raises(BenchError, match="takes the shaking table as ideal"):
-        Forward([by_voltage], rows_of(more), TwinSettings()).predict(rig)
+        Forward([by_voltage], rows_of(more), PredictionSettings()).predict(rig)
 
 
 def test_absolute_accelerations_contain_the_table():
@@ -127,7 +127,7 @@ def test_absolute_accelerations_contain_the_table():
         table = {"kind": "shaking_table", "point": 1, "effective_mass_kg": 0.7, "responses": responses}
         rig = modal(exciter=table, sensors=sensors, extraction=extraction, local_elements=[])
         noise, rows = noise_test(rig, 10.0, 40.0, 5)
-        values = Forward([noise], rows_of(rows), TwinSettings()).predict(rig).values
+        values = Forward([noise], rows_of(rows), PredictionSettings()).predict(rig).values
         own = [values[k : k + 2] for k in range(0, values.size, 2 * len(noise.channels))]
         names = [channel.name for channel in noise.channels]
         offset = 2 * names.index("a2")
@@ -151,7 +151,7 @@ def test_absolute_displacements_contain_the_tables_position():
             local_elements=[],
         )
         noise, rows = noise_test(rig, 10.0, 40.0, 5, reference="force")
-        values = Forward([noise], rows_of(rows), TwinSettings()).predict(rig).values
+        values = Forward([noise], rows_of(rows), PredictionSettings()).predict(rig).values
         names = [channel.name for channel in noise.channels]
         own = values.reshape(-1, 2 * len(names))[:, 2 * names.index("x2") : 2 * names.index("x2") + 2]
         found.append(np.exp(own[:, 0] + 1j * own[:, 1]))
@@ -185,7 +185,7 @@ def test_a_drifting_stiffness_moves_all_frequencies(make):
     test, table = locked(rig, [level(0.5, 26.0, start=start) for start in starts], "x1")
     forces = make(local_elements=[], exciter={"kind": "force", "point": 1}, drift={"stiffness_per_s": 0.1})
     test, table = locked(forces, [level(0.5, 26.0, start=start) for start in starts], "x1")
-    states = Forward([test], rows_of(table), TwinSettings()).predict(forces).states[0]
+    states = Forward([test], rows_of(table), PredictionSettings()).predict(forces).states[0]
     assert states[1].omega / states[0].omega == pytest.approx(np.sqrt(1.21), rel=1e-4)
 
 

@@ -30,8 +30,8 @@ from nmt_diagnose.inference.sentences import _where, sentences
 from nmt_diagnose.inference.size import Objection, _band, _lowers_prior_cost
 from nmt_diagnose.inference.warnings import beyond_physical_limits
 from nmt_diagnose.observations.noise.scatter import moderated
-from nmt_diagnose.twin.converter import recorded_harmonics
-from nmt_diagnose.twin.lateness import delay_of
+from nmt_diagnose.prediction.converter import recorded_harmonics
+from nmt_diagnose.prediction.lateness import delay_of
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import load_rig
 from nmt_signals.channel_faults.clipping import clipping_level

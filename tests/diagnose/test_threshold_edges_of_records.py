@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnose.predicted_tests import chain
 from diagnose.test_residuals import run_observations
 from diagnose.test_warnings import GAP, best
-from diagnose.twin_tests import chain
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity

@@ -7,18 +7,18 @@ from typing import Any
 
 import pytest
 
-from nmt_diagnose.twin import phase_resonance_twin, random_twin, record_kernel, stepped_sine_twin
-from nmt_diagnose.twin.warm_up import warm_up_twin
+from nmt_diagnose.prediction import phase_resonance_predictor, random_predictor, record_kernel, stepped_sine_predictor
+from nmt_diagnose.prediction.warm_up import warm_up_predictions
 from nmt_rig.rig import load_rig
 
-# The kernels that the modules of the twin call; what those call in turn compiles with them.
+# The kernels that the modules of the prediction call; what those call in turn compiles with them.
 KERNELS = [
-    (phase_resonance_twin, "newton"),
-    (phase_resonance_twin, "residuals"),
-    (random_twin, "linear_responses"),
-    (random_twin, "windowed"),
-    (stepped_sine_twin, "solve_lines"),
-    (stepped_sine_twin, "step_lines"),
+    (phase_resonance_predictor, "newton"),
+    (phase_resonance_predictor, "residuals"),
+    (random_predictor, "linear_responses"),
+    (random_predictor, "windowed"),
+    (stepped_sine_predictor, "solve_lines"),
+    (stepped_sine_predictor, "step_lines"),
     (record_kernel, "_step_all"),
     (record_kernel, "_step_one"),
 ]
@@ -34,5 +34,5 @@ def test_the_warm_up_uses_a_kernel(module: Any, name: str, monkeypatch: pytest.M
         return kernel(*values)
 
     monkeypatch.setattr(module, name, counted)
-    warm_up_twin(load_rig("beam"))
+    warm_up_predictions(load_rig("beam"))
     assert calls

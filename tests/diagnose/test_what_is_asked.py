@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose.twin_observations import chain, observations_of_twin
+from diagnose.predicted_observations import chain, observations_of_model
 from scipy.stats import norm
 
 from nmt_diagnose.effects.library import candidates
@@ -15,8 +15,8 @@ from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.search import FittedExplanation, Search
 from nmt_diagnose.inference.size import differs, implausible_parameters
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
+from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.operating_range import operating_range
 from nmt_rig.rig import Rig
 
 MODEL = chain()
@@ -24,7 +24,7 @@ MODEL = chain()
 
 def searched(truth: Rig) -> tuple[Search, FittedExplanation]:
     """The search on recordings of a rig, and the fit of the model alone."""
-    found = observations_of_twin(truth, seed=3, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
+    found = observations_of_model(truth, seed=3, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
     observations = replace(found, chains=tuple(MeasuringChain() for _ in found.tests))
     parameters = free_parameters(MODEL, observations)
     everything = np.ones(len(observations.rows), dtype=bool)

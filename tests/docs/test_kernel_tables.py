@@ -31,7 +31,7 @@ def compiled_modules() -> list[Path]:
         path: path.read_text(encoding="utf-8")
         for path in (*ROOT.glob("ros2_ws/src/nmt_*/nmt_*/**/*.py"), *ROOT.glob("campaigns/nmt_*/nmt_*/**/*.py"))
     }
-    return [path for path, text in texts.items() if "njit" in text or path.parent.name in ("twin", "model")]
+    return [path for path, text in texts.items() if "njit" in text or path.parent.name in ("prediction", "model")]
 
 
 def named_tuples(trees: dict[Path, ast.Module]) -> set[str]:

@@ -13,7 +13,7 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.inference.diagnosis import Verdict
-from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_report.diagnosis_model import assumptions, model_text
 from nmt_rig.rig import Rig, find_rig, load_rig

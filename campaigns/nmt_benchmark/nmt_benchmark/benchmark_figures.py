@@ -295,7 +295,7 @@ def diagnosis_figures(_: float) -> list[Figure]:
     from nmt_diagnose.inference.diagnose import diagnose_bags
     from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
     from nmt_diagnose.observations.read_observations import read_observations
-    from nmt_diagnose.twin.forward import Forward
+    from nmt_diagnose.prediction.forward import Forward
     from nmt_rig.rig import load_rig
 
     model = load_rig("beam")

@@ -39,7 +39,7 @@ from nmt_diagnose.inference.fitting import FitError, approach, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.search import FittedExplanation, Search
 from nmt_diagnose.observations.observables import Observations
-from nmt_diagnose.twin.operating_range import operating_range
+from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_rig.rig import Rig, load_rig
 
 _MEASURED_FILE = "measured.json"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nmt_diagnose.twin.warm_up import warm_up_twin
+from nmt_diagnose.prediction.warm_up import warm_up_predictions
 from nmt_extract.offline import extract_bag
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_pll.paper_loop import PaperLoop
@@ -56,7 +56,7 @@ def warm_up() -> None:
     further.start()
     further.read()
     further.close()
-    warm_up_twin(rig)
+    warm_up_predictions(rig)
 
 
 def _slide_at_two_places() -> None:

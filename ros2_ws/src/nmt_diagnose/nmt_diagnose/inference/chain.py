@@ -39,10 +39,10 @@ from nmt_diagnose.observations.conditions import (
 )
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.prediction.forward import Forward, Prediction
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.stepped_sine_predictor import gain_error
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.forward import Forward, Prediction
-from nmt_diagnose.twin.stepped_sine_twin import gain_error
-from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import BeamSection, Rig, SensorSection
 
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
@@ -412,7 +412,7 @@ class _Builder:
         if not isinstance(self.rig.structure, BeamSection):
             return {}
         tests = self.tests
-        finer = TwinSettings(mesh_refinement=2 * self.rig.structure.mesh_refinement)
+        finer = PredictionSettings(mesh_refinement=2 * self.rig.structure.mesh_refinement)
         try:
             moved = Forward(tests.tests, tests.rows, finer).predict(self.rig).values
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):

@@ -19,7 +19,7 @@ from nmt_diagnose.observations.conditions import (
 )
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
-from nmt_diagnose.twin.forward import Forward, Prediction
+from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_rig.rig import Rig, SensorSection
 
 FUNDAMENTAL = (Part.LOG_MAGNITUDE, Part.PHASE)

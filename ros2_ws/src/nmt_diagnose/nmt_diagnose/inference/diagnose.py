@@ -45,10 +45,10 @@ from nmt_diagnose.inference.warnings import warned, without_observables
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.prediction.forward import Forward, Prediction, traced
+from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.forward import Forward, Prediction, traced
-from nmt_diagnose.twin.operating_range import operating_range
-from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig, load_rig
 
 
@@ -278,7 +278,7 @@ def model_alone(
 
 def _with_solver_error(observations: Observations, rig: Rig, as_given: Prediction) -> Observations:
     """The observations with what harmonics that the harmonic balance leaves out change, as part of their floor."""
-    fine = Forward(observations.tests, observations.rows, TwinSettings(harmonics=THRESHOLDS.fits.fine_harmonics))
+    fine = Forward(observations.tests, observations.rows, PredictionSettings(harmonics=THRESHOLDS.fits.fine_harmonics))
     change = np.abs(np.nan_to_num(fine.difference(fine.predict(rig).values, as_given.values)))
     return replace(observations, floor=np.hypot(observations.floor, change))
 

@@ -20,8 +20,8 @@ from nmt_diagnose.inference.misfit import Whitening, misfit_of
 from nmt_diagnose.inference.noise import Groups, groups_of, sigma_of
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.forward import Forward, Prediction
 from nmt_rig.rig import Rig
 
 

@@ -31,8 +31,8 @@ from nmt_diagnose.inference.fitting import Metric
 from nmt_diagnose.inference.search import FittedExplanation
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
+from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_elements, build_structure
 

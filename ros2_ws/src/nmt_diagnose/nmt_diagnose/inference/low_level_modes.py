@@ -22,11 +22,11 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.fitting import Data, FitResult
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.prediction.lateness import lateness
+from nmt_diagnose.prediction.periodic_kernel import GAIN
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.rig_parts import rig_parts
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.lateness import lateness
-from nmt_diagnose.twin.periodic_kernel import GAIN
-from nmt_diagnose.twin.rig_parts import rig_parts
-from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
@@ -296,7 +296,7 @@ class LowLevelModes:
         """Modes of a rig as a test meets it, local forces at rest; None where it cannot be taken apart."""
         try:
             parts = rig_parts(
-                rig, test.channels, FourierBasis.up_to(1), TwinSettings(),
+                rig, test.channels, FourierBasis.up_to(1), PredictionSettings(),
                 0.5 * (test.start_s + test.stop_s), ideal_force=test.reference == "force",
             )  # fmt: skip
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):

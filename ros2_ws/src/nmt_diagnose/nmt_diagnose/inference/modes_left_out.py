@@ -11,8 +11,8 @@ from nmt_diagnose.inference.chain_tests import FUNDAMENTAL, ChainTests
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest, Test
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.prediction.forward import Prediction
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.forward import Prediction
 from nmt_rig.rig import ModalSection
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.chain_tests import ChainTests
 from nmt_diagnose.observations.conditions import RingDownTest, SteppedSineTest
+from nmt_diagnose.prediction.forward import Prediction
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.forward import Prediction
 from nmt_rig.rig import ModalSection, Rig, ShakingTableSection
 
 # Of a standard deviation; frequencies of modes over those of the rows, beyond which a mode adds a constant at most.

@@ -19,9 +19,9 @@ from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.residual_map import channels_of
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.prediction.forward import Forward, Prediction
+from nmt_diagnose.prediction.influence import Source, SourceColumn
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.forward import Forward, Prediction
-from nmt_diagnose.twin.influence import Source, SourceColumn
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.rig import Rig
 

@@ -14,13 +14,13 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model
+from nmt_diagnose.prediction.parts_cache import PartsCache
+from nmt_diagnose.prediction.phase_resonance_predictor import PeriodicState, PhaseResonancePredictor
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.random_predictor import RandomPredictor
+from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model
-from nmt_diagnose.twin.parts_cache import PartsCache
-from nmt_diagnose.twin.phase_resonance_twin import PeriodicState, PhaseResonanceTwin
-from nmt_diagnose.twin.random_twin import RandomTwin
-from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
-from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import BeamSection, Rig
 
 SourceKind = Literal["structure", "joint", "clamp", "exciter", "force_sensor", "response_sensor", "controller", "time"]
@@ -96,7 +96,9 @@ def _clamp_vectors(rig: Rig, size: int) -> list[FloatArray]:
     return [rotation / np.linalg.norm(rotation), lateral / np.linalg.norm(lateral)]
 
 
-def with_sources(parts: RigParts, vectors: FloatArray, measured: FloatArray, settings: TwinSettings) -> LinearModel:
+def with_sources(
+    parts: RigParts, vectors: FloatArray, measured: FloatArray, settings: PredictionSettings
+) -> LinearModel:
     """Linear model with the sources as further inputs behind the drive."""
     feed = np.zeros((parts.rows.feedthrough.shape[0], vectors.shape[1]))
     r = parts.coordinates
@@ -113,26 +115,26 @@ def with_sources(parts: RigParts, vectors: FloatArray, measured: FloatArray, set
 
 
 def resonance_influence(
-    twin: PhaseResonanceTwin,
+    predictor: PhaseResonancePredictor,
     rig: Rig,
     cache: PartsCache,
     states: tuple[PeriodicState | None, ...],
     source: Source,
-    settings: TwinSettings,
+    settings: PredictionSettings,
 ) -> tuple[FloatArray, list[SourceColumn]]:
     """Columns (rows of the test, sources): one for each level, order, and real and imaginary part."""
-    base = twin.values(rig, cache, list(states))
+    base = predictor.values(rig, cache, list(states))
     moved: list[tuple[int, PeriodicState]] = []
     names: list[SourceColumn] = []
     models: dict[int, LinearModel] = {}
-    highest = twin.test.harmonics
-    for position, (level, state) in enumerate(zip(twin.levels, states, strict=True)):
+    highest = predictor.test.harmonics
+    for position, (level, state) in enumerate(zip(predictor.levels, states, strict=True)):
         if state is None:
             continue
-        parts = twin.parts(rig, cache, level)
-        z = twin.carried(parts, level, state)
-        _, jacobian, channels, slopes = twin.linearised(parts, level, z)
-        force = abs(channels[twin.force_row, 1])
+        parts = predictor.parts(rig, cache, level)
+        z = predictor.carried(parts, level, state)
+        _, jacobian, channels, slopes = predictor.linearised(parts, level, z)
+        force = abs(channels[predictor.force_row, 1])
         vectors = np.zeros((parts.system.size, 0))
         if source.kind not in ("force_sensor", "response_sensor"):
             vectors, measured = source_vectors(rig, parts, source)
@@ -141,13 +143,22 @@ def resonance_influence(
         for order in range(highest + 1):
             for turn in (1.0, 1j) if order else (1.0,):
                 for residual, direct, vector in _level_sources(
-                    twin, parts, models.get(id(parts)), vectors.shape[1], source, state, order, turn, force, channels
+                    predictor,
+                    parts,
+                    models.get(id(parts)),
+                    vectors.shape[1],
+                    source,
+                    state,
+                    order,
+                    turn,
+                    force,
+                    channels,
                 ):
                     step = -np.linalg.solve(jacobian, residual)
                     channels_there = channels + direct + slopes @ step
                     moved.append((position, PeriodicState(z + step, parts.keys, state.drive, channels_there)))
                     part: Literal["re", "im"] = "re" if turn == 1.0 else "im"
-                    names.append(SourceColumn(twin.test.name, "level", position, order, part, vector))
+                    names.append(SourceColumn(predictor.test.name, "level", position, order, part, vector))
     columns = np.zeros((base.size, len(moved)))
     # Only the rows of its own level follow a solution: one of every level can be looked at in one go.
     turns: dict[int, int] = {}
@@ -161,31 +172,34 @@ def resonance_influence(
         several: list[PeriodicState | None] = [None] * len(states)
         for position, column in members.items():
             several[position] = moved[column][1]
-        change = twin.values(rig, cache, several) - base
+        change = predictor.values(rig, cache, several) - base
         for position, column in members.items():
-            columns[:, column] = np.where(twin.rows.level == position, change, 0.0)
+            columns[:, column] = np.where(predictor.rows.level == position, change, 0.0)
     return columns, names
 
 
 def _level_sources(
-    twin: PhaseResonanceTwin, parts: RigParts, model: LinearModel | None, count: int, source: Source,
+    predictor: PhaseResonancePredictor, parts: RigParts, model: LinearModel | None, count: int, source: Source,
     state: PeriodicState, order: int, turn: complex, force: float, channels: ComplexArray,
 ) -> list[tuple[FloatArray, ComplexArray, int]]:  # fmt: skip
     """Change of the residual, of the channels, and its number, for each source vector at one order."""
     nz, r, basis = state.z.size, parts.coordinates, parts.basis
     result: list[tuple[FloatArray, ComplexArray, int]] = []
     if model is None:
-        row = twin.force_row if source.kind == "force_sensor" else twin.own_row(source.index)
+        row = predictor.force_row if source.kind == "force_sensor" else predictor.own_row(source.index)
         direct = np.zeros_like(channels)
         direct[row, order] = THRESHOLDS.prediction.unit_source_share * turn * channels[row, 1]
         residual = np.zeros(nz)
         if order == 1:
-            residual[-2] = twin.phase_change(row, THRESHOLDS.prediction.unit_source_share * turn)
+            residual[-2] = predictor.phase_change(row, THRESHOLDS.prediction.unit_source_share * turn)
         return [(residual, direct, 0)]
     t, _ = model.at(1j * order * state.omega)
     for k in range(count):
         amount = (
-            THRESHOLDS.prediction.unit_source_share * force * turn * np.exp(1j * np.angle(channels[twin.force_row, 1]))
+            THRESHOLDS.prediction.unit_source_share
+            * force
+            * turn
+            * np.exp(1j * np.angle(channels[predictor.force_row, 1]))
         )
         size = float(np.max(np.abs(t[: r + parts.channels.shape[0], r + 1 + k]))) or 1.0
         residual = np.zeros(nz)
@@ -196,12 +210,12 @@ def _level_sources(
             if order:
                 residual[offset + 1] = -direct_change.imag
         direct = np.zeros_like(channels)
-        gains = twin.gains(parts, 1j * order * state.omega)
+        gains = predictor.gains(parts, 1j * order * state.omega)
         direct[:, order] = gains * t[r:, r + 1 + k] * amount
         if order == 1:
             residual[-2] = float(
-                (direct[twin.force_row, 1] / channels[twin.force_row, 1]).imag
-                - (direct[twin.response_row, 1] / channels[twin.response_row, 1]).imag
+                (direct[predictor.force_row, 1] / channels[predictor.force_row, 1]).imag
+                - (direct[predictor.response_row, 1] / channels[predictor.response_row, 1]).imag
             )
         if size > 0.0:
             result.append((residual, direct, k))
@@ -209,14 +223,14 @@ def _level_sources(
 
 
 def random_influence(
-    twin: RandomTwin, rig: Rig, cache: PartsCache, source: Source, settings: TwinSettings
+    predictor: RandomPredictor, rig: Rig, cache: PartsCache, source: Source, settings: PredictionSettings
 ) -> tuple[FloatArray, list[SourceColumn]]:
     """Columns (rows of the test, sources): one for each line and real and imaginary part."""
-    parts = cache.parts(rig, twin.setup, twin.seconds)
-    responses = twin.responses(rig, cache)
-    rows, r = twin.rows, parts.coordinates
-    lines = twin.test.lines_hz
-    channel_rows = twin.channel_rows
+    parts = cache.parts(rig, predictor.setup, predictor.seconds)
+    responses = predictor.responses(rig, cache)
+    rows, r = predictor.rows, parts.coordinates
+    lines = predictor.test.lines_hz
+    channel_rows = predictor.channel_rows
     columns: list[FloatArray] = []
     names: list[SourceColumn] = []
     model: LinearModel | None = None
@@ -231,7 +245,8 @@ def random_influence(
             continue
         omega = 2.0 * np.pi * lines[line] * parts.clock
         changes = [
-            _line_change(twin, parts, model, k, source, omega, responses[line], channel_rows, r) for k in range(count)
+            _line_change(predictor, parts, model, k, source, omega, responses[line], channel_rows, r)
+            for k in range(count)
         ]
         for k, change in enumerate(changes):
             for turn in (1.0, 1j):
@@ -244,20 +259,20 @@ def random_influence(
                 )  # fmt: skip
                 columns.append(column)
                 part: Literal["re", "im"] = "re" if turn == 1.0 else "im"
-                names.append(SourceColumn(twin.test.name, "line", line, part=part, vector=k))
+                names.append(SourceColumn(predictor.test.name, "line", line, part=part, vector=k))
     if not columns:
         return np.zeros((len(rows), 0)), []
     return np.column_stack(columns), names
 
 
 def _line_change(
-    twin: RandomTwin, parts: RigParts, model: LinearModel | None, k: int, source: Source, omega: float,
+    predictor: RandomPredictor, parts: RigParts, model: LinearModel | None, k: int, source: Source, omega: float,
     responses: ComplexArray, channel_rows: Any, r: int,
 ) -> ComplexArray:  # fmt: skip
     """Change of the responses (channels,) by a unit source at one line."""
     change = np.zeros(responses.size, dtype=np.complex128)
     if model is None:
-        for index, channel in enumerate(twin.test.channels):
+        for index, channel in enumerate(predictor.test.channels):
             is_force = channel.quantity == Quantity.FORCE
             if (source.kind == "force_sensor" and is_force) or (
                 source.kind == "response_sensor" and not is_force and index == source.index
@@ -269,7 +284,7 @@ def _line_change(
     tangent = resting_tangent(parts, s)
     closed = np.linalg.solve(np.eye(r) + t[:r, :r] * tangent, t[:r, [r, r + 1 + k]])
     full = t[r:, [r, r + 1 + k]] - t[r:, :r] @ (tangent[:, None] * closed)
-    gains = np.array([twin.gain(parts, row, s) for row in range(full.shape[0])])
+    gains = np.array([predictor.gain(parts, row, s) for row in range(full.shape[0])])
     full = full * gains[:, None]
     # Unit: a share of the force at this line; where the channels have none, of the drive.
     force = [row for row, section in enumerate(parts.sections) if section is not None and section.quantity == "force"]

@@ -15,8 +15,8 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.forward import Forward
 from nmt_rig.rig import Rig
 
 

@@ -1,4 +1,4 @@
-"""Operating range of a set of tests, computed by the twin."""
+"""Operating range of a set of tests, computed by the predictor."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.prediction.lateness import lateness
+from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_diagnose.prediction.periodic_kernel import GAIN
+from nmt_diagnose.prediction.phase_resonance_predictor import PhaseResonancePredictor
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.lateness import lateness
-from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.periodic_kernel import GAIN
-from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
-from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
-from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import BeamSection, ChainSection, Rig
@@ -38,7 +38,10 @@ from nmt_rig.rig_model import build_system
 
 
 def operating_range(
-    rig: Rig, tests: Sequence[Test], settings: TwinSettings | None = None, observations: Observations | None = None
+    rig: Rig,
+    tests: Sequence[Test],
+    settings: PredictionSettings | None = None,
+    observations: Observations | None = None,
 ) -> OperatingRange:
     """Largest motion over the tests, by the model as it is.
 
@@ -51,13 +54,13 @@ def operating_range(
     Args:
         rig: the model.
         tests: the tests.
-        settings: of the twin; None = a coarse mesh.
+        settings: of the predictor; None = a coarse mesh.
         observations: what was measured; tells the frequencies of a backbone, too. None = the model alone.
 
     Raises:
         BenchError: the rig does not fit the tests.
     """
-    settings = TwinSettings(mesh_refinement=1) if settings is None else settings
+    settings = PredictionSettings(mesh_refinement=1) if settings is None else settings
     channels = tuple(
         MeasuredChannel(rig.sensor_channel(s), Quantity[s.quantity.upper()], rig.sensor_point(s)) for s in rig.sensors
     )
@@ -162,7 +165,7 @@ def _of_samples(observations: Observations, part: Part) -> dict[str, float]:
 Motion = tuple[RigParts, float, float, np.ndarray, np.ndarray]
 
 
-def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: TwinSettings) -> list[Motion]:
+def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings) -> list[Motion]:
     """Parts, ω, drive, channel amplitudes and unknowns at the ends of a test."""
     if isinstance(test, PhaseResonanceTest):
         return _resonant(rig, test, channels, settings)
@@ -179,7 +182,7 @@ def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settin
 
 
 def _resonant(
-    rig: Rig, test: PhaseResonanceTest, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
+    rig: Rig, test: PhaseResonanceTest, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings
 ) -> list[Motion]:
     wider = PhaseResonanceTest(
         test.name, test.drive_point, test.response_channel,
@@ -188,17 +191,17 @@ def _resonant(
     )  # fmt: skip
     nothing = np.zeros(0, dtype=np.int64)
     empty = Rows(nothing, nothing, nothing, nothing, nothing, np.zeros(0), np.zeros(0), np.zeros(0))
-    twin = PhaseResonanceTwin(wider, empty, settings)
+    predictor = PhaseResonancePredictor(wider, empty, settings)
     cache = PartsCache(settings)
     found: list[Motion] = []
     solved = [
         (level, state)
-        for level, state in zip(twin.levels, twin.solve(rig, cache, None), strict=True)
+        for level, state in zip(predictor.levels, predictor.solve(rig, cache, None), strict=True)
         if state is not None
     ]
     solved.sort(key=lambda pair: pair[1].drive)
     for level, state in {id(s): (lv, s) for lv, s in (solved[:1] + solved[-1:])}.values():
-        parts = twin.parts(rig, cache, level)
+        parts = predictor.parts(rig, cache, level)
         unknowns = _unknowns(parts, state.omega, state.channels[: len(channels), 1], channels)
         found.append((parts, state.omega, state.drive, state.channels[: len(channels), 1], unknowns))
     return found
@@ -225,7 +228,7 @@ def _noise(
     rig: Rig,
     drive_point: int,
     channels: tuple[MeasuredChannel, ...],
-    settings: TwinSettings,
+    settings: PredictionSettings,
     omega: FloatArray,
     rms: float,
     ideal_force: bool,
@@ -252,7 +255,7 @@ def _noise(
 
 
 def _stepped(
-    rig: Rig, test: SteppedSineTest, channels: tuple[MeasuredChannel, ...], settings: TwinSettings
+    rig: Rig, test: SteppedSineTest, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings
 ) -> list[Motion]:
     """Lines of largest and smallest motion, in the shape that the system linearised at rest has at its resonance."""
     lead = test.channels[0]
@@ -278,7 +281,7 @@ def _given(
     rig: Rig,
     test: BackboneTable | RingDownTest,
     channels: tuple[MeasuredChannel, ...],
-    settings: TwinSettings,
+    settings: PredictionSettings,
     frequency_hz: float,
 ) -> list[Motion]:
     """Largest and smallest of the amplitudes of a test, through the system linearised at rest at its resonance."""

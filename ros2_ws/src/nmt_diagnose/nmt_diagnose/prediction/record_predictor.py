@@ -18,11 +18,11 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import RecordTest
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.twin.converter import expected_quantised
-from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.record_kernel import SteppedModel, step_through
-from nmt_diagnose.twin.rig_parts import RigParts
-from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_diagnose.prediction.converter import expected_quantised
+from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.record_kernel import SteppedModel, step_through
+from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
@@ -31,16 +31,16 @@ MOST_SUBSTEPS = 32
 REMEMBERED = 3
 
 
-class RecordTwin:
+class RecordPredictor:
     """Predicts the samples of one record.
 
     Args:
         test: the record.
         rows: its rows.
-        settings: of the twin.
+        settings: of the predictor.
     """
 
-    def __init__(self, test: RecordTest, rows: Rows, settings: TwinSettings) -> None:
+    def __init__(self, test: RecordTest, rows: Rows, settings: PredictionSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
         self.ideal_force = test.input_channel.quantity == Quantity.FORCE
         self.channels = tuple(test.channels)

@@ -20,7 +20,7 @@ Where a strong nonlinearity meets light damping, e turns the phase by more than 
 amplitude holds for. So that is taken about the amplitude that the solution has, as far as it is within the noise.
 
 Where a jump was measured thus says which branch a line belongs to and nothing else: real jumps come early, by any
-disturbance. :mod:`nmt_diagnose.twin.frequency_sweep` finds where a model itself would jump.
+disturbance. :mod:`nmt_diagnose.prediction.frequency_sweep` finds where a model itself would jump.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.prediction.forced_kernel import solve_lines, step_lines
+from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.rig_parts import RigParts, shared_unknowns
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.forced_kernel import solve_lines, step_lines
-from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.rig_parts import RigParts, shared_unknowns
-from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
@@ -71,19 +71,19 @@ class SteppedSineState:
     moved: FloatArray
 
 
-class SteppedSineTwin:
+class SteppedSinePredictor:
     """Predicts one test of frequency responses at a held amplitude.
 
     Args:
         test: the test.
         rows: its rows; ``level`` is the line.
-        settings: of the twin.
+        settings: of the predictor.
 
     Raises:
         BenchError: an unknown reference, or one that was held in a way the model cannot follow.
     """
 
-    def __init__(self, test: SteppedSineTest, rows: Rows, settings: TwinSettings) -> None:
+    def __init__(self, test: SteppedSineTest, rows: Rows, settings: PredictionSettings) -> None:
         if test.reference not in ("force", "base", "voltage"):
             raise BenchError(f"test {test.name}: reference {test.reference!r} is unknown; use force, base or voltage.")
         if test.held not in (test.reference, "response"):

@@ -1,4 +1,4 @@
-"""Tests of rigs, as conditions and rows, for the tests of the twin."""
+"""Tests of rigs, as conditions and rows, for the tests of the prediction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A rig taken apart for the twin: linear system, coordinates with nonlinear forces, channels."""
+"""A rig taken apart for the predictor: linear system, coordinates with nonlinear forces, channels."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.modal_calibration import with_stiffness
 from nmt_diagnose.observations.conditions import MeasuredChannel
-from nmt_diagnose.twin.linear_model import LinearModel, OutputRows, linear_model, moved_model
-from nmt_diagnose.twin.local_tables import local_tables
-from nmt_diagnose.twin.periodic_kernel import (
+from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model, moved_model
+from nmt_diagnose.prediction.local_tables import local_tables
+from nmt_diagnose.prediction.periodic_kernel import (
     DELAY,
     FACTOR_LINEAR,
     FACTOR_QUADRATIC,
@@ -27,7 +27,7 @@ from nmt_diagnose.twin.periodic_kernel import (
     LOW_PASS,
     RigTables,
 )
-from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.assembly import (
     ElectromechanicalSystem,
@@ -196,7 +196,7 @@ def rig_parts(
     rig: Rig,
     channels: Sequence[MeasuredChannel],
     basis: FourierBasis,
-    settings: TwinSettings,
+    settings: PredictionSettings,
     seconds: float = 0.0,
     cycles: float = 0.0,
     ideal_force: bool = False,
@@ -214,7 +214,7 @@ def rig_parts(
         near: parts of a rig from which this one differs by an infinitesimal step: its poles are followed; None = found.
 
     Raises:
-        BenchError: the rig has something the twin does not cover.
+        BenchError: the rig has something the predictor does not cover.
     """
     rig = _prepared(rig, settings, seconds, ideal_force, channels)
     forced = ideal_force and isinstance(rig.exciter, ShakingTableSection)
@@ -318,7 +318,7 @@ def same_structure(rig: Rig, other: Rig) -> bool:
 
 
 def with_elements_of(
-    parts: RigParts, rig: Rig, settings: TwinSettings, seconds: float = 0.0, cycles: float = 0.0
+    parts: RigParts, rig: Rig, settings: PredictionSettings, seconds: float = 0.0, cycles: float = 0.0
 ) -> RigParts:
     """Parts of a rig that differs from that of ``parts`` in numbers of its nonlinear elements or their drift only."""
     local = _local_elements(rig, parts.structure, parts.system.size, seconds, cycles)
@@ -371,7 +371,7 @@ def _local_elements(rig: Rig, structure: Structure, size: int, seconds: float, c
 
 
 def _prepared(
-    rig: Rig, settings: TwinSettings, seconds: float, ideal_force: bool, channels: Sequence[MeasuredChannel]
+    rig: Rig, settings: PredictionSettings, seconds: float, ideal_force: bool, channels: Sequence[MeasuredChannel]
 ) -> Rig:
     """Mesh as fine as wanted, stiffness as it is now, ideal force if asked for."""
     update: dict[str, object] = {}

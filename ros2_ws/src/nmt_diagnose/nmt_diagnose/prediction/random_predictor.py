@@ -14,12 +14,12 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.twin.gaussian_motion import forces_in_motion
-from nmt_diagnose.twin.linear_model import Fractions
-from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.periodic_kernel import DELAY, GAIN, HIGH_PASS, LOW_PASS, sensor_gain
-from nmt_diagnose.twin.rig_parts import RigParts
-from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_diagnose.prediction.gaussian_motion import forces_in_motion
+from nmt_diagnose.prediction.linear_model import Fractions
+from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_diagnose.prediction.periodic_kernel import DELAY, GAIN, HIGH_PASS, LOW_PASS, sensor_gain
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
@@ -68,19 +68,19 @@ def folding(lines: FloatArray, rate: float) -> Folding:
     )  # fmt: skip
 
 
-class RandomTwin:
+class RandomPredictor:
     """Predicts the frequency responses of one random test.
 
     Args:
         test: the test.
         rows: its rows.
-        settings: of the twin.
+        settings: of the predictor.
 
     Raises:
         BenchError: an unknown window or reference.
     """
 
-    def __init__(self, test: RandomTest, rows: Rows, settings: TwinSettings) -> None:
+    def __init__(self, test: RandomTest, rows: Rows, settings: PredictionSettings) -> None:
         if test.window not in ("hann", "none"):
             raise BenchError(f"test {test.name}: window {test.window!r} is unknown; use hann or none.")
         if test.reference not in ("voltage", "force"):

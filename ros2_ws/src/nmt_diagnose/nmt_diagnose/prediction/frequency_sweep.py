@@ -16,10 +16,10 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.conditions import SteppedSineTest
 from nmt_diagnose.observations.observables import Rows
+from nmt_diagnose.prediction.parts_cache import PartsCache
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.stepped_sine_predictor import SteppedSinePredictor
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.parts_cache import PartsCache
-from nmt_diagnose.twin.stepped_sine_twin import SteppedSineTwin
-from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig
 
 _AMPLITUDES = 240  # of the course R(s), over ``_DECADES`` below what resonance could reach
@@ -40,19 +40,21 @@ class Sweep:
     jumps: tuple[int, ...]
 
 
-def frequency_sweep(rig: Rig, test: SteppedSineTest, largest: float, settings: TwinSettings | None = None) -> Sweep:
+def frequency_sweep(
+    rig: Rig, test: SteppedSineTest, largest: float, settings: PredictionSettings | None = None
+) -> Sweep:
     """The responses that a rig would show in a stepped sine test, on the stable branch that the sweep follows.
 
     Args:
         rig: the model.
         test: lines, levels and direction (0 = up); its measured responses are not looked at.
         largest: amplitude of the first channel that no state exceeds, in its unit.
-        settings: of the twin.
+        settings: of the predictor.
 
     Raises:
         BenchError: the rig does not fit the test.
     """
-    settings = settings or TwinSettings()
+    settings = settings or PredictionSettings()
     count = test.lines_hz.size
     order = np.arange(count)[:: -1 if test.direction < 0 else 1]
     grid = largest * 10.0 ** np.linspace(-_DECADES, 0.0, _AMPLITUDES)
@@ -73,7 +75,7 @@ def frequency_sweep(rig: Rig, test: SteppedSineTest, largest: float, settings: T
 
 
 def _stable_states(
-    rig: Rig, test: SteppedSineTest, line: int, grid: FloatArray, settings: TwinSettings
+    rig: Rig, test: SteppedSineTest, line: int, grid: FloatArray, settings: PredictionSettings
 ) -> list[tuple[float, complex]]:
     """Amplitude and response of every stable state at a line, smallest first."""
     reference, growth, _ = _courses(rig, test, line, grid, settings)
@@ -93,7 +95,7 @@ def _stable_states(
 
 
 def _courses(
-    rig: Rig, test: SteppedSineTest, line: int, amplitudes: FloatArray, settings: TwinSettings
+    rig: Rig, test: SteppedSineTest, line: int, amplitudes: FloatArray, settings: PredictionSettings
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Reference, its growth and responses over response amplitudes at one frequency, (amplitudes,) each."""
     size = amplitudes.size
@@ -107,8 +109,10 @@ def _courses(
         growth=None,
     )
     nothing, real = np.zeros(0, dtype=np.int64), np.zeros(0)
-    twin = SteppedSineTwin(same, Rows(nothing, nothing, nothing, nothing, nothing, real, real, real), settings)
-    state = twin.solve(rig, PartsCache(settings), None)[0]
+    predictor = SteppedSinePredictor(
+        same, Rows(nothing, nothing, nothing, nothing, nothing, real, real, real), settings
+    )
+    state = predictor.solve(rig, PartsCache(settings), None)[0]
     assert state is not None
     with np.errstate(divide="ignore", invalid="ignore"):
         return amplitudes / state.responses[:, 0], state.growth, state.responses[:, 0]

@@ -1,4 +1,4 @@
-"""Observations made by the twin itself, with known noise: what a diagnosis of it must come to is known."""
+"""Observations made by the prediction itself, with known noise: what a diagnosis of it must come to is known."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from diagnose.twin_tests import chain, level, locked, noise_test, rows_of
+from diagnose.predicted_tests import chain, level, locked, noise_test, rows_of
 
 from nmt_diagnose.observations.observables import Observations, Part
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 
@@ -36,7 +36,7 @@ def real(model: Rig, **changes: Any) -> Rig:
     return validate_rig(RigDocument("test", values, {}))
 
 
-def observations_of_twin(
+def observations_of_model(
     truth: Rig,
     seed: int = 0,
     noise: float = 1.0,
@@ -44,7 +44,7 @@ def observations_of_twin(
     random: bool = True,
     lock_noise: float = 0.0,
 ) -> Observations:
-    """A run of locked levels, and a random test of 60 lines, of a rig that the twin simulates.
+    """A run of locked levels, and a random test of 60 lines, of a rig that the prediction simulates.
 
     Args:
         truth: the rig.
@@ -94,4 +94,4 @@ def _resonance(rig: Rig) -> float:
     return FREQUENCY
 
 
-__all__ = ["DRIVES", "chain", "observations_of_twin", "real"]
+__all__ = ["DRIVES", "chain", "observations_of_model", "real"]

@@ -1,4 +1,4 @@
-"""Settings of the twin."""
+"""Settings of the predictor."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class TwinSettings:
-    """How finely the twin computes.
+class PredictionSettings:
+    """How finely the predictor computes.
 
     Attributes:
         harmonics: highest order of the harmonic balance; raised to that of a test's observables where they need more.

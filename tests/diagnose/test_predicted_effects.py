@@ -1,7 +1,7 @@
-"""Every effect of the library: the plant's time integration with the key set against the twin's steady state.
+"""Every effect of the library: the plant's time integration with the key set against the prediction's steady state.
 
 The plant is driven at a fixed frequency until it is stationary. Its measured phase between force and velocity is given
-to the twin, which has to find the frequency and all harmonics of all channels.
+to the prediction, which has to find the frequency and all harmonics of all channels.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnose.twin_tests import chain, channels_of, level, locked, rows_of
+from diagnose.predicted_tests import chain, channels_of, level, locked, rows_of
 from rig.effect_rigs import harmonic, run
 from scipy.linalg import eigvalsh
 
@@ -20,9 +20,9 @@ from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.observations.observables import Part
-from nmt_diagnose.twin.forward import Forward
-from nmt_diagnose.twin.operating_range import operating_range
-from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_model import build_elements, build_structure
 
@@ -82,7 +82,7 @@ WITHOUT_FRICTION = {
 ELSEWHERE = {"mains_hum", "phase_offset", "loop_latency"}
 CHAIN_DRIVE, CHAIN_HZ = 2.0, 25.0
 BEAM_DRIVE, BEAM_HZ = 1.0, 20.0
-SETTINGS = TwinSettings(mesh_refinement=1, harmonics=11)
+SETTINGS = PredictionSettings(mesh_refinement=1, harmonics=11)
 DURATION = {"preload_loss@time": 4.0}
 
 
@@ -157,7 +157,7 @@ def test_an_effect_on_the_beam(label):
 
 @pytest.mark.parametrize("label", WITHOUT_FRICTION)
 def test_a_joint_in_a_model_without_friction(label):
-    """It takes its stiffness from the model: stuck, it changes nothing; slipping, the plant moves as the twin says."""
+    """It takes its stiffness from the model: stuck, it changes nothing; slipping, the plant moves as predicted."""
     rig, own = candidate("plain chain", label)
     changed = Parametrisation(rig, (), (own,)).rig(np.array(WITHOUT_FRICTION[label]))
     stuck, given = (eigvalsh(structure_stiffness(item), build_structure(item).mass) for item in (changed, rig))

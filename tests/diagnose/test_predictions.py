@@ -1,4 +1,4 @@
-"""The twin against the reference of nmt_plant, closed forms and differences of its own predictions."""
+"""The prediction against the reference of nmt_plant, closed forms and differences of its own predictions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose.twin_tests import SHAKER, chain, channels_of, level, locked, noise_test, rows_of
+from diagnose.predicted_tests import SHAKER, chain, channels_of, level, locked, noise_test, rows_of
 from moved_threshold import moved_threshold
 from rig.effect_rigs import oscillator, rig_of, run
 
@@ -22,12 +22,12 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.rig_edit import value_at, with_element, with_value
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RecordTest, RingDownTest
 from nmt_diagnose.observations.observables import Part
-from nmt_diagnose.twin.forward import Forward
-from nmt_diagnose.twin.influence import Source
-from nmt_diagnose.twin.operating_range import operating_range
-from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.rig_parts import rig_parts
-from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.influence import Source
+from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.rig_parts import rig_parts
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -38,7 +38,7 @@ from nmt_rig.rig import Rig, load_rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 from nmt_rig.rig_model import build_elements, build_structure, build_system
 
-PLAIN = TwinSettings(harmonics=7, mesh_refinement=1)
+PLAIN = PredictionSettings(harmonics=7, mesh_refinement=1)
 AT_2, A2 = Source("structure", 2), Source("response_sensor", channel="a2")
 EXCITER, FORCE, LOOP = Source("exciter"), Source("force_sensor"), Source("controller")
 
@@ -98,7 +98,7 @@ def test_a_duffing_oscillator_in_closed_form():
     k3 = 1e9
     rig = oscillator([{"kind": "cubic_spring", "point": 1, "stiffness_n_m3": k3}])
     test, table = locked(rig, [level(f, 32.0) for f in (0.1, 1.0, 3.0)], "x1", harmonics=1)
-    prediction = Forward([test], rows_of(table), TwinSettings(harmonics=1)).predict(rig)
+    prediction = Forward([test], rows_of(table), PredictionSettings(harmonics=1)).predict(rig)
     for force, state in zip((0.1, 1.0, 3.0), prediction.states[0], strict=True):
         amplitude = abs(state.channels[1, 1])
         assert force == pytest.approx(2.0 * state.omega * amplitude, rel=1e-9)
@@ -169,7 +169,7 @@ def test_a_refined_mesh_moves_high_modes_only():
     test, table = noise_test(rig, 5.0, 500.0, 40, window="none")
     coarse = Forward([test], rows_of(table), PLAIN).predict(rig).values
     refined = rig.model_copy(update={"structure": rig.structure.model_copy(update={"mesh_refinement": 2})})
-    finer = Forward([test], rows_of(table), TwinSettings(mesh_refinement=2)).predict(rig).values
+    finer = Forward([test], rows_of(table), PredictionSettings(mesh_refinement=2)).predict(rig).values
     np.testing.assert_allclose(finer, Forward([test], rows_of(table), PLAIN).predict(refined).values, atol=1e-9)
     assert 1e-4 < np.max(np.abs(finer - coarse)) < 0.05
     # The rig file's own mesh is the model unless told otherwise.
@@ -179,8 +179,8 @@ def test_a_refined_mesh_moves_high_modes_only():
 def test_a_reduced_structure_keeps_the_responses():
     rig = load_rig("beam")
     test, table = noise_test(rig, 5.0, 500.0, 40, window="none")
-    whole = Forward([test], rows_of(table), TwinSettings(mesh_refinement=4, full_size=100)).predict(rig).values
-    reduced = Forward([test], rows_of(table), TwinSettings(mesh_refinement=4)).predict(rig).values
+    whole = Forward([test], rows_of(table), PredictionSettings(mesh_refinement=4, full_size=100)).predict(rig).values
+    reduced = Forward([test], rows_of(table), PredictionSettings(mesh_refinement=4)).predict(rig).values
     assert 0.0 < np.max(np.abs(whole - reduced)) < 2e-5
 
 
@@ -285,14 +285,14 @@ def test_ring_down_of_duffing_and_friction_follow_the_averages():
     amplitudes = np.array([2e-3, 1e-3, 2e-4])
     test = RingDownTest("decay", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), amplitudes, 33.0)
     table = [(0, k, 0, 1, part) for k in range(3) for part in (Part.LOG_FREQUENCY, Part.DAMPING)]
-    values = Forward([test], rows_of(table), TwinSettings(harmonics=3)).predict(rig).values
+    values = Forward([test], rows_of(table), PredictionSettings(harmonics=3)).predict(rig).values
     omega, ratio = np.exp(values[::2]), values[1::2]
     np.testing.assert_allclose(omega**2, (20_000.0 + 0.75 * k3 * amplitudes**2) / 0.5, rtol=2e-3)
     rate = 2.0 / (2 * 0.5) + 4.0 * c2 * omega * amplitudes / (3 * np.pi * 0.5)
     slope = 0.75 * k3 * amplitudes**2 / (20_000.0 + 0.75 * k3 * amplitudes**2)
     np.testing.assert_allclose(ratio * omega, rate / (1.0 + 0.5 * slope), rtol=1.2e-2)
     seen = RingDownTest("decay", 1, MeasuredChannel("a1", Quantity.ACCELERATION, 1), amplitudes * omega**2, 33.0)
-    values = Forward([seen], rows_of(table), TwinSettings(harmonics=3)).predict(rig).values
+    values = Forward([seen], rows_of(table), PredictionSettings(harmonics=3)).predict(rig).values
     np.testing.assert_allclose(np.exp(values[::2]), omega, rtol=2e-3)
     np.testing.assert_allclose(values[1::2], ratio * (1.0 + 2.0 * slope), rtol=2e-2)
 
@@ -387,7 +387,7 @@ def test_a_backbone_table_is_the_locked_test_seen_from_its_response():
 
 @pytest.mark.parametrize("kind", ["linear", "jenkins", "cubic", "stop", "factor"])
 def test_a_record_against_the_plant(kind):
-    """Two tones at once, from rest: the twin driven by the recorded voltage against the plant's time integration."""
+    """Two tones at once, from rest: the prediction by the recorded voltage against the time integration."""
     elements = {
         "jenkins": [{"kind": "jenkins", "point": 2, "tangential_stiffness_n_m": 4000.0, "slip_force_n": 0.3}],
         "cubic": [{"kind": "cubic_spring", "point": 2, "other_point": 1, "stiffness_n_m3": 2e9}],

@@ -16,7 +16,7 @@ import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
-from nmt_diagnose.twin.linear_model import LinearTables, response_at, transfer_at
+from nmt_diagnose.prediction.linear_model import LinearTables, response_at, transfer_at
 from nmt_rig.model.aft import LocalTables, forces_alone, local_forces
 
 # Columns of the table of sensor chains, see `rig_parts.channel_table`.

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
+from nmt_diagnose.prediction.equivalent_linear import NODES, Quadrature, equivalents_kernel
+from nmt_diagnose.prediction.linear_model import Fractions, LinearModel
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.equivalent_linear import NODES, Quadrature, equivalents_kernel
-from nmt_diagnose.twin.linear_model import Fractions, LinearModel
 from nmt_rig.model.aft import ElementTables, LocalTables
 
 # Frequencies about each pole at which the motion is added up, in half widths of its peak.

@@ -10,14 +10,14 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import BackboneTable, LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.twin.parts_cache import PartsCache
-from nmt_diagnose.twin.phase_resonance_twin import PeriodicLevels, PeriodicState
-from nmt_diagnose.twin.rig_parts import RigParts
-from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_diagnose.prediction.parts_cache import PartsCache
+from nmt_diagnose.prediction.phase_resonance_predictor import PeriodicLevels, PeriodicState
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_rig.rig import Rig, ShakerSection
 
 
-class BackboneTwin(PeriodicLevels):
+class BackbonePredictor(PeriodicLevels):
     """Predicts a backbone: frequency and damping over the amplitude of a response.
 
     A table is the nonlinear mode's own, as from free decays: only the sensor of the amplitudes has a part in it.
@@ -26,10 +26,10 @@ class BackboneTwin(PeriodicLevels):
     Args:
         test: the table.
         rows: its rows.
-        settings: of the twin.
+        settings: of the predictor.
     """
 
-    def __init__(self, test: BackboneTable, rows: Rows, settings: TwinSettings) -> None:
+    def __init__(self, test: BackboneTable, rows: Rows, settings: PredictionSettings) -> None:
         levels = []
         for position, amplitude in enumerate(test.amplitudes):
             frequency_hz = rows.frequency_hz[rows.level == position]

@@ -17,8 +17,8 @@ import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
-from nmt_diagnose.twin.linear_model import LinearTables, response_at
-from nmt_diagnose.twin.periodic_kernel import (
+from nmt_diagnose.prediction.linear_model import LinearTables, response_at
+from nmt_diagnose.prediction.periodic_kernel import (
     RigTables,
     add_force_slopes,
     any_nonlinear,

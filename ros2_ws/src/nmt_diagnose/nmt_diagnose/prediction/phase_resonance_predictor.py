@@ -16,10 +16,9 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.converter import recorded_harmonics
-from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.periodic_kernel import (
+from nmt_diagnose.prediction.converter import recorded_harmonics
+from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_diagnose.prediction.periodic_kernel import (
     DRIVE_HELD,
     Control,
     channel_gains,
@@ -29,8 +28,9 @@ from nmt_diagnose.twin.periodic_kernel import (
     residuals,
     sensor_gain,
 )
-from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent, shared_unknowns
-from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent, shared_unknowns
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
@@ -105,13 +105,13 @@ class PeriodicLevels:
     Args:
         test: the test.
         rows: its rows.
-        settings: of the twin.
+        settings: of the predictor.
 
     Raises:
         BenchError: the test lacks what defines its levels.
     """
 
-    def __init__(self, test: PhaseResonanceTest, rows: Rows, settings: TwinSettings) -> None:
+    def __init__(self, test: PhaseResonanceTest, rows: Rows, settings: PredictionSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
         self.basis = FourierBasis.up_to(max(settings.harmonics, test.harmonics))
         self.ideal_force = test.held == "force"
@@ -522,10 +522,10 @@ class PeriodicLevels:
         return result
 
 
-class PhaseResonanceTwin(PeriodicLevels):
+class PhaseResonancePredictor(PeriodicLevels):
     """Predicts one test of locked windows; arguments and errors as of `PeriodicLevels`."""
 
-    def __init__(self, test: PhaseResonanceTest, rows: Rows, settings: TwinSettings) -> None:
+    def __init__(self, test: PhaseResonanceTest, rows: Rows, settings: PredictionSettings) -> None:
         super().__init__(test, rows, settings)
         self._parts = _by_part(rows)
         if np.any(rows.harmonic > self.basis.orders[-1]):

@@ -10,8 +10,7 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.observations.conditions import RingDownTest
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.decay_kernel import (
+from nmt_diagnose.prediction.decay_kernel import (
     closure,
     decay_shapes,
     evaluate_decay,
@@ -19,10 +18,11 @@ from nmt_diagnose.twin.decay_kernel import (
     observed_ratios,
     stepped_decays,
 )
-from nmt_diagnose.twin.parts_cache import PartsCache, Setup
-from nmt_diagnose.twin.periodic_kernel import sensor_gain
-from nmt_diagnose.twin.rig_parts import RigParts, resting_tangent
-from nmt_diagnose.twin.twin_settings import TwinSettings
+from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_diagnose.prediction.periodic_kernel import sensor_gain
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
@@ -31,16 +31,16 @@ _OFF_POLE = 1e-8
 _DEEPEST = 3
 
 
-class RingDownTwin:
+class RingDownPredictor:
     """Predicts one free decay: structure and exciter at zero volts.
 
     Args:
         test: the decay.
         rows: its rows.
-        settings: of the twin.
+        settings: of the predictor.
     """
 
-    def __init__(self, test: RingDownTest, rows: Rows, settings: TwinSettings) -> None:
+    def __init__(self, test: RingDownTest, rows: Rows, settings: PredictionSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
         self.channels = test.channels
         self.use(Setup(test.drive_point, False, self.channels, FourierBasis.up_to(settings.harmonics)))

@@ -22,16 +22,16 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.prediction.backbone_predictor import BackbonePredictor
+from nmt_diagnose.prediction.influence import Source, SourceColumn, random_influence, resonance_influence
+from nmt_diagnose.prediction.parts_cache import PartsCache, joint_setup
+from nmt_diagnose.prediction.phase_resonance_predictor import PhaseResonancePredictor
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.random_predictor import RandomPredictor
+from nmt_diagnose.prediction.record_predictor import RecordPredictor
+from nmt_diagnose.prediction.ring_down_predictor import RingDownPredictor
+from nmt_diagnose.prediction.stepped_sine_predictor import SteppedSinePredictor, with_growth
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_diagnose.twin.backbone_twin import BackboneTwin
-from nmt_diagnose.twin.influence import Source, SourceColumn, random_influence, resonance_influence
-from nmt_diagnose.twin.parts_cache import PartsCache, joint_setup
-from nmt_diagnose.twin.phase_resonance_twin import PhaseResonanceTwin
-from nmt_diagnose.twin.random_twin import RandomTwin
-from nmt_diagnose.twin.record_twin import RecordTwin
-from nmt_diagnose.twin.ring_down_twin import RingDownTwin
-from nmt_diagnose.twin.stepped_sine_twin import SteppedSineTwin, with_growth
-from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.rig import Rig, SensorSection
 
 _OF_THE_CHANNEL = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
@@ -55,21 +55,21 @@ class Prediction:
 
 
 class Forward:
-    """The twin of a set of tests.
+    """The predictor of a set of tests.
 
     Args:
         tests: conditions of the tests.
         rows: identity of the observables.
-        settings: of the twin.
+        settings: of the predictor.
 
     Raises:
-        BenchError: a test that the twin cannot predict.
+        BenchError: a test that the predictor cannot predict.
     """
 
-    def __init__(self, tests: Sequence[Test], rows: Rows, settings: TwinSettings | None = None) -> None:
+    def __init__(self, tests: Sequence[Test], rows: Rows, settings: PredictionSettings | None = None) -> None:
         self.tests = tuple(tests)
         self.rows = rows
-        self.settings = TwinSettings() if settings is None else settings
+        self.settings = PredictionSettings() if settings is None else settings
         self._phases = np.flatnonzero(np.isin(rows.part, (Part.PHASE, Part.PHASE_ERROR)))
         self._where = [np.flatnonzero(rows.test == index) for index in range(len(self.tests))]
         self._twins: list[Any] = [
@@ -83,26 +83,26 @@ class Forward:
 
         # Tests with one drive point share one linear model.
         groups: dict[tuple[int, bool], list[Any]] = {}
-        for twin in self._twins:
-            groups.setdefault((twin.setup.drive_point, twin.setup.ideal_force), []).append(twin)
+        for predictor in self._twins:
+            groups.setdefault((predictor.setup.drive_point, predictor.setup.ideal_force), []).append(predictor)
         for group in groups.values():
-            shared = joint_setup(twin.setup for twin in group)
-            for twin in group:
-                twin.use(shared)
+            shared = joint_setup(predictor.setup for predictor in group)
+            for predictor in group:
+                predictor.use(shared)
 
     def _twin(self, test: Test, rows: Rows) -> Any:
         if isinstance(test, PhaseResonanceTest):
-            return PhaseResonanceTwin(test, rows, self.settings)
+            return PhaseResonancePredictor(test, rows, self.settings)
         if isinstance(test, RandomTest):
-            return RandomTwin(test, rows, self.settings)
+            return RandomPredictor(test, rows, self.settings)
         if isinstance(test, SteppedSineTest):
-            return SteppedSineTwin(test, rows, self.settings)
+            return SteppedSinePredictor(test, rows, self.settings)
         if isinstance(test, RingDownTest):
-            return RingDownTwin(test, rows, self.settings)
+            return RingDownPredictor(test, rows, self.settings)
         if isinstance(test, RecordTest):
-            return RecordTwin(test, rows, self.settings)
+            return RecordPredictor(test, rows, self.settings)
         if isinstance(test, BackboneTable):
-            return BackboneTwin(test, rows, self.settings)
+            return BackbonePredictor(test, rows, self.settings)
         raise BenchError(f"the diagnosis' model cannot predict a test of kind {type(test).__name__}.")
 
     def _unexcited(
@@ -119,20 +119,20 @@ class Forward:
         """Observables of a rig; ``start`` is a prediction for a similar one, whose solutions are started from.
 
         Raises:
-            BenchError: the rig does not fit the tests, or has something the twin does not cover.
+            BenchError: the rig does not fit the tests, or has something the predictor does not cover.
         """
         cache = PartsCache(self.settings)
         values = np.full(len(self.rows), np.nan)
         states: list[Any] = []
         reasons: list[str] = []
-        for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
-            if hasattr(twin, "solve"):
-                solved = twin.solve(rig, cache, start.states[index] if start is not None else None)
-                values[where] = twin.values(rig, cache, solved)
+        for index, (predictor, where) in enumerate(zip(self._twins, self._where, strict=True)):
+            if hasattr(predictor, "solve"):
+                solved = predictor.solve(rig, cache, start.states[index] if start is not None else None)
+                values[where] = predictor.values(rig, cache, solved)
                 states.append(tuple(solved))
-                reasons += _unsolved(twin, solved)
+                reasons += _unsolved(predictor, solved)
             else:
-                values[where] = twin.values(rig, cache)
+                values[where] = predictor.values(rig, cache)
                 states.append(None)
         self._add_unexcited(rig, values)
         return Prediction(values, np.isfinite(values), tuple(reasons), tuple(states))
@@ -140,8 +140,8 @@ class Forward:
     def _tangents(self, rig: Rig, prediction: Prediction, cache: PartsCache) -> list[Any]:
         """What each test's solutions need to follow small changes of the rig; None where the test has its own way."""
         return [
-            twin.tangent(rig, cache, prediction.states[index]) if hasattr(twin, "tangent") else None
-            for index, twin in enumerate(self._twins)
+            predictor.tangent(rig, cache, prediction.states[index]) if hasattr(predictor, "tangent") else None
+            for index, predictor in enumerate(self._twins)
         ]
 
     def _stepped(self, rig: Rig, prediction: Prediction, cache: PartsCache, tangents: Sequence[Any] = ()) -> FloatArray:
@@ -150,15 +150,15 @@ class Forward:
         ``tangents`` are those of the rig of the prediction; without them the step is by the other rig's own Jacobian.
         """
         values = np.full(len(self.rows), np.nan)
-        for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
-            if hasattr(twin, "solve"):
+        for index, (predictor, where) in enumerate(zip(self._twins, self._where, strict=True)):
+            if hasattr(predictor, "solve"):
                 tangent = tangents[index] if tangents else None
-                states = None if tangent is None else twin.advanced(rig, cache, tangent)
+                states = None if tangent is None else predictor.advanced(rig, cache, tangent)
                 if states is None:
-                    states = twin.stepped(rig, cache, prediction.states[index])
-                values[where] = twin.values(rig, cache, states)
+                    states = predictor.stepped(rig, cache, prediction.states[index])
+                values[where] = predictor.values(rig, cache, states)
             else:
-                values[where] = twin.values(rig, cache)
+                values[where] = predictor.values(rig, cache)
         self._add_unexcited(rig, values)
         return values
 
@@ -246,31 +246,31 @@ class Forward:
         names: list[SourceColumn] = []
         if source.kind == "time":
             return self._time_influence(rig, prediction)
-        for index, (twin, where) in enumerate(zip(self._twins, self._where, strict=True)):
+        for index, (predictor, where) in enumerate(zip(self._twins, self._where, strict=True)):
             columns: FloatArray = np.zeros((where.size, 0))
             labels: list[SourceColumn] = []
             if source.kind == "controller":
-                if isinstance(twin, PhaseResonanceTwin):
-                    held = twin.rows.part == Part.PHASE_ERROR
-                    levels = range(len(twin.levels))
-                    columns = np.stack([0.01 * (held & (twin.rows.level == level)) for level in levels], axis=1)
-                    labels = [SourceColumn(twin.test.name, "level", level) for level in levels]
-            elif isinstance(twin, PhaseResonanceTwin | RandomTwin):
+                if isinstance(predictor, PhaseResonancePredictor):
+                    held = predictor.rows.part == Part.PHASE_ERROR
+                    levels = range(len(predictor.levels))
+                    columns = np.stack([0.01 * (held & (predictor.rows.level == level)) for level in levels], axis=1)
+                    labels = [SourceColumn(predictor.test.name, "level", level) for level in levels]
+            elif isinstance(predictor, PhaseResonancePredictor | RandomPredictor):
                 here = source
                 if source.kind == "response_sensor":
-                    known = [channel.name for channel in twin.test.channels]
+                    known = [channel.name for channel in predictor.test.channels]
                     if source.channel not in known:
                         continue
                     here = replace(source, index=known.index(source.channel))
-                if isinstance(twin, PhaseResonanceTwin):
+                if isinstance(predictor, PhaseResonancePredictor):
                     states = prediction.states[index]
-                    columns, labels = resonance_influence(twin, rig, cache, states, here, self.settings)
+                    columns, labels = resonance_influence(predictor, rig, cache, states, here, self.settings)
                     # Lines and steps follow no excitation: only an error of their own channel adds to them.
-                    columns[np.isin(twin.rows.part, _OF_THE_CHANNEL)] = 0.0
-                    direct, more = _channel_sources(twin, states, here)
+                    columns[np.isin(predictor.rows.part, _OF_THE_CHANNEL)] = 0.0
+                    direct, more = _channel_sources(predictor, states, here)
                     columns, labels = np.hstack((columns, direct)), labels + more
                 else:
-                    columns, labels = random_influence(twin, rig, cache, here, self.settings)
+                    columns, labels = random_influence(predictor, rig, cache, here, self.settings)
             full = np.zeros((len(self.rows), columns.shape[1]))
             full[where] = columns
             blocks.append(self.difference(full, np.zeros_like(full)))
@@ -307,28 +307,28 @@ def traced(tests: Sequence[Test], prediction: Prediction) -> tuple[Test, ...]:
 
 
 def _channel_sources(
-    twin: PhaseResonanceTwin, states: Sequence[Any], source: Source
+    predictor: PhaseResonancePredictor, states: Sequence[Any], source: Source
 ) -> tuple[FloatArray, list[SourceColumn]]:
     """Lines and steps of a channel, (rows of the test, sources): 1 % of its smallest fundamental, at each level."""
-    empty: tuple[FloatArray, list[SourceColumn]] = np.zeros((len(twin.rows), 0)), []
+    empty: tuple[FloatArray, list[SourceColumn]] = np.zeros((len(predictor.rows), 0)), []
     if source.kind not in ("force_sensor", "response_sensor"):
         return empty
-    channel = twin.force_row if source.kind == "force_sensor" else twin.own_row(source.index)
-    rows = [index for index in range(len(twin.test.channels)) if twin.own_row(index) == channel]
-    sizes = [float(abs(state.channels[channel, twin.basis.fundamental])) for state in states if state is not None]
+    channel = predictor.force_row if source.kind == "force_sensor" else predictor.own_row(source.index)
+    rows = [index for index in range(len(predictor.test.channels)) if predictor.own_row(index) == channel]
+    sizes = [float(abs(state.channels[channel, predictor.basis.fundamental])) for state in states if state is not None]
     columns, names = [], []
     for part in _OF_THE_CHANNEL:
-        selected = (twin.rows.part == part) & np.isin(twin.rows.channel, rows)
-        for level in np.unique(twin.rows.level[selected]) if sizes else ():
-            columns.append(0.01 * min(sizes) * (selected & (twin.rows.level == level)))
-            names.append(SourceColumn(twin.test.name, "level", int(level), unexcited=part))
+        selected = (predictor.rows.part == part) & np.isin(predictor.rows.channel, rows)
+        for level in np.unique(predictor.rows.level[selected]) if sizes else ():
+            columns.append(0.01 * min(sizes) * (selected & (predictor.rows.level == level)))
+            names.append(SourceColumn(predictor.test.name, "level", int(level), unexcited=part))
     return (np.stack(columns, axis=1), names) if columns else empty
 
 
-def _unsolved(twin: Any, states: Sequence[Any]) -> list[str]:
-    what = "decay" if isinstance(twin, RingDownTwin) else "phase-resonant solution"
+def _unsolved(predictor: Any, states: Sequence[Any]) -> list[str]:
+    what = "decay" if isinstance(predictor, RingDownPredictor) else "phase-resonant solution"
     return [
-        f"{twin.test.name}: the model has no {what} at level {position}."
+        f"{predictor.test.name}: the model has no {what} at level {position}."
         for position, state in enumerate(states)
         if state is None
     ]

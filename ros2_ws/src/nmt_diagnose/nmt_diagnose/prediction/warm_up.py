@@ -1,4 +1,4 @@
-"""Compiles the twin's kernels into their cache."""
+"""Compiles the predictor's kernels into their cache."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.twin.forward import Forward
+from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.model.local_elements.springs import CubicSpringSection
 from nmt_rig.rig import Rig
 
 
-def warm_up_twin(rig: Rig) -> None:
+def warm_up_predictions(rig: Rig) -> None:
     """Predict one test of each kind for a rig, and its sensitivities; a level without a solution does not matter."""
     point = rig.drive_point
     force = MeasuredChannel("f", Quantity.FORCE, point)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from nmt_diagnose.observations.conditions import MeasuredChannel
-from nmt_diagnose.twin.rig_parts import (
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.rig_parts import (
     RigParts,
     channel_sections,
     channel_table,
@@ -16,7 +17,6 @@ from nmt_diagnose.twin.rig_parts import (
     with_elements_of,
     with_exciter_at,
 )
-from nmt_diagnose.twin.twin_settings import TwinSettings
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
 
@@ -54,11 +54,11 @@ class PartsCache:
     """Parts of one rig at several moments.
 
     Args:
-        settings: of the twin.
+        settings: of the predictor.
         base: parts of a rig from which this one differs by an infinitesimal step.
     """
 
-    def __init__(self, settings: TwinSettings, base: PartsCache | None = None) -> None:
+    def __init__(self, settings: PredictionSettings, base: PartsCache | None = None) -> None:
         self.settings = settings
         self._base = base
         self._known: dict[tuple[int, float, float], tuple[Rig, RigParts]] = {}

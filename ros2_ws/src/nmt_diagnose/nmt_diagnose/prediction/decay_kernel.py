@@ -12,8 +12,8 @@ import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
-from nmt_diagnose.twin.linear_model import transfer_at
-from nmt_diagnose.twin.periodic_kernel import (
+from nmt_diagnose.prediction.linear_model import transfer_at
+from nmt_diagnose.prediction.periodic_kernel import (
     RigTables,
     add_force_slopes,
     harmonic_forces,

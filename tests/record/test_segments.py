@@ -59,6 +59,7 @@ def lock_event(store: DefinitionStore, **fields: object) -> object:
         "stamp": store.typestore.types["builtin_interfaces/msg/Time"](0, 0),
         "level_index": 0, "level": 0.3, "level_unit": "N", "sample": 299, "frequency_hz": 21.0,
         "phase_error": math.nan, "window_first_sample": 350, "window_samples": 1230, "window_periods": 0, "test": 3,
+        "response_order": 0, "force_order": 0,
     }  # fmt: skip
     return store.typestore.types[LOCK](**{**values, **fields})
 

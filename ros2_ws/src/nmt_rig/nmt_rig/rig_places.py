@@ -24,7 +24,7 @@ def rig_names() -> list[str]:
 
     Examples:
         >>> rig_names()[:5]
-        ['beam', 'belt', 'clamped_beam', 'internal_resonance', 'joint_resonator']
+        ['beam', 'beam_two_shakers', 'belt', 'clamped_beam', 'frame']
         >>> all(find_rig(name).is_file() for name in rig_names())
         True
     """

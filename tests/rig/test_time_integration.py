@@ -19,6 +19,7 @@ from nmt_rig.model.assembly import (
     input_output,
 )
 from nmt_rig.model.chain import lumped_chain
+from nmt_rig.model.integration_kernel import move_pairs
 from nmt_rig.model.local_elements import ELEMENTS
 from nmt_rig.model.local_elements.attachments import BoucWen
 from nmt_rig.model.local_elements.contacts import BacklashDamper, TwoSidedGap, UnilateralStop
@@ -334,3 +335,17 @@ def test_bad_inputs_are_refused(beam_system):
         TimeIntegrator(beam_system, 0.0, [])
     with pytest.raises(ValueError, match="finite"):
         TimeIntegrator(beam_system, RATE, []).advance(np.array([0.0, np.nan]))
+
+
+@pytest.mark.parametrize("pairs", [1, 5, 11, 12, 16, 33])
+def test_free_motion_of_few_and_of_many_pairs_has_the_same_bits(pairs):
+    rng = np.random.default_rng(pairs)
+    pair, weights = rng.standard_normal((2, 4, pairs)), rng.standard_normal((2, 4, 2 * pairs))
+    state, forces, u = rng.standard_normal(2 * pairs), rng.standard_normal(2), rng.standard_normal(2)
+    end = np.full(2 * pairs, np.nan)
+    move_pairs(pair, weights, 1, *u, forces, state, end)
+    x, y = state[:pairs], state[pairs:]
+    a, w = pair[1], weights[1]
+    moved = np.concatenate([a[0] * x + a[1] * y, a[2] * x + a[3] * y])
+    expected = (moved + (w[0] * u[0] + w[1] * u[1])) + (w[2] * forces[0] + w[3] * forces[1])
+    assert np.array_equal(end, expected)

@@ -34,6 +34,8 @@ _NEWTON_STEPS = 25
 _NEWTON_TOLERANCE = 1e-13
 _SLOPE_TOLERANCE = 1e-9
 _SMALLEST = 1e-290
+# From this number of pairs on, vectorised loops over few arrays each take less time than one loop over all arrays.
+_MANY_PAIRS = 12
 
 Integers = NDArray[np.int64]
 
@@ -200,18 +202,20 @@ def port_forces(
 
 
 @loop_step
-def move_free(motion: LinearMotion, level: int, u0: float, u1: float, forces: Array, state: Array, end: Array) -> None:
-    """The state (Z,) at the end of a sub-step by all that is known at its start, for the input at its ends.
+def move_pairs(
+    pair: Array, weights: Array, level: int, u0: float, u1: float, forces: Array, state: Array, end: Array
+) -> None:
+    """`move_free` in modal form with one port; both branches give the same bits.
 
-    Indices are written out in full: a view in this loop would cost more than the arithmetic.
+    A step is compiled by itself before it is copied into the loop, and nothing states there that arrays do not overlap.
+    A vectorised loop therefore compares the addresses of what it writes with all that it reads, and runs only where
+    there are enough values for that. Few arrays per loop keep this number small.
     """
-    pair, weights, dense = motion.pair, motion.start_weights, motion.dense
     size = state.size
     pairs = size // 2
-    one = forces.size == 2
-    if motion.modal and one:
-        g0 = forces[0]
-        s0 = forces[1]
+    g0 = forces[0]
+    s0 = forces[1]
+    if pairs < _MANY_PAIRS:
         for i in range(pairs):
             j = pairs + i
             x = state[i]
@@ -226,6 +230,30 @@ def move_free(motion: LinearMotion, level: int, u0: float, u1: float, forces: Ar
                 + (weights[level, _INPUT_START, j] * u0 + weights[level, _INPUT_END, j] * u1)
                 + (weights[level, _FIRST_FORCE, j] * g0 + weights[level, _FIRST_FORCE + 1, j] * s0)
             )
+        return
+    for i in range(pairs):
+        end[i] = pair[level, _XX, i] * state[i] + pair[level, _XY, i] * state[pairs + i]
+    for i in range(pairs):
+        end[pairs + i] = pair[level, _YX, i] * state[i] + pair[level, _YY, i] * state[pairs + i]
+    for i in range(size):
+        end[i] = (
+            end[i]
+            + (weights[level, _INPUT_START, i] * u0 + weights[level, _INPUT_END, i] * u1)
+            + (weights[level, _FIRST_FORCE, i] * g0 + weights[level, _FIRST_FORCE + 1, i] * s0)
+        )
+
+
+@loop_step
+def move_free(motion: LinearMotion, level: int, u0: float, u1: float, forces: Array, state: Array, end: Array) -> None:
+    """The state (Z,) at the end of a sub-step by all that is known at its start, for the input at its ends.
+
+    Indices are written out in full: a view in this loop would cost more than the arithmetic.
+    """
+    pair, weights, dense = motion.pair, motion.start_weights, motion.dense
+    size = state.size
+    pairs = size // 2
+    if motion.modal and forces.size == 2:
+        move_pairs(pair, weights, level, u0, u1, forces, state, end)
         return
     if motion.modal:
         for i in range(pairs):
@@ -266,7 +294,9 @@ def see_free(motion: LinearMotion, rows: int, lanes: int, u1: float, end: Array,
         total1 = 0.0
         total2 = 0.0
         total3 = 0.0
-        for i in range(0, lanes, 4):
+        # Of range(0, lanes, 4) the compiler would not know that no index is negative.
+        for four in range(lanes // 4):
+            i = 4 * four
             total0 += port_rows[r, i] * end[i]
             total1 += port_rows[r, i + 1] * end[i + 1]
             total2 += port_rows[r, i + 2] * end[i + 2]

@@ -274,10 +274,7 @@ class TimeIntegrator:
         if not np.isfinite(inputs).all():
             raise ValueError("inputs must be finite")
         n = inputs.size - 1
-        others = len(self.system.further)
-        more = np.zeros((others, n + 1)) if further is None else np.ascontiguousarray(further, dtype=np.float64)
-        if more.shape != (others, n + 1) or not np.isfinite(more).all():
-            raise ValueError(f"further inputs must be finite and of shape {(others, n + 1)}, got {more.shape}")
+        every = self._with_further(inputs, further)
         p = self._propagator
         if self._history.shape[1] < n:
             # Rows an odd number of cache lines apart: at a power of two a sample's values share one place of the cache.
@@ -302,7 +299,7 @@ class TimeIntegrator:
                 *self._tables,
                 tuple(self._memory),
                 self.substeps,
-                np.concatenate([inputs[None, :], more]),
+                every,
                 self._state,
                 self._history,
                 self._force_history,
@@ -310,9 +307,20 @@ class TimeIntegrator:
             )
         except ZeroDivisionError:  # a force without bound has no slope
             good = False
-        for values, direct in zip(more[:, :n], self._d_further.T, strict=True):
-            result += direct[:, None] * values
+        for f in range(1, len(every)):
+            result += self._d_further[:, f - 1, None] * every[f, :n]
         return self._moved(n, good, result)
+
+    def _with_further(self, inputs: Array, further: Array | None) -> Array:
+        """(exciters, n + 1) inputs of all exciters; without further ones a view, which takes no time of a block."""
+        others = len(self.system.further)
+        if others == 0 and (further is None or len(further) == 0):
+            return inputs[None, :]
+        shape = (others, inputs.size)
+        more = np.zeros(shape) if further is None else np.ascontiguousarray(further, dtype=np.float64)
+        if more.shape != shape or not np.isfinite(more).all():
+            raise ValueError(f"further inputs must be finite and of shape {shape}, got {more.shape}")
+        return np.concatenate([inputs[None, :], more])
 
     def _moved(self, samples: int, good: bool, result: Array) -> Array:
         """Count the samples of a block; refuse one whose end is not finite."""

@@ -89,6 +89,16 @@ def test_a_formula_or_a_constant_in_another_file_counts(sample: Sample) -> None:
     assert sample.run() == (21.0, 1, folder)
 
 
+def test_a_package_behind_a_link_shares_the_cache(sample: Sample, tmp_path: Path) -> None:
+    """As the packages of a workspace that colcon built with links, and those of the sources."""
+    assert sample.run()[:2] == (21.0, 0)
+    (tmp_path / "built").mkdir()
+    (tmp_path / "built" / "nmt_sample").symlink_to(sample.folder / "nmt_sample")
+    sample.environment["PYTHONPATH"] = f"{tmp_path / 'built'}:{SOURCE / 'nmt_core'}"
+    sample.folder = tmp_path / "built"
+    assert sample.run()[:2] == (21.0, 1)
+
+
 def test_the_folder_of_the_environment_is_taken(sample: Sample, tmp_path: Path) -> None:
     sample.environment["NUMBA_CACHE_DIR"] = str(tmp_path / "kept")
     assert sample.run()[2].parent == tmp_path / "kept"

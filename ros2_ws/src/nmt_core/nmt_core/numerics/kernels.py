@@ -28,6 +28,9 @@ def njit(*function: Any, **options: Any) -> Any:
         return numba.njit(*function, **options)
 
     def compiled(python_function: Any) -> Any:
+        code = python_function.__code__
+        # numba names the cache by the path, too: a package that is reached through a link has no other.
+        python_function.__code__ = code.replace(co_filename=os.path.realpath(code.co_filename))
         folder = cache_folder(python_function)
         if folder is None:
             return numba.njit(**options)(python_function)

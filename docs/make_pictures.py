@@ -6,7 +6,8 @@ python docs/make_pictures.py out/pictures --check      # exit code 1 if a stored
 python docs/make_pictures.py out/pictures --notebooks  # and the outputs of the notebooks
 
 bench.svg: the nodes, and the backbone they measured. harmonics.svg: what control of the force's harmonics does.
-self_excited.svg: a damping curve that passes through zero.
+self_excited.svg: a damping curve that passes through zero. resonances.svg: a jump of an internal resonance, an isola.
+two_exciters.svg: close modes with one shaker and with two.
 page.png: the live page replaying the demo. The others: the first screen of every kind of report, for docs/gallery.md.
 """
 
@@ -28,9 +29,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 from nbclient import NotebookClient
+from nonlinear_pictures import draw_exciters, draw_resonances, draw_self_excited
 from PIL import Image
 
-from nmt_extract.limit_cycles import limit_cycles
 from nmt_extract.modal_table import read_csv, read_json
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import load_rig
@@ -118,39 +119,6 @@ def draw_bench(results: Path, target: Path) -> None:
     figure.savefig(target, metadata={"Date": None})
 
 
-def draw_self_excited(results: Path, target: Path) -> None:
-    """Frequency and damping ratio of a self-excited rig with its limit cycles, beside the computed mode."""
-    points = [point for point in read_json(results / "modal.json")[0] if point.reason == ""]
-    q = np.array([point.modal_amplitude for point in points])
-    computed = compute_reference(load_rig(results / "rig.yaml"), 15, np.linspace(0.3 * q.min(), 1.04 * q.max(), 150))
-    matplotlib.rcParams.update({"svg.hashsalt": "nmt", "font.family": "DejaVu Sans"})
-    figure = Figure(figsize=(9.6, 3.3), facecolor="white")
-    left, right = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.065, right=0.985, top=0.95, bottom=0.15, wspace=0.2)
-    hertz = [point.omega_rad_s / (2.0 * np.pi) for point in points]
-    percent = [100.0 * point.damping_ratio for point in points]
-    for axes, line, values, label in (
-        (left, computed.omega_rad_s / (2.0 * np.pi), hertz, "modal frequency, Hz"),
-        (right, 100.0 * computed.damping_ratio, percent, "damping ratio, %"),
-    ):
-        axes.plot(1e3 * computed.modal_amplitude, line, color=LINE, linewidth=1.2, label="computed (EPMC)")
-        axes.plot(1e3 * q, values, "o", color=ACCENT, markersize=4.5, label="measured (simulated rig)")
-        axes.set_xlabel("modal amplitude, 10⁻³ m√kg", fontsize=8, color=INK)
-        axes.set_ylabel(label, fontsize=8, color=INK)
-        axes.tick_params(labelsize=8, colors=INK)
-        axes.grid(alpha=0.25, linewidth=0.5)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
-    right.axhline(0.0, color=INK, linewidth=0.6)
-    for cycle in limit_cycles(points):
-        kind = "stable limit cycle" if cycle.stable else "unstable limit cycle"
-        fill = INK if cycle.stable else "white"
-        place = 1e3 * cycle.modal_amplitude
-        right.plot([place], [0.0], "o", color=INK, markersize=8, markerfacecolor=fill, label=kind)
-    right.legend(fontsize=8, frameon=False, loc="upper left")
-    figure.savefig(target, metadata={"Date": None})
-
-
 def draw_harmonics(without: Path, controlled: Path, target: Path) -> None:
     """Force harmonics where they are greatest, and the error of damping, without and with control of them."""
     matplotlib.rcParams.update({"svg.hashsalt": "nmt", "font.family": "DejaVu Sans"})
@@ -190,6 +158,9 @@ def draw_harmonics(without: Path, controlled: Path, target: Path) -> None:
 
 # Picture: results folder, height of the shown part, and the command that makes the folder beside the others.
 HEAVY = "structure.added_masses=[{point: 5, mass_kg: 0.004}]"
+BOTH = ("--refine", "0.0005", "--direction", "both")
+LIGHT = "structure.damping_factors=[0.2,0.2,0.2]"
+ACROSS = "0.0016,0.0017,0.0018,0.00186,0.0019,0.00202,0.0021,0.0022,0.0024"
 REPORTS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "report": ("demo", 1150, ("demo",)),
     "linear": ("linear", 800, ("linear", "joint_resonator")),
@@ -203,9 +174,29 @@ REPORTS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "reference": ("reference", 800, ("reference", "beam")),
     "controlled": ("controlled", 0, ("run", "beam", "--harmonics-control", "auto")),
     "self_excited": ("self_excited", 0, ("run", "subcritical", "--kind", "self_excited")),
+    "internal": (
+        "internal",
+        0,
+        ("run", "internal_resonance", "--control", "response", "--levels", "0.0005:0.0028:6", *BOTH),
+    ),
+    "jumping": (
+        "jumping",
+        0,
+        ("run", "internal_resonance", "--control", "response", "--set", LIGHT, "--levels", ACROSS),
+    ),
+    "primary": ("primary", 0, ("run", "strong_cubic", "--control", "response", "--levels", "0.0002:0.0024:10")),
+    "isola": ("isola", 900, ("synthesis", "--backbone", "primary", "--resonance", "1:3", "--levels", "9.6")),
+    "subharmonic": (
+        "subharmonic",
+        0,
+        ("run", "strong_cubic", "--resonance", "1:3", "--control", "force", "--levels", "9.6", "--release", "0.00075"),
+    ),
+    "frame": ("frame", 0, ("run", "frame", "--set", "test.window_periods=50")),
+    "frame_one": ("frame_one", 0, ("run", "frame", "--exciter", "2", "--set", "test.window_periods=50")),
     "heavy": ("heavy", 0, ("run", "beam", "--set", HEAVY, "--levels", "0.05:1.5:8", "--periods", "60")),
     "diagnosis": ("diagnosis", 1150, ("diagnose", "--model", "beam", "--real", "heavy")),
     "study": ("study", 1000, ("study", "exciter_location", "--quick")),
+    "identification": ("identification", 1150, ("study", "identification")),
 }
 
 
@@ -300,6 +291,9 @@ def main(arguments: list[str] | None = None) -> int:
         draw_bench(options.results / "demo", made / "bench.svg")
         draw_harmonics(options.results / "demo", options.results / "controlled", made / "harmonics.svg")
         draw_self_excited(options.results / "self_excited", made / "self_excited.svg")
+        runs = [options.results / name for name in ("internal", "jumping", "primary", "isola", "subharmonic")]
+        draw_resonances(*runs, made / "resonances.svg")
+        draw_exciters(options.results / "frame", options.results / "frame_one", made / "two_exciters.svg")
         asyncio.run(screenshots(options.results, made))
         asyncio.run(live_page(options.results / "demo" / "bag", made / "page.png"))
         shrink(made)

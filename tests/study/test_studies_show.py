@@ -73,6 +73,9 @@ def test_a_far_point_that_is_best_contradicts_the_lower_accuracy(monkeypatch):
     assert lower.found.endswith("best at point 5")
     whole = SimpleNamespace(locked=4, levels=4)
     assert _verdict(findings, [whole]) == ("4 of 5 statements hold; 4 of 4 levels locked and extracted", "partly")
+    assert _verdict(findings, [SimpleNamespace(locked=0, levels=4)])[1] == "bad"
+    # Recordings of random excitation have no levels: the statements alone count.
+    assert _verdict(findings, [SimpleNamespace(locked=0, levels=0)]) == ("4 of 5 statements hold", "partly")
     errors[5] = 0.04
     assert _verdict(list(exciter_location._findings(results)), [whole])[1] == "good"
 

@@ -65,11 +65,12 @@ def _verdict(findings: Sequence[Finding], summary: Sequence[SummaryRow]) -> tupl
     locked, levels = sum(row.locked for row in summary), sum(row.levels for row in summary)
     judged = [finding for finding in findings if finding.holds is not None]
     holding = sum(bool(finding.holds) for finding in judged)
-    parts = [f"{locked} of {levels} levels locked and extracted"]
-    if judged:
-        parts.insert(0, f"{holding} of {len(judged)} statements hold")
+    parts = [f"{holding} of {len(judged)} statements hold"] if judged else []
+    if levels or not judged:  # random excitation has no levels that lock
+        parts.append(f"{locked} of {levels} levels locked and extracted")
     whole = locked == levels and holding == len(judged)
-    return "; ".join(parts), "good" if whole and locked else "partly" if locked else "bad"
+    some = locked if levels else holding
+    return "; ".join(parts), "good" if whole and some else "partly" if some else "bad"
 
 
 _SUMMARY_COLUMNS = (

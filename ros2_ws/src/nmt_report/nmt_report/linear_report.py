@@ -280,7 +280,7 @@ def _mass_table(test: LinearTest) -> Table:
 # -- figures ----------------------------------------------------------------------------------------------------------
 
 
-def _thinned(frequency: FloatArray, values: ComplexArray) -> tuple[FloatArray, ComplexArray]:
+def thinned(frequency: FloatArray, values: ComplexArray) -> tuple[FloatArray, ComplexArray]:
     """At most a few hundred lines, even over the logarithm of frequency, of every stretch its largest value."""
     if frequency.size <= _CURVE_POINTS:
         return frequency, values
@@ -304,7 +304,7 @@ def _two_axes() -> tuple[Figure, Any, Any]:
     return figure, top, bottom
 
 
-def _phase(values: ComplexArray, lowest: float = -225.0) -> FloatArray:
+def phase_degrees(values: ComplexArray, lowest: float = -225.0) -> FloatArray:
     """Degrees in one turn upwards of a lowest value; from −225 on, 0, −90 and −180 lie far from the ends."""
     return np.asarray((np.degrees(np.angle(values)) - lowest) % 360.0 + lowest)
 
@@ -321,9 +321,9 @@ def _response_figure(test: LinearTest, row: int) -> ReportFigure:
         (frequency, measured, BLUE, "measured", 1.6),
         (frequency[inside], synthesis[inside], ORANGE, "modes and residuals", 1.0),
     ):
-        f, h = _thinned(lines, values)
+        f, h = thinned(lines, values)
         top.loglog(f, np.abs(h), color=colour, linewidth=width, label=label)
-        bottom.semilogx(f, _phase(h), color=colour, linewidth=width)
+        bottom.semilogx(f, phase_degrees(h), color=colour, linewidth=width)
     top.set_ylabel("receptance (m/N)")
     top.legend(loc="lower left")
     caption = f"Displacement at point {point} over force at point {test.settings.drive_point}."
@@ -353,12 +353,12 @@ def _target_figure(test: LinearTest) -> ReportFigure:
         if values is not None:
             h = values[row][use] * factor
             top.semilogy(frf.frequency_hz[use], np.abs(h), color=colour, linestyle=style, label=label)
-            bottom.plot(frf.frequency_hz[use], _phase(h, lowest), color=colour, linestyle=style)
+            bottom.plot(frf.frequency_hz[use], phase_degrees(h, lowest), color=colour, linestyle=style)
     fine = np.linspace(target.frequency_hz - width, target.frequency_hz + width, 400)
     fitted = modal_receptance(target.shape * target.drive_shape, target.omega, target.damping_ratio, fine)[row]
     fitted = fitted + test.target_residuals.receptance(fine)[row]
     top.semilogy(fine, np.abs(fitted), color=ORANGE, linewidth=1.0, label="fit of the whole record")
-    bottom.plot(fine, _phase(fitted, lowest), color=ORANGE, linewidth=1.0)
+    bottom.plot(fine, phase_degrees(fitted, lowest), color=ORANGE, linewidth=1.0)
     bottom.set_yticks([lowest + 90.0, lowest + 180.0, lowest + 270.0])
     bottom.set_ylim(lowest + 45.0, lowest + 315.0)
     top.set_ylabel("receptance (m/N)")
@@ -376,7 +376,7 @@ def _coherence_figure(test: LinearTest) -> ReportFigure:
     colours = [BLUE, ORANGE, GREEN, RED, INK, MUTED]
     for row, point in enumerate(test.points):
         # Of every stretch the lowest value: 1 − γ² is what matters.
-        f, rest = _thinned(frf.frequency_hz, (1.0 - frf.coherence[row]).astype(np.complex128))
+        f, rest = thinned(frf.frequency_hz, (1.0 - frf.coherence[row]).astype(np.complex128))
         axes.semilogx(f, 1.0 - rest.real, color=colours[row % len(colours)], label=f"point {point}", linewidth=1.0)
     axes.set_ylim(-0.02, 1.05)
     axes.set_xlabel("frequency (Hz)")

@@ -105,7 +105,7 @@ def run(options: LinearOptions) -> int:
             evaluated = _evaluate(bag, options, band)
             display.step()
             with OutputFolder(options.out, options.force) as folder:
-                _write(*evaluated, folder, options)
+                _write(*evaluated, folder, options, bag.run_start)
         _show(*evaluated, options, console)
         return EXIT_DONE
     from nmt_bench.orchestration.prepared_nodes import nodes_ahead
@@ -142,7 +142,8 @@ def _measure(options: LinearOptions, band: tuple[float, float], console: Any) ->
             return EXIT_FAILED
         try:
             with WorkDisplay(console, _STEPS[:1], options.quiet):
-                evaluated = _evaluate(Bag.open(result.bag), options, band)
+                recording = Bag.open(result.bag)
+                evaluated = _evaluate(recording, options, band)
         except KeyboardInterrupt:
             console.print(
                 f"Stopped before the evaluation was done. The recording is in {folder / 'bag'}; './nmt linear --bag "
@@ -158,7 +159,7 @@ def _measure(options: LinearOptions, band: tuple[float, float], console: Any) ->
                 "again."
             ) from error
         with WorkDisplay(console, _STEPS[1:], options.quiet):
-            _write(*evaluated, folder, options)
+            _write(*evaluated, folder, options, recording.run_start)
     _show(*evaluated, options, console)
     if result.code != ResultCode.SUCCEEDED:
         console.print(result.message, style="yellow")
@@ -233,14 +234,20 @@ def _rig_of(bag: Bag) -> Rig | None:
 # -- results ----------------------------------------------------------------------------------------------------------
 
 
-def _write(result: LinearTestResult | SeveralInputsTest, rig: Rig | None, folder: Path, options: LinearOptions) -> None:
+def _write(
+    result: LinearTestResult | SeveralInputsTest,
+    rig: Rig | None,
+    folder: Path,
+    options: LinearOptions,
+    run: dict[str, Any] | None,
+) -> None:
     from nmt_extract.linear_evaluation import LinearTestResult
 
     if not isinstance(result, LinearTestResult):
         from nmt_bench.commands.several_exciters import write_several
 
         assert rig is not None
-        write_several(result, rig, folder)
+        write_several(result, rig, folder, run)
         return
     from nmt_extract.linear_file import frf_table
     from nmt_report.linear_report import exact_modes, linear_page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,8 +34,10 @@ def evaluate_several(bag: Bag, rig: Rig, options: LinearOptions) -> SeveralInput
     )
 
 
-def write_several(test: SeveralInputsTest, rig: Rig, folder: Path) -> None:
-    """``linear.json`` and ``frf.csv`` of the results folder."""
+def write_several(test: SeveralInputsTest, rig: Rig, folder: Path, run: Mapping[str, Any] | None = None) -> None:
+    """``linear.json``, ``frf.csv`` and ``report.html`` of the results folder; ``run`` describes the recording's run."""
+    from nmt_report.several_inputs_report import several_inputs_page
+
     shaker = build_shaker(rig)
     described = test.description(0.0 if shaker is None else shaker.moving_mass)
     write_whole(folder / "linear.json", json.dumps(json.loads(described.to_json()), indent=1) + "\n")
@@ -42,6 +45,7 @@ def write_several(test: SeveralInputsTest, rig: Rig, folder: Path) -> None:
     write_whole(
         folder / "frf.csv", csv_text([list(rows[0]), *([repr(value) for value in row.values()] for row in rows)])
     )
+    write_whole(folder / "report.html", several_inputs_page(test, rig, run))
 
 
 def show_several(test: SeveralInputsTest, out: Path, console: Any) -> None:
@@ -60,4 +64,4 @@ def show_several(test: SeveralInputsTest, out: Path, console: Any) -> None:
             f"coherence {test.coherence[:, j].mean():.3f} in the mean.",
             soft_wrap=True,
         )
-    console.print(f"Results in {out}: linear.json, frf.csv", soft_wrap=True)
+    console.print(f"Results in {out}: linear.json, frf.csv, report.html", soft_wrap=True)

@@ -302,3 +302,47 @@ def test_a_replay_waits_for_somebody_who_watches(tmp_path: Path) -> None:
         until(lambda: player.state()["position"] > 0.0)
     finally:
         player.close()
+
+
+def test_every_exciter_has_its_force_and_its_voltage(tmp_path: Path) -> None:
+    view = LiveView()
+    frames: list[tuple[dict[str, Any], dict[str, Any]]] = []
+
+    def listen(topic: str, record: Any) -> None:
+        view.take(record)
+        if topic == "lock":
+            frames.append(live(view))
+
+    with Session(plan_test("frame", [2.0], window_periods=20), listener=listen, record=False) as session:
+        view.begin(session.plan.run, {"exciters": [{"point": 1}, {"point": 2}]})
+        (point,) = session.run().points
+    head, _ = frames[0]
+    assert [row["name"] for row in head["exciters"]] == ["Exciter 1, point 1", "Exciter 2, point 2"]
+    drive, other = (float(row["drive"].split()[0]) for row in head["exciters"])
+    assert drive == pytest.approx(2.0, rel=1e-3)
+    assert other != drive
+    forces = [float(row["force"].split()[0]) for row in head["exciters"]]
+    assert forces == pytest.approx(np.abs(point.exciter_forces.reshape(2, -1)[:, 1]), rel=0.01)
+    # Each is drawn before the further responses.
+    drawn = sorted((row["shown"], row["name"]) for row in facts(view)[0]["channels"] if row["shown"] >= 0)
+    assert [name for _, name in drawn][:5] == ["f1", "a1", "u", "f2", "u2"]
+
+
+def test_one_exciter_has_no_table_of_exciters() -> None:
+    assert live(LiveView())[0]["exciters"] == []
+
+
+def test_a_secondary_resonance_shows_the_mode_and_the_excitation() -> None:
+    view = LiveView()
+    plan = plan_test(
+        "strong_cubic", [4.8], control="force", test="secondary_resonance", resonance="3:1", window_periods=20
+    )
+    with Session(plan, listener=lambda _, record: view.take(record), record=False) as session:
+        view.begin(session.plan.run, {})
+        (point,) = session.run().points
+    head, arrays = facts(view)
+    assert head["test"] == "secondary_resonance"
+    # The third order of the response has the mode's frequency, the excitation a third of it.
+    assert arrays["point_f"][0] == pytest.approx(3.0 * point.frequency_hz, rel=1e-5)
+    assert head["table_head"][1] == "f / Hz"
+    assert head["table"][0]["cells"][1] == uncertain(point.frequency_hz, point.frequency_hz_std, 4)

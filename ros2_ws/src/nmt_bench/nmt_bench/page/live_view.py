@@ -24,6 +24,7 @@ from nmt_bench.page.signal_views import (
     PERIODS,
     amplitude_spectrum,
     deflection,
+    fundamental_amplitudes,
     harmonic_amplitudes,
     paired_periods,
     velocity_of,
@@ -347,9 +348,16 @@ class LiveView:
         return [channel_levels(section, signals.quantity, name) for name in signals.channels]
 
     def _shown(self) -> list[tuple[TopicSignals, int]]:
-        """Channels whose signals are drawn: force, drive-point response, voltage, then the others in their order."""
+        """Channels whose signals are drawn: force, drive-point response, voltage, then the others in their order.
+
+        Forces and voltages of further exciters come before the other responses.
+        """
         first = [self._topics.get(Quantity.FORCE), self._response, self._topics.get(Quantity.VOLTAGE)]
         chosen = [(signals, self._row(signals)) for signals in first if signals is not None]
+        if first[2] is not None and len(first[2].channels) > 1:
+            for signals in (first[0], first[2]):
+                if signals is not None:
+                    chosen += [(signals, row) for row in range(len(signals.channels)) if (signals, row) not in chosen]
         for quantity in Quantity:
             signals = self._topics.get(quantity)
             if signals is not None:
@@ -364,10 +372,10 @@ class LiveView:
             good = [point for point in points if point.status is PointStatus.OK]
             for name, values in (
                 ("point_q", [point.modal_amplitude for point in good]),
-                ("point_f", [point.frequency_hz for point in good]),
+                ("point_f", [point.omega_rad_s / (2.0 * math.pi) for point in good]),
                 ("point_d", [100.0 * point.damping_ratio for point in good]),
                 ("point_q_std", [point.modal_amplitude_std for point in good]),
-                ("point_f_std", [point.frequency_hz_std for point in good]),
+                ("point_f_std", [point.omega_rad_s_std / (2.0 * math.pi) for point in good]),
                 ("point_d_std", [100.0 * point.damping_ratio_std for point in good]),
             ):
                 arrays[name] = np.array(values, dtype=np.float64)
@@ -448,8 +456,12 @@ class LiveView:
         good = [point for point in points if point.status is PointStatus.OK]
         columns = [column for column in MODAL_COLUMNS if column.shown.live]
         exponents = {column.name: column.exponent(good) for column in columns}
+        # Of a secondary resonance the excitation has another frequency than the mode.
+        renamed = {"frequency_hz": "f"} if self._test is TestKind.SECONDARY_RESONANCE else {}
+        symbols = [renamed.get(column.name, column.shown.symbol) for column in columns]
         head = [f"level / {unit_text(self._level_unit) or 'V'}"] + [
-            " / ".join(filter(None, (column.shown.symbol, column.unit(exponents[column.name])))) for column in columns
+            " / ".join(filter(None, (symbol, column.unit(exponents[column.name]))))
+            for symbol, column in zip(symbols, columns, strict=True)
         ]
         rows = []
         for point in points:
@@ -568,6 +580,7 @@ class LiveView:
                 status.response_amplitude if status else math.nan,
                 unit_text(status.response_unit) if status else "",
             ),
+            "exciters": self._exciter_rows(),
             "flags": [flag.name.lower().replace("_", " ") for flag in BlockFlag if flag and flags & flag and flag.name],
             "gaps": self._gaps,
             "nodes": nodes,
@@ -575,6 +588,36 @@ class LiveView:
             "warnings": plant.get("warnings", ""),
             "real_time": plant.get("real_time_margin", ""),
         }
+
+    def _exciter_rows(self) -> list[dict[str, Any]]:
+        """Amplitudes of force and voltage of every exciter over the newest periods; empty where there is only one."""
+        force, voltage = self._topics.get(Quantity.FORCE), self._topics.get(Quantity.VOLTAGE)
+        if force is None or voltage is None or len(voltage.channels) < 2:
+            return []
+        forces, voltages = (fundamental_amplitudes(*whole_periods(signals)) for signals in (force, voltage))
+        points = self._exciter_points(force, len(voltage.channels))
+        rows = []
+        for number, point in enumerate(points):
+            row = force.points.index(point) if point in force.points else -1
+            channel = voltage.channels[number]
+            rows.append(
+                {
+                    "name": f"Exciter {number + 1}, point {point}" if point else f"Exciter {number + 1}",
+                    "drive": self._told(f"drive {channel}", voltages[number], "V"),
+                    "force": self._told(f"force {number}", forces[row] if row >= 0 else math.nan, "N"),
+                }
+            )
+        return rows
+
+    def _exciter_points(self, force: TopicSignals, count: int) -> list[int]:
+        """Points of the exciters in the order of their voltages, by the rig file or else by the forces; 0 = unknown."""
+        listed = self._rig.get("exciters")
+        sections = listed if isinstance(listed, list) else []
+        points = [section.get("point") if isinstance(section, Mapping) else None for section in sections]
+        known = [point for point in points if isinstance(point, int)]
+        if len(known) == len(points) == count:
+            return known
+        return list(force.points) if len(force.points) == count else [0] * count
 
     def _told(self, name: str, value: float, unit: str) -> str:
         """An amplitude with its unit; below what is told from rounding only that."""

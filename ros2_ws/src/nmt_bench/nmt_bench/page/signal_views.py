@@ -77,6 +77,23 @@ def deflection(periods_of: FloatArray, points: Sequence[int], periods: int = PER
     return np.asarray((lines / largest).real, dtype=np.float64) if abs(largest) > 0.0 else np.empty(0)
 
 
+def fundamental_amplitudes(periods_of: FloatArray, frequency: float, periods: int = PERIODS) -> FloatArray:
+    """Amplitude of the fundamental of every channel, (channels,).
+
+    Args:
+        periods_of: whole periods, ``(channels, samples)``.
+        frequency: Hz; NaN where there is no periodic excitation.
+        periods: how many there are.
+
+    Returns:
+        In the unit of each channel; NaN without a periodic excitation or without samples.
+    """
+    samples = periods_of.shape[1]
+    if not math.isfinite(frequency) or samples <= 2 * periods:
+        return np.full(periods_of.shape[0], np.nan)
+    return np.asarray(2.0 / samples * np.abs(np.fft.rfft(periods_of, axis=1)[:, periods]), dtype=np.float64)
+
+
 def velocity_of(response: FloatArray, quantity: Quantity, periods: int, frequency: float) -> FloatArray:
     """Velocity of a periodic response by its harmonics.
 

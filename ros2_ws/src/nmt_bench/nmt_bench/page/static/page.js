@@ -362,7 +362,7 @@
 
   const perNewton = () => (facts.response_unit.includes("/") ? "(" + facts.response_unit + ")/N" : facts.response_unit + "/N");
 
-  const givesPoints = (test) => test === "phase_resonance" || test === "self_excited";
+  const givesPoints = (test) => ["phase_resonance", "self_excited", "secondary_resonance"].includes(test);
 
   function drawKinds() {
     const test = facts.test, modal = givesPoints(test);
@@ -455,6 +455,13 @@
     bar.style.width = 100 * Math.min(1, share || 0) + "%";
     bar.className = share > 0.95 ? "bad" : share > 0.8 ? "warn" : "";
     text("drive", live.drive + (live.drive_limit !== "—" ? " of " + live.drive_limit : ""));
+    const exciters = live.exciters || [], table = get("exciters");
+    table.hidden = !exciters.length;
+    exciters.forEach((row, k) => {
+      const line_ = table.tBodies[0].rows[k] || table.tBodies[0].insertRow();
+      [row.name, row.force, row.drive].forEach((words, n) => { const cell = line_.cells[n] || line_.insertCell(); if (cell.textContent !== words) { cell.textContent = words; } });
+    });
+    while (table.tBodies[0].rows.length > exciters.length) { table.tBodies[0].deleteRow(-1); }
     get("progress-bar").style.width = 100 * live.progress + "%";
     text("progress", (facts ? Math.max(0, live.level_index + 1) + " of " + facts.plan.length + ", " : "") + Math.round(100 * live.progress) + " %");
     text("gaps", live.gaps ? live.gaps + " gaps in what the page has seen; the recording is not concerned." : "");

@@ -373,12 +373,20 @@ class _Evaluation:
         for row in range(len(self.names)):
             self._ask_port(row)
         self._ask_bench()
+        if self._drives_another:
+            return  # nothing is as the model expects it
         if self.is_driven and not any(finding.name == "no_drive" for finding in self.findings):
             self._move_modes()
             self._ask_gains()
             self._ask_resonance()
             self._ask_lateness()
             self._ask_headroom()
+
+    @property
+    def _drives_another(self) -> bool:
+        """Whether, of several exciters, the monitor of the one that drives does not show its drive."""
+        own = {row for row, name in enumerate(self.names) if name in self.monitors}
+        return len(self.device.rig.all_exciters) > 1 and bool(own) and own <= self.condemned
 
     def _ask_port(self, row: int) -> None:
         """What one port shows without a model."""

@@ -100,7 +100,8 @@ class PortAudio:
     Attributes:
         stands_still: the server has ended: no turn comes any more, and nothing is at the port.
         late: s, by which the next turns come late, as on a busy computer.
-        port, times: what was at the output port, V, and (s, samples) as in `node.converter_bench.Port`.
+        port, times: what was at the output ports, (outputs, samples) V, and (s, samples) as in
+            `node.converter_bench.Port`.
     """
 
     class PortAudioError(Exception):
@@ -116,7 +117,8 @@ class PortAudio:
         self._clock, self._specimen, self._tells = clock, specimen, tells
         self._period = PERIOD / (RATE * (1.0 + clock_error))
         self._callback: Callable[..., None] | None = None
-        self._put_out = np.zeros((PERIOD, 1), np.float32)
+        self._put_out = np.zeros((PERIOD, specimen.outputs), np.float32)
+        self._ranges = np.array([[value] for value in specimen.output_ranges])
         self.stands_still = False
         self.late: Iterator[float] = iter(())
         self.port: list[FloatArray] = []
@@ -163,9 +165,9 @@ class PortAudio:
             else:
                 self._turn(answer, "output underflow" if missed and self._tells else "")
                 missed = False
-            port = self._put_out[:, 0].astype(np.float64)
-            answer = self._specimen.respond(port * self._specimen.output_range)
-            self.port.append(port * self._specimen.output_range)
+            port = self._put_out.T.astype(np.float64) * self._ranges
+            answer = self._specimen.respond(port)
+            self.port.append(port)
             self.times.append((due, len(self.port) * PERIOD))
 
     def _turn(self, answer: FloatArray, status: str) -> None:
@@ -256,10 +258,11 @@ class Chain:
         section: dict[str, Any] | None = None,
         stop_line: Callable[[], float] | None = None,
         output: dict[str, Any] | None = None,
+        name: str = "beam",
         **specimen: Any,
     ) -> None:
         self.kind, self.clock = kind, TurnedClock()
-        rig = load_rig("beam", list(changes))
+        rig = load_rig(name, list(changes))
         device = device_of(rig, kind, "server").model_copy(update=section or {})
         made = Specimen(rig, device, **specimen)
         self.owners: list[OwnerThread] = []
@@ -304,10 +307,17 @@ class Chain:
 
     @property
     def port(self) -> Port:
-        """What was at the output port until now."""
+        """What was at the first output port until now."""
+        return self.ports[0]
+
+    @property
+    def ports(self) -> list[Port]:
+        """What was at every output port until now."""
         if self.kind == "portaudio":
-            return Port(np.concatenate(self.jack.port), np.array(self.jack.times), RATE)
-        return Port(*self.hardware.at_the_port(), RATE)
+            values, times = np.concatenate(self.jack.port, axis=1), np.array(self.jack.times)
+        else:
+            values, times = self.hardware.at_the_port()
+        return [Port(row, times, RATE) for row in np.atleast_2d(values)]
 
 
 @contextmanager
@@ -319,5 +329,6 @@ def chain(kind: str, **options: Any) -> Iterator[Chain]:
         yield made
         made.device.close()
         made.clock.sleep(0.1)
-        assert not made.port.values[-int(0.05 * RATE) :].any(), "the output was left at zero"
+        for port in made.ports:
+            assert not port.values[-int(0.05 * RATE) :].any(), "the output was left at zero"
         assert made.clock.failures == []

@@ -2,10 +2,10 @@
 
     python -m nmt_specimen.jack_specimen RIG [options]
 
-It registers as a JACK client with one input port for the drive and one output port for every channel; PortAudio lists
-it among its devices under that name. Without a running JACK server it starts one with the dummy driver at the rig's
-sample rate, which needs no sound hardware, with real-time priority where the system allows it. It says ``ready`` when
-it answers, and ends with its standard input or a signal.
+It registers as a JACK client with an input port for the drive of every exciter and an output port for every channel;
+PortAudio lists it among its devices under that name. Without a running JACK server it starts one with the dummy driver
+at the rig's sample rate, which needs no sound hardware, with real-time priority where the system allows it. It says
+``ready`` when it answers, and ends with its standard input or a signal.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class JackSpecimen:
     Args:
         specimen: what answers.
         name: of the client.
-        record: most samples of the drive port that are kept, to be looked at later; 0 = none.
+        record: most samples of the drive ports that are kept, to be looked at later; 0 = none.
     """
 
     def __init__(self, specimen: Specimen, name: str = SPECIMEN, record: int = 0) -> None:
@@ -124,9 +124,11 @@ class JackSpecimen:
         self.sample_rate = self._client.samplerate
         self._specimen = specimen
         self._ranges = [1.0 / value for value in specimen.input_ranges]
-        self._drive = self._client.inports.register("drive")
+        names = ["drive", *(f"drive{number}" for number in range(2, specimen.outputs + 1))]
+        self._drives = [self._client.inports.register(each) for each in names]
+        self._output_ranges = np.array([[value] for value in specimen.output_ranges])
         self._ports = [self._client.outports.register(channel) for channel in specimen.channels]
-        self._record = np.zeros(record, np.float32)
+        self._record = np.zeros((specimen.outputs, record), np.float32)
         self.recorded = 0
         self.record_times: list[tuple[float, int]] = []
         self.xruns = 0
@@ -144,13 +146,13 @@ class JackSpecimen:
             for port in self._ports:
                 port.get_array()[:] = 0.0
             return
-        drive = self._drive.get_array()
-        if self.recorded + frames <= self._record.size:
-            self._record[self.recorded : self.recorded + frames] = drive
+        drive = np.stack([port.get_array() for port in self._drives])
+        if self.recorded + frames <= self._record.shape[1]:
+            self._record[:, self.recorded : self.recorded + frames] = drive
             self.record_times.append((time.monotonic(), self.recorded + frames))
         self.recorded += frames
         try:
-            answer = self._specimen.respond(drive.astype(np.float64) * self._specimen.output_range)
+            answer = self._specimen.respond(drive.astype(np.float64) * self._output_ranges)
         except Exception as error:
             self.failure = str(error)
             return
@@ -160,7 +162,7 @@ class JackSpecimen:
     def start(self) -> None:
         """Answer from now on."""
         # Compiled, or loaded, before the first period is due.
-        self._specimen.respond(np.zeros(self._client.blocksize))
+        self._specimen.respond(np.zeros((len(self._drives), self._client.blocksize)))
         gc.collect()
         gc.freeze()
         gc.disable()
@@ -173,9 +175,10 @@ class JackSpecimen:
             self._client.close()
 
     def write_record(self, path: Path) -> None:
-        """Write what was at the drive port, V, and when, as a NumPy archive; see `specimen.write_port`."""
+        """Write what was at the drive ports, V, and when, as a NumPy archive; see `specimen.write_port`."""
         count = self.record_times[-1][1] if self.record_times else 0
-        write_port(path, self._specimen.output_range * self._record[:count].astype(np.float64), self.record_times)
+        volts = self._output_ranges * self._record[:, :count].astype(np.float64)
+        write_port(path, volts[0] if len(volts) == 1 else volts, self.record_times)
 
 
 def run(options: PortOptions) -> int:

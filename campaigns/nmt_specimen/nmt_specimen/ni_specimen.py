@@ -2,7 +2,7 @@
 
     python -m nmt_specimen.ni_specimen RIG [options]
 
-It implements what a continuous measurement with one analog output needs (tasks, channels, timing, start, read, write,
+It implements what a continuous measurement with analog outputs needs (tasks, channels, timing, start, read, write,
 stop), and answers every other call with an empty response. It is as strict as a device: modules of a CompactDAQ
 (``cDAQ1Mod1``) have the rates of a delta-sigma converter, a fixed range and one ICP current, and their terminals are
 those of the chassis; other devices divide 100 MHz. Samples pass at their times on this computer's steady clock, with an
@@ -92,7 +92,7 @@ class Hardware:
         specimen: behind the ports.
         sample_rate: Hz, nominal.
         clock_error: relative.
-        record: most samples of the output port that are kept.
+        record: most samples of the output ports that are kept.
         stop_line: V at the input of the external stop line, the last one; None = there is no such input.
         clock: by which samples pass.
 
@@ -116,19 +116,20 @@ class Hardware:
         self._rate = sample_rate * (1.0 + clock_error)
         self._clock, self._lock = clock, threading.Lock()
         self._begun, self._passed = clock.now(), 0
-        self._record = np.zeros(record)
+        self._outputs = specimen.outputs
+        self._record = np.zeros((self._outputs, record))
         self.recorded = 0
         self.record_times: list[tuple[float, int]] = []
         self.sheets: dict[str, int] = {}
         self.idles_at_zero = False
         self.space = 1 << 30
-        self._level = 0.0
+        self._level = np.zeros((self._outputs, 1))
         self._forget()
 
     def _forget(self) -> None:
         self._input_runs = self._output_armed = False
         self._output_failed = self._input_failed = 0
-        self._pending = np.zeros(0)
+        self._pending = np.zeros((self._outputs, 0))
         self._measured: list[FloatArray] = []
         self._unread = 0
 
@@ -154,23 +155,23 @@ class Hardware:
 
     def _pass(self, count: int) -> None:
         """The samples of a step: what is fed goes out, what the specimen answers is kept."""
-        port = np.full(count, self._level)
+        port = np.repeat(self._level, count, axis=1)
         if self._input_runs and self._output_armed and not self._output_failed:
-            fed = min(count, self._pending.size)
-            port[:fed] = self._pending[:fed]
-            self._pending = self._pending[fed:]
+            fed = min(count, self._pending.shape[1])
+            port[:, :fed] = self._pending[:, :fed]
+            self._pending = self._pending[:, fed:]
             if fed < count:
                 self._output_failed = _TOO_LATE
-                port[fed:] = 0.0 if self.idles_at_zero else (port[fed - 1] if fed else self._level)
+                port[:, fed:] = 0.0 if self.idles_at_zero else (port[:, fed - 1 : fed] if fed else self._level)
         elif self.idles_at_zero:
             port[:] = 0.0
-        self._level = float(port[-1])
+        self._level = port[:, -1:]
         answer = self._specimen.respond(port)
         if self._stop_line is not None:
             answer = np.vstack([answer, np.full(count, self._stop_line())])
-        kept = port[: max(self._record.size - self.recorded, 0)]
-        self._record[self.recorded : self.recorded + kept.size] = kept
-        self.recorded += kept.size
+        kept = port[:, : max(self._record.shape[1] - self.recorded, 0)]
+        self._record[:, self.recorded : self.recorded + kept.shape[1]] = kept
+        self.recorded += kept.shape[1]
         if kept.size:
             self.record_times.append((self._begun + self._passed / self._rate, self.recorded))
         if self._input_runs:
@@ -206,16 +207,16 @@ class Hardware:
                 return _TIMEOUT, np.zeros((0, 0))
 
     def write(self, values: FloatArray, timeout: float) -> int:
-        """Error code; waits for space in the buffer."""
+        """Error code for (outputs, n) V; waits for space in the buffer."""
         end = self._clock.now() + timeout
         while True:
             with self._lock:
                 self._catch_up()
                 if self._output_failed:
                     return self._output_failed
-                missing = self._pending.size + values.size - self.space
+                missing = self._pending.shape[1] + values.shape[1] - self.space
                 if missing <= 0 or not self._input_runs:
-                    self._pending = np.concatenate([self._pending, values])
+                    self._pending = np.concatenate([self._pending, values], axis=1)
                     return 0
             if self._wait(missing, end):
                 return _TIMEOUT
@@ -227,9 +228,10 @@ class Hardware:
             self._forget()
 
     def at_the_port(self) -> tuple[FloatArray, FloatArray]:
-        """What was at the output port until now, V, and when: (n, 2) as of `specimen.write_port`."""
+        """What was at the output ports until now, V, and when: (n, 2) as of `specimen.write_port`."""
         self.keep_up()
-        return self._record[: self.recorded], np.array(self.record_times).reshape(-1, 2)
+        kept = self._record[:, : self.recorded]
+        return kept[0] if self._outputs == 1 else kept, np.array(self.record_times).reshape(-1, 2)
 
 
 def make_calls(hardware: Hardware, names: str) -> Any:
@@ -324,7 +326,8 @@ def make_calls(hardware: Hardware, names: str) -> Any:
         return {"read_array": values.ravel(), "samps_per_chan_read": count}
 
     def write(request: Any, context: Any) -> dict[str, Any]:
-        refuse(context, hardware.write(np.array(request.write_array), request.timeout), "written")
+        values = np.array(request.write_array).reshape(-1, request.num_samps_per_chan)
+        refuse(context, hardware.write(values, request.timeout), "written")
         return {"samps_per_chan_written": request.num_samps_per_chan}
 
     calls: dict[str, Callable[[Any, Any], dict[str, Any] | None]] = {
@@ -399,7 +402,7 @@ def run(options: PortOptions) -> int:
         BenchError: rig, option or address are refused.
     """
     rig, device, specimen, record = specimen_of(options, "nidaqmx")
-    specimen.respond(np.zeros(32))  # compiled, or loaded, before the first sample is due
+    specimen.respond(np.zeros((specimen.outputs, 32)))  # compiled, or loaded, before the first sample is due
     hurry()  # before there are threads, which inherit it
     stop = getattr(device, "stop_input", None)
     line = None if stop is None else _stop_line(stop, options.stop_file)

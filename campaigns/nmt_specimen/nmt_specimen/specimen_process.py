@@ -25,7 +25,7 @@ _PRIORITY = 5
 
 
 def specimen_of(options: PortOptions, kind: str, clock_error: float = 0.0) -> tuple[Rig, AnyDevice, Specimen, int]:
-    """The rig, its converter, what answers behind the ports, and the most samples of the drive port to keep.
+    """The rig, its converter, what answers behind the ports, and the most samples of the drive ports to keep.
 
     Args:
         options: of the ports.

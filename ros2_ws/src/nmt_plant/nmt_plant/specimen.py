@@ -58,12 +58,14 @@ class Specimen:
         self._monitors = [n for n, each in enumerate(self._rig.sensors) if each.quantity is Quantity.VOLTAGE]
         self._sensitivity = np.array([[entry.sensitivity_v] for entry in device.inputs])
         self._range = np.array([[entry.range_v] for entry in device.inputs])
-        self._gain, self._output_range = device.output.amplifier_gain, device.output.range_v
+        self._monitor_of = [(rig.sensors[n].exciter or 1) - 1 for n in self._monitors]
+        self._gain = np.array([[entry.amplifier_gain] for entry in device.outputs])
+        self._output_range = np.array([[entry.range_v] for entry in device.outputs])
         self._step = 2.0 * self._range / 2.0**bits
         self._noise = noise * self._range / 10.0
         start = rig.seed if seed is None else seed
         self._random = np.random.default_rng([start, zlib.crc32(b"specimen")])
-        self._last = 0.0
+        self._last = np.zeros((len(device.outputs), 1))
         self._clock_error = clock_error
         self._wait = float(delay + (_SLACK if clock_error < 0.0 else _ORDER if clock_error else 0))
         self._line = np.zeros((len(self._rows), int(self._wait) + 2 * _ORDER + 1))
@@ -81,8 +83,18 @@ class Specimen:
 
     @property
     def output_range(self) -> float:
-        """V, of the output port."""
-        return self._output_range
+        """V, of the output port; of several the first."""
+        return float(self._output_range[0, 0])
+
+    @property
+    def output_ranges(self) -> tuple[float, ...]:
+        """V, of the output ports."""
+        return tuple(float(value) for value in self._output_range[:, 0])
+
+    @property
+    def outputs(self) -> int:
+        """Number of output ports."""
+        return self._output_range.size
 
     @property
     def seconds(self) -> float:
@@ -95,13 +107,23 @@ class Specimen:
         return len(self._rows)
 
     def respond(self, port: FloatArray) -> FloatArray:
-        """Volts at the input ports, (inputs, n), while these volts, (n,), are at the output port; a sample later."""
-        clipped = np.clip(port, -self._output_range, self._output_range)
-        voltage = np.concatenate([[self._last], self._gain * clipped])
-        self._last = float(voltage[-1])
+        """Volts at the input ports, (inputs, n), while these volts are at the output ports; a sample later.
+
+        Args:
+            port: (outputs, n), or (n,) of one output.
+
+        Raises:
+            ValueError: not as many rows as there are outputs.
+        """
+        volts_out = np.atleast_2d(port)
+        if len(volts_out) != self.outputs:
+            raise ValueError(f"{len(volts_out)} rows of volts for {self.outputs} outputs")
+        clipped = np.clip(volts_out, -self._output_range, self._output_range)
+        voltage = np.concatenate([self._last, self._gain * clipped], axis=1)
+        self._last = voltage[:, -1:]
         driven = self.wiring.drive(voltage)
         values = self._rig.respond(driven)
-        values[self._monitors] = voltage[:-1]  # the monitor is before the exciter
+        values[self._monitors] = voltage[self._monitor_of, :-1]  # the monitor is before the exciter
         volts = self._sensitivity * values[self._rows]
         late = self._late(volts)
         noisy = late + self._noise * self._random.standard_normal(late.shape)
@@ -131,7 +153,7 @@ def write_port(path: Path, values: FloatArray, times: FloatArray | Sequence[tupl
 
     Args:
         path: of the file.
-        values: V, (samples,).
+        values: V, (samples,), or (outputs, samples) of several outputs.
         times: s on the steady clock, and how many samples had passed then.
     """
     with path.open("wb") as file:

@@ -98,7 +98,7 @@ class DeviceSection(Section):
             not there; empty = nothing is looked for.
         addressed: whether ``--device KIND@HOST:PORT`` names an address of it.
         by_contract: whether its check begins with the contract of a converter, because nobody has tried it before.
-        outputs: drive channels; one
+        outputs: drive channels: one for every exciter, in their order
         inputs: measured channels: one for every sensor; a ``voltage`` sensor without one is what was put out
         check: what must have passed before a test: ``rig`` = every channel against the rig's model, ``converter`` =
             the contract of the converter alone, where what it measures does not follow the drive as the model does
@@ -128,8 +128,6 @@ class DeviceSection(Section):
                 twice = [value for value in values if values.count(value) > 1]
                 if twice:
                     raise ValueError(f"{what} has {key} {twice[0]} twice")
-        if len(self.outputs) != 1:
-            raise ValueError("outputs has more than one drive channel; the bench drives one exciter")
         return self
 
     def driver_arguments(self, sample_rate: float, block_samples: int) -> dict[str, Any]:
@@ -171,7 +169,7 @@ class DeviceSection(Section):
 
     @property
     def output(self) -> OutputPortSection:
-        """The drive channel."""
+        """The drive channel; of several exciters the first."""
         return self.outputs[0]
 
     def _output_list(self) -> list[list[Any]]:
@@ -295,6 +293,15 @@ class LoopbackSection(DeviceSection):
     check: Literal["rig", "converter"] = "converter"
     delay_samples: Annotated[int, Field(ge=0, le=100_000)] = 0
 
+    @model_validator(mode="after")
+    def _one_output(self) -> LoopbackSection:
+        if len(self.outputs) != 1:
+            raise ValueError(
+                f"outputs has {len(self.outputs)} drive channels, but a loopback wires one output to all inputs; use "
+                "another kind of converter for several exciters"
+            )
+        return self
+
     def driver_arguments(self, sample_rate: float, block_samples: int) -> dict[str, Any]:
         """As the base class."""
         gain = 1.0 / self.output.amplifier_gain
@@ -377,7 +384,11 @@ def with_driver_folder(document: YamlDocument, folder: Path) -> YamlDocument:
 
 
 def specimen_device(
-    kind: str, channels: Sequence[tuple[str, Quantity]], limits: dict[Quantity, float], address: str = ""
+    kind: str,
+    channels: Sequence[tuple[str, Quantity]],
+    limits: dict[Quantity, float],
+    address: str = "",
+    exciters: int = 1,
 ) -> AnyDevice:
     """The ports of the simulated specimen: the sensors in their order, the limit of each quantity at the full range.
 
@@ -386,6 +397,7 @@ def specimen_device(
         channels: name and quantity of each sensor, the drive voltage included.
         limits: of the rig, SI.
         address: of ``--device KIND@HOST:PORT``.
+        exciters: number of exciters, each with an output.
 
     Raises:
         BenchError: no such kind, or one behind which the specimen cannot stand.
@@ -406,7 +418,13 @@ def specimen_device(
     ]
     drive = limits.get(Quantity.VOLTAGE) or SPECIMEN_RANGE
     outputs: list[dict[str, Any]] = [
-        {"channel": "u", "port": 1, "range_v": SPECIMEN_RANGE, "amplifier_gain": drive / SPECIMEN_RANGE}
+        {
+            "channel": "u" if number == 1 else f"u{number}",
+            "port": number,
+            "range_v": SPECIMEN_RANGE,
+            "amplifier_gain": drive / SPECIMEN_RANGE,
+        }
+        for number in range(1, exciters + 1)
     ]
     section = DEVICES[kind].of_specimen(outputs, inputs, address)
     if section is None:

@@ -494,11 +494,6 @@ def _check_exciters(rig: Rig, document: RigDocument) -> None:
             f"{document.place(('extraction', 'linear_modes'))}: extraction.linear_modes must be at least the number of "
             f"exciters ({len(rig.exciters)}), got {rig.extraction.linear_modes}."
         )
-    if rig.device is not None and len(rig.exciters) > 1:
-        raise BenchError(
-            f"{document.place(('device',))}: a converter drives one exciter so far; remove device, or all exciters but "
-            "one."
-        )
 
 
 def _check_table(rig: Rig, table: ShakingTableSection, document: RigDocument) -> None:
@@ -542,7 +537,14 @@ def _check_device(rig: Rig, document: RigDocument, channels: dict[str, int]) -> 
                 f"{document.place(('device', 'inputs'))}: device.inputs has no port for sensor {name}; add one, or "
                 "remove the sensor."
             )
-    limit, output = rig.limits.voltage_v, device.output
+    exciters = len(rig.all_exciters)
+    if len(device.outputs) != exciters:
+        raise BenchError(
+            f"{document.place(('device', 'outputs'))}: device.outputs has {len(device.outputs)} drive channels for "
+            f"{exciters} exciter{'s' if exciters > 1 else ''}; give one for each, in their order."
+        )
+    limit = rig.limits.voltage_v
+    output = min(device.outputs, key=lambda entry: abs(entry.amplifier_gain) * entry.range_v)
     if limit is None or limit > abs(output.amplifier_gain) * output.range_v * (1.0 + 1e-9):
         raise BenchError(
             f"{document.place(('limits',))}: limits.voltage_v must be there for hardware and at most "

@@ -26,10 +26,10 @@ EXIT_PASSED, EXIT_FOUND = 0, 1
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions:
     """Listens to the converter, then drives it with noise of at most one hundredth of the drive's limit, and compares
-    every channel with the rig's model: noise, mains, offset, overload, open or shorted channels, dead ICP supply,
-    sign, exchanged channels, sensitivity and delay of each, response to the drive, headroom for the planned levels,
-    clock, and frequency of each mode. A test on hardware begins only after a check that passed. A driver of your own is
-    tried with zeros first; with --set device.check=converter that is all."""
+    every channel with the rig's model (several exciters drive in turn): noise, mains, offset, overload, open or shorted
+    channels, dead ICP supply, sign, exchanged channels, sensitivity and delay of each, response to the drive, headroom
+    for the planned levels, clock, and frequency of each mode. A test on hardware begins only after a check that passed.
+    A driver of your own is tried with zeros first; with --set device.check=converter that is all."""
 
     rig: str = argument("name of a rig (for example beam) or path of a rig file", metavar="RIG")
     out: Path = dated_folder_option("check.json, report.html", "check")
@@ -58,6 +58,7 @@ def run(options: CheckOptions) -> int:
     from nmt_bench.hardware.chosen_device import look_for_device, parsed_device
     from nmt_bench.hardware.hardware_checks import fingerprint, keep_check
     from nmt_plant.check.converter_contract import contract_mapping
+    from nmt_plant.check.exciter_in_turn import check_in_turn
     from nmt_plant.check.hardware_check import evaluate_check, record_check
     from nmt_plant.devices.device import DeviceFault
     from nmt_plant.devices.hardware_rig import HardwareRig, device_of
@@ -96,25 +97,31 @@ def run(options: CheckOptions) -> int:
             _show_contract(contract, console, section.check_valid_hours)
             console.print(f"Results in {options.out}: check.json", soft_wrap=True)
             return EXIT_PASSED if contract.passed else EXIT_FOUND
-    device = HardwareRig(rig, section, lead_blocks=_lead(rig.block_samples, rig.sample_rate_hz), probe_needed=False)
-    try:
-        device.configure()
-        device.start()
-        with real_time_priority():
-            record = record_check(device, None if options.quiet else _progress(console))
-        result = evaluate_check(device, record, levels, 0.0 if linear is None else linear.frequency_hz)
-        priority = _priority(device)
-    except DeviceFault as error:
-        raise BenchError(f"The converter failed: {error}") from error
-    finally:
-        device.close()
+    priorities: list[str] = []
+
+    def check(turned: Rig, its_section: AnyDevice) -> CheckResult:
+        lead = _lead(turned.block_samples, turned.sample_rate_hz)
+        device = HardwareRig(turned, its_section, lead_blocks=lead, probe_needed=False)
+        try:
+            device.configure()
+            device.start()
+            with real_time_priority():
+                record = record_check(device, None if options.quiet else _progress(console))
+            priorities.append(_priority(device))
+            return evaluate_check(device, record, levels, 0.0 if linear is None else linear.frequency_hz)
+        except DeviceFault as error:
+            raise BenchError(f"The converter failed: {error}") from error
+        finally:
+            device.close()
+
+    result = check_in_turn(rig, section, check)
     document = {
         "rig": rig.name,
         "device": section.kind,
         "fingerprint": fingerprint(rig, section),
         "time": time.time(),
         "date": time.strftime("%Y-%m-%d %H:%M:%S"),
-        "priority": priority,
+        "priority": priorities[0],
         **result.to_mapping(),
     }
     with OutputFolder(options.out, options.force) as folder:

@@ -186,7 +186,7 @@ class CheckResult:
 
 @dataclass
 class CheckRecord:
-    """What a check measured: volts at the ports, (inputs, samples), and what was put out, V at the exciter."""
+    """What a check measured: volts at the ports, (inputs, samples), and what was put out, V at the first exciter."""
 
     silent: FloatArray
     driven: FloatArray
@@ -280,8 +280,9 @@ def _to_zero(device: HardwareRig) -> None:
 def expected_response(device: HardwareRig, put_out: FloatArray) -> FloatArray:
     """Volts at the ports, (inputs, samples), that the rig's model makes of what was put out."""
     model = Specimen(device.rig, device.section, bits=32, noise=0.0)
-    gain = device.section.output.amplifier_gain
-    parts = np.array_split(put_out / gain, max(1, put_out.size // 2000))
+    ports = np.zeros((model.outputs, put_out.size))
+    ports[0] = put_out / device.section.output.amplifier_gain
+    parts = np.array_split(ports, max(1, put_out.size // 2000), axis=1)
     return np.concatenate([model.respond(part) for part in parts], axis=1)
 
 
@@ -320,6 +321,11 @@ class _Evaluation:
         self.ranges = np.array([entry.range_v for entry in self.inputs])
         self.quantities = {sensor.channel: sensor.quantity for sensor in device.sensors}
         self.points = {sensor.channel: sensor.point for sensor in device.sensors}
+        rig = device.rig
+        # Of the exciter that drives: the others' show nothing.
+        self.monitors = {
+            rig.sensor_channel(each) for each in rig.sensors if each.quantity == "voltage" and each.exciter in (None, 1)
+        }
         self.findings: list[CheckFinding] = []
         self.condemned: set[int] = set()  # what is wrong with them hides everything else
         band = drive_band(device)
@@ -367,12 +373,20 @@ class _Evaluation:
         for row in range(len(self.names)):
             self._ask_port(row)
         self._ask_bench()
+        if self._drives_another:
+            return  # nothing is as the model expects it
         if self.is_driven and not any(finding.name == "no_drive" for finding in self.findings):
             self._move_modes()
             self._ask_gains()
             self._ask_resonance()
             self._ask_lateness()
             self._ask_headroom()
+
+    @property
+    def _drives_another(self) -> bool:
+        """Whether, of several exciters, the monitor of the one that drives does not show its drive."""
+        own = {row for row, name in enumerate(self.names) if name in self.monitors}
+        return len(self.device.rig.all_exciters) > 1 and bool(own) and own <= self.condemned
 
     def _ask_port(self, row: int) -> None:
         """What one port shows without a model."""
@@ -415,7 +429,7 @@ class _Evaluation:
         if self.is_driven and others and len(deaf) == len(others):
             self.add("no_drive", (), "no channel responds to the drive: the loop does not close")
             return
-        monitors = [row for row, name in enumerate(self.names) if self.quantities[name] is Quantity.VOLTAGE]
+        monitors = [row for row, name in enumerate(self.names) if name in self.monitors]
         for row in [
             *deaf,
             *(row for row in monitors if self.coherence[row] < _CONNECTED and row not in self.condemned),
@@ -457,8 +471,7 @@ class _Evaluation:
 
     @property
     def _monitor_row(self) -> int | None:
-        rows = (row for row, name in enumerate(self.names) if self.quantities[name] is Quantity.VOLTAGE)
-        return next(rows, None)
+        return next((row for row, name in enumerate(self.names) if name in self.monitors), None)
 
     def _reference(self) -> FloatArray:
         """The drive to which responses are referred: as seen at the monitor where its delay moves, V."""

@@ -219,7 +219,9 @@ def fit_model(
     found = least_squares(residuals, x0, **settings)
     used = found.fun != 0.0
     spread = 1.4826 * float(np.median(np.abs(found.fun[used]))) if used.any() else 1.0
-    std_x = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac))) * max(spread, 1.0)
+    variance = np.diag(np.linalg.pinv(found.jac.T @ found.jac))
+    # Rounding makes some negative where the data do not fix a parameter.
+    std_x = np.sqrt(np.where(variance >= 0.0, variance, np.nan)) * max(spread, 1.0)
     # Channels that see other modes than the model's shapes allow disagree: jackknife over groups of them.
     groups = np.array_split(np.arange(count), min(count, _MOST_GROUPS))
     if len(groups) > 1:

@@ -99,12 +99,18 @@ class SteadyClockConverter(Converter):
         log: file for the time and the values of every call, see `read_log`; empty = none.
         stop_file: path whose existence is the external stop input; empty = none.
         clock: by which samples are due.
+        outputs: channels.
     """
 
     def __init__(
-        self, sample_rate: float, log: str = "", stop_file: str = "", clock: SteadyClock = STEADY_CLOCK
+        self,
+        sample_rate: float,
+        log: str = "",
+        stop_file: str = "",
+        clock: SteadyClock = STEADY_CLOCK,
+        outputs: int = 1,
     ) -> None:
-        self._clock = clock
+        self._clock, self.outputs = clock, outputs
         self.chunk_samples = max(1, int(_CHUNK_TIME * sample_rate))
         self._rate = sample_rate
         self._log = Path(log).open("wb", buffering=0) if log else None  # noqa: SIM115 - open as long as the output

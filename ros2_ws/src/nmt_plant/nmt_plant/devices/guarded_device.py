@@ -28,7 +28,7 @@ from nmt_plant.oscillator import Oscillator, OscillatorBlock, check_command, loa
 from nmt_plant.output_process.output_link import OutputLink
 from nmt_plant.output_process.output_owner import OwnerSettings
 from nmt_plant.safety.limits import ChannelLimit, LimitGuard, OpenLoop, watch_rows
-from nmt_plant.safety.output_guard import OutputGuard, default_slew
+from nmt_plant.safety.output_guard import OutputGuard, all_to_zero, default_slew, guard_together
 from nmt_plant.safety.watchdog import DriveWatchdog
 
 # The order in which `tick` works; tests hold it to this.
@@ -128,6 +128,7 @@ def owned_output(
     lead_blocks: int = LEAST_LEAD,
     deadline_blocks: float | None = None,
     inputs: int = 0,
+    outputs: int = 1,
     record: str = "",
     probe: Mapping[str, Any] | None = None,
     **link: Any,
@@ -141,6 +142,7 @@ def owned_output(
         lead_blocks: blocks that wait at the output, so that one may be late.
         deadline_blocks: blocks without a new one after which the output goes to zero; None = as many as wait.
         inputs: channels that the converter measures.
+        outputs: channels that it puts out.
         record: file for what the output does, see `nmt_core.processes.output_record`; empty = none.
         probe: the settings of `output_owner.OwnerSettings` whose names begin with probe; None = no probe.
         **link: converter, arguments and stop_input of `output_link.OutputLink`.
@@ -154,6 +156,7 @@ def owned_output(
         ramp=settings.limit_ramp,
         limit=settings.voltage,
         slew=settings.slew_at(sample_rate),
+        outputs=outputs,
         inputs=inputs,
         record=record,
         **(probe or {}),
@@ -172,6 +175,16 @@ def _ratio_sums(command: DriveCommand, weight: Callable[[int], float] = lambda o
     for exciter, order, ratio in command.terms:
         sums[exciter] = sums.get(exciter, 0.0) + abs(ratio) * weight(order)
     return sums
+
+
+def _rows(block: OscillatorBlock) -> FloatArray:
+    """(exciters, samples + 1) V."""
+    return block.voltage[np.newaxis] if block.further is None else np.vstack([block.voltage, block.further])
+
+
+def _is_on(block: OscillatorBlock) -> bool:
+    """Whether any exciter is driven in a block."""
+    return bool(block.voltage.any() or (block.further is not None and block.further.any()))
 
 
 class GuardedDevice(Device):
@@ -208,9 +221,10 @@ class GuardedDevice(Device):
         exciters: int = 1,
     ) -> None:
         super().__init__()
-        if output is not None and exciters > 1:
+        if output is not None and output.settings.outputs != exciters:
             raise BenchError(
-                "a process that owns the output drives one exciter so far; run a rig with several in lockstep."
+                f"the process that owns the outputs has {output.settings.outputs} and the rig {exciters} exciters; "
+                "give it one output for each."
             )
         self._exciters = exciters
         self._sample_rate = float(sample_rate)
@@ -245,11 +259,13 @@ class GuardedDevice(Device):
         )
         self._seen = 0.0  # V, amplitude of the drive in the block measured last
         self._reached = 0.0  # V, amplitude of the drive in the block made last
-        still = OscillatorBlock(np.zeros(self._block_samples + 1), OscillatorPhase(0.0, 0.0, 0.0))
+        n = self._block_samples + 1
+        nothing = np.zeros((self._exciters - 1, n)) if self._exciters > 1 else None
+        still = OscillatorBlock(np.zeros(n), OscillatorPhase(0.0, 0.0, 0.0), nothing)
         self._made = deque([(still, 0.0)] * self._lead)
         self._fed = False
         self._lost = False
-        self._last = 0.0  # V, put out last in the block read last
+        self._last = 0.0  # V, largest of what was put out last in the block read last
         self.measured: FloatArray = np.zeros((0, self._block_samples))
         self._share = 1.0  # of the drive wanted that its rise lets through
         self._pending: list[DriveCommand] = []
@@ -315,7 +331,7 @@ class GuardedDevice(Device):
             if state in (OutputState.RAMPING, OutputState.NOT_KNOWN):
                 return False
             follows = state in (OutputState.FOLLOWING, OutputState.AT_ZERO)
-            if self._last != 0.0 or (follows and any(block.voltage.any() for block, _ in self._made)):
+            if self._last != 0.0 or (follows and any(_is_on(block) for block, _ in self._made)):
                 return False
         return self._oscillator.is_quiet and all(output.reaches_zero for output in self._outputs)
 
@@ -442,20 +458,16 @@ class GuardedDevice(Device):
         predicts = self._oscillator.is_periodic and not self._oscillator.is_feedback
         if not self._reason and predicts and self._guard.predict(reached):
             self._trip(self._guard.reason, StopCause.LIMIT, self._settings.limit_ramp)
-            for output in self._outputs:
-                output.to_zero()
+            all_to_zero(self._outputs)
             self._quiet_link(None)
         block = self._oscillator.block(n)
         wanted_samples = [block.voltage, *(() if block.further is None else block.further)]
         risen = self._rising(wanted_samples, share)
         self._reached = reached
-        final = [output.block(voltage, n) for output, voltage in zip(self._outputs, risen, strict=True)]
+        final = guard_together(self._outputs, risen, n)
         violations = [output.violation for output in self._outputs if output.violation is not None]
         if violations:
             self._oscillator.ramp_to_zero(0.0)
-            for output in self._outputs:
-                if output.violation is None:
-                    output.to_zero()
             if not self._reason:
                 index, value = min(violations)
                 self._trip(
@@ -483,19 +495,19 @@ class GuardedDevice(Device):
         if not self._fed:
             self._fed = True
             for still, _ in self._made:
-                self._link.feed(still.voltage[:n])
-        self._link.feed(block.voltage[:n])
+                self._link.feed(_rows(still)[:, :n])
+        self._link.feed(_rows(block)[:, :n])
         self._made.append((block, self._reached))
         made, self._seen = self._made.popleft()
         put_out, self.measured, self._lost = self._link.collect(n, 1.0 + 4.0 * self._lead * n / self._sample_rate)
-        values = put_out[0]
-        self._last = float(values[-1])
+        self._last = float(np.abs(put_out[:, -1]).max())
         if self._link.is_tripped and not self._reason:
             if self._link.state is OutputState.NOT_KNOWN:
                 raise DeviceFault(self._link.sentence)
             self._trip(f"output: {self._link.reason}", self._link.cause or StopCause.OUTPUT, 0.0)
-        following = values[-1] if self._reason else self._made[0][0].voltage[0]
-        return replace(made, voltage=np.append(values, following))
+        following = put_out[:, -1:] if self._reason else _rows(self._made[0][0])[:, :1]
+        final = np.concatenate([put_out, following], axis=1)
+        return replace(made, voltage=final[0], further=final[1:] if self._exciters > 1 else None)
 
     def _quiet_link(self, ramp: float | None) -> None:
         """Tell the process that owns the output at once, past the blocks that wait there."""
@@ -515,7 +527,8 @@ class GuardedDevice(Device):
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
         """True values of all channels under the drive of this block, shape (channels, samples), SI.
 
-        ``drive.voltage`` holds the final samples: a converter puts out these and no others. Where a process owns the
+        ``drive.voltage``, and ``drive.further`` of several exciters, hold the final samples: a converter puts out these
+        and no others. Where a process owns the
         output, they are those that were put out, and ``self.measured``, shape (inputs, samples), is what its converter
         took in at the same time, in the converter's own unit.
         """

@@ -65,7 +65,7 @@ def device_of(rig: Rig, kind: str = "", address: str = "") -> AnyDevice:
     if not kind:
         raise BenchError(f"Rig {rig.name} has no section 'device'; write one, or name a kind with --device.")
     channels = [(sensor.channel, sensor.quantity) for sensor in rig_sensors(rig)]
-    return specimen_device(kind, channels, dict(guard_settings(rig).limits), address)
+    return specimen_device(kind, channels, dict(guard_settings(rig).limits), address, len(rig.all_exciters))
 
 
 class HardwareRig(GuardedDevice):
@@ -78,6 +78,9 @@ class HardwareRig(GuardedDevice):
         probe_needed: whether a drive that is not seen at its monitor is a fault.
         specimen: stands in for converter and cables, in lockstep, without a process of its own; None = the converter.
         **output: further settings of `guarded_device.owned_output`.
+
+    Attributes:
+        outputs: (exciters, samples) V put out in the last block.
 
     Raises:
         BenchError: the section does not fit the rig.
@@ -95,6 +98,14 @@ class HardwareRig(GuardedDevice):
         self.rig, self.section = rig, device
         self._specimen = specimen
         self.sensors = rig_sensors(rig)
+        # Counted from 0; of every sensor, though only a voltage has one.
+        self._exciter_of = [(section.exciter or 1) - 1 for section in rig.sensors]
+        exciters = len(rig.all_exciters)
+        if len(device.outputs) != exciters:
+            raise BenchError(
+                f"Section device of rig {rig.name} has {len(device.outputs)} outputs for {exciters} exciters; give one "
+                "for each, in their order."
+            )
         settings = guard_settings(rig)
         if settings.voltage is None:
             raise BenchError(f"Rig {rig.name} has no limits.voltage_v; hardware is not driven without one.")
@@ -105,7 +116,10 @@ class HardwareRig(GuardedDevice):
         self._rows = [ports.get(sensor.channel, -1) for sensor in self.sensors]
         self._sensitivity = np.array([[entry.sensitivity_v] for entry in device.inputs])
         self._end_stops = np.array([[_END_STOP * entry.range_v] for entry in device.inputs])
-        self._monitor = next((ports.get(s.channel, -1) for s in self.sensors if s.quantity is Quantity.VOLTAGE), -1)
+        self._gains = np.array([[entry.amplifier_gain] for entry in device.outputs])
+        voltages = [row for row, sensor in enumerate(self.sensors) if sensor.quantity is Quantity.VOLTAGE]
+        of_first = (self._rows[row] for row in voltages if self._exciter_of[row] == 0)
+        self._monitor = next(of_first, -1)
         link = None
         if specimen is None:
             probe = {
@@ -120,15 +134,22 @@ class HardwareRig(GuardedDevice):
                 settings,
                 lead_blocks=lead_blocks,
                 inputs=len(device.inputs),
+                outputs=exciters,
                 converter=device.driver,
                 arguments=device.driver_arguments(float(rig.sample_rate_hz), int(rig.block_samples)),
                 probe=probe,
                 **output,
             )
         super().__init__(
-            rig.sample_rate_hz, rig.block_samples, channel_groups(self.sensors), settings, rig.seed, output=link
+            rig.sample_rate_hz,
+            rig.block_samples,
+            channel_groups(self.sensors),
+            settings,
+            rig.seed,
+            output=link,
+            exciters=exciters,
         )
-        self.put_out: FloatArray = np.zeros(rig.block_samples)
+        self.outputs: FloatArray = np.zeros((exciters, rig.block_samples))
         self._prepare()
 
     def _prepare(self) -> None:
@@ -142,15 +163,17 @@ class HardwareRig(GuardedDevice):
         pass
 
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
-        self.put_out = drive.voltage[: self._block_samples]
+        n = self._block_samples
+        self.outputs = drive.voltage[np.newaxis, :n]
+        if drive.further is not None:
+            self.outputs = np.vstack([self.outputs, drive.further[:, :n]])
         if self._specimen is not None:
-            gain = self.section.output.amplifier_gain
-            self.measured = self._specimen.respond(self.put_out / gain)
+            self.measured = self._specimen.respond(self.outputs / self._gains)
         values = self.measured / self._sensitivity
         self._watch(values, drive)
         recorded = np.empty((len(self._rows), self._block_samples))
         for row, port in enumerate(self._rows):
-            recorded[row] = self.put_out if port < 0 else values[port]
+            recorded[row] = self.outputs[self._exciter_of[row]] if port < 0 else values[port]
         return recorded
 
     def _compute(self, true_values: FloatArray) -> tuple[FloatArray, bool]:
@@ -167,6 +190,12 @@ class HardwareRig(GuardedDevice):
         self._clock.add(report.time, report.put_out, lost)
         if self._monitor >= 0 and not lost and not self._lost:
             self._delays.add(self.put_out, values[self._monitor], drive.phase.frequency_hz)
+
+    @property
+    def put_out(self) -> FloatArray:
+        """(samples,) V, of the last block; of several exciters the first."""
+        first: FloatArray = self.outputs[0]
+        return first
 
     @property
     def turn_time(self) -> float:

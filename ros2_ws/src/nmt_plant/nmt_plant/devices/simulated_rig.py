@@ -180,7 +180,9 @@ class SimulatedRig(GuardedDevice):
         self.sensors = rig_sensors(rig)
         block, settings = block_samples or rig.block_samples, guard_settings(rig)
         if owned:
-            output.setdefault("arguments", {"sample_rate": float(rig.sample_rate_hz), "stop_file": stop_file})
+            count = len(rig.all_exciters)
+            arguments = {"sample_rate": float(rig.sample_rate_hz), "stop_file": stop_file, "outputs": count}
+            output = {"arguments": arguments, "outputs": count, **output}
         super().__init__(
             rig.sample_rate_hz,
             block,
@@ -282,7 +284,7 @@ class SimulatedRig(GuardedDevice):
         """What the sensors record while a voltage acts, beside the device's own clock; needs a configured rig.
 
         Args:
-            voltage: (n + 1,) V, the last one where the next call begins.
+            voltage: (n + 1,) V, the last one where the next call begins; of several exciters (exciters, n + 1).
 
         Returns:
             (channels, n), SI.
@@ -291,7 +293,8 @@ class SimulatedRig(GuardedDevice):
             DeviceFault: a motion that is not finite.
         """
         still = OscillatorPhase(0.0, 0.0, 0.0)
-        return self._compute(self._measure(OscillatorBlock(voltage, still)))[0]
+        rows = np.atleast_2d(voltage)
+        return self._compute(self._measure(OscillatorBlock(rows[0], still, rows[1:] if len(rows) > 1 else None)))[0]
 
     def _compute(self, true_values: FloatArray) -> tuple[FloatArray, bool]:
         if self._plain_sensors:

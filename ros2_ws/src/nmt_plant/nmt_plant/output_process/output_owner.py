@@ -44,7 +44,7 @@ from nmt_core.vocabulary import OutputState, StopCause
 from nmt_plant.converters.converter import Converter, Taken, load_converter
 from nmt_plant.converters.delay_probe import Delay, DelayProbe
 from nmt_plant.output_process.shared_samples import SharedSamples
-from nmt_plant.safety.output_guard import OutputGuard
+from nmt_plant.safety.output_guard import OutputGuard, all_to_zero, guard_together
 
 MESSAGE_BYTES = 4096
 _MOST_LEAD = 128
@@ -78,10 +78,11 @@ class OwnerSettings:
         ramp: s, half-cosine to zero.
         limit: V, largest magnitude; None = none.
         slew: V/s, largest rate of change; None = none.
-        outputs: channels that are put out.
+        outputs: channels that are put out; what takes one to zero takes all, along one half-cosine.
         inputs: channels that are measured.
         record: file for what the output does, see `nmt_core.processes.output_record`; empty = none.
-        probe: V, amplitude of the signal that finds the delay before the first block; 0 = the converter's own figure.
+        probe: V, amplitude of the signal that finds the delay before the first block, at the first output; 0 = the
+            converter's own figure.
         probe_input: row of the inputs that measures the output.
         probe_settling: s of zeros before that signal.
         probe_needed: whether an output that is not seen at that input is a fault; else the converter's figure is taken.
@@ -313,8 +314,7 @@ class OutputOwner:
     def _to_zero(self, reason: str, ramp: float | None = None, cause: StopCause = StopCause.OUTPUT) -> None:
         if not self.reason:
             self.reason, self.cause = reason, cause
-        for guard in self._guards:
-            guard.to_zero(ramp)
+        all_to_zero(self._guards, ramp)
 
     # -- what comes in -------------------------------------------------------------------------------------------
 
@@ -437,7 +437,7 @@ class OutputOwner:
         return values
 
     def _guarded(self, wanted: FloatArray) -> FloatArray:
-        values = np.stack([guard.block(row) for guard, row in zip(self._guards, wanted, strict=True)])
+        values = np.stack(guard_together(self._guards, list(wanted)))
         violation = next((guard.violation for guard in self._guards if guard.violation is not None), None)
         if violation is not None:
             self._to_zero(f"a sample of {violation[1]:.4g} V is beyond the limit of {self._settings.limit} V")

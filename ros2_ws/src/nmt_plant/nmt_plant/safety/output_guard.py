@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -79,6 +80,11 @@ class OutputGuard:
         self._held = False
 
     @property
+    def bound(self) -> float:
+        """V, magnitude beyond which nothing is put out; the largest finite number where there is no limit."""
+        return self._bound
+
+    @property
     def held(self) -> bool:
         """Whether the guard takes or holds the output at zero, whatever it is given."""
         return self._held
@@ -99,6 +105,10 @@ class OutputGuard:
         length = self._length_of(self.last, self._ramp_time if ramp is None else ramp)
         if before is None or length < before:
             self._begin(self.last, length)
+
+    def shortest_ramp(self, ramp: float | None = None) -> float:
+        """s, length of the ramp to zero from the present value: ``ramp`` (its own when None), or what the slew asks."""
+        return self._length_of(self.last, self._ramp_time if ramp is None else ramp) / self._sample_rate
 
     def _length_of(self, start: float, ramp: float) -> int:
         length = round(min(ramp * self._sample_rate, 1e9))
@@ -169,3 +179,41 @@ class OutputGuard:
                 last = present
         self.last = last
         return result
+
+
+def all_to_zero(guards: Sequence[OutputGuard], ramp: float | None = None) -> None:
+    """All outputs to zero along one half-cosine, as long as the one that needs most time; see `OutputGuard.to_zero`."""
+    if len(guards) > 1:
+        ramp = max(guard.shortest_ramp(ramp) for guard in guards)
+    for guard in guards:
+        guard.to_zero(ramp)
+
+
+def guard_together(
+    guards: Sequence[OutputGuard], voltages: Sequence[FloatArray], samples: int | None = None
+) -> list[FloatArray]:
+    """The samples that may be put out at several outputs: where one is beyond its limit all go to zero from there on.
+
+    Args:
+        guards: of each output; all have the same limits.
+        voltages: (n,) V wanted at each.
+        samples: as in `OutputGuard.block`.
+
+    Returns:
+        (n,) V of each.
+    """
+    count = voltages[0].size if samples is None else samples
+    first = count
+    if len(guards) > 1 and not any(guard.held for guard in guards):
+        for guard, voltage in zip(guards, voltages, strict=True):
+            beyond = np.flatnonzero(~(np.abs(voltage[:first]) <= guard.bound))
+            first = int(beyond[0]) if beyond.size else first
+    if first == count:
+        return [guard.block(voltage, samples) for guard, voltage in zip(guards, voltages, strict=True)]
+    heads = [guard.block(voltage[:first]) for guard, voltage in zip(guards, voltages, strict=True)]
+    all_to_zero(guards)
+    for guard, voltage in zip(guards, voltages, strict=True):
+        if not abs(float(voltage[first])) <= guard.bound:
+            guard.violation = (first, float(voltage[first]))
+    tails = [guard.block(voltage[first:], count - first) for guard, voltage in zip(guards, voltages, strict=True)]
+    return [np.concatenate(parts) for parts in zip(heads, tails, strict=True)]

@@ -82,6 +82,22 @@ def test_what_does_not_pass_the_level_is_rejected() -> None:
     assert "Samples are missing" in free_motion_point(window(x, 8e-4), linear(1.0)).reason
 
 
+@pytest.mark.parametrize("lost", [(), (1.8,), (2.6,), (5.0,), (1.8, 2.6), (1.8, 2.6, 5.0)])
+def test_a_limit_cycle_between_lost_levels_is_uncertain(lost: tuple[float, ...]) -> None:
+    """Damping 1 - 6 r² + 5 r⁴ % over r = q/q₀ is zero at q₀/√5 and at q₀; whatever is lost, they are within 3 std."""
+    q0 = 5.0
+    points = [
+        ModalPoint(
+            0, PointStatus.OK, "", q, "m", modal_amplitude=q, omega_rad_s=100.0, damping_ratio_std=1e-7,
+            damping_ratio=0.01 * (1.0 - 6.0 * (q / q0) ** 2 + 5.0 * (q / q0) ** 4),
+        )
+        for q in (1.0, 1.8, 2.6, 3.4, 4.2, 5.001, 5.8) if round(q, 1) not in lost
+    ]  # fmt: skip
+    unstable, stable = limit_cycles(points)
+    for cycle, true in ((unstable, q0 / math.sqrt(5.0)), (stable, q0)):
+        assert abs(cycle.modal_amplitude - true) < 3.0 * cycle.modal_amplitude_std
+
+
 def test_limit_cycles_and_their_stability(tmp_path) -> None:
     def point(q: float, damping: float) -> ModalPoint:
         return ModalPoint(
@@ -94,7 +110,8 @@ def test_limit_cycles_and_their_stability(tmp_path) -> None:
     assert (unstable.modal_amplitude, unstable.stable) == (pytest.approx(1.5, abs=0.2), False)
     assert (stable.modal_amplitude, stable.stable) == (pytest.approx(3.5, abs=0.2), True)
     share = stable.modal_amplitude - 3.0
-    assert stable.modal_amplitude_std == pytest.approx(math.hypot((1.0 - share) * 1e-4, share * 1e-4) / 0.04)
+    measured = math.hypot((1.0 - share) * 1e-4, share * 1e-4) / 0.04
+    assert stable.modal_amplitude_std == pytest.approx(math.hypot(measured, stable.modal_amplitude - 3.5))
     assert stable.omega_rad_s == pytest.approx(100.0 + stable.modal_amplitude)
     assert limit_cycles(points[:2]) == []
     two = limit_cycles(points[1:3])

@@ -28,7 +28,8 @@ class LimitCycle:
     """One limit cycle.
 
     Attributes:
-        modal_amplitude, modal_amplitude_std: q, m√kg; the uncertainty is that of the damping ratios beside it.
+        modal_amplitude, modal_amplitude_std: q, m√kg; the uncertainty is that of the damping ratios beside it
+            and of the way between them: the distance to where a straight line is zero.
         omega_rad_s: ω̃ there, rad/s.
         stable: whether a free motion settles at it.
         levels: the two levels that it lies between, in the unit of the levels.
@@ -81,11 +82,12 @@ def limit_cycles(points: Iterable[ModalPoint]) -> list[LimitCycle]:
         at = float(brentq(damping, low.modal_amplitude, high.modal_amplitude))
         way = high.modal_amplitude - low.modal_amplitude
         share = (at - low.modal_amplitude) / way
-        std = math.hypot((1.0 - share) * low.damping_ratio_std, share * high.damping_ratio_std) * way / abs(change)
+        measured = math.hypot((1.0 - share) * low.damping_ratio_std, share * high.damping_ratio_std) * way / abs(change)
+        straight = low.modal_amplitude - low.damping_ratio * way / change
         found.append(
             LimitCycle(
                 at,
-                std,
+                math.hypot(measured, at - straight),
                 float(omega(at)),
                 change > 0.0,
                 (low.level, high.level),

@@ -46,7 +46,7 @@ from nmt_core.vocabulary import (
     StopCause,
     TestKind,
 )
-from nmt_report.columns import MODAL_COLUMNS, status_text, unit_text
+from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import duration, engineering_exponent, plain, power_of_ten, significant
 from nmt_signals.frequency_responses import RunningFrf
 
@@ -454,14 +454,10 @@ class LiveView:
     def _table(self, points: Sequence[ModalPoint]) -> tuple[list[str], list[dict[str, Any]]]:
         """Modal properties as in the report: heads and rows."""
         good = [point for point in points if point.status is PointStatus.OK]
-        columns = [column for column in MODAL_COLUMNS if column.shown.live]
+        columns = [column for column in shown_columns(good) if column.shown.live]
         exponents = {column.name: column.exponent(good) for column in columns}
-        # Of a secondary resonance the excitation has another frequency than the mode.
-        renamed = {"frequency_hz": "f"} if self._test is TestKind.SECONDARY_RESONANCE else {}
-        symbols = [renamed.get(column.name, column.shown.symbol) for column in columns]
         head = [f"level / {unit_text(self._level_unit) or 'V'}"] + [
-            " / ".join(filter(None, (symbol, column.unit(exponents[column.name]))))
-            for symbol, column in zip(symbols, columns, strict=True)
+            " / ".join(filter(None, (column.shown.symbol, column.unit(exponents[column.name])))) for column in columns
         ]
         rows = []
         for point in points:

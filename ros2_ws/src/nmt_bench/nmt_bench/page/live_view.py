@@ -48,6 +48,7 @@ from nmt_core.vocabulary import (
 )
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import duration, engineering_exponent, plain, power_of_ten, significant
+from nmt_report.run_verdict import run_verdict
 from nmt_signals.frequency_responses import RunningFrf
 
 MOST_SHOWN = 8
@@ -393,6 +394,7 @@ class LiveView:
                     "phase": self._state.phase.name.lower() if self._state else "idle",
                     "result": self._state.result_code.name if self._state and self._state.result_code else "",
                     "reason": self._state.reason if self._state else "",
+                    "verdict": run_verdict(points, len(self._plan)) if points else None,
                     "stopped": self._stop_text(),
                     "stop_state": "" if self._stop is None else self._stop.cause.name.lower(),
                     "response_unit": unit_text(self._response.unit) if self._response else "",

@@ -40,8 +40,9 @@ def check(points, bag, resonance: str, forces, order: int):
         balance = at_force(resonance, force)[0]
         assert point.status is PointStatus.OK, point.reason
         assert (point.response_order, point.force_order) == (k, nu)
-        assert point.frequency_hz == pytest.approx(nu * balance.omega_b * OMEGA / (2.0 * math.pi), rel=1e-3)
-        assert point.omega_rad_s == pytest.approx(2.0 * math.pi * point.frequency_hz * k / nu, rel=1e-12)
+        assert point.frequency_hz == pytest.approx(k * balance.omega_b * OMEGA / (2.0 * math.pi), rel=1e-3)
+        assert point.omega_rad_s == pytest.approx(2.0 * math.pi * point.frequency_hz, rel=1e-12)
+        assert point.excitation_frequency_hz == pytest.approx(point.frequency_hz * nu / k, rel=1e-12)
         assert point.modal_amplitude == pytest.approx(abs(balance.series[order, 0]) * LENGTH, rel=5e-3)
         assert point.force_n == pytest.approx(force * FORCE, rel=5e-3)
         # One dashpot damps every order alike: ξ = 2 ζ ω₁ whatever the amplitude.

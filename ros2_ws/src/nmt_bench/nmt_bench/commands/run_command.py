@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_PARTLY
 from nmt_bench.commands.bench_options import bench_of
 from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_bench.commands.shared_options import (
@@ -34,8 +34,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from nmt_bench.harness import Bench
+    from nmt_extract.uncertainty_budget import PointBudget
     from nmt_record.exchange.calibration_file import CalibrationSheet
     from nmt_report.run_data import ReferenceCurve
+    from nmt_report.run_verdict import RunVerdict
     from nmt_session.run_result import RunResult
 
 
@@ -191,7 +193,8 @@ def run(options: RunOptions) -> int:
     """Run the test, write the results, print the table.
 
     Returns:
-        0 if the plan was worked through and a level locked, 130 after Ctrl-C, 1 otherwise.
+        0 if the plan was worked through and every level is in the table, 3 if it was worked through and some are, 130
+        after Ctrl-C, 1 otherwise.
 
     Raises:
         BenchError: the rig, a level or an option is refused, or the nodes do not start.
@@ -207,8 +210,8 @@ def _run(options: RunOptions) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.linear_input import check_fits, read_linear
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_core.vocabulary import PointStatus
     from nmt_record.exchange.calibration_file import read_calibration
+    from nmt_report.run_verdict import BAD, GOOD
 
     if not options.resonance and options.start_frequency is not None:
         raise BenchError("--start-frequency belongs to --resonance; give it, or leave it out.")
@@ -246,14 +249,15 @@ def _run(options: RunOptions) -> int:
     with terminate_as_interrupt(), OutputFolder(options.out, options.force, live=True) as folder:
         result = measure(bench, console, options.quiet, options.page)
         with WorkDisplay(console, quiet=options.quiet):
-            reference, unwritten, interrupted = evaluate(
+            reference, budgets, unwritten, interrupted = evaluate(
                 result, bench, folder, options.reference, not options.no_report, sheet
             )
-        _summarise(result, reference, console, folder, unwritten)
+        verdict = _summarise(result, bench, reference, budgets, console, folder, unwritten)
     if result.interrupted or interrupted:
         return EXIT_INTERRUPTED
-    locked = any(point.status == PointStatus.OK for point in result.points)
-    return EXIT_DONE if locked and result.complete and not unwritten else EXIT_FAILED
+    if verdict.tone == BAD or not result.complete or unwritten:
+        return EXIT_FAILED
+    return EXIT_DONE if verdict.tone == GOOD else EXIT_PARTLY
 
 
 def evaluate(
@@ -263,7 +267,7 @@ def evaluate(
     choice: str | None,
     report: bool = True,
     sheet: CalibrationSheet | None = None,
-) -> tuple[ReferenceCurve | None, str, bool]:
+) -> tuple[ReferenceCurve | None, Sequence[PointBudget], str, bool]:
     """Write tables and report; the tables first, since Ctrl-C may end the rest.
 
     Args:
@@ -272,8 +276,8 @@ def evaluate(
         choice, report, sheet: as ``--reference``, ``--no-report`` and ``--calibration`` say.
 
     Returns:
-        The reference; what could not be written, as a sentence; whether Ctrl-C came. One leaves out the comparison that
-        is being computed, a second one the report.
+        The reference; the uncertainty budgets; what could not be written, as a sentence; whether Ctrl-C came. One
+        leaves out the comparison that is being computed, a second one the report.
     """
     from nmt_core.processes.work_progress import tell
 
@@ -287,11 +291,11 @@ def evaluate(
             reference = _reference(choice, bench, result)
     except KeyboardInterrupt:
         interrupted = True
+    budgets: list[Any] = []
     if unwritten:
-        return reference, unwritten, interrupted
+        return reference, (), unwritten, interrupted
     try:
         tell("writing the results")
-        budgets: list[Any] = []
         unwritten = _saving(folder, lambda: budgets.extend(_write_budget(result, bench, folder, reference, sheet)))
         if report and not unwritten:
             unwritten = _saving(folder, lambda: _write_report(result, folder, reference, budgets))
@@ -301,7 +305,7 @@ def evaluate(
             f"Stopped before the report was written. The results so far are in {folder}; "
             f"'./nmt extract {folder} --out DIR' goes on from the bag."
         )
-    return reference, unwritten, interrupted
+    return reference, budgets[0] if budgets else (), unwritten, interrupted
 
 
 def _levels(options: RunOptions) -> list[float] | str | None:
@@ -453,15 +457,23 @@ def pace_line(result: RunResult) -> str:
     )
 
 
-def _summarise(result: RunResult, reference: ReferenceCurve | None, console: Any, folder: Path, unwritten: str) -> None:
-    from nmt_bench.commands.terminal import print_modal_table
+def _summarise(
+    result: RunResult,
+    bench: Bench,
+    reference: ReferenceCurve | None,
+    budgets: Sequence[PointBudget],
+    console: Any,
+    folder: Path,
+    unwritten: str,
+) -> RunVerdict:
+    from nmt_bench.commands.terminal import print_modal_table, print_verdict
     from nmt_core.vocabulary import ResultCode
     from nmt_extract.backbone_jumps import backbone_sentences
 
     if result.points:
-        print_modal_table(result.points, reference, console)
-    style = None if result.code == ResultCode.SUCCEEDED else "yellow"
-    console.print(result.message, style=style)
+        print_modal_table(result.points, reference, console, budgets)
+    if result.code != ResultCode.SUCCEEDED:
+        console.print(result.message, style="yellow")
     if result.bench_time > 0:
         levels = max(1, len(result.points))
         console.print(
@@ -474,3 +486,4 @@ def _summarise(result: RunResult, reference: ReferenceCurve | None, console: Any
         console.print(unwritten, style="red", soft_wrap=True)
     if (folder / "report.html").exists():
         console.print(f"Report: {(folder / 'report.html').resolve()}", soft_wrap=True)
+    return print_verdict(result.points, console, len(bench.test.levels))

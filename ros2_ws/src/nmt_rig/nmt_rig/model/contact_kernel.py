@@ -24,8 +24,6 @@ from numpy.typing import NDArray
 from nmt_core.numerics.kernels import loop_step, njit
 from nmt_rig.model.element_kernels import margin, next_branch, piece
 from nmt_rig.model.integration_kernel import (
-    _INPUT_END,
-    _INPUT_START,
     _SMALLEST,
     _XX,
     _XY,
@@ -38,6 +36,7 @@ from nmt_rig.model.integration_kernel import (
     Memory,
     OutputRows,
     begin_slip,
+    hold_inputs,
     is_bounded,
     slip_along,
     widest_level,
@@ -370,22 +369,23 @@ def follow_width(motion: Motion, now: Active, level: int, count: int, matrix: Ar
 
 
 @loop_step
-def move(motion: Motion, now: Active, state: Array, level: int, u0: float, u1: float, trial: Array) -> None:
-    """The state (Z,) at the end of a sub-step without the active ports' forces, for the input at its ends."""
-    pair, start_weights, steady_step = motion.pair, motion.start_weights, now.steady_step
+def move(
+    motion: Motion, now: Active, exciters: tuple[int, ...], state: Array, level: int, ends: Array, trial: Array
+) -> None:
+    """The state (Z,) at the end of a sub-step without the active ports' forces, for the inputs at its ends."""
+    pair, weights, steady_step = motion.pair, motion.start_weights, now.steady_step
     pairs = state.size // 2
     for i in range(pairs):
         j = pairs + i
         x = state[i]
         y = state[j]
-        trial[i] = (
-            (pair[level, _XX, i] * x + pair[level, _XY, i] * y)
-            + (start_weights[level, _INPUT_START, i] * u0 + start_weights[level, _INPUT_END, i] * u1)
-        ) + steady_step[level, i]
-        trial[j] = (
-            (pair[level, _YX, i] * x + pair[level, _YY, i] * y)
-            + (start_weights[level, _INPUT_START, j] * u0 + start_weights[level, _INPUT_END, j] * u1)
-        ) + steady_step[level, j]
+        first = pair[level, _XX, i] * x + pair[level, _XY, i] * y
+        second = pair[level, _YX, i] * x + pair[level, _YY, i] * y
+        for e in range(len(exciters)):
+            first += weights[level, 2 * e, i] * ends[e, 0] + weights[level, 2 * e + 1, i] * ends[e, 1]
+            second += weights[level, 2 * e, j] * ends[e, 0] + weights[level, 2 * e + 1, j] * ends[e, 1]
+        trial[i] = first + steady_step[level, i]
+        trial[j] = second + steady_step[level, j]
 
 
 @loop_step
@@ -689,10 +689,13 @@ def next_level(position: int, goal: int, levels: int) -> int:
 
 
 @loop_step
-def write_outputs(rows: OutputRows, state: Array, forces: Array, ports: int, value: float, k: int, out: Array) -> None:
-    """Outputs (outputs, n) at sample k, for the input there."""
+def write_outputs(rows: OutputRows, state: Array, forces: Array, ports: int, inputs: Array, k: int, out: Array) -> None:
+    """Outputs (outputs, n) at sample k, for the inputs (exciters, n + 1)."""
     for o in range(out.shape[0]):
-        total = rows.input[o] * value + row_product(rows.state, o, state, state.size)
+        total = rows.inputs[o, 0] * inputs[0, k]
+        for e in range(1, inputs.shape[0]):
+            total += rows.inputs[o, e] * inputs[e, k]
+        total += row_product(rows.state, o, state, state.size)
         out[o, k] = total + row_product(rows.force, o, forces, ports)
 
 
@@ -720,6 +723,7 @@ def integrate_contacts(
     place_tables: tuple[Any, ...],
     output_tables: tuple[Array, Array, Array],
     memory_tables: tuple[Any, ...],
+    exciters: tuple[int, ...],
     substeps: int,
     inputs: Array,
     state: Array,
@@ -733,8 +737,9 @@ def integrate_contacts(
         motion_tables, place_tables, output_tables: `Motion`, `Places` and `OutputRows` of the system as plain tuples,
             which come from Python sooner than named ones.
         memory_tables: likewise the `Memory`, updated; its kinematics are those of active ports.
+        exciters: their numbers, from 0.
         substeps: per sample.
-        inputs: (n + 1,) input at the samples and one beyond; straight between them.
+        inputs: (exciters, n + 1) input at the samples and one beyond; straight between them.
         state: (Z,) working state, updated.
         due: (ports,) the way of the state at which a port at rest is to be looked at, updated.
         way: (1,) of the state so far, m, updated.
@@ -756,11 +761,12 @@ def integrate_contacts(
     count = 0
     earliest = 0.0
     fresh = False
-    for k in range(inputs.size - 1):
-        write_outputs(rows, state, forces, ports, inputs[k], k, outputs)
-        increment = (inputs[k + 1] - inputs[k]) / substeps
+    increments, ends = np.zeros(len(exciters)), np.zeros((len(exciters), 2))
+    for k in range(inputs.shape[1] - 1):
+        write_outputs(rows, state, forces, ports, inputs, k, outputs)
+        for e in range(len(exciters)):
+            increments[e] = (inputs[e, k + 1] - inputs[e, k]) / substeps
         for s in range(substeps):
-            u_start = inputs[k] + s * increment
             position = 0
             level = 0
             goal = 0
@@ -772,9 +778,8 @@ def integrate_contacts(
                     follow_width(motion, now, level, 0 if iterated[level] else count, matrix, row_order)
                 width = ticks >> level
                 span = motion.step * width / ticks
-                u0 = u_start + increment * (position / ticks)
-                u1 = u_start + increment * ((position + width) / ticks)
-                move(motion, now, state, level, u0, u1, end)
+                hold_inputs(exciters, inputs, increments, k, s, position / ticks, (position + width) / ticks, ends)
+                move(motion, now, exciters, state, level, ends, end)
                 if count > 0:
                     solve_active(motion, now, trial, count, level, span, iterated[level])
                 corner = turns_of_active(places, memory, now, trial, count)

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from nmt_rig.model.active_ports import Motion, Places
 from nmt_rig.model.assembly import ElectromechanicalSystem
-from nmt_rig.model.contact_kernel import Motion, Places, integrate_contacts
+from nmt_rig.model.contact_kernel import integrate_contacts
 from nmt_rig.model.couplings import COUPLING_PARAMETERS
 from nmt_rig.model.exciter import OutputRow
 from nmt_rig.model.integration_kernel import (

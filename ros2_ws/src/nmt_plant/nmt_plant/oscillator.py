@@ -15,8 +15,8 @@ from functools import lru_cache
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import PEAK_FACTOR
 from nmt_core.messages.blocks import OscillatorPhase
-from nmt_core.messages.excitation import PEAK_FACTOR
 from nmt_core.messages.records import DriveCommand
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.kernels import njit

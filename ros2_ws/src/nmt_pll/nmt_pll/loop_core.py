@@ -6,6 +6,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.command_judge import LONGEST_AHEAD, CommandJudge
@@ -210,7 +211,7 @@ class LoopCore:
         """
         loop = self.loops.get(level.test)
         label = level.test.label.replace("_", " ")
-        if loop is None and level.test.closes_phase_loop and not self.settings.linear_json:
+        if loop is None and kind_class(level.test).closes_phase_loop and not self.settings.linear_json:
             raise BenchError(
                 f"A {label} test needs a linear description: the parameter 'linear_json' of the pll node is empty."
             )

@@ -67,8 +67,8 @@ class RunOptions:
         "it passes them; the damping ratio may have either sign (default: phase_resonance)",
         choices=("phase_resonance", "self_excited"),
     )
-    method: str = option(
-        "auto",
+    method: str | None = option(
+        None,
         "of a self-excited test: amplitude control, velocity feedback, release of the motion, or by what is stable "
         "(default: auto)",
         choices=("auto", "amplitude", "feedback", "envelope"),
@@ -91,18 +91,18 @@ class RunOptions:
         "list a,b,c (default: the rig's, in V; of a self-excited test in the unit of the response)",
         metavar="PLAN",
     )
-    strategy: str = option(
-        "stepped",
+    strategy: str | None = option(
+        None,
         "stepped: wait for lock at every level; ramp: lock once, then windows of 20 periods during slow "
         "ramps, "
         "evaluated by the balance of power (default: stepped)",
         choices=("stepped", "ramp"),
     )
-    control: str = option(
-        "voltage",
+    control: str | None = option(
+        None,
         "what the levels are: drive voltage (V), amplitude of the drive-point response that is held (m or "
         "m/s^2),"
-        " or force fundamental that is held (N) (default: voltage)",
+        " or force fundamental that is held (N) (default: voltage; of a self-excited test response)",
         choices=("voltage", "response", "force"),
     )
     refine: float | None = option(
@@ -213,11 +213,11 @@ def _run(options: RunOptions) -> int:
     from nmt_record.exchange.calibration_file import read_calibration
     from nmt_report.run_verdict import BAD, GOOD
 
-    if not options.resonance and (options.release is not None or options.start_frequency is not None):
-        raise BenchError("--release and --start-frequency belong to --resonance; give it, or leave them out.")
-    self_excited = options.kind == "self_excited"
-    if self_excited and options.resonance:
+    if not options.resonance and options.start_frequency is not None:
+        raise BenchError("--start-frequency belongs to --resonance; give it, or leave it out.")
+    if options.kind != "phase_resonance" and options.resonance:
         raise BenchError("A self-excited test has no secondary resonance; leave out --resonance or --kind.")
+    settings: dict[str, Any] = {"control": options.control} if options.control else {}
     linear = read_linear(options.linear) if options.linear is not None else None
     sheet = None if options.calibration is None else read_calibration(options.calibration)
     bench = bench_of(
@@ -228,20 +228,20 @@ def _run(options: RunOptions) -> int:
         timeout=options.timeout,
         stop_on_lost_lock=options.stop_on_lost_lock,
         node_values={"pll": {"loop": options.pll}} if options.pll else {},
-        control="response" if self_excited and options.control == "voltage" else options.control,
         method=options.method,
-        duration=options.duration or 0.0,
+        duration=options.duration,
         strategy=options.strategy,
         linear=linear,
         harmonics_control=options.harmonics_control,
         harmonics_target=options.harmonics_target,
         compare=options.compare or 0,
         latency_blocks=options.latency_blocks,
-        refinement=options.refine or 0.0,
+        refinement=options.refine,
         test="secondary_resonance" if options.resonance else options.kind,
-        resonance=options.resonance or "",
-        release=options.release or 0.0,
+        resonance=options.resonance,
+        release=options.release,
         frequencies_hz=() if options.start_frequency is None else (options.start_frequency,),
+        **settings,
     )
     if linear is not None:
         check_fits(linear, bench.rig, str(options.linear))
@@ -347,7 +347,9 @@ def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunR
 
 def _reference(choice: str | None, bench: Bench, result: RunResult) -> ReferenceCurve | None:
     """The backbone to compare with: a file, or EPMC of the rig's model, solved at the measured amplitudes too."""
-    if choice == "none" or (choice is None and bench.test.resonance):
+    from nmt_core.kinds import SecondaryResonanceTest
+
+    if choice == "none" or (choice is None and isinstance(bench.test.kind, SecondaryResonanceTest)):
         return None  # what the force drives beside the resonant order moves it off the mode's own backbone
     import numpy as np
 

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import PEAK_FACTOR
 from nmt_core.messages.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock, rounded
-from nmt_core.messages.excitation import PEAK_FACTOR
 from nmt_core.messages.records import DriveCommand
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.ramp import half_cosine

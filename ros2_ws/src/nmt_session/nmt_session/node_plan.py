@@ -18,7 +18,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.files.yaml_text import yaml_text
-from nmt_core.kinds import KindOfTest, PhaseResonanceTest, RingDownTest, SecondaryResonanceTest, SelfExcitedTest
+from nmt_core.kinds import KindOfTest, PhaseResonanceTest, SecondaryResonanceTest, SelfExcitedTest
 from nmt_core.messages.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.messages.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.messages.driven_test import DrivenTest
@@ -30,10 +30,13 @@ from nmt_core.settings import parameters_of, values_of, with_values
 from nmt_core.vocabulary import AUTOMATIC, MOTIONS, ControlKind, HarmonicsTarget
 from nmt_extract.extraction_settings import ExtractionSettings, ExtractSettings
 from nmt_extract.hysteresis import HysteresisLayout
+from nmt_plant.coverage import covers as devices_cover
 from nmt_plant.devices.guarded_device import LEAST_LEAD
 from nmt_plant.devices.hardware_rig import HARDWARE_LEAD
 from nmt_plant.plant_settings import PlantSettings
 from nmt_plant.safety.output_guard import default_slew
+from nmt_pll.coverage import covers as loops_cover
+from nmt_pll.coverage import covers_linear
 from nmt_pll.harmonics_control import MOST_HARMONICS
 from nmt_pll.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from
@@ -396,14 +399,11 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     sequencer = _given(sequencer, test, "sequencer", peers)
     extract = _given(extract, test, "extract", peers)
     recorder = _given(recorder, test, "recorder", peers)
-    for lacking, does, what in (
-        (test.ramps, "waits at every level", "the strategy ramp"),
-        (isinstance(test.kind, RingDownTest), "does not switch off", "a ring-down test"),
-        (isinstance(test.kind, SelfExcitedTest), "cannot hold such a motion", "a self-excited test"),
-        (test.control != "voltage", "steps the voltage only", f"levels of {test.control}"),
-    ):
-        if lacking and pll.loop == "paper":
-            raise BenchError(f"The paper's loop {does}; use the adaptive loop for {what}.")
+    refusal = loops_cover(test.driven, pll.loop, test.ramps) or devices_cover(test.driven, test.device)
+    if not refusal and linear is not None:
+        refusal = covers_linear(test.driven, linear)
+    if refusal:
+        raise BenchError(refusal)
     nodes = {"plant": plant, "pll": pll, "sequencer": sequencer, "extract": extract, "recorder": recorder}
     asked = test.run_settings
     run = {

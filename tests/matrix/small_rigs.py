@@ -44,8 +44,11 @@ def rig_text(exciters: str, kind: TestKind) -> str:
     if fed:
         flow = {"kind": "polynomial_damper", "point": 1, "damping_ns_m": -6.0, "damping_ns_m3": 1.0e6}
         elements.append({"name": "flow", **flow})
-    sensors = [{"quantity": "force", "point": 1}, *([{"quantity": "force", "point": 2}] if several else [])]
-    sensors += [{"quantity": "displacement", "point": point} for point in (1, 2)]
+    noise = {"noise_correlation_time_s": 1.0e-5}
+    sensors = [
+        {"quantity": "force", "point": point, "noise_psd": 1.0e-10, **noise} for point in ((1, 2) if several else (1,))
+    ]
+    sensors += [{"quantity": "displacement", "point": point, "noise_psd": 1.0e-17, **noise} for point in (1, 2)]
     sensors += [{"quantity": "voltage"}, *([{"quantity": "voltage", "exciter": 2}] if several else [])]
     return yaml.safe_dump(
         {

@@ -7,8 +7,9 @@ import importlib
 from nmt_core.messages.driven_test import Covers, DrivenTest
 
 CONSUMERS: dict[str, str] = {
+    "run": "nmt_session.coverage",
 }
-"""Module with the function ``covers`` of each consumer."""
+"""Module with the function ``covers`` of each consumer; the first says what can be done at all."""
 
 
 def covers_of(consumer: str) -> Covers:

@@ -43,7 +43,6 @@ def drive_command(output: LoopOutput, delay: int = 0) -> DriveCommand:
         output.ramp,
         output.last_sample + 1 + delay,
         output.last_sample,
-        output.harmonics if output.amplitude > 0.0 else (),
         output.band_low_hz,
         output.band_high_hz,
         output.rate_hz_s,

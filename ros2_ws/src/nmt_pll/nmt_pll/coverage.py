@@ -33,6 +33,11 @@ def covers(test: DrivenTest, loop: str = ADAPTIVE, ramps: bool = False) -> str:
             f"{_ONE_EXCITER[test.kind]} one exciter, and this rig has {len(test.exciters)}; choose one by its point "
             "with --exciter N, which takes the others off the rig."
         )
+    if test.kind is TestKind.SELF_EXCITED and "shaking_table" in test.exciters:
+        return (
+            "A self-excited motion is held and damped by a force at a point, and a shaking table moves the supports; "
+            "use an exciter of the kind force or electrodynamic_shaker."
+        )
     return _paper_covers(test, ramps) if loop == PAPER else ""
 
 

@@ -30,12 +30,10 @@ from nmt_core.settings import parameters_of, values_of, with_values
 from nmt_core.vocabulary import AUTOMATIC, MOTIONS, ControlKind, HarmonicsTarget
 from nmt_extract.extraction_settings import ExtractionSettings, ExtractSettings
 from nmt_extract.hysteresis import HysteresisLayout
-from nmt_plant.coverage import covers as devices_cover
 from nmt_plant.devices.guarded_device import LEAST_LEAD
 from nmt_plant.devices.hardware_rig import HARDWARE_LEAD
 from nmt_plant.plant_settings import PlantSettings
 from nmt_plant.safety.output_guard import default_slew
-from nmt_pll.coverage import covers as loops_cover
 from nmt_pll.coverage import covers_linear
 from nmt_pll.harmonics_control import MOST_HARMONICS
 from nmt_pll.harmonics_target import check_modes
@@ -49,6 +47,7 @@ from nmt_rig.linear_description import force_per_volt, linear_description
 from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import LevelLimits
 from nmt_sequencer.sequencer_settings import SequencerSettings
+from nmt_session.coverage import covers
 
 S = TypeVar("S", bound=NodeSettings)
 LOOP_TOPICS = ("drive", "frequency")
@@ -399,7 +398,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     sequencer = _given(sequencer, test, "sequencer", peers)
     extract = _given(extract, test, "extract", peers)
     recorder = _given(recorder, test, "recorder", peers)
-    refusal = loops_cover(test.driven, pll.loop, test.ramps) or devices_cover(test.driven, test.device)
+    refusal = covers(test.driven, pll.loop, test.ramps, test.device)
     if not refusal and linear is not None:
         refusal = covers_linear(test.driven, linear)
     if refusal:

@@ -8,7 +8,7 @@ import pytest
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_pll.harmonics_target import LARGEST_RATIO, ModalPowerRatio, check_modes
+from nmt_pll.harmonics.harmonics_target import LARGEST_RATIO, ModalPowerRatio, check_modes
 
 POINTS = (2, 4, 5, 6)
 SHAPES = np.array([[0.4, 1.6, 2.6], [1.3, 2.5, -0.6], [1.9, 0.9, -2.3], [2.5, -1.3, 0.4]])  # 1/√kg

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_pll.self_excited_control import LARGEST_DAMPING, PROPORTIONAL, AmplitudeLaw, SelfExcitedPlant
+from nmt_pll.self_excited.self_excited_control import LARGEST_DAMPING, PROPORTIONAL, AmplitudeLaw, SelfExcitedPlant
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 

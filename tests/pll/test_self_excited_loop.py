@@ -12,7 +12,7 @@ from nmt_bench.commands.run_command import RunOptions
 from nmt_core.errors import BenchError
 from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
-from nmt_pll.self_excited_loop import LIMIT_SHARE, METHODS
+from nmt_pll.self_excited.self_excited_loop import LIMIT_SHARE, METHODS
 
 
 def test_loss_of_control_is_damped_and_the_drive_then_goes_to_zero_by_a_ramp() -> None:

@@ -11,10 +11,10 @@ import math
 from dataclasses import dataclass
 
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_pll.controller import AMPLITUDE_SHARE
-from nmt_pll.gains import LoopPlant
-from nmt_pll.loop import DEAD_BLOCKS
 from nmt_pll.loop_settings import LoopSettings
+from nmt_pll.phase_loop.controller import AMPLITUDE_SHARE
+from nmt_pll.phase_loop.gains import LoopPlant
+from nmt_pll.phase_loop.loop import DEAD_BLOCKS
 
 USUAL = 0.02  # s, the shortest that is chosen
 _STEP = 0.01  # s

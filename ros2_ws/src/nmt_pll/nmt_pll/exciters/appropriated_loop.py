@@ -11,16 +11,16 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand
 from nmt_core.numerics.arrays import ComplexArray
 from nmt_core.vocabulary import AUTOMATIC, HarmonicsTarget, LoopState
-from nmt_pll.exciter_appropriation import AppropriationSetup, ExciterAppropriation, ForceMatrix
-from nmt_pll.harmonics_control import MOST_HARMONICS
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter
+from nmt_pll.exciters.exciter_appropriation import AppropriationSetup, ExciterAppropriation, ForceMatrix
+from nmt_pll.harmonics.harmonics_control import MOST_HARMONICS
 from nmt_pll.level_loop import LoopOutput
-from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.phase_detector import AdaptiveFourierFilter
+from nmt_pll.phase_loop.loop import PhaseLockedLoop
 
 
 class AppropriatedLoop(PhaseLockedLoop):
-    """As :class:`~nmt_pll.loop.PhaseLockedLoop` for the first exciter, which the others follow.
+    """As :class:`~nmt_pll.phase_loop.loop.PhaseLockedLoop` for the first exciter, which the others follow.
 
     Args:
         linear: linear description that names the exciters' points.

@@ -36,7 +36,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_core.vocabulary import MOTIONS, ControlKind, LoopState
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.phase_loop.paper_settings import PaperSettings
 
 # x̂ for the product: a displacement, or an acceleration upside down.
 _SIGN = {motion: (-1.0) ** (order // 2) for motion, order in MOTIONS.items() if order % 2 == 0}

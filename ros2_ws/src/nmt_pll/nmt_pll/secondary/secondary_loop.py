@@ -28,13 +28,13 @@ from nmt_core.messages.records import LevelCommand
 from nmt_core.messages.secondary_resonance import RESONANCES, SecondaryResonance, resonance_of
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, ControlKind, LoopState, TestKind
-from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
-from nmt_pll.gains import LoopPlant
+from nmt_pll.detection.lock import Dwell, LockCriteria
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import Dwell, LockCriteria
-from nmt_pll.loop import DEAD_BLOCKS, PhaseLockedLoop
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.phase_detector import AdaptiveFourierFilter
+from nmt_pll.phase_loop.controller import AmplitudeController, FrequencyController, GainSchedule
+from nmt_pll.phase_loop.gains import LoopPlant
+from nmt_pll.phase_loop.loop import DEAD_BLOCKS, PhaseLockedLoop
 
 RELEASES = (1.0, 1.2, 0.85, 1.4, 0.7, 1.6)
 """Amplitudes of the releases of a level over the stated one, in order."""

@@ -13,9 +13,10 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import AUTOMATIC, MOTIONS, VELOCITY_LEAD, ControlKind, HarmonicsTarget, LoopState, TestKind
-from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
-from nmt_pll.gains import LoopPlant
-from nmt_pll.harmonics_control import (
+from nmt_pll.amplitude.response_control import ResponseController
+from nmt_pll.detection.lock import Dwell, LockCriteria
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter, phase_error
+from nmt_pll.harmonics.harmonics_control import (
     MOST_HARMONICS,
     ForcePerVolt,
     HarmonicsController,
@@ -23,12 +24,11 @@ from nmt_pll.harmonics_control import (
     most_harmonics,
     table_of,
 )
-from nmt_pll.harmonics_target import ModalPowerRatio, check_modes
+from nmt_pll.harmonics.harmonics_target import ModalPowerRatio, check_modes
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import Dwell, LockCriteria
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.phase_detector import AdaptiveFourierFilter, phase_error
-from nmt_pll.response_control import ResponseController
+from nmt_pll.phase_loop.controller import AmplitudeController, FrequencyController, GainSchedule
+from nmt_pll.phase_loop.gains import LoopPlant
 
 DEAD_BLOCKS = 1.5
 """Mean delay between measurement and its effect in blocks, besides the latency."""

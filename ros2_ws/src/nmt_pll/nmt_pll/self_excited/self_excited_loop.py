@@ -1,7 +1,7 @@
 """The loop of self-excited tests: holds or releases a motion that the structure feeds, and ends by damping it.
 
-The oscillator follows the response, and the drive is a force in its frame (see :mod:`nmt_pll.self_excited_control`), so
-that force and damping ratio may pass through zero. A level is an amplitude of the response, reached by one of three
+The oscillator follows the response, and the drive is a force in its frame
+(:mod:`nmt_pll.self_excited.self_excited_control`), so that force and damping ratio may pass through zero. A level is an amplitude of the response, reached by one of three
 methods:
 
 * ``amplitude``: held by velocity feedback and a proportional part, on stable and unstable parts alike;
@@ -31,13 +31,13 @@ from nmt_core.messages.blocks import OscillatorPhase, SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveTerm, LevelCommand
 from nmt_core.vocabulary import MOTIONS, ControlKind, LoopState, TestKind
-from nmt_pll.controller import FrequencyController
-from nmt_pll.gains import ControllerGains
+from nmt_pll.detection.lock import Dwell, DwellStatistics, Transition
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import Dwell, DwellStatistics, Transition
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.phase_detector import AdaptiveFourierFilter
-from nmt_pll.self_excited_control import METHODS, AmplitudeLaw, SelfExcitedPlant
+from nmt_pll.phase_loop.controller import FrequencyController
+from nmt_pll.phase_loop.gains import ControllerGains
+from nmt_pll.self_excited.self_excited_control import METHODS, AmplitudeLaw, SelfExcitedPlant
 
 LIMIT_SHARE = 0.85
 """Share of the limit of the response at which control is given up for damping."""

@@ -44,7 +44,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveTerm
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_pll.harmonics_control import SETTLED, integral_rate
+from nmt_pll.harmonics.harmonics_control import SETTLED, integral_rate
 
 BESIDE_RESONANCE = 1.4
 """Frequency over that of the target mode up to which the fundamental's force per volt is looked at."""

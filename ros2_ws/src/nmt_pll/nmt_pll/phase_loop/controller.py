@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from nmt_pll.gains import ControllerGains, LoopPlant, closed_form_gains
 from nmt_pll.loop_settings import LoopSettings
+from nmt_pll.phase_loop.gains import ControllerGains, LoopPlant, closed_form_gains
 
 AMPLITUDE_SHARE = 0.3
 """Bandwidth of the amplitude controller over that which the dead time allows the phase loop."""

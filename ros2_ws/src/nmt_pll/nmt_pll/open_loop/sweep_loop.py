@@ -13,11 +13,11 @@ from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.records import LevelCommand
 from nmt_core.numerics.ramp import half_cosine
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
-from nmt_pll.held_amplitude import ForceHolder, ResponseHolder, turn
+from nmt_pll.amplitude.held_amplitude import ForceHolder, ResponseHolder, turn
+from nmt_pll.detection.lock import Dwell
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import Dwell
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.phase_detector import AdaptiveFourierFilter
 
 _CUTOFF = 0.15  # ω_LP as a share of the frequency
 _PROBE_VOLTAGE = 1.0e-4  # V, first voltage where nothing is known of the exciter

@@ -545,7 +545,7 @@ def quantities_table(name: str) -> str:
 
 
 def thresholds_table(theme: str) -> str:
-    """Thresholds of one theme: of the diagnosis, as ``fits`` or ``signals.decays``, or of the loops, ``loops.phase``."""
+    """Thresholds of one theme of the diagnosis, as ``signals.decays``, or of the loops, as ``loops.phase``."""
     from nmt_core.threshold import thresholds_of
     from nmt_diagnose.thresholds import THRESHOLDS
     from nmt_pll.thresholds import THRESHOLDS as LOOPS

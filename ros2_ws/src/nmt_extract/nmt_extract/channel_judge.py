@@ -262,8 +262,8 @@ def near_modes(linear: LinearDescription, omega: float) -> list[int]:
     """Linear modes besides the target near a frequency (rad/s)."""
     return [
         mode
-        for mode, own in enumerate(linear.frequencies_rad_s)
-        if mode != linear.target_mode and abs(own - omega) < _CLOSE * omega
+        for mode, frequency in enumerate(linear.frequencies_rad_s)
+        if mode != linear.target_mode and abs(frequency - omega) < _CLOSE * omega
     ]
 
 
@@ -357,11 +357,11 @@ def shape_trend(shapes: Sequence[ComplexArray]) -> ComplexArray | None:
 def course_of(shape: ComplexArray, near: Sequence[int], linear: LinearDescription, omega: float) -> Course:
     """Course of a shape (displacements in m, shape ``(points,)``) at a frequency (rad/s)."""
     coordinates = np.linalg.pinv(linear.shape_matrix) @ shape
-    target, own = coordinates[linear.target_mode], linear.frequencies_rad_s[linear.target_mode]
-    gap = min((abs(linear.frequencies_rad_s[mode] - own) for mode in near), default=math.inf)
+    target, at_rest = coordinates[linear.target_mode], linear.frequencies_rad_s[linear.target_mode]
+    gap = min((abs(linear.frequencies_rad_s[mode] - at_rest) for mode in near), default=math.inf)
     shares = coordinates[list(near)] / target if target != 0.0 else np.full(len(near), complex(math.nan))
     place = math.log(max(float(np.linalg.norm(coordinates)), 1e-300))
-    return Course(place, np.asarray(shares), abs(omega - own) / max(gap, 1e-300))
+    return Course(place, np.asarray(shares), abs(omega - at_rest) / max(gap, 1e-300))
 
 
 def moves_on(before: Sequence[Course], here: Course) -> bool:

@@ -191,11 +191,11 @@ def _point_budgets(point: ModalPoint, inputs: BudgetInputs, repeats: Mapping[str
         ("damping_ratio", phase_part(point.phase_error) * damping),
         ("omega_rad_s", damping * point.omega_rad_s * math.hypot(point.phase_error, point.phase_error_std)),
     ):
-        own = parts[name][UncertaintySource.NOISE]
+        stated = parts[name][UncertaintySource.NOISE]
         # A balance of power corrects the frequency for the phase: nothing of it is in its uncertainty.
-        if 0.0 < phase <= own:
+        if 0.0 < phase <= stated:
             parts[name] = {
-                UncertaintySource.NOISE: math.sqrt(own**2 - phase**2),
+                UncertaintySource.NOISE: math.sqrt(stated**2 - phase**2),
                 UncertaintySource.PHASE: phase,
             }
     for source, changes in _changes(point, inputs):

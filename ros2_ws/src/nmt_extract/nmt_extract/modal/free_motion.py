@@ -240,14 +240,14 @@ def _at_level(
     x = np.log(q[near] / wanted)
     values, stds, slope = {}, {}, 0.0
     for name, column in (("omega_rad_s", 1), ("damping_ratio", 3)):
-        own = rows[near, column]
+        found = rows[near, column]
         # Windows of small uncertainty differ by how well a polynomial holds, not by their noise.
-        typical = _LEVELLING * float(np.median(np.abs(own - np.median(own)))) + 1e-12 * float(np.abs(own).max())
+        typical = _LEVELLING * float(np.median(np.abs(found - np.median(found)))) + 1e-12 * float(np.abs(found).max())
         doubt = np.hypot(rows[near, column + 1], typical + 1e-300)
         weights = doubt.min() / doubt
         powers = np.polynomial.polynomial.polyvander(x, degree)
-        coefficients = np.polynomial.polynomial.polyfit(x, own, degree, w=weights)
-        scatter = own - powers @ coefficients
+        coefficients = np.polynomial.polynomial.polyfit(x, found, degree, w=weights)
+        scatter = found - powers @ coefficients
         squares = weights**2 / float((weights**2).sum())
         spread = np.linalg.pinv(powers * weights[:, np.newaxis])[0] * weights * rows[near, column + 1]
         values[name] = float(coefficients[0])

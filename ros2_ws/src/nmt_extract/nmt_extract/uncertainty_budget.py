@@ -24,9 +24,9 @@ from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
+from nmt_extract.judgement.window_judge import phase_part
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.student import two_sided_quantile
-from nmt_extract.window_judge import phase_part
 from nmt_record.exchange.channel_tolerances import Tolerances
 
 FORMAT = "nmt uncertainty budget 1"

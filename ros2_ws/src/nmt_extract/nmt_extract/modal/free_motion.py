@@ -1,8 +1,9 @@
 """Modal properties as a free motion of a self-excited structure passes an amplitude.
 
 The motion grows or decays by itself through the level's amplitude within the window. Short windows are fitted along it
-(:mod:`nmt_extract.ring_down`); each gives ω̃ and δ̃ of the structure at its amplitude, the force of the exciter's circuit
-taken into account. A polynomial in ln q through the windows about the level's amplitude gives the values there.
+(:mod:`nmt_extract.decays.ring_down`); each gives ω̃ and δ̃ of the structure at its amplitude, the force of the
+exciter's circuit taken into account. A polynomial in ln q through the windows about the level's amplitude gives the
+values there.
 
 A motion that grows with the rate g is not the periodic motion of the nonlinear mode. To first order ω̃ differs by the
 share (dδ̃/d ln q) (g/ω) where damping depends on the displacement, as in van der Pol's equation, and not at all where
@@ -23,14 +24,14 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_extract import window_judge
+from nmt_extract.decays.ring_down import Phasors, modal_row, window_fit
+from nmt_extract.judgement import window_judge
+from nmt_extract.judgement.mode_identity import mode_macs, mode_sentence
+from nmt_extract.judgement.window_judge import Remark
 from nmt_extract.modal.channel_findings import still_or_cut
 from nmt_extract.modal.channels import WindowRows
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns
-from nmt_extract.mode_identity import mode_macs, mode_sentence
-from nmt_extract.ring_down import Phasors, modal_row, window_fit
 from nmt_extract.window import Window
-from nmt_extract.window_judge import Remark
 
 SHORTEST_PERIODS = 3.0
 """Periods of the shortest fitted window; less cannot tell growth from harmonics."""

@@ -34,6 +34,7 @@ from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, s
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.observables import observable_tables
+from nmt_record.windows.recorded_tests import recorded_tests
 from nmt_record.windows.segments import Segment, segments
 from nmt_rig.rig import Rig
 
@@ -193,13 +194,14 @@ def _signals(
     if not windows:
         return []
     recorded = tuple({c.name: c for window in windows for c in window.stretch.channels}.values())
-    drive_point = _drive_point(run, recorded, model)
-    if drive_point not in model.structure.points:
+    points = _drive_points(run, recorded, model)
+    lacking = [point for point in points if point not in model.structure.points]
+    if lacking:
         raise BenchError(
-            f"{name} was driven at point {drive_point}, but the model {model.name} has points 1 to "
+            f"{name} was driven at point {lacking[0]}, but the model {model.name} has points 1 to "
             f"{model.structure.points[-1]}; name the rig file of the rig that was tested."
         )
-    view = ModelView.of(model, drive_point)
+    view = ModelView.of(model, points)
     channels, more = matched(recorded, view)
     # A decay needs no sensor in the rig file: where it lacks one, an ideal one is meant.
     of_decays = {c.name: c for c in recorded if c.quantity in MOTIONS and c.point in model.structure.points} | channels
@@ -212,6 +214,8 @@ def _signals(
             f"{name} has no response channel that the model {model.name} has too; name the rig file of the rig that "
             "was tested, or add its sensors."
         )
+    tests = recorded_tests(bag)
+    sine = len(points) == 1 and not any(test.controlled_harmonics for test in tests)
     rate = _hold_rate(run, windows[0].stretch.sample_rate)
     response = _response_quantity(run)
     parts = []
@@ -227,9 +231,7 @@ def _signals(
                     parts.append(stepped_sine_observations(test_name, selected, view, channels, settings))
                     continue
                 parts.append(
-                    phase_resonance_observations(
-                        test_name, selected, view, channels, settings, response, rate, "imported" in run
-                    )
+                    phase_resonance_observations(test_name, selected, view, channels, settings, response, rate, sine)
                 )
                 levels = len(getattr(parts[-1].tests[0], "levels", ())) if parts[-1].tests else 0
                 if 0 < levels < THRESHOLDS.reading.few_levels:
@@ -287,15 +289,18 @@ def _frequency(window: _Window) -> float:
     return window.segment.frequency_hz if window.segment.frequency_hz > 0.0 else math.nan
 
 
-def _drive_point(run: dict[str, Any], recorded: tuple[MeasuredChannel, ...], model: Rig) -> int:
-    force = next((c.point for c in recorded if c.quantity is Quantity.FORCE and c.point > 0), None)
-    if force is not None:
-        return force
+def _drive_points(run: dict[str, Any], recorded: tuple[MeasuredChannel, ...], model: Rig) -> tuple[int, ...]:
+    forces = [c.point for c in recorded if c.quantity is Quantity.FORCE and c.point > 0]
+    driven = run.get("exciter_points", list(model.exciter_points))
+    if isinstance(driven, list) and len(driven) > 1 and set(driven) <= set(forces):
+        return tuple(driven)
+    if forces:
+        return (forces[0],)
     linear = run.get("linear")
     for value in (run.get("exciter_point"), linear.get("drive_point") if isinstance(linear, dict) else None):
         if isinstance(value, int) and not isinstance(value, bool) and value > 0:
-            return value
-    return model.drive_point
+            return (value,)
+    return (model.drive_point,)
 
 
 def _response_quantity(run: dict[str, Any]) -> Quantity | None:

@@ -55,12 +55,13 @@ class FurtherExciter:
         point: point number it acts on.
         input_vector: (n,) column of its input, V with a shaker, N without.
         force: output row set of its force on the structure, N; the feedthrough is that of its own input.
-        current: index of the coil's current, None without a shaker.
+        coil, current: index of the coil's displacement and of its current, None without a shaker.
     """
 
     point: int
     input_vector: Array
     force: OutputRow
+    coil: int | None = None
     current: int | None = None
 
 
@@ -224,6 +225,12 @@ def _table_position(system: ElectromechanicalSystem, point: int, quantity: str) 
     return row
 
 
+def exciter_ports(system: ElectromechanicalSystem) -> tuple[FurtherExciter, ...]:
+    """Input, force, coil and current of every exciter."""
+    first = FurtherExciter(system.drive_point, system.input_vector, system.force, system.coil, system.current)
+    return (first, *system.further)
+
+
 def force_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
     """Force of the exciter at `point`, of the first where none is there, N."""
     return next((exciter.force for exciter in system.further if exciter.point == point), system.force)
@@ -345,7 +352,7 @@ def _with_further(
             0.0,
             input=number,
         )
-        exciters.append(FurtherExciter(point, voltage, force, current))
+        exciters.append(FurtherExciter(point, voltage, force, coil, current))
         coil, current = coil + 1, current + 1
     return replace(system, further=tuple(exciters))
 

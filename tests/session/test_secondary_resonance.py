@@ -77,7 +77,7 @@ def test_the_subharmonic_resonance_is_recorded_and_extracted_again_bit_for_bit(t
         ({"resonance": "3:1", "release": 1e-3}, "needs no release"),
         ({"resonance": "1:3", "release": -1e-3}, "must not be negative"),
         ({"resonance": "3:1", "control": "response"}, "levels are voltages or forces"),
-        ({"resonance": "3:1", "refinement": 1e-3}, "in stepped phase resonance tests only"),
+        ({"resonance": "3:1", "refinement": 1e-3}, "A secondary resonance test has no refinement"),
     ],
 )
 def test_what_a_secondary_resonance_test_cannot_be_is_refused(settings, sentence):
@@ -86,7 +86,7 @@ def test_what_a_secondary_resonance_test_cannot_be_is_refused(settings, sentence
 
 
 def test_other_tests_have_no_resonance():
-    with pytest.raises(BenchError, match="other tests have none"):
+    with pytest.raises(BenchError, match="A phase resonance test has no resonance"):
         plan_test("strong_cubic", [0.1], resonance="3:1")
 
 

@@ -72,11 +72,15 @@ class ModalPoint:
         csv=True,
         from_harmonics=False,
         axis="modal frequency / Hz",
-        column=TableColumn("f̃", unit="Hz", rank=1, live=True),
     )
     frequency_hz_std: float = math.nan
     omega_rad_s: float = measured(
-        "rad/s", "modal frequency ω̃", csv=True, from_harmonics=False, axis="modal frequency / (rad/s)"
+        "rad/s",
+        "modal frequency ω̃",
+        csv=True,
+        from_harmonics=False,
+        axis="modal frequency / (rad/s)",
+        column=TableColumn("f̃", unit="Hz", factor=0.5 / math.pi, rank=1, live=True),
     )
     omega_rad_s_std: float = math.nan
     damping_ratio: float = measured(
@@ -207,7 +211,7 @@ class ModalPoint:
 
     @property
     def excitation_frequency_hz_std(self) -> float:
-        """Standard uncertainty of ``excitation_frequency_hz``, Hz."""
+        """Repeatability of ``excitation_frequency_hz``, Hz."""
         return self.frequency_hz_std * (self.force_order or 1) / (self.response_order or 1)
 
     def identical(self, other: ModalPoint) -> bool:

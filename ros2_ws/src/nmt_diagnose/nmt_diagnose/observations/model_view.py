@@ -14,7 +14,7 @@ from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.rig_edit import with_exciters_at
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_rig.linear_description import linear_description
-from nmt_rig.model.assembly import ElectromechanicalSystem, exciter_ports
+from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_system, inputs_per_volt
 
@@ -74,7 +74,7 @@ class ModelView:
         """
         system = self.system
         volts = inputs_per_volt(self.rig)
-        ports = exciter_ports(system)[: len(terms)]
+        ports = system.exciters[: len(terms)]
         shares = [term * gain / volts[0] for term, gain in zip(terms, volts, strict=False)]
         s = 2j * math.pi * np.asarray(frequency_hz, dtype=np.float64)[:, np.newaxis, np.newaxis]
         stiffness, damping = system.sticking_stiffness(), system.resting_damping()
@@ -91,11 +91,11 @@ class ModelView:
                 values[index] = terms[min(self._exciter_of(channel), len(terms) - 1)]
             elif channel.quantity is Quantity.FORCE:
                 at = self.rig.exciter_points.index(channel.point) if channel.point in self.rig.exciter_points else 0
-                row = exciter_ports(system)[at].force
+                row = system.exciters[at].force
                 force = s * s * (row.acceleration @ motion) + s * (row.velocity @ motion) + row.displacement @ motion
                 values[index] = scale * (force + row.feedthrough * shares[at])
             elif channel.quantity is Quantity.CURRENT and system.current is not None:
-                values[index] = scale * motion[exciter_ports(system)[self._exciter_of(channel)].current]
+                values[index] = scale * motion[system.exciters[self._exciter_of(channel)].current]
             elif channel.quantity in MOTIONS and channel.point in system.point_numbers:
                 values[index] = scale * system.motion(channel.point, motion) * s ** MOTIONS[channel.quantity]
         return values

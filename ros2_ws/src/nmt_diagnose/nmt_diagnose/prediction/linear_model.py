@@ -18,7 +18,7 @@ from scipy.linalg import eigh
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_rig.model.assembly import ElectromechanicalSystem, exciter_ports
+from nmt_rig.model.assembly import ElectromechanicalSystem
 
 
 class LinearTables(NamedTuple):
@@ -336,7 +336,7 @@ def _reduction(
         return None
     squares, vectors = eigh(system.stiffness[:n, :n], system.mass[:n, :n])
     places = np.column_stack((inputs[:n], rows.displacement[:, :n].T, rows.acceleration[:, :n].T))
-    coils = [system.selector(port.point)[:n] for port in exciter_ports(system) if port.coil is not None]
+    coils = [system.selector(port.point)[:n] for port in system.exciters if port.coil is not None]
     places = np.column_stack((places, *coils))
     sizes = np.linalg.norm(places, axis=0)
     places = places[:, sizes > 0.0] / sizes[sizes > 0.0]

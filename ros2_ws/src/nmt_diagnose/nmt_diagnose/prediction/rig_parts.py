@@ -32,12 +32,11 @@ from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.assembly import (
     ElectromechanicalSystem,
-    FurtherExciter,
     acceleration_output,
     displacement_output,
-    exciter_ports,
     velocity_output,
 )
+from nmt_rig.model.exciter import Exciter
 from nmt_rig.model.forced_response import force_rows
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import ELEMENTS
@@ -213,7 +212,7 @@ def rig_parts(
     system, size = bare, bare.size
 
     stiffness, damping = system.stiffness, system.damping
-    ports = exciter_ports(system)
+    ports = system.exciters
     forces = [list(force_rows(system, port)) for port in ports]
     local = _local_elements(rig, structure, size, seconds, cycles)
     for element, measured in local.linear:
@@ -417,7 +416,7 @@ def exciter_of(sensor: SensorSection | None) -> int:
 class _Exciter:
     """An exciter among inputs and outputs: rows and feedthrough of its force, input for 1 V."""
 
-    port: FurtherExciter
+    port: Exciter
     force: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
     volts: float
 

@@ -15,8 +15,9 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.numerics.kernels import njit
 from nmt_rig.model.aft import LocalForces, LocalTables, scaled_local_forces
-from nmt_rig.model.assembly import ElectromechanicalSystem, FurtherExciter, exciter_ports
+from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.continuation import Branch, StepControl, follow_branch, solve_at_parameter
+from nmt_rig.model.exciter import Exciter
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.harmonic_balance import (
     ModalImpedance,
@@ -161,14 +162,14 @@ class ForcedProblem:
 
 
 def force_rows(
-    system: ElectromechanicalSystem, exciter: FurtherExciter | None = None
+    system: ElectromechanicalSystem, exciter: Exciter | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Displacement, velocity and acceleration rows (n,) of an exciter's force, of the first unless one is given.
 
     With a shaker the coil's equation of motion is subtracted: the force then follows from current and
     inertia instead of the tiny deformation of the coil's stiff suspension, which would cost six digits.
     """
-    port = exciter or exciter_ports(system)[0]
+    port = exciter or system.exciters[0]
     output, coil = port.force, port.coil
     if coil is None:
         return output.displacement, output.velocity, output.acceleration

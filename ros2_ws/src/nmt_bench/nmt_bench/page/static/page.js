@@ -446,7 +446,9 @@
     if (live.phase !== shownPhase) { shownPhase = live.phase; controls(); }
     const [words, kind] = PHASES[live.phase] || PHASES.unknown;
     const failed = live.phase === "done" && facts && facts.result && facts.result !== "SUCCEEDED";
-    pill("phase", failed ? "ended: " + facts.result.toLowerCase().replace("_", " ") : words, failed ? "bad" : kind);
+    const [verdict, tone] = live.phase === "done" && facts && facts.verdict || ["", ""];
+    if (failed) { pill("phase", "ended: " + facts.result.toLowerCase().replace("_", " "), "bad"); }
+    else { pill("phase", verdict ? words + ": " + verdict : words, { partly: "warn", bad: "bad" }[tone] || kind); }
     pill("loop", live.loop_text, LOOPS[live.loop] || "");
     text("level", live.level); text("frequency", live.frequency); text("phase-error", live.phase_error);
     text("force", live.force); text("response", live.response); text("left", live.left); text("bench-time", live.bench_time);

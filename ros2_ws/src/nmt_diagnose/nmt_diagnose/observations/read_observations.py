@@ -14,6 +14,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import MOTIONS, TestKind
+from nmt_diagnose.coverage import NotCoveredError, covers
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch, read_windows
 from nmt_diagnose.observations.channels.measuring_chain import measuring_chain, table_chain
 from nmt_diagnose.observations.channels.plausibility import check_frequency, clipping_notes, out_of_scale, repeats_notes
@@ -53,8 +54,8 @@ def read_observations(
 
     Locked windows, random tests, ring-downs, records and reduced tables become tests; imported stepped sines become
     frequency responses at their measured force, those of the bench's own runs near resonance count as locked windows
-    whose phase nobody controlled; sweeps are passed over with a note, because no steady state
-    of the model says what they must look like. What cannot be used is left out, with a sentence in ``notes``.
+    whose phase nobody controlled. What :func:`~nmt_diagnose.coverage.covers` does not take and what cannot be used is
+    left out, with a sentence in ``notes``.
 
     Args:
         bags: bags of one rig: recorded runs or imports.
@@ -109,7 +110,12 @@ def _read_all(
             continue
         path_by_digest[digest] = str(path)
         name = _unique(_name(path), names)
-        part = read_bag(bag, name, model, settings)
+        try:
+            part = read_bag(bag, name, model, settings)
+        except NotCoveredError as refusal:
+            if len(bags) == 1:
+                raise
+            part = empty((str(refusal),))
         origin = origin_of(bag, path, [test.name for test in part.tests])
         parts.append(replace(part, inputs=((str(path), digest),), origins=(origin,)))
     return joined(parts)
@@ -134,7 +140,14 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
         notes.append(f"{name} was recorded on rig '{rig}', the model is '{model.name}'.")
     parts: list[Observations] = []
     found = segments(bag)
-    usable = [segment for segment in found if segment.usable_samples and segment.kind is not TestKind.SWEEP]
+    tests = recorded_tests(bag, found)
+    refused = {test.kind: sentence for test in tests if (sentence := covers(test))}
+    tables = observable_tables(bag) if "observables" in bag.topics else []
+    if len(refused) == len(tests) and not tables:
+        raise NotCoveredError(f"{name}: {next(iter(refused.values()))}")
+    notes += [f"{name}: {sentence}" for sentence in refused.values()]
+    found = [segment for segment in found if segment.kind not in refused]
+    usable = [segment for segment in found if segment.usable_samples]
     for segment in found:
         level = f"{name}: level {segment.level_index} ({segment.kind.label})"
         if segment in usable and segment.fault:
@@ -142,15 +155,9 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
             notes.append(f"{level} is used in part, {share} from {segment.usable_first_sample} on: {segment.fault}.")
         elif segment.fault:
             notes.append(f"{level} is left out: {segment.fault}.")
-    sweeps = sum(segment.kind is TestKind.SWEEP for segment in found)
-    if sweeps:
-        notes.append(
-            f"{name}: {sweeps} sweep{'s are' if sweeps > 1 else ' is'} passed over; a swept response is no steady "
-            "state that the model could be compared with: use phase resonance or stepped sines near resonance."
-        )
     if usable:
-        parts += _signals(bag, name, usable, run, model, settings, notes)
-    tables = observable_tables(bag) if "observables" in bag.topics else []
+        sine = not any(test.has_several_exciters or test.controlled_harmonics for test in tests)
+        parts += _signals(bag, name, usable, run, model, settings, sine, notes)
     for numbers in measured_together(tables, model.drive_point):
         first = tables[numbers[0]].name or f"table {numbers[0] + 1}"
         count = len(numbers) - 1
@@ -180,6 +187,7 @@ def _signals(
     run: dict[str, Any],
     model: Rig,
     settings: ObservationSettings,
+    sine: bool,
     notes: list[str],
 ) -> list[Observations]:
     """Observations of the windows of one bag."""
@@ -214,8 +222,6 @@ def _signals(
             f"{name} has no response channel that the model {model.name} has too; name the rig file of the rig that "
             "was tested, or add its sensors."
         )
-    tests = recorded_tests(bag)
-    sine = len(points) == 1 and not any(test.controlled_harmonics for test in tests)
     rate = _hold_rate(run, windows[0].stretch.sample_rate)
     response = _response_quantity(run)
     parts = []

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
 from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import MOTIONS
+from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_rig.linear_description import isolating_inputs
 from nmt_rig.model.epmc import EpmcBackbone, epmc_backbone
 from nmt_rig.model.forced_response import ForcedProblem
@@ -105,6 +106,21 @@ class SinglePointReference:
     level: FloatArray
     mode: ExtractedMode
     single_valued: bool
+
+
+def covers(test: DrivenTest) -> str:
+    """What the backbone of a mode cannot be compared with, and what to use instead; empty = it can be."""
+    if test.kind is TestKind.SECONDARY_RESONANCE:
+        return (
+            f"The reference is the backbone of a mode, and {test.words} is off it by what the force drives beside the "
+            "resonant order; use --reference none, or a test at phase resonance."
+        )
+    if test.kind in (TestKind.RANDOM, TestKind.SWEEP, TestKind.STEPPED_SINE, TestKind.RECORD):
+        return (
+            f"The reference is the backbone of a mode, and {test.words} measures responses; use a test at phase "
+            "resonance, a ring-down or a self-excited test."
+        )
+    return ""
 
 
 def compute_reference(

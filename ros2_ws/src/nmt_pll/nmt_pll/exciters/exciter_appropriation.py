@@ -41,19 +41,11 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import json_value
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import DriveTerm
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_pll.harmonics_control import SETTLED, integral_rate
-
-BESIDE_RESONANCE = 1.4
-"""Frequency over that of the target mode up to which the fundamental's force per volt is looked at."""
-LARGEST_RATIO = 0.3
-"""Greatest target of a harmonic, of the first exciter's fundamental."""
-FOLLOWING = 0.08
-"""Rate by which targets follow the shape, of the distance |δ_k + i (ω_k − ω)| of the nearest other mode."""
-_LIMIT_SHARE = 0.98  # of the voltage limit that an exciter's terms together may take
-_LARGEST_STEP = 0.1  # of a ratio in a block
-_NOISE_STDS = 3.0  # standard deviations by which noise may exceed the tolerance
+from nmt_pll.harmonics.harmonics_control import integral_rate
+from nmt_pll.thresholds import HARMONICS
 
 ForceMatrix = Callable[[FloatArray], ComplexArray]
 """Force at every exciter per volt of every exciter, N/V, (k, exciters, exciters), at frequencies in Hz (k,)."""
@@ -85,7 +77,7 @@ class AppropriationSetup:
     voltage_limit: float = 0.0
     mac_limit: float = 0.8
     pbmif_limit: float = 0.9
-    tolerance: float = SETTLED
+    tolerance: float = HARMONICS.settled_share
 
 
 def generalised_pbmif(force: ComplexArray, velocity: ComplexArray) -> float:
@@ -134,7 +126,7 @@ class ExciterAppropriation:
         self.ratios: ComplexArray = np.zeros((count, setup.highest), complex)
         self._ratio_target: ComplexArray | None = None
         self._fundamental_target: ComplexArray = np.zeros(count, complex)
-        self.following = min(self.rate, FOLLOWING * _nearest_mode(linear))
+        self.following = min(self.rate, HARMONICS.shape_following_ratio * _nearest_mode(linear))
         self._dwell: ComplexArray = np.zeros((max(4, setup.dwell_blocks), count, setup.highest), complex)
         self._indicators: FloatArray = np.zeros((max(4, setup.dwell_blocks), 2))
         self._dwelt = 0
@@ -179,13 +171,13 @@ class ExciterAppropriation:
         """Ĝ_j of the fundamental, N/V, shape (exciters,); see the module's text."""
         frequency = self.linear.frequency_hz
         least = self.rate / (2.0 * math.pi)
-        away = np.geomspace(least, max(BESIDE_RESONANCE - 1.0, 2.0 * least / frequency) * frequency, 200)
+        away = np.geomspace(least, max(HARMONICS.resonance_band_ratio - 1.0, 2.0 * least / frequency) * frequency, 200)
         both = np.concatenate([frequency - away[away < 0.5 * frequency], frequency + away])
         gains = self._force_per_volt(both)
         ratio = self._fundamental_target
         rows = np.abs(gains[:, :, 1:] - ratio[:, None] * gains[:, :1, 1:]).sum(axis=2)
         size = (least / np.abs(both - frequency)[:, None] * rows).max(axis=0)
-        beside = np.diagonal(self._force_per_volt(np.array([BESIDE_RESONANCE * frequency]))[0])
+        beside = np.diagonal(self._force_per_volt(np.array([HARMONICS.resonance_band_ratio * frequency]))[0])
         return np.asarray(size * beside / np.maximum(np.abs(beside), 1e-300), dtype=np.complex128)
 
     # -- one block -----------------------------------------------------------------------------------------------
@@ -218,7 +210,7 @@ class ExciterAppropriation:
         target[1:, 0] = self._fundamental_target[1:] * force[0, 0]
         if self.setup.modal and force.shape[1] > 1 and abs(force[0, 0]) > 0.0:
             ratio = weights[:, 1:] / first
-            ratio = ratio * np.minimum(1.0, LARGEST_RATIO / np.maximum(np.abs(ratio), 1e-300))
+            ratio = ratio * np.minimum(1.0, HARMONICS.largest_target_ratio / np.maximum(np.abs(ratio), 1e-300))
             before = np.zeros_like(ratio) if self._ratio_target is None else self._ratio_target
             self._ratio_target = before + min(1.0, self.rate * duration) * (ratio - before)
             target[:, 1:] = self._ratio_target * force[0, 0]
@@ -252,13 +244,13 @@ class ExciterAppropriation:
             step[:, 1:] = np.linalg.solve(gains, deviation[:, 1:].T[:, :, None])[:, :, 0].T
         step *= -self.rate * duration / amplitude
         size = np.abs(step)
-        step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(size, 1e-300))
+        step *= np.minimum(1.0, HARMONICS.largest_step_share / np.maximum(size, 1e-300))
         self.ratios = self.ratios + step
         self.fit(amplitude)
 
     def fit(self, amplitude: float) -> None:
         """Keep every exciter's terms within the voltage limit beside a drive of this amplitude, V."""
-        limit = _LIMIT_SHARE * self.setup.voltage_limit
+        limit = HARMONICS.voltage_limit_share * self.setup.voltage_limit
         if not limit > 0.0 or not amplitude > 0.0:
             return
         sums = np.abs(self.ratios).sum(axis=1)
@@ -287,7 +279,9 @@ class ExciterAppropriation:
         if self._dwelt < self._dwell.shape[0]:
             return "the exciters have not been controlled for a dwell yet"
         mean, noise = self._record()
-        allowed = self.setup.tolerance + _NOISE_STDS * noise * math.sqrt(self._correlation / self._dwell.shape[0])
+        allowed = self.setup.tolerance + HARMONICS.noise_sigmas * noise * math.sqrt(
+            self._correlation / self._dwell.shape[0]
+        )
         excess = np.abs(mean) / allowed
         if excess.max() > 1.0:
             j, n = np.unravel_index(int(np.argmax(excess)), excess.shape)
@@ -314,10 +308,10 @@ class ExciterAppropriation:
         )
 
     @property
-    def terms(self) -> tuple[tuple[int, int, complex], ...]:
+    def terms(self) -> tuple[DriveTerm, ...]:
         """Terms of the drive, as in :class:`~nmt_core.records.DriveCommand`."""
         return tuple(
-            (j + 1, n + 1, complex(self.ratios[j, n]))
+            DriveTerm(j + 1, n + 1, complex(self.ratios[j, n]))
             for j in range(self.ratios.shape[0])
             for n in range(self.ratios.shape[1])
             if (j, n) != (0, 0)

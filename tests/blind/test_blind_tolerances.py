@@ -89,7 +89,7 @@ def _block(first: int, samples: int, frequency: float, amplitude: float) -> Osci
     rate = MODAL.sample_rate_hz
     cycles = (frequency * first / rate) % 1.0
     phase = OscillatorPhase(cycles, frequency, 0.0)
-    return OscillatorBlock(amplitude * np.cos(phase.phase(samples + 1, rate)), phase)
+    return OscillatorBlock(amplitude * np.cos(phase.phase(samples + 1, rate))[None], phase)
 
 
 def _amplitudes(device: SimulatedRig, frequency: float, orders: tuple[int, ...]) -> np.ndarray:

@@ -51,11 +51,13 @@ def warm_up() -> None:
     PaperLoop(linear_description(rig), PaperSettings(), rig.sample_rate_hz, rig.block_samples)
     # Forces of two arguments have a time loop of their own, as have joints at several places; slow channels a filter.
     _slide_at_two_places()
-    further = SimulatedRig(load_rig("beam", ["exciter.force_factor_linear_per_m=1.0", "sensors.0.delay_s=1e-5"]))
-    further.configure()
-    further.start()
-    further.read()
-    further.close()
+    slow = load_rig("beam", ["exciter.force_factor_linear_per_m=1.0", "sensors.0.delay_s=1e-5"])
+    for other in (slow, load_rig("frame")):  # the loop is compiled for each number of exciters
+        device = SimulatedRig(other)
+        device.configure()
+        device.start()
+        device.read()
+        device.close()
     warm_up_predictions(rig)
 
 

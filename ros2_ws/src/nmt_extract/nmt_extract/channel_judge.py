@@ -1,7 +1,10 @@
 """Each channel of a window judged by what the others say: dead, flat-topped, off its shape, noisy.
 
 A fault is told from a nonlinear shape by where it sits. A structure that changes its shape changes it at many points;
-without a faulty channel the rest of the shape fits its neighbour, or the linear modes, much better than with it.
+without a faulty channel the rest of the shape fits its neighbour, or the linear modes, much better than with it. Where
+other modes lie near the frequency, and where the shape moved from level to level before, it may move on by them: what
+fits is then the span of all of these. Where there are too few points for that, a shape that moves as it did before is
+none that a fault makes; any other leaves open which of both it is, and nothing is left out.
 """
 
 from __future__ import annotations
@@ -31,6 +34,12 @@ _PRIOR = {"model": 0.1, "test": 0.2}  # of the exciter's impedance, by the sourc
 _SURE_FORCE = 3.0  # standard deviations; the gain must be off by _GAIN, too
 _CLEAN, _ALIKE = 20.0, 0.15  # harmonics: over their standard deviation; of the factor that they have in common
 _STRANGE = 0.5  # correlation with all that the linear modes can do
+_CLOSE = 0.1  # distance of modes near the frequency, of it
+_ALIKE_DOUBT = 3.0  # isolation of the worst deviation over that of another one that may be a fault as well
+_LEAST_DOUBT = 0.002  # of the largest value
+_FASTER, _ADDED = 5.0, 0.01  # how much faster over ln q than before a near mode may come in; of the target's share
+_MIXED = 3.0  # share of a near mode over the shift of the frequency beside its distance
+_APART, _KEPT = 0.2, 0.2  # ln q between levels that tell; change of a share that stays, of it
 
 
 class DriveState(NamedTuple):
@@ -54,6 +63,28 @@ class DriveState(NamedTuple):
     driven: bool = False
 
 
+class Course(NamedTuple):
+    """Where a level lies on the way of a shape.
+
+    Attributes:
+        place: ln of the modal amplitude (m√kg).
+        shares: participation of the near modes beside the target's, shape ``(modes,)``.
+        shift: of the frequency from the target's linear one, of the distance to the nearest near mode.
+    """
+
+    place: float
+    shares: ComplexArray
+    shift: float
+
+
+class Doubt(NamedTuple):
+    """A channel that may be off, or the shape moves: measured over expected, at which level, and whether it stays."""
+
+    ratio: complex
+    course: Course
+    stays: bool = False
+
+
 @dataclass
 class ChannelHistory:
     """What the last level without a fault looked like.
@@ -66,6 +97,10 @@ class ChannelHistory:
         faulty: channels that were faulty at the level before, by row.
         drives: force and motion at the drive point at each level without a fault.
         driven: levels in which the drive has harmonics, and up to which those of the force are controlled.
+        shapes: those of all levels without a fault, of unit size and common phase.
+        course: where they lie on the way of the shape.
+        doubts: channels that may be off, by row: measured over expected, where that was, and whether it has stayed
+            while the amplitude changed.
     """
 
     names: tuple[str, ...] = ()
@@ -75,18 +110,45 @@ class ChannelHistory:
     faulty: frozenset[int] = frozenset()
     drives: list[DriveState] = field(default_factory=list)
     driven: dict[int, int] = field(default_factory=dict)
+    shapes: list[ComplexArray] = field(default_factory=list)
+    course: list[Course] = field(default_factory=list)
+    doubts: dict[int, Doubt] = field(default_factory=dict)
+
+    def doubt(self, found: Mapping[int, Deviation], course: Course) -> Mapping[int, Doubt]:
+        """Channels that may be off at a level.
+
+        Args:
+            found: deviations that the points do not tell from a shape that moves, by row.
+            course: of the level.
+        """
+        for row, before in list(self.doubts.items()):
+            if not before.stays and stays(before.course, course):
+                self.doubts[row] = before._replace(stays=True)
+        self.doubts = {row: doubt for row, doubt in self.doubts.items() if doubt.stays}
+        if not moves_on(self.course, course):
+            for row, each in found.items():
+                self.doubts.setdefault(row, Doubt(each.ratio, course))
+        return self.doubts
 
     def knows(self, names: Sequence[str]) -> bool:
         """Whether there is a level of the same channels."""
         return self.level_index >= 0 and self.names == tuple(names)
 
     def take(
-        self, names: Sequence[str], level_index: int, shape: ComplexArray, noise: FloatArray, drive: DriveState
+        self,
+        names: Sequence[str],
+        level_index: int,
+        shape: ComplexArray,
+        noise: FloatArray,
+        drive: DriveState,
+        course: Course,
     ) -> None:
         """Take a level without a fault."""
         if self.names != tuple(names):
-            self.drives = []
+            self.drives, self.shapes, self.course = [], [], []
         self.drives.append(drive)
+        self.course.append(course)
+        self.shapes.append(shape / np.linalg.norm(shape) * np.exp(-1j * np.angle(shape.sum())))
         self.names, self.level_index, self.shape, self.noise = tuple(names), level_index, shape, noise
         self.faulty = frozenset()
 
@@ -184,6 +246,32 @@ def linear_basis(shapes: FloatArray, target: int, points: int) -> ComplexArray:
     return chosen.astype(np.complex128)
 
 
+class ShapeFaults(NamedTuple):
+    """What does not fit, by point.
+
+    Attributes:
+        off: the words why, and whether it was the neighbouring level.
+        doubtful: words on channels that may be off, or the shape moves: there are too few points to tell.
+    """
+
+    off: dict[int, tuple[str, bool]]
+    doubtful: dict[int, Deviation]
+
+
+def near_modes(linear: LinearDescription, omega: float) -> list[int]:
+    """Linear modes besides the target near a frequency (rad/s)."""
+    return [
+        mode
+        for mode, own in enumerate(linear.frequencies_rad_s)
+        if mode != linear.target_mode and abs(own - omega) < _CLOSE * omega
+    ]
+
+
+def mode_words(linear: LinearDescription, mode: int) -> str:
+    """For people: number from 1 and frequency."""
+    return f"mode {mode + 1} at {linear.frequencies_rad_s[mode] / (2.0 * math.pi):.5g} Hz"
+
+
 def off_its_shape(
     shape: ComplexArray,
     std: FloatArray,
@@ -191,7 +279,9 @@ def off_its_shape(
     neighbour: ComplexArray | None,
     points: Sequence[int],
     suspects: Sequence[int] = (),
-) -> dict[int, tuple[str, bool]]:
+    near: ComplexArray | None = None,
+    trend: ComplexArray | None = None,
+) -> ShapeFaults:
     """Points whose channel alone does not fit the neighbouring level or the linear modes.
 
     Linear modes have errors of their own: a small deviation from them counts where the neighbouring level had none.
@@ -203,9 +293,8 @@ def off_its_shape(
         neighbour: shape of a level before without a fault, same shape; None = there is none.
         points: that are judged.
         suspects: that were faulty at the level before; no sensor mends itself.
-
-    Returns:
-        The words why, and whether it was the neighbouring level, by point.
+        near: modes near the frequency, shape ``(points, modes)``: the shape may move by them.
+        trend: by what it moved over the levels before, shape ``(points,)``; None = nothing to speak of.
     """
     kept = list(points)
     found: dict[int, tuple[str, bool]] = {}
@@ -214,9 +303,10 @@ def off_its_shape(
     fitted = {each.index for each in before if each.share < _LEAST}
     largest = float(np.abs(shape).max())
 
-    def is_off(each: Deviation, to_linear: bool) -> bool:
+    def is_off(each: Deviation, to_linear: bool, *, doubt: bool = False) -> bool:
         turned = each.ratio.real < 0.0 or abs(each.ratio) < 0.05
-        plain = each.share > _OFF_LINEAR or (each.share > _OFF_CLEAR and each.isolation > _CLEAR)
+        clear = each.isolation > _CLEAR and (doubt or each.share > _OFF_CLEAR)
+        plain = each.share > _OFF_LINEAR or clear
         needed = _ISOLATED
         if to_linear and not (turned or plain):
             if each.index not in fitted:
@@ -225,20 +315,76 @@ def off_its_shape(
         if each.index in suspects:
             needed *= 0.25
         sure = not each.share * largest <= _SURE * std[each.index]
-        return sure and each.own > _OFF_OWN and each.share > _LEAST and each.isolation > needed
+        least = _LEAST_DOUBT if doubt else _LEAST
+        return sure and each.own > _OFF_OWN and each.share > least and each.isolation > needed
 
     while True:
-        off = [
-            (each, basis is not linear)
-            for basis in bases
-            for each in deviations(basis, shape, kept)
-            if is_off(each, basis is linear)
-        ]
+        off: list[tuple[Deviation, bool]] = []
+        doubtful: dict[int, Deviation] = {}
+        for basis in bases:
+            wide = basis if near is None else np.concatenate([basis, near], axis=1)
+            if trend is not None and len(kept) - 1 > wide.shape[1] + 1:
+                wide = np.concatenate([wide, trend[:, np.newaxis]], axis=1)
+            to_linear = basis is linear
+            off += [(each, not to_linear) for each in deviations(wide, shape, kept) if is_off(each, to_linear)]
+            if len(kept) - 1 <= wide.shape[1]:
+                for each in deviations(basis, shape, kept):
+                    before_it = doubtful.get(each.index, each)
+                    if is_off(each, to_linear, doubt=True) and each.isolation >= before_it.isolation:
+                        doubtful[each.index] = each
         if not off:
-            return found
+            clearest = max((each.isolation for each in doubtful.values()), default=0.0)
+            return ShapeFaults(
+                found, {k: each for k, each in doubtful.items() if _ALIKE_DOUBT * each.isolation > clearest}
+            )
         worst, by_neighbour = max(off, key=lambda item: item[0].isolation)
         found[worst.index] = worst.words, by_neighbour
         kept.remove(worst.index)
+
+
+def shape_trend(shapes: Sequence[ComplexArray]) -> ComplexArray | None:
+    """By what a shape moved over the last two levels; None where it hardly did.
+
+    Args:
+        shapes: of the levels, of unit size and phase, each of shape ``(points,)``.
+    """
+    if len(shapes) < 2:
+        return None
+    change = np.asarray(shapes[-1] - shapes[-2])
+    return change if float(np.linalg.norm(change)) > _LEAST else None
+
+
+def course_of(shape: ComplexArray, near: Sequence[int], linear: LinearDescription, omega: float) -> Course:
+    """Course of a shape (displacements in m, shape ``(points,)``) at a frequency (rad/s)."""
+    coordinates = np.linalg.pinv(linear.shape_matrix) @ shape
+    target, own = coordinates[linear.target_mode], linear.frequencies_rad_s[linear.target_mode]
+    gap = min((abs(linear.frequencies_rad_s[mode] - own) for mode in near), default=math.inf)
+    shares = coordinates[list(near)] / target if target != 0.0 else np.full(len(near), complex(math.nan))
+    place = math.log(max(float(np.linalg.norm(coordinates)), 1e-300))
+    return Course(place, np.asarray(shares), abs(omega - own) / max(gap, 1e-300))
+
+
+def moves_on(before: Sequence[Course], here: Course) -> bool:
+    """Whether near modes come in as a nonlinear force lets them, and no gain does.
+
+    As they did over the levels before; where there are fewer than two of these, in proportion to the frequency: a force
+    that shifts it by a share of the distance between two modes mixes them by about that share.
+
+    Args:
+        before: levels before, any order.
+        here: this level.
+    """
+    if len({course.place for course in before}) < 2:
+        return bool(np.abs(here.shares).max() < _MIXED * here.shift + _ADDED)
+    one, two = sorted(before, key=lambda course: abs(course.place - here.place))[:2]
+    rate = float(np.abs(one.shares - two.shares).max()) / max(abs(one.place - two.place), 1e-9)
+    return bool(np.abs(here.shares - one.shares).max() < _FASTER * rate * abs(here.place - one.place) + _ADDED)
+
+
+def stays(then: Course, now: Course) -> bool:
+    """Whether near modes keep their share while the amplitude changes: what a gain makes of a shape."""
+    change = float(np.abs(now.shares - then.shares).max())
+    return abs(now.place - then.place) > _APART and change < _KEPT * float(np.abs(then.shares).max())
 
 
 def strange_shape(shape: ComplexArray, shapes: FloatArray) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -19,6 +20,7 @@ from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
 from nmt_extract.modal_point import EVALUATED, ModalPoint, Status, bench_time_ns, rejected_point
+from nmt_extract.mode_identity import mode_sentence, other_mode
 from nmt_extract.power_balance import BalancedMode, balance, part_count
 from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
 from nmt_extract.window import Window
@@ -271,6 +273,7 @@ class WindowEvaluation:
         self.settings = settings
         self.history = history
         self.faults: dict[int, str] = {}  # by row of the window
+        self.doubt_words = ""
         self.other_shapes: list[ComplexArray] = []  # with what else could be in the place of what is left out
         self.other_amplitudes: ComplexArray | None = None  # with another polynomial in the place of the drift
         self.drifted: dict[int, float] = {}  # height of the drift by row
@@ -482,16 +485,35 @@ class WindowEvaluation:
         basis = channel_judge.linear_basis(linear.shape_matrix, linear.target_mode, len(sound) - 1)
         suspects = [k for k in sound if history is not None and self.shape_rows[k] in history.faulty]
         neighbour = None if history is None else history.shape
-        off = channel_judge.off_its_shape(shape[0], self._shape_std(shape), basis, neighbour, sound, suspects)
-        for index, (words, by_neighbour) in off.items():
+        near = channel_judge.near_modes(linear, 2.0 * math.pi * float(self.frequency_hz[0]))
+        found = channel_judge.off_its_shape(
+            shape[0],
+            self._shape_std(shape),
+            basis,
+            neighbour,
+            sound,
+            suspects,
+            linear.shape_matrix[:, near].astype(np.complex128) if near else None,
+            None if history is None else channel_judge.shape_trend(history.shapes),
+        )
+        for index, (words, by_neighbour) in found.off.items():
             of = f"of level {self.history.level_index + 1}" if by_neighbour else "that the linear modes have"
             faults[self.shape_rows[index]] = f"{words}, by the shape {of}"
+        metres = self._integrated(
+            self.amplitudes[:1, self.shape_rows], self.shape_quantity, 2.0 * np.pi * self.frequency_hz[:1], 0
+        )
+        course = channel_judge.course_of(metres[0, :, 1], near, linear, 2.0 * math.pi * float(self.frequency_hz[0]))
+        if near and not faults:
+            doubtful = {self.shape_rows[index]: each for index, each in found.doubtful.items()}
+            self._note_doubts(self.history.doubt(doubtful, course), near)
         if history is not None:
             rms = window.data.std(axis=1)
             judged = [row for row in rows if row not in faults]
             faults.update(channel_judge.noise_jumps(noise, rms, history.noise, judged, self._unrepeated))
         drive = self._drive_state()
-        if history is not None and self.force_row not in faults and self.drive_row not in faults:
+        # What the exciter is expected to do at resonance holds for the target mode.
+        right_mode = other_mode(shape[0], linear) is None
+        if history is not None and right_mode and self.force_row not in faults and self.drive_row not in faults:
             suspect = self.force_row in history.faulty
             gain = channel_judge.force_gain(drive, history.drives, linear, suspect)
             if gain is not None:
@@ -505,10 +527,27 @@ class WindowEvaluation:
                     "The shape is not one that the linear modes can have: look at the channels, at the points of the "
                     "linear description, and at which mode was locked."
                 )
-            self.history.take(names, window.lock.level_index, shape[0], noise, drive)
+            self.history.take(names, window.lock.level_index, shape[0], noise, drive, course)
             return
         self.history.faulty = frozenset(faults)
         self._leave_out(history)
+
+    def _note_doubts(self, doubts: Mapping[int, channel_judge.Doubt], near: Sequence[int]) -> None:
+        """Put channels that may be off into words, and what follows without their deviation into the uncertainty."""
+        if not doubts:
+            return
+        names = " or ".join(
+            f"{self.window.channels[row].name} measures {abs(doubt.ratio):.2f} times" for row, doubt in doubts.items()
+        )
+        modes = " and ".join(channel_judge.mode_words(self.linear, mode) for mode in near)
+        self.doubt_words = (
+            f"{names} what the other channels say, or {modes} takes part: {len(self.shape_rows)} points do not tell "
+            "which, and nothing is left out. Look at the gain, or measure at more points."
+        )
+        for row, doubt in doubts.items():
+            other = self.amplitudes[:, self.shape_rows, 1].copy()
+            other[:, self.shape_rows.index(row)] /= doubt.ratio
+            self.other_shapes.append(other)
 
     def _unrepeated(self, row: int) -> float:
         orders = np.arange(self.harmonics + 1)
@@ -656,7 +695,9 @@ class WindowEvaluation:
         return ModalPoint(
             level_index=lock.level_index,
             status=Status.OK,
-            reason=" ".join(filter(None, (left_out, told))),
+            reason=" ".join(
+                filter(None, (left_out, self.doubt_words, mode_sentence(values.shape[0], linear, omega[0]), told))
+            ),
             level=lock.level,
             level_unit=lock.level_unit,
             time_ns=bench_time_ns(lock.window_end - 1, window.sample_rate),

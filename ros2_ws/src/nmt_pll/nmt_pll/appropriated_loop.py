@@ -105,7 +105,7 @@ class AppropriatedLoop(PhaseLockedLoop):
             frequency = force.oscillator.frequency_hz
             law.update(measured[:count], measured[count:], response.quantity, frequency, amplitude)
         law.fit(max(output.amplitude, self._amplitude_before))
-        return output._replace(harmonics=(), terms=law.terms)
+        return output._replace(terms=law.terms)
 
     def _channels(self, force: SampleBlock, response: SampleBlock) -> tuple[list[int], list[int]]:
         """Rows of the forces at the exciters and of the responses at the points of the linear description."""

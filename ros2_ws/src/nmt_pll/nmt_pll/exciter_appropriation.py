@@ -41,6 +41,7 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import json_value
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.records import DriveTerm
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_pll.harmonics_control import SETTLED, integral_rate
@@ -314,10 +315,10 @@ class ExciterAppropriation:
         )
 
     @property
-    def terms(self) -> tuple[tuple[int, int, complex], ...]:
+    def terms(self) -> tuple[DriveTerm, ...]:
         """Terms of the drive, as in :class:`~nmt_core.records.DriveCommand`."""
         return tuple(
-            (j + 1, n + 1, complex(self.ratios[j, n]))
+            DriveTerm(j + 1, n + 1, complex(self.ratios[j, n]))
             for j in range(self.ratios.shape[0])
             for n in range(self.ratios.shape[1])
             if (j, n) != (0, 0)

@@ -31,6 +31,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import json_value
+from nmt_core.messages.records import DriveTerm
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 
 PHASE_MARGIN = 0.35
@@ -475,10 +476,10 @@ class HarmonicsController:
         parts += [f"harmonic {order} given up: {why}" for order, why in sorted(self.given_up.items())]
         return "; ".join(parts)
 
-    def commands(self, off: bool = False) -> tuple[tuple[int, complex], ...]:
-        """Harmonics of the drive for the next block; all of them zero while ``off``."""
+    def terms(self, off: bool = False) -> tuple[DriveTerm, ...]:
+        """Terms of the drive for the next block; all of them zero while ``off``."""
         voltages = np.zeros_like(self.voltages) if off else self.voltages
-        return tuple((int(n), complex(v)) for n, v in zip(self.orders, voltages, strict=True))
+        return tuple(DriveTerm(1, n, v, False) for n, v in zip(self.orders.tolist(), voltages.tolist(), strict=True))
 
     def residuals(self) -> dict[int, float]:
         """Harmonic -> mean deviation over the dwell, of the fundamental."""

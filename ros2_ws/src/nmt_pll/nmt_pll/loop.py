@@ -174,7 +174,7 @@ class PhaseLockedLoop(LevelLoop):
             return output
         before = self._amplitude_before if end <= self._judged_from else 0.0  # it may still be on its way down
         self.harmonics.fit(max(output.amplitude, before), self.controller.high / (2.0 * math.pi))
-        return output._replace(harmonics=self.harmonics.commands(off=not self._harmonics_wanted))
+        return output._replace(terms=self.harmonics.terms(off=not self._harmonics_wanted))
 
     @property
     def _harmonics_wanted(self) -> bool:

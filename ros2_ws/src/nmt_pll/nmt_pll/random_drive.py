@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import SampleBlock
-from nmt_core.messages.records import LevelCommand
+from nmt_core.messages.records import DriveTerm, LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 
@@ -41,7 +41,7 @@ class RandomDrive(LevelLoop):
     ) -> None:
         super().__init__(drive_point, sample_rate, block_samples, quiet_ramp)
         self.settling_time = settling_time
-        self._terms = tuple((number, 1, 1.0 + 0j) for number in range(2, exciters + 1))
+        self._terms = tuple(DriveTerm(number, 1, 1.0 + 0j) for number in range(2, exciters + 1))
         self._delay = latency_blocks * block_samples
         self._settled_from = 0
         self._band = (0.0, 0.0)

@@ -29,7 +29,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import OscillatorPhase, SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_core.messages.records import LevelCommand
+from nmt_core.messages.records import DriveTerm, LevelCommand
 from nmt_core.vocabulary import MOTIONS, ControlKind, LoopState, TestKind
 from nmt_pll.controller import FrequencyController
 from nmt_pll.gains import ControllerGains
@@ -254,7 +254,7 @@ class SelfExcitedLoop(LevelLoop):
         self._amplitude = abs(self._drive)
         output = self._output(end, self.controller.output, error, (abs(force_phasor), abs(motion)), lock, flags)
         turned = self._drive - self._amplitude
-        return output._replace(harmonics=((1, turned),)) if self._drive else output
+        return output._replace(terms=(DriveTerm(1, 1, turned, relative=False),)) if self._drive else output
 
     def _measure(self, data: np.ndarray, phase: OscillatorPhase) -> tuple[complex, complex]:
         """Fundamentals of force and response after the block; a second pass is not needed while nothing is known."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.files.yaml_text import yaml_text
-from nmt_core.kinds import KindOfTest, PhaseResonanceTest, RingDownTest, SecondaryResonanceTest, SelfExcitedTest
+from nmt_core.kinds import KindOfTest, PhaseResonanceTest, SecondaryResonanceTest, SelfExcitedTest
 from nmt_core.messages.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.messages.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.messages.driven_test import DrivenTest
@@ -34,6 +34,7 @@ from nmt_plant.devices.guarded_device import LEAST_LEAD
 from nmt_plant.devices.hardware_rig import HARDWARE_LEAD
 from nmt_plant.plant_settings import PlantSettings
 from nmt_plant.safety.output_guard import default_slew
+from nmt_pll.coverage import covers_linear
 from nmt_pll.harmonics_control import MOST_HARMONICS
 from nmt_pll.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from
@@ -46,6 +47,7 @@ from nmt_rig.linear_description import force_per_volt, linear_description
 from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import LevelLimits
 from nmt_sequencer.sequencer_settings import SequencerSettings
+from nmt_session.coverage import covers
 
 S = TypeVar("S", bound=NodeSettings)
 LOOP_TOPICS = ("drive", "frequency")
@@ -396,14 +398,11 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     sequencer = _given(sequencer, test, "sequencer", peers)
     extract = _given(extract, test, "extract", peers)
     recorder = _given(recorder, test, "recorder", peers)
-    for lacking, does, what in (
-        (test.ramps, "waits at every level", "the strategy ramp"),
-        (isinstance(test.kind, RingDownTest), "does not switch off", "a ring-down test"),
-        (isinstance(test.kind, SelfExcitedTest), "cannot hold such a motion", "a self-excited test"),
-        (test.control != "voltage", "steps the voltage only", f"levels of {test.control}"),
-    ):
-        if lacking and pll.loop == "paper":
-            raise BenchError(f"The paper's loop {does}; use the adaptive loop for {what}.")
+    refusal = covers(test.driven, pll.loop, test.ramps, test.device)
+    if not refusal and linear is not None:
+        refusal = covers_linear(test.driven, linear)
+    if refusal:
+        raise BenchError(refusal)
     nodes = {"plant": plant, "pll": pll, "sequencer": sequencer, "extract": extract, "recorder": recorder}
     asked = test.run_settings
     run = {

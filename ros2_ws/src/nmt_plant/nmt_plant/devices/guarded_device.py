@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import operator
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -164,27 +165,15 @@ def owned_output(
     return OutputLink(owner, **link)
 
 
-def _fundamental(command: DriveCommand) -> float:
-    """Amplitude of the fundamental of a periodic drive, V, which a term of order 1 turns."""
-    return abs(command.amplitude + sum(value for order, value in command.harmonics if order == 1))
-
-
-def _ratio_sums(command: DriveCommand, weight: Callable[[int], float] = lambda order: 1.0) -> dict[int, float]:
-    """Exciter -> sum of |r_jn| times a weight of the order, with the 1 of the first exciter's fundamental."""
-    sums = {1: weight(1)}
-    for exciter, order, ratio in command.terms:
-        sums[exciter] = sums.get(exciter, 0.0) + abs(ratio) * weight(order)
+def _sums(command: DriveCommand, weight: Callable[[int], float] = lambda order: 1.0) -> dict[int, float]:
+    """Exciter -> sum of the amplitudes of its terms times a weight of the order, V, with the fundamental's."""
+    turned = sum(term.value for term in command.terms if term.order == 1 and not term.relative)
+    sums = {1: abs(command.amplitude + turned) * weight(1)}
+    for exciter, order, value, relative in command.terms:
+        if relative or order > 1:
+            size = abs(value) * weight(order) * (command.amplitude if relative else 1.0)
+            sums[exciter] = sums.get(exciter, 0.0) + size
     return sums
-
-
-def _rows(block: OscillatorBlock) -> FloatArray:
-    """(exciters, samples + 1) V."""
-    return block.voltage[np.newaxis] if block.further is None else np.vstack([block.voltage, block.further])
-
-
-def _is_on(block: OscillatorBlock) -> bool:
-    """Whether any exciter is driven in a block."""
-    return bool(block.voltage.any() or (block.further is not None and block.further.any()))
 
 
 class GuardedDevice(Device):
@@ -259,9 +248,8 @@ class GuardedDevice(Device):
         )
         self._seen = 0.0  # V, amplitude of the drive in the block measured last
         self._reached = 0.0  # V, amplitude of the drive in the block made last
-        n = self._block_samples + 1
-        nothing = np.zeros((self._exciters - 1, n)) if self._exciters > 1 else None
-        still = OscillatorBlock(np.zeros(n), OscillatorPhase(0.0, 0.0, 0.0), nothing)
+        nothing = np.zeros((self._exciters, self._block_samples + 1))
+        still = OscillatorBlock(nothing, OscillatorPhase(0.0, 0.0, 0.0))
         self._made = deque([(still, 0.0)] * self._lead)
         self._fed = False
         self._lost = False
@@ -331,7 +319,7 @@ class GuardedDevice(Device):
             if state in (OutputState.RAMPING, OutputState.NOT_KNOWN):
                 return False
             follows = state in (OutputState.FOLLOWING, OutputState.AT_ZERO)
-            if self._last != 0.0 or (follows and any(_is_on(block) for block, _ in self._made)):
+            if self._last != 0.0 or (follows and any(block.voltages.any() for block, _ in self._made)):
                 return False
         return self._oscillator.is_quiet and all(output.reaches_zero for output in self._outputs)
 
@@ -461,7 +449,7 @@ class GuardedDevice(Device):
             all_to_zero(self._outputs)
             self._quiet_link(None)
         block = self._oscillator.block(n)
-        wanted_samples = [block.voltage, *(() if block.further is None else block.further)]
+        wanted_samples = list(block.voltages)
         risen = self._rising(wanted_samples, share)
         self._reached = reached
         final = guard_together(self._outputs, risen, n)
@@ -477,9 +465,8 @@ class GuardedDevice(Device):
                     StopCause.LIMIT,
                     0.0,
                 )
-        if block.further is not None:
-            return replace(block, voltage=final[0], further=np.array(final[1:]))
-        return block if final[0] is block.voltage else replace(block, voltage=final[0])
+        unchanged = all(map(operator.is_, final, wanted_samples))
+        return block if unchanged else replace(block, voltages=np.array(final))
 
     @final
     def _put_out(self, block: OscillatorBlock) -> OscillatorBlock:
@@ -495,8 +482,8 @@ class GuardedDevice(Device):
         if not self._fed:
             self._fed = True
             for still, _ in self._made:
-                self._link.feed(_rows(still)[:, :n])
-        self._link.feed(_rows(block)[:, :n])
+                self._link.feed(still.voltages[:, :n])
+        self._link.feed(block.voltages[:, :n])
         self._made.append((block, self._reached))
         made, self._seen = self._made.popleft()
         put_out, self.measured, self._lost = self._link.collect(n, 1.0 + 4.0 * self._lead * n / self._sample_rate)
@@ -505,9 +492,8 @@ class GuardedDevice(Device):
             if self._link.state is OutputState.NOT_KNOWN:
                 raise DeviceFault(self._link.sentence)
             self._trip(f"output: {self._link.reason}", self._link.cause or StopCause.OUTPUT, 0.0)
-        following = put_out[:, -1:] if self._reason else _rows(self._made[0][0])[:, :1]
-        final = np.concatenate([put_out, following], axis=1)
-        return replace(made, voltage=final[0], further=final[1:] if self._exciters > 1 else None)
+        following = put_out[:, -1:] if self._reason else self._made[0][0].voltages[:, :1]
+        return replace(made, voltages=np.concatenate([put_out, following], axis=1))
 
     def _quiet_link(self, ramp: float | None) -> None:
         """Tell the process that owns the output at once, past the blocks that wait there."""
@@ -527,8 +513,7 @@ class GuardedDevice(Device):
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
         """True values of all channels under the drive of this block, shape (channels, samples), SI.
 
-        ``drive.voltage``, and ``drive.further`` of several exciters, hold the final samples: a converter puts out these
-        and no others. Where a process owns the
+        ``drive.voltages`` hold the final samples: a converter puts out these and no others. Where a process owns the
         output, they are those that were put out, and ``self.measured``, shape (inputs, samples), is what its converter
         took in at the same time, in the converter's own unit.
         """
@@ -600,7 +585,7 @@ class GuardedDevice(Device):
             BenchError: a command beyond what the device can do, or beyond a limit of its output.
         """
         check_command(command, self._sample_rate)
-        beyond = [exciter for exciter, _, _ in command.terms if exciter > self._exciters]
+        beyond = [term.exciter for term in command.terms if term.exciter > self._exciters]
         if beyond:
             raise BenchError(f"the drive names exciter {max(beyond)}, but there are {self._exciters}.")
         if self._voltage_limit is not None:
@@ -610,30 +595,21 @@ class GuardedDevice(Device):
 
     def _check_peak(self, command: DriveCommand, limit: float) -> None:
         """Refuse a command whose samples would pass the voltage limit, V."""
-        ratios = _ratio_sums(command)
+        largest = max(_sums(command).values())
         if command.waveform == Waveform.RANDOM:
-            if PEAK_FACTOR * command.amplitude * max(ratios.values()) > limit:
+            if PEAK_FACTOR * largest > limit:
                 raise BenchError(
                     f"peaks of a random drive of {command.amplitude:g} V rms reach {PEAK_FACTOR:g} times as much, "
                     f"beyond the voltage limit of {limit:g} V; lower the level."
                 )
-            return
-        together = _fundamental(command)
-        together += sum(abs(value) for order, value in command.harmonics if order > 1)
-        together = max(together, command.amplitude * max(ratios.values()))
-        if together > limit:
-            what = "drive amplitude with its harmonics" if command.harmonics else "drive amplitude"
-            raise BenchError(f"{what} {together:g} V is beyond the voltage limit of {limit:g} V; lower the level.")
+        elif largest > limit:
+            what = "drive amplitude with its harmonics" if command.terms else "drive amplitude"
+            raise BenchError(f"{what} {largest:g} V is beyond the voltage limit of {limit:g} V; lower the level.")
 
     def _check_slew(self, command: DriveCommand, slew: float) -> None:
         """Refuse a periodic command that changes faster than the slew limit, V/s, between its samples."""
         angle = math.pi * max(command.frequency_hz, command.frequency_end_hz) / self._sample_rate
-        fastest = _fundamental(command) * math.sin(angle)
-        if command.harmonics:
-            fastest += sum(abs(value) * math.sin(order * angle) for order, value in command.harmonics if order > 1)
-        if command.terms:
-            weighted = _ratio_sums(command, lambda order: math.sin(min(order * angle, 0.5 * math.pi)))
-            fastest = max(fastest, command.amplitude * max(weighted.values()))
+        fastest = max(_sums(command, lambda order: math.sin(min(order * angle, 0.5 * math.pi))).values())
         fastest *= 2.0 * self._sample_rate
         if fastest > slew * (1.0 + 1e-9):
             raise BenchError(

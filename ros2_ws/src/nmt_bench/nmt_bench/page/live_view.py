@@ -19,8 +19,10 @@ from nmt_bench.page.channels import FLOOR_SHARE, LEAST
 from nmt_bench.page.frames import write_frame
 from nmt_bench.page.live_signals import LiveSignals
 from nmt_bench.page.loop_track import LoopTrack
+from nmt_core.errors import BenchError
 from nmt_core.kinds import KINDS, KindOfTest, PhaseResonanceTest, kind_class
 from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
 from nmt_core.numerics.arrays import FloatArray
@@ -35,6 +37,7 @@ from nmt_core.vocabulary import (
     SteeringAct,
     StopCause,
 )
+from nmt_extract.mode_identity import mode_verdict
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import duration, engineering_exponent, plain, power_of_ten, significant
 from nmt_report.run_verdict import run_verdict
@@ -79,6 +82,7 @@ class LiveView:
         self._health: dict[str, tuple[float, int, str, dict[str, str]]] = {}
         self._run: Mapping[str, Any] = {}
         self._rig: Mapping[str, Any] = {}
+        self._linear: LinearDescription | None = None
         self._stop: DriveStop | None = None
         self._forget()
 
@@ -107,6 +111,7 @@ class LiveView:
         with self._lock:
             self._run = run if isinstance(run, Mapping) else {}
             self._rig = rig if isinstance(rig, Mapping) else {}
+            self._linear = _linear(self._run)
             plan = self._run.get("plan")
             levels = plan.get("levels") if isinstance(plan, Mapping) else None
             if isinstance(levels, list) and not any(act.taken for act in self._acts):
@@ -196,7 +201,7 @@ class LiveView:
         before = self._state
         if before is not None and state.run_id != before.run_id and before.run_id:
             self._forget()
-            self._run, self._rig = {}, {}
+            self._run, self._rig, self._linear = {}, {}, None
             before = None
         self._state = state
         if state.phase == RunPhase.RUNNING and math.isnan(self._began):
@@ -289,7 +294,8 @@ class LiveView:
                     "phase": self._state.phase.name.lower() if self._state else "idle",
                     "result": self._state.result_code.name if self._state and self._state.result_code else "",
                     "reason": self._state.reason if self._state else "",
-                    "verdict": run_verdict(points, len(self._plan)) if points else None,
+                    "verdict": run_verdict(points, len(self._plan), self._linear) if points else None,
+                    "modes": mode_verdict(points, self._linear) if self._linear is not None else "",
                     "stopped": self._stop_text(),
                     "stop_state": "" if self._stop is None else self._stop.cause.name.lower(),
                     "level_unit": unit_text(self._level_unit),
@@ -489,6 +495,15 @@ class LiveView:
             if isinstance(value, int | float) and value > 0:
                 return float(value)
         return math.nan
+
+
+def _linear(run: Mapping[str, Any]) -> LinearDescription | None:
+    """Linear modes that a run names; None where it names none that can be used."""
+    described = run.get("linear")
+    try:
+        return LinearDescription.from_mapping(dict(described)) if isinstance(described, Mapping) else None
+    except BenchError:
+        return None
 
 
 _HELD = "The drive is at zero and stays there until it is released"

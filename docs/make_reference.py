@@ -545,11 +545,14 @@ def quantities_table(name: str) -> str:
 
 
 def thresholds_table(theme: str) -> str:
-    """Thresholds of the diagnosis of one theme, such as ``fits`` or ``signals.decays``."""
+    """Thresholds of one theme of the diagnosis, as ``signals.decays``, or of the loops, as ``loops.phase``."""
     from nmt_core.threshold import thresholds_of
     from nmt_diagnose.thresholds import THRESHOLDS
+    from nmt_pll.thresholds import THRESHOLDS as LOOPS
 
-    record: Any = THRESHOLDS
+    theme, _, of_loops = theme.partition("loops.")
+    record: Any = LOOPS if of_loops else THRESHOLDS
+    theme = of_loops or theme
     for name in theme.split("."):
         record = getattr(record, name)
     lines = ["| threshold | value | unit | because |", "|---|---|---|---|"]

@@ -10,7 +10,7 @@ import pytest
 from pll.harmonic_plant import CUTOFF, DISTURBANCE, FREQUENCY, RATE, HarmonicPlant, gain
 
 from nmt_core.errors import BenchError
-from nmt_pll.harmonics_control import (
+from nmt_pll.harmonics.harmonics_control import (
     PHASE_MARGIN,
     HarmonicsController,
     HeldVoltages,

@@ -8,6 +8,8 @@ from nmt_core.messages.driven_test import Covers, DrivenTest
 
 CONSUMERS: dict[str, str] = {
     "run": "nmt_session.coverage",
+    "judgement": "nmt_record.windows.window_policy",
+    "extract": "nmt_extract.coverage",
     "report": "nmt_report.coverage",
     "figures": "nmt_report.coverage",
     "page": "nmt_bench.page.coverage",

@@ -13,8 +13,8 @@ import numpy as np
 from nmt_diagnose.prediction.warm_up import warm_up_predictions
 from nmt_extract.offline import extract_bag
 from nmt_plant.devices.simulated_rig import SimulatedRig
-from nmt_pll.paper_loop import PaperLoop
-from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.phase_loop.paper_loop import PaperLoop
+from nmt_pll.phase_loop.paper_settings import PaperSettings
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import assemble, displacement_output
 from nmt_rig.model.beam import euler_bernoulli_beam

@@ -14,7 +14,7 @@ from nmt_core.messages.blocks import BlockFlag, SampleBlock
 from nmt_core.messages.records import DriveTerm, LevelCommand
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState, TestKind, Waveform
-from nmt_pll.lock import LockStateMachine, Transition
+from nmt_pll.detection.lock import LockStateMachine, Transition
 
 
 @dataclass(frozen=True, slots=True)

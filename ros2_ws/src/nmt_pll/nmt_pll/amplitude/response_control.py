@@ -17,14 +17,7 @@ from __future__ import annotations
 
 import math
 
-_LARGEST_SHARE = math.log(3.0)
-"""Largest proportional part of ln u: the drive is at most three times what the integral part says."""
-_LARGEST_GAIN = 20.0
-"""Largest ω_c / δ, so that noise of the amplitude stays small in the drive."""
-_INTEGRAL_ERROR = 0.2
-"""Largest error that the integral part takes in, so that it does not run ahead while an amplitude rings up."""
-_GLIDE_ERROR = 0.1
-"""ln of target over amplitude, and rad of the phase, beyond which the target waits."""
+from nmt_pll.thresholds import AMPLITUDE
 
 
 class ResponseController:
@@ -80,14 +73,19 @@ class ResponseController:
         if self._from <= 0.0:
             self._from = min(max(measured, 0.5 * level), level)
             self.target = self._from
-        if max(abs(math.log(self.target / measured)), abs(phase_error)) < _GLIDE_ERROR:
+        if max(abs(math.log(self.target / measured)), abs(phase_error)) < AMPLITUDE.waiting_error:
             self._since += duration
         share = min(self._since / self._glide, 1.0) if self._glide > 0.0 else 1.0
         self.target = self._from * (level / self._from) ** (0.5 - 0.5 * math.cos(math.pi * share))
         error = math.log(self.target / measured)
-        gain = min(bandwidth / decay, _LARGEST_GAIN)
-        step = gain * max(decay, 0.25 * bandwidth) * duration * min(max(error, -_INTEGRAL_ERROR), _INTEGRAL_ERROR)
+        gain = min(bandwidth / decay, AMPLITUDE.largest_rate_ratio)
+        step = (
+            gain
+            * max(decay, 0.25 * bandwidth)
+            * duration
+            * min(max(error, -AMPLITUDE.largest_integrated_error), AMPLITUDE.largest_integrated_error)
+        )
         highest = math.log(limit) if limit < math.inf else math.inf
         self._log_voltage = min(self._log_voltage + step, highest)
-        part = min(max(gain * error, -_LARGEST_SHARE), _LARGEST_SHARE)
+        part = min(max(gain * error, -AMPLITUDE.largest_proportional_log), AMPLITUDE.largest_proportional_log)
         return min(math.exp(self._log_voltage + part), limit)

@@ -22,12 +22,7 @@ from collections import deque
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray
-
-_FEEDBACK = 0.5  # share of the gain that is critically damped
-_SLOW = 0.05  # share of the logarithmic error that is taken back in a block whatever P and Z say
-_LARGEST_STEP = 0.3  # of ln u in a block
-_QUIET_BLOCKS = 5  # newest blocks at rest that the noise is taken from
-_START_MARGIN = 10.0  # force over its noise from which on P and Z are estimated
+from nmt_pll.thresholds import AMPLITUDE
 
 
 class VoltageRecord:
@@ -140,8 +135,8 @@ class ForceHolder:
 
     def __init__(self, cutoff: float, block_duration: float, latency_blocks: int) -> None:
         root = math.exp(-0.5 * cutoff * block_duration)
-        self.feedback = _FEEDBACK * (1.0 - root) / (1.0 + root) / (1.0 + 2.0 * latency_blocks)
-        self.slow = _SLOW * self.feedback / _FEEDBACK
+        self.feedback = AMPLITUDE.feedback_gain_share * (1.0 - root) / (1.0 + root) / (1.0 + 2.0 * latency_blocks)
+        self.slow = AMPLITUDE.slow_correction_share * self.feedback / AMPLITUDE.feedback_gain_share
         self.exciter = ExciterEstimate()
         self.record = VoltageRecord(cutoff, block_duration, latency_blocks)
         self._response: complex | None = None
@@ -156,7 +151,7 @@ class ForceHolder:
 
     def listen(self, force: complex, response: complex) -> None:
         """Take in a block's phasors with the drive at rest: noise."""
-        self._quiet = [*self._quiet[1 - _QUIET_BLOCKS :], (abs(force) ** 2, abs(response) ** 2)]
+        self._quiet = [*self._quiet[1 - AMPLITUDE.noise_blocks :], (abs(force) ** 2, abs(response) ** 2)]
         force_power, response_power = np.mean(self._quiet, axis=0)
         self.exciter.force_noise = math.sqrt(force_power)
         self.exciter.response_noise = math.sqrt(response_power)
@@ -165,7 +160,7 @@ class ForceHolder:
         """Take in a block's phasors and the voltage commanded during it; Z Δa, the force the motion has taken, N."""
         filtered = self.record.advance(voltage)
         if self.exciter.force_per_volt == 0 and filtered > 0.0:
-            if abs(force) >= _START_MARGIN * self.exciter.force_noise:
+            if abs(force) >= AMPLITUDE.start_noise_ratio * self.exciter.force_noise:
                 self.exciter.start(force, filtered, response)
         elif filtered > 0.0:
             self.exciter.update(force, filtered, response)
@@ -190,7 +185,7 @@ class ForceHolder:
         inverse = cosine / (cosine**2 + 0.02) / blocked if blocked else 0.0
         step = inverse * (self.feedback * (target - size) + (direction * taken).real)
         step += self.slow * present * math.log(target / size)
-        limit = _LARGEST_STEP * present
+        limit = AMPLITUDE.largest_log_step * present
         return present + min(max(step, -limit), limit)
 
 
@@ -210,7 +205,9 @@ class ResponseHolder:
         size = abs(response)
         if size == 0.0 or target <= 0.0:
             return present
-        return present * math.exp(min(max(self.gain * math.log(target / size), -_LARGEST_STEP), _LARGEST_STEP))
+        return present * math.exp(
+            min(max(self.gain * math.log(target / size), -AMPLITUDE.largest_log_step), AMPLITUDE.largest_log_step)
+        )
 
 
 def turn(value: complex, reference: complex) -> float:

@@ -19,24 +19,21 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-
-LEAST_MODES = 3
-"""Linear modes that the modal target needs: harmonics move in others than the first."""
-LARGEST_RATIO = 0.3
-"""Greatest target of a harmonic, of the fundamental."""
+from nmt_pll.thresholds import HARMONICS
 
 
 def check_modes(linear: LinearDescription, where: str) -> None:
     """Refuse (BenchError) a linear description with fewer modes than the modal target needs."""
     modes = len(linear.frequencies_rad_s)
-    if modes < LEAST_MODES:
+    least = HARMONICS.modal_target_modes
+    if modes < least:
         raise BenchError(
-            f"{where}: the target modal needs a linear description of {LEAST_MODES} modes, this one has {modes}; use "
-            f"the target force, or give extraction.linear_modes (or the linear test) {LEAST_MODES} modes."
+            f"{where}: the target modal needs a linear description of {least} modes, this one has {modes}; use the "
+            f"target force, or give extraction.linear_modes (or the linear test) {least} modes."
         )
-    if len(linear.points) < LEAST_MODES or linear.drive_point not in linear.points:
+    if len(linear.points) < least or linear.drive_point not in linear.points:
         raise BenchError(
-            f"{where}: the target modal needs responses at {LEAST_MODES} points, one of them the drive point "
+            f"{where}: the target modal needs responses at {least} points, one of them the drive point "
             f"{linear.drive_point}; this linear description has points {', '.join(map(str, linear.points))}."
         )
 
@@ -96,7 +93,7 @@ class ModalPowerRatio:
             return np.zeros(force.size - 1, complex)
         power = fundamental * order**2 * modal / modal[0]
         ratio = (power * velocity / np.maximum(np.abs(velocity) ** 2, 1e-300) / force[0])[1:]
-        ratio *= np.minimum(1.0, LARGEST_RATIO / np.maximum(np.abs(ratio), 1e-300))
+        ratio *= np.minimum(1.0, HARMONICS.largest_target_ratio / np.maximum(np.abs(ratio), 1e-300))
         before = np.zeros_like(ratio) if self._ratio is None else self._ratio
         self._ratio = before + share * (ratio - before)
         return np.asarray(self._ratio * force[0], dtype=np.complex128)

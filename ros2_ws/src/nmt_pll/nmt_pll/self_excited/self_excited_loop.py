@@ -1,8 +1,8 @@
 """The loop of self-excited tests: holds or releases a motion that the structure feeds, and ends by damping it.
 
-The oscillator follows the response, and the drive is a force in its frame (see :mod:`nmt_pll.self_excited_control`), so
-that force and damping ratio may pass through zero. A level is an amplitude of the response, reached by one of three
-methods:
+The oscillator follows the response, and the drive is a force in its frame
+(:mod:`nmt_pll.self_excited.self_excited_control`), so that force and damping ratio may pass through zero. A level is
+an amplitude of the response, reached by one of three methods:
 
 * ``amplitude``: held by velocity feedback and a proportional part, on stable and unstable parts alike;
 * ``feedback``: held by velocity feedback alone, where the damping ratio grows with the amplitude;
@@ -27,39 +27,19 @@ from typing import ClassVar
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import METHODS
 from nmt_core.messages.blocks import OscillatorPhase, SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveTerm, LevelCommand
 from nmt_core.vocabulary import MOTIONS, ControlKind, LoopState, TestKind
-from nmt_pll.controller import FrequencyController
-from nmt_pll.gains import ControllerGains
+from nmt_pll.detection.lock import Dwell, DwellStatistics, Transition
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import Dwell, DwellStatistics, Transition
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.phase_detector import AdaptiveFourierFilter
-from nmt_pll.self_excited_control import METHODS, AmplitudeLaw, SelfExcitedPlant
-
-LIMIT_SHARE = 0.85
-"""Share of the limit of the response at which control is given up for damping."""
-DRIVE_SHARE = 0.9
-"""Share of the voltage limit that feedback may use."""
-_CUTOFF = 0.3  # of the mode's frequency, for the filter
-_DOWN = 0.1  # of the lowest level: the response is down
-_VALID = 0.1  # of a level: amplitude from which the phase of the response is followed
-_APPROACH = 0.3  # rate of the logarithm of a target, over that of the law
-_KICK = 2.0  # over the amplitude from which the response is followed: first target until it is reached
-_ENGAGED_AT, _RELEASED_AT = 1.3, 0.6  # of that amplitude: it is followed from here on, and no longer
-_FAR = 1.5  # over a target: control is lost
-_DETUNING = 1.0e-4  # of the frequency, by the force at right angles to the velocity
-_LOST = 0.1  # of a locked amplitude or, over a hundred, of the frequency
-_RELEASE_PERIODS = 6.0  # of the shortest window of a free motion
-_RELEASE_LEAD = 0.6  # of ln a, beside the amplitude to be passed
-_LEAST_LEAD = 0.15  # the same, where the drive carries no further
-_STILL = 5e-4  # growth over frequency that counts as none
-_AT_LIMIT_CYCLE = 0.02  # of ln a: a level that a settled motion has
-_RELEASE_SPAN = 0.8  # of ln a, within a window of a free motion
-_RELEASED = 0.05  # of ln a short of the amplitude to be released at
-_GROWTH_PERIODS = 2.0  # over which the growth of a free motion is measured
+from nmt_pll.phase_loop.controller import FrequencyController
+from nmt_pll.phase_loop.gains import ControllerGains
+from nmt_pll.self_excited.self_excited_control import AmplitudeLaw, SelfExcitedPlant
+from nmt_pll.thresholds import SELF_EXCITED
 
 
 class _Act(Enum):
@@ -102,7 +82,7 @@ class SelfExcitedLoop(LevelLoop):
             raise BenchError(f"The method '{method}' of self-excited tests is not known; use {', '.join(METHODS)}.")
         self.settings = settings
         omega = linear.frequencies_rad_s[linear.target_mode]
-        self.cutoff = settings.cutoff or _CUTOFF * omega
+        self.cutoff = settings.cutoff or SELF_EXCITED.filter_cutoff_ratio * omega
         self.filter = AdaptiveFourierFilter(2, settings.harmonics, self.cutoff, sample_rate)
         dead_time = (1.5 + settings.latency_blocks) * self.block_duration + 1.0 / self.cutoff
         self.plant = SelfExcitedPlant.of(linear, dead_time)
@@ -117,8 +97,10 @@ class SelfExcitedLoop(LevelLoop):
         self.dwell = Dwell(math.ceil(dwell_time / self.block_duration), 2.0 / (self.cutoff * self.block_duration))
         self.method = method
         self._chosen = method if method != "auto" else "amplitude" if self.plant.holds_amplitude else "envelope"
-        self._limit = LIMIT_SHARE * response_limit if response_limit > 0.0 else math.inf
-        self._largest = DRIVE_SHARE * settings.voltage_limit if settings.voltage_limit > 0.0 else math.inf
+        self._limit = SELF_EXCITED.response_limit_share * response_limit if response_limit > 0.0 else math.inf
+        self._largest = (
+            SELF_EXCITED.voltage_limit_share * settings.voltage_limit if settings.voltage_limit > 0.0 else math.inf
+        )
         self._laws = {name: AmplitudeLaw(self.plant, name != "feedback") for name in METHODS[1:]}
         self._act = _Act.REST
         self._order = 2  # of the response as a derivative of the displacement
@@ -127,7 +109,7 @@ class SelfExcitedLoop(LevelLoop):
         self._quadrature = 0.0
         self._reference: float | None = None
         self._phases: deque[float] = deque(maxlen=2)
-        length = max(3, round(_GROWTH_PERIODS * 2.0 * math.pi / omega / self.block_duration))
+        length = max(3, round(SELF_EXCITED.growth_periods * 2.0 * math.pi / omega / self.block_duration))
         self._logarithms: deque[float] = deque(maxlen=length + 1)
         self._amplitude_now = 0.0
         self._target = self._from = 0.0
@@ -153,8 +135,8 @@ class SelfExcitedLoop(LevelLoop):
             )
         if level.amplitude >= self._limit:
             raise BenchError(
-                f"Level {level.index}: {level.amplitude:g} is beyond {100 * LIMIT_SHARE:g} % of the limit of the "
-                "response; lower the level."
+                f"Level {level.index}: {level.amplitude:g} is beyond {100 * SELF_EXCITED.response_limit_share:g} % of "
+                "the limit of the response; lower the level."
             )
         if level.amplitude > 0.0 and not 0.0 < level.duration < math.inf:
             raise BenchError(
@@ -192,13 +174,17 @@ class SelfExcitedLoop(LevelLoop):
             return
         self._from_above = above
         self._tried.add(above)
-        self._approach(level.amplitude * math.exp(_RELEASE_LEAD if above else -_RELEASE_LEAD), level, end)
+        self._approach(
+            level.amplitude * math.exp(SELF_EXCITED.release_log_lead if above else -SELF_EXCITED.release_log_lead),
+            level,
+            end,
+        )
 
     @property
     def _window_time(self) -> float:
         """Length of a window about an amplitude that a free motion passes with its present growth, s."""
-        shortest = _RELEASE_PERIODS * 2.0 * math.pi / self.plant.omega
-        return min(max(shortest, _RELEASE_SPAN / max(abs(self._growth), 1e-9)), 10.0 * shortest)
+        shortest = SELF_EXCITED.shortest_free_window_periods * 2.0 * math.pi / self.plant.omega
+        return min(max(shortest, SELF_EXCITED.free_window_log_span / max(abs(self._growth), 1e-9)), 10.0 * shortest)
 
     def _approach(self, target: float, level: LevelCommand, end: int) -> None:
         """Bring the amplitude to a target along a half-cosine of its logarithm."""
@@ -206,9 +192,12 @@ class SelfExcitedLoop(LevelLoop):
             target = min(target, 0.97 * self._limit)
         self._act = _Act.HOLD
         self._target = target
-        self._from = max(self._amplitude_now, _VALID * target)
+        self._from = max(self._amplitude_now, SELF_EXCITED.phase_amplitude_ratio * target)
         # No faster than the law can follow.
-        seconds = max(level.ramp, abs(math.log(target / self._from)) / (_APPROACH * self._laws[self._chosen].rate))
+        seconds = max(
+            level.ramp,
+            abs(math.log(target / self._from)) / (SELF_EXCITED.target_rate_ratio * self._laws[self._chosen].rate),
+        )
         self._ramp_samples = max(1, round(seconds * self.sample_rate))
         self._approached = end
         self._begin_ramp(end)
@@ -272,7 +261,7 @@ class SelfExcitedLoop(LevelLoop):
         lock = None
         direction = self._follow(velocity, frequency_hz)
         if self._act is not _Act.REST and self._amplitude_now > self._limit and self._act is not _Act.DAMP:
-            self._give_up(end, f"the response passed {100 * LIMIT_SHARE:g} % of its limit")
+            self._give_up(end, f"the response passed {100 * SELF_EXCITED.response_limit_share:g} % of its limit")
         if self._act is _Act.HOLD:
             lock = self._hold(force, velocity, direction, frequency_hz, end)
         if self._act is _Act.FREE:
@@ -288,7 +277,11 @@ class SelfExcitedLoop(LevelLoop):
 
     def _follow(self, velocity: complex, frequency_hz: float) -> complex:
         """Unit phasor of the velocity; while there is a drive the oscillator's frequency follows its phase."""
-        least = 0.5 * _DOWN * self._lowest if self._act is _Act.DAMP else _VALID * (self._target or math.inf)
+        least = (
+            0.5 * SELF_EXCITED.decayed_ratio * self._lowest
+            if self._act is _Act.DAMP
+            else SELF_EXCITED.phase_amplitude_ratio * (self._target or math.inf)
+        )
         valid = self._engaged if self._act is _Act.HOLD else self._amplitude_now > least
         if self._act in (_Act.REST, _Act.FREE) or not valid:
             self._reference = None
@@ -312,13 +305,19 @@ class SelfExcitedLoop(LevelLoop):
     def _hold(
         self, force: complex, velocity: complex, direction: complex, frequency_hz: float, end: int
     ) -> LockWindow | None:
-        least = _VALID * self._target
+        least = SELF_EXCITED.phase_amplitude_ratio * self._target
         target, amplitude = self._wanted(end), max(self._amplitude_now, least)
-        valid = self._engaged = self._amplitude_now > least * (_RELEASED_AT if self._engaged else _ENGAGED_AT)
+        valid = self._engaged = self._amplitude_now > least * (
+            SELF_EXCITED.phase_released_ratio if self._engaged else SELF_EXCITED.phase_engaged_ratio
+        )
         if not valid:  # a force that grows until there is a motion to follow
             waited = (end - self._approached) / self.sample_rate
             self._begin_ramp(end)
-            target = _KICK * least * math.exp(min(_APPROACH * self._laws[self._chosen].rate * waited, 10.0))
+            target = (
+                SELF_EXCITED.first_target_ratio
+                * least
+                * math.exp(min(SELF_EXCITED.target_rate_ratio * self._laws[self._chosen].rate * waited, 10.0))
+            )
         across = (force * direction.conjugate()).imag if valid else 0.0
         self._quadrature -= self.plant.quadrature_rate * self.block_duration * across
         law = self._laws[self._chosen]
@@ -331,10 +330,11 @@ class SelfExcitedLoop(LevelLoop):
         assert level is not None
         if self._chosen == "envelope":
             side = 1.0 if self._from_above else -1.0
-            reached = side * math.log(amplitude / self._target) > -_RELEASED
+            reached = side * math.log(amplitude / self._target) > -SELF_EXCITED.release_log_tolerance
             # As far as the drive carries it is enough, if the level lies behind.
             reached |= (
-                abs(self._drive) > 0.9 * self._largest and side * math.log(amplitude / level.amplitude) > _LEAST_LEAD
+                abs(self._drive) > 0.9 * self._largest
+                and side * math.log(amplitude / level.amplitude) > SELF_EXCITED.shortest_log_lead
             )
             if valid and reached and end >= self._ramp_end:
                 self._act, self._release_from = _Act.FREE, end
@@ -346,8 +346,8 @@ class SelfExcitedLoop(LevelLoop):
                 self._give_up(end, "no response within the time-out")
             return None
         detuning = across * self.plant.rate_per_force / (self._displacement * self.plant.omega)
-        if amplitude > _FAR * max(self._target, self._from) or (
-            self.machine.state == LoopState.LOCKED and abs(math.log(amplitude / target)) > _LOST
+        if amplitude > SELF_EXCITED.lost_control_ratio * max(self._target, self._from) or (
+            self.machine.state == LoopState.LOCKED and abs(math.log(amplitude / target)) > SELF_EXCITED.lost_lock_change
         ):
             self._lose(level, end, f"the amplitude left its target by {100 * (amplitude / target - 1):.0f} %")
             return None
@@ -376,7 +376,7 @@ class SelfExcitedLoop(LevelLoop):
     def _obstacle(self, s: DwellStatistics, target: float) -> str:
         """What keeps a held amplitude from being locked; noise excuses two standard uncertainties."""
         settings = self.settings
-        if abs(s.mean) > _DETUNING + 2.0 * s.mean_std:
+        if abs(s.mean) > SELF_EXCITED.largest_detuning + 2.0 * s.mean_std:
             return f"the force at right angles to the velocity shifts the frequency by {100 * s.mean:.3f} %"
         if abs(s.frequency_drift) > settings.frequency_tolerance + 2.0 * s.frequency_drift_std:
             return f"the frequency drifts by {100 * s.frequency_drift:.3f} % over the dwell"
@@ -415,12 +415,14 @@ class SelfExcitedLoop(LevelLoop):
         growth = self._growth
         # The filter is late by its time constant.
         distance = math.log(level.amplitude) - (self._logarithms[-1] + growth / self.cutoff)
-        settled = since > 4.0 * _GROWTH_PERIODS * 2.0 * math.pi / self.plant.omega and abs(growth) < self._still
-        if settled and abs(distance) < _AT_LIMIT_CYCLE:
+        settled = (
+            since > 4.0 * SELF_EXCITED.growth_periods * 2.0 * math.pi / self.plant.omega and abs(growth) < self._still
+        )
+        if settled and abs(distance) < SELF_EXCITED.limit_cycle_log_distance:
             return self._open(level, end, growth)
         if distance > 0.0 if self._from_above else distance < 0.0:
             return self._open(level, end, growth)
-        late = since > 3.0 * _GROWTH_PERIODS * 2.0 * math.pi / self.plant.omega
+        late = since > 3.0 * SELF_EXCITED.growth_periods * 2.0 * math.pi / self.plant.omega
         away = late and (growth < -self._still if not self._from_above else growth > self._still)
         if settled or away or since > level.duration:
             if settled:
@@ -431,7 +433,7 @@ class SelfExcitedLoop(LevelLoop):
     @property
     def _still(self) -> float:
         """Growth that counts as none, 1/s."""
-        return _STILL * self.plant.omega
+        return SELF_EXCITED.settled_growth_ratio * self.plant.omega
 
     def _open(self, level: LevelCommand, end: int, growth: float) -> LockWindow:
         """Name the window about the moment in which the level's amplitude is passed: it begins before now."""
@@ -483,7 +485,7 @@ class SelfExcitedLoop(LevelLoop):
     _last_duration = 5.0
 
     def _damp(self, direction: complex, end: int) -> None:
-        down = self._amplitude_now <= _DOWN * self._lowest
+        down = self._amplitude_now <= SELF_EXCITED.decayed_ratio * self._lowest
         if down or end >= self._damped_until:
             seconds = (end - self._damped_from) / self.sample_rate
             what = "the response is down" if down else "the time is over"

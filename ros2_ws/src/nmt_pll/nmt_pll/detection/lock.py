@@ -10,6 +10,7 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_core.vocabulary import LoopState
+from nmt_pll.thresholds import PHASE
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +23,6 @@ class Transition:
 
 
 # Scatter of the phase error that a decaying swing may still have at lock, in phase tolerances.
-_SWING = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +171,7 @@ class LockCriteria:
     def obstacle(self, statistics: DwellStatistics, deviation: float = 0.0) -> str:
         """The criterion that keeps the loop from being locked, empty if it is."""
         s = statistics
-        scatter_limit = min(self.scatter_limit, _SWING * self.phase_tolerance + 2.0 * s.noise)
+        scatter_limit = min(self.scatter_limit, PHASE.swing_tolerances * self.phase_tolerance + 2.0 * s.noise)
         if s.scatter > scatter_limit:
             return (
                 f"phase scatter {math.degrees(s.scatter):.2f} deg exceeds {math.degrees(scatter_limit):.2f} deg "

@@ -13,21 +13,12 @@ from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.records import LevelCommand
 from nmt_core.numerics.ramp import half_cosine
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
-from nmt_pll.held_amplitude import ForceHolder, ResponseHolder, turn
+from nmt_pll.amplitude.held_amplitude import ForceHolder, ResponseHolder, turn
+from nmt_pll.detection.lock import Dwell
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import Dwell
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.phase_detector import AdaptiveFourierFilter
-
-_CUTOFF = 0.15  # ω_LP as a share of the frequency
-_PROBE_VOLTAGE = 1.0e-4  # V, first voltage where nothing is known of the exciter
-_PROBE_GROWTH = 0.25  # of ln u in a block while the measured amplitude is within its noise
-_PROBE_MARGIN = 20.0  # amplitude over its noise from which on the controller works
-_SHORTEST_DWELL = 0.2  # s
-_LONGEST_REST = 10.0  # s until a structure rests after a fade
-_LOST = math.log(2.0)  # deviation of the held amplitude that ends a sweep if it lasts
-_LOST_AFTER = 1.0  # s
-_GLIDE = 0.05  # relative change of frequency up to which a stepped sine glides on instead of stopping
+from nmt_pll.thresholds import SWEEPS
 
 
 class _Stage(Enum):
@@ -73,11 +64,11 @@ class _GivenFrequencyLoop(LevelLoop):
         """Filter, controllers and dwell for a frequency, Hz."""
         settings = self.settings
         most = 0.9 * self.sample_rate / (2.0 * settings.harmonics + 1.0)
-        self.cutoff = min(settings.cutoff or _CUTOFF * 2.0 * math.pi * frequency_hz, most)
+        self.cutoff = min(settings.cutoff or SWEEPS.filter_cutoff_ratio * 2.0 * math.pi * frequency_hz, most)
         self.filter = AdaptiveFourierFilter(2, settings.harmonics, self.cutoff, self.sample_rate)
         self.force_holder = ForceHolder(self.cutoff, self.block_duration, settings.latency_blocks)
         self.response_holder = ResponseHolder(self.cutoff, self.block_duration, settings.latency_blocks)
-        time = max(settings.dwell_periods / frequency_hz, _SHORTEST_DWELL)
+        time = max(settings.dwell_periods / frequency_hz, SWEEPS.shortest_dwell_s)
         length = math.ceil(time / self.block_duration)
         correlation = 2.0 / (self.cutoff * self.block_duration)
         self.dwell = Dwell(length, correlation)
@@ -271,31 +262,31 @@ class _GivenFrequencyLoop(LevelLoop):
         if end < self._until:
             return ""
         noise = max(self._noise)
-        if 2.0 * _PROBE_MARGIN * noise > level.amplitude:
-            if end < self._until + _LONGEST_REST * self.sample_rate:
+        if 2.0 * SWEEPS.probe_noise_ratio * noise > level.amplitude:
+            if end < self._until + SWEEPS.longest_rest_s * self.sample_rate:
                 return ""
             return (
-                f"the target amplitude {level.amplitude:g} is within 2 x {_PROBE_MARGIN:g} times what is measured with "
-                f"the drive at rest ({noise:.2g}): noise, or a structure that does not come to rest"
+                f"the target amplitude {level.amplitude:g} is within 2 x {SWEEPS.probe_noise_ratio:g} times what is "
+                f"measured with the drive at rest ({noise:.2g}): noise, or a structure that does not come to rest"
             )
         self._ramp = self.block_duration
         if level.control == ControlKind.VOLTAGE:
             self._held = 0.0
             self._approach(level, end)
-            self._amplitude = min(_PROBE_VOLTAGE, level.amplitude)
+            self._amplitude = min(SWEEPS.probe_voltage_v, level.amplitude)
         else:
             self._stage = _Stage.PROBE
-            self._amplitude = _PROBE_VOLTAGE
+            self._amplitude = SWEEPS.probe_voltage_v
             self._set_deadline(level, end)
         return ""
 
     def _probe(self, level: LevelCommand, phasors: tuple[complex, complex], end: int) -> str:
         floor = self.settings.force_floor if level.control == ControlKind.FORCE else self.settings.response_floor
-        wanted = max(_PROBE_MARGIN * max(self._noise, default=0.0), floor)
+        wanted = max(SWEEPS.probe_noise_ratio * max(self._noise, default=0.0), floor)
         if self._held >= min(wanted, 0.5 * level.amplitude):
             self._approach(level, end)
             return ""
-        self._amplitude *= math.exp(_PROBE_GROWTH)
+        self._amplitude *= math.exp(SWEEPS.probe_log_growth)
         return self._refusal(level, phasors, end)
 
     def _refusal(self, level: LevelCommand, phasors: tuple[complex, complex], end: int) -> str:
@@ -309,9 +300,9 @@ class _GivenFrequencyLoop(LevelLoop):
         if end > self._deadline and self.machine.state == LoopState.ACQUIRING:
             return f"no stationary amplitude within the time-out: {self._obstacle(level) or 'still approaching'}"
         if self._stage == _Stage.WINDOW and level.control != ControlKind.VOLTAGE:
-            if self._held > 0 and abs(math.log(self._held / level.amplitude)) < _LOST:
+            if self._held > 0 and abs(math.log(self._held / level.amplitude)) < SWEEPS.lost_log_deviation:
                 self._good_until = end
-            elif end - self._good_until > _LOST_AFTER * self.sample_rate:
+            elif end - self._good_until > SWEEPS.lost_duration_s * self.sample_rate:
                 return (
                     f"the held amplitude is {self._held:.3g} instead of {level.amplitude:g} at "
                     f"{self._frequency_at(end):.2f} Hz"
@@ -393,7 +384,7 @@ class SteppedSineLoop(_GivenFrequencyLoop):
     """
 
     KINDS: ClassVar[tuple[TestKind, ...]] = (TestKind.STEPPED_SINE,)
-    _glide = _GLIDE
+    _glide = SWEEPS.glide_frequency_step
 
     def _open(self, level: LevelCommand, end: int, reason: str) -> LockWindow | None:
         window = self._lock(end, 2.0 * math.pi * level.frequency_hz, math.nan, reason)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 
-from nmt_pll.gains import ControllerGains, LoopPlant, closed_form_gains
 from nmt_pll.loop_settings import LoopSettings
-
-AMPLITUDE_SHARE = 0.3
-"""Bandwidth of the amplitude controller over that which the dead time allows the phase loop."""
+from nmt_pll.phase_loop.gains import ControllerGains, LoopPlant, closed_form_gains
+from nmt_pll.thresholds import PHASE
 
 
 class GainSchedule:
@@ -47,7 +45,7 @@ class GainSchedule:
     @property
     def amplitude_bandwidth(self) -> float:
         """Bandwidth of the amplitude controller, rad/s: slow beside the phase loop."""
-        return AMPLITUDE_SHARE * self.bandwidth_limit
+        return PHASE.amplitude_bandwidth_share * self.bandwidth_limit
 
     def force_bandwidth(self, structure_decay: float) -> float:
         """Bandwidth of the amplitude controller that holds the force, rad/s, at a present decay of the structure.

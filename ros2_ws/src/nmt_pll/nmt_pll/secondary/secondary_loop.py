@@ -28,24 +28,14 @@ from nmt_core.messages.records import LevelCommand
 from nmt_core.messages.secondary_resonance import RESONANCES, SecondaryResonance, resonance_of
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, ControlKind, LoopState, TestKind
-from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
-from nmt_pll.gains import LoopPlant
+from nmt_pll.detection.lock import Dwell, LockCriteria
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import Dwell, LockCriteria
-from nmt_pll.loop import DEAD_BLOCKS, PhaseLockedLoop
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.phase_detector import AdaptiveFourierFilter
-
-RELEASES = (1.0, 1.2, 0.85, 1.4, 0.7, 1.6)
-"""Amplitudes of the releases of a level over the stated one, in order."""
-LEAST_SHARES = {False: 0.05, True: 0.3}
-"""Least amplitude of the resonant order over that of the force's order in the response, at lock; True: on an isola."""
-_CUTOFF = 0.3  # ω_LP over the base frequency: amplitude and frequency of a strongly nonlinear mode move together
-_LEFT = 0.15  # of the release's amplitude, below which the response has left the isola
-_RELEASE_PHASE = math.radians(15.0)  # of the lag at the release
-_RELEASE_WAIT = 3.0  # s after which any lag is taken
-_FLOOR = 0.02  # of the release's amplitude, below which its response is no signal
-_SWITCH_PERIODS = 2.0  # half-cosine from the voltage of the release to that of the level, base periods
+from nmt_pll.phase_loop.controller import AmplitudeController, FrequencyController, GainSchedule
+from nmt_pll.phase_loop.gains import LoopPlant
+from nmt_pll.phase_loop.loop import PhaseLockedLoop
+from nmt_pll.thresholds import PHASE, SECONDARY
 
 
 class _Stage(Enum):
@@ -74,7 +64,7 @@ class SecondaryResonanceLoop(LevelLoop):
         self.linear = linear
         self.settings = settings
         self._mode = linear.frequencies_rad_s[linear.target_mode]
-        self._dead_time = (DEAD_BLOCKS + settings.latency_blocks) * self.block_duration
+        self._dead_time = (PHASE.dead_time_blocks + settings.latency_blocks) * self.block_duration
         self._delay = settings.latency_blocks * block_samples
         self.controller = FrequencyController(
             self._mode, settings.guard_low * self._mode, settings.guard_high * self._mode
@@ -105,7 +95,7 @@ class SecondaryResonanceLoop(LevelLoop):
         base = self._mode / resonance.response_order
         settings = self.settings
         highest = max(settings.harmonics, resonance.response_order, resonance.force_order)
-        self.cutoff = settings.cutoff or _CUTOFF * base
+        self.cutoff = settings.cutoff or SECONDARY.filter_cutoff_ratio * base
         self.filter = AdaptiveFourierFilter(2, highest, self.cutoff, self.sample_rate)
         plant = LoopPlant.from_description(self.linear)
         self.schedule = GainSchedule(plant, settings, self.cutoff, self._dead_time)
@@ -245,8 +235,8 @@ class SecondaryResonanceLoop(LevelLoop):
         """Phase resonance of the mode at the amplitude of the next release."""
         self._stage = _Stage.RELEASE
         self._driven_at_resonance = True
-        amplitude = level.release * RELEASES[self._releases]
-        floors = replace(self.settings, force_floor=0.0, response_floor=_FLOOR * amplitude)
+        amplitude = level.release * SECONDARY.release_ratios[self._releases]
+        floors = replace(self.settings, force_floor=0.0, response_floor=SECONDARY.response_floor_ratio * amplitude)
         self._primary = PhaseLockedLoop(self.linear, floors, self.sample_rate, self._block_samples)
         self._releases += 1
         self._switch_until = math.inf
@@ -269,9 +259,9 @@ class SecondaryResonanceLoop(LevelLoop):
         if output.state is not LoopState.LOCKED:
             return ""
         if math.isinf(self._switch_until):
-            self._switch_until = end + _RELEASE_WAIT * self.sample_rate
-        waited = 1.0 - (self._switch_until - end) / (_RELEASE_WAIT * self.sample_rate)
-        allowed = _RELEASE_PHASE + max(waited, 0.0) * math.pi
+            self._switch_until = end + SECONDARY.release_wait_s * self.sample_rate
+        waited = 1.0 - (self._switch_until - end) / (SECONDARY.release_wait_s * self.sample_rate)
+        allowed = SECONDARY.release_phase_rad + max(waited, 0.0) * math.pi
         if abs(self._lag_after_switch(force, response, output.frequency_hz)) <= allowed:
             self._switch(level, primary, end)
         return ""
@@ -299,7 +289,7 @@ class SecondaryResonanceLoop(LevelLoop):
         self._switched_at = end + self._delay
         self._primary = None
         self._amplitude = self._start_voltage(level, True)
-        self._ramp = _SWITCH_PERIODS * 2.0 * math.pi / self.controller.output
+        self._ramp = SECONDARY.switch_periods * 2.0 * math.pi / self.controller.output
         self._close(self._switched_at + round((self._ramp + 2.0 / self.cutoff) * self.sample_rate))
 
     _switched_at = 0
@@ -314,8 +304,8 @@ class SecondaryResonanceLoop(LevelLoop):
             self._driven_at_resonance = False
         if end <= self._closed_from:
             return ""
-        if level.release > 0.0 and size < _LEFT * level.release:
-            if self.machine.state is LoopState.LOCKED or self._releases >= len(RELEASES):
+        if level.release > 0.0 and size < SECONDARY.isola_left_ratio * level.release:
+            if self.machine.state is LoopState.LOCKED or self._releases >= len(SECONDARY.release_ratios):
                 return f"the response has left the isola after {self._releases} releases"
             self._begin_release(level, end)
             return ""
@@ -352,7 +342,7 @@ class SecondaryResonanceLoop(LevelLoop):
             return "no phase resonance at the release's amplitude yet"
         if math.isnan(error):
             return "force or response below its amplitude floor"
-        if share < LEAST_SHARES[self.resonance.needs_release]:
+        if share < (SECONDARY.isola_resonant_share if self.resonance.needs_release else SECONDARY.resonant_share):
             return f"the resonant order is {100.0 * share:.1f} % of the order of the force in the response"
         if not self.dwell.full:
             return f"not {self.settings.dwell_periods:g} base periods since the phase became valid"

@@ -44,17 +44,9 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveTerm
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_pll.harmonics_control import SETTLED, integral_rate
-
-BESIDE_RESONANCE = 1.4
-"""Frequency over that of the target mode up to which the fundamental's force per volt is looked at."""
-LARGEST_RATIO = 0.3
-"""Greatest target of a harmonic, of the first exciter's fundamental."""
-FOLLOWING = 0.08
-"""Rate by which targets follow the shape, of the distance |δ_k + i (ω_k − ω)| of the nearest other mode."""
-_LIMIT_SHARE = 0.98  # of the voltage limit that an exciter's terms together may take
-_LARGEST_STEP = 0.1  # of a ratio in a block
-_NOISE_STDS = 3.0  # standard deviations by which noise may exceed the tolerance
+from nmt_pll.harmonics.deviation_record import DeviationRecord
+from nmt_pll.harmonics.harmonics_control import integral_rate
+from nmt_pll.thresholds import HARMONICS
 
 ForceMatrix = Callable[[FloatArray], ComplexArray]
 """Force at every exciter per volt of every exciter, N/V, (k, exciters, exciters), at frequencies in Hz (k,)."""
@@ -86,7 +78,7 @@ class AppropriationSetup:
     voltage_limit: float = 0.0
     mac_limit: float = 0.8
     pbmif_limit: float = 0.9
-    tolerance: float = SETTLED
+    tolerance: float = HARMONICS.settled_share
 
 
 def generalised_pbmif(force: ComplexArray, velocity: ComplexArray) -> float:
@@ -135,14 +127,10 @@ class ExciterAppropriation:
         self.ratios: ComplexArray = np.zeros((count, setup.highest), complex)
         self._ratio_target: ComplexArray | None = None
         self._fundamental_target: ComplexArray = np.zeros(count, complex)
-        self.following = min(self.rate, FOLLOWING * _nearest_mode(linear))
-        self._dwell: ComplexArray = np.zeros((max(4, setup.dwell_blocks), count, setup.highest), complex)
-        self._indicators: FloatArray = np.zeros((max(4, setup.dwell_blocks), 2))
-        self._dwelt = 0
-        correlation = max(1.0, 2.0 / (setup.cutoff * setup.block_duration))
-        neighbour = math.exp(-2.0 / correlation)
-        self._correlation = correlation
-        self._noise_per_bend = 1.0 / math.sqrt(6.0 - 8.0 * neighbour + 2.0 * neighbour**2)
+        self.following = min(self.rate, HARMONICS.shape_following_ratio * _nearest_mode(linear))
+        shape = count, setup.highest
+        self._record = DeviationRecord(setup.dwell_blocks, shape, setup.cutoff, setup.block_duration)
+        self._indicators: FloatArray = np.zeros((self._record.blocks, 2))
         self.clear()
         self._fundamental_gain = self._largest_gain()
 
@@ -165,7 +153,7 @@ class ExciterAppropriation:
 
     def start_level(self) -> None:
         """A new level begins; the ratios stay."""
-        self._dwelt = 0
+        self._record.restart()
 
     def _linear_ratios(self) -> ComplexArray:
         """V_j / V_1 that isolate the linear mode at its frequency, with the first exciter as reference."""
@@ -180,13 +168,13 @@ class ExciterAppropriation:
         """Ĝ_j of the fundamental, N/V, shape (exciters,); see the module's text."""
         frequency = self.linear.frequency_hz
         least = self.rate / (2.0 * math.pi)
-        away = np.geomspace(least, max(BESIDE_RESONANCE - 1.0, 2.0 * least / frequency) * frequency, 200)
+        away = np.geomspace(least, max(HARMONICS.resonance_band_ratio - 1.0, 2.0 * least / frequency) * frequency, 200)
         both = np.concatenate([frequency - away[away < 0.5 * frequency], frequency + away])
         gains = self._force_per_volt(both)
         ratio = self._fundamental_target
         rows = np.abs(gains[:, :, 1:] - ratio[:, None] * gains[:, :1, 1:]).sum(axis=2)
         size = (least / np.abs(both - frequency)[:, None] * rows).max(axis=0)
-        beside = np.diagonal(self._force_per_volt(np.array([BESIDE_RESONANCE * frequency]))[0])
+        beside = np.diagonal(self._force_per_volt(np.array([HARMONICS.resonance_band_ratio * frequency]))[0])
         return np.asarray(size * beside / np.maximum(np.abs(beside), 1e-300), dtype=np.complex128)
 
     # -- one block -----------------------------------------------------------------------------------------------
@@ -219,7 +207,7 @@ class ExciterAppropriation:
         target[1:, 0] = self._fundamental_target[1:] * force[0, 0]
         if self.setup.modal and force.shape[1] > 1 and abs(force[0, 0]) > 0.0:
             ratio = weights[:, 1:] / first
-            ratio = ratio * np.minimum(1.0, LARGEST_RATIO / np.maximum(np.abs(ratio), 1e-300))
+            ratio = ratio * np.minimum(1.0, HARMONICS.largest_target_ratio / np.maximum(np.abs(ratio), 1e-300))
             before = np.zeros_like(ratio) if self._ratio_target is None else self._ratio_target
             self._ratio_target = before + min(1.0, self.rate * duration) * (ratio - before)
             target[:, 1:] = self._ratio_target * force[0, 0]
@@ -242,10 +230,8 @@ class ExciterAppropriation:
         duration = self.setup.block_duration
         deviation = force - self.targets(force, response, quantity, duration)
         scale = max(abs(force[0, 0]), 1e-300)
-        row = self._dwelt % self._dwell.shape[0]
-        self._dwell[row] = deviation / scale
-        self._indicators[row] = self.mac, self.pbmif
-        self._dwelt += 1
+        self._indicators[self._record.count % self._record.blocks] = self.mac, self.pbmif
+        self._record.add(deviation / scale)
         step = np.zeros_like(self.ratios)
         step[1:, 0] = deviation[1:, 0] / self._fundamental_gain[1:]
         if self.ratios.shape[1] > 1:
@@ -253,13 +239,13 @@ class ExciterAppropriation:
             step[:, 1:] = np.linalg.solve(gains, deviation[:, 1:].T[:, :, None])[:, :, 0].T
         step *= -self.rate * duration / amplitude
         size = np.abs(step)
-        step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(size, 1e-300))
+        step *= np.minimum(1.0, HARMONICS.largest_step_share / np.maximum(size, 1e-300))
         self.ratios = self.ratios + step
         self.fit(amplitude)
 
     def fit(self, amplitude: float) -> None:
         """Keep every exciter's terms within the voltage limit beside a drive of this amplitude, V."""
-        limit = _LIMIT_SHARE * self.setup.voltage_limit
+        limit = HARMONICS.voltage_limit_share * self.setup.voltage_limit
         if not limit > 0.0 or not amplitude > 0.0:
             return
         sums = np.abs(self.ratios).sum(axis=1)
@@ -272,23 +258,13 @@ class ExciterAppropriation:
 
     # -- judgement -----------------------------------------------------------------------------------------------
 
-    def _record(self) -> tuple[ComplexArray, FloatArray]:
-        """Mean deviation over the dwell, complex, and the standard deviation of noise in it; (exciters, H) each."""
-        most = self._dwell.shape[0]
-        length = min(self._dwelt, most)
-        oldest = self._dwelt % most if self._dwelt > most else 0
-        record = np.concatenate([self._dwell[oldest:length], self._dwell[:oldest]])
-        bend = record[:-2] - 2.0 * record[1:-1] + record[2:]
-        noise = self._noise_per_bend * np.sqrt(np.median(np.abs(bend) ** 2, axis=0) / math.log(2.0))
-        return record.mean(axis=0), noise
-
     @property
     def obstacle(self) -> str:
         """What keeps the exciters from being settled, empty if nothing does."""
-        if self._dwelt < self._dwell.shape[0]:
+        if not self._record.is_full:
             return "the exciters have not been controlled for a dwell yet"
-        mean, noise = self._record()
-        allowed = self.setup.tolerance + _NOISE_STDS * noise * math.sqrt(self._correlation / self._dwell.shape[0])
+        mean, noise = self._record.mean_and_noise()
+        allowed = self.setup.tolerance + HARMONICS.noise_sigmas * self._record.mean_std(noise)
         excess = np.abs(mean) / allowed
         if excess.max() > 1.0:
             j, n = np.unravel_index(int(np.argmax(excess)), excess.shape)
@@ -306,7 +282,7 @@ class ExciterAppropriation:
     @property
     def summary(self) -> str:
         """How the exciters are: the greatest deviation, MAC and PBMIF."""
-        mean, _ = self._record()
+        mean, _ = self._record.mean_and_noise()
         mac, pbmif = self._indicators.mean(axis=0)
         worst = 100.0 * float(np.abs(mean).max())
         return (

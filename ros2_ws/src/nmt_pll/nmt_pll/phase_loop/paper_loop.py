@@ -36,11 +36,11 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_core.vocabulary import MOTIONS, ControlKind, LoopState
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.phase_loop.paper_settings import PaperSettings
+from nmt_pll.thresholds import PHASE
 
 # x̂ for the product: a displacement, or an acceleration upside down.
 _SIGN = {motion: (-1.0) ** (order // 2) for motion, order in MOTIONS.items() if order % 2 == 0}
-_SLOWEST = 0.05  # of the centre frequency: an oscillator cannot turn backwards
 
 # Places in the state vector.
 _FORCE_SQUARE, _RESPONSE_SQUARE, _FILTERED, _INTEGRAL = range(4)
@@ -114,7 +114,7 @@ class PaperLoop(LevelLoop):
         self.centre = settings.centre_frequency(linear)
         self.frequency = self.centre
         self._state = np.zeros(4)
-        self._bounds = (_SLOWEST - 1.0) * self.centre, 0.5 * math.pi * sample_rate - self.centre
+        self._bounds = (PHASE.lowest_frequency_ratio - 1.0) * self.centre, 0.5 * math.pi * sample_rate - self.centre
         dwell = settings.dwell_periods * 2.0 * math.pi / self.centre
         self._errors: deque[float] = deque(maxlen=max(2, math.ceil(dwell / self.block_duration)))
         self._window_from = 0
@@ -188,7 +188,7 @@ class PaperLoop(LevelLoop):
             self._state, force, response, 1.0 / self.sample_rate, gain, s.pole, s.zero, *self._bounds,
             -0.5 * math.sin(s.held_lead(self.frequency)),
         )  # fmt: skip
-        self.frequency = max(self.centre + output, _SLOWEST * self.centre)
+        self.frequency = max(self.centre + output, PHASE.lowest_frequency_ratio * self.centre)
         return float(filtered)
 
     def _signals(self, force: FloatArray, response: FloatArray, closed: bool) -> float:

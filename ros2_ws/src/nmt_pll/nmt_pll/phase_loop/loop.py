@@ -13,25 +13,22 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import AUTOMATIC, MOTIONS, VELOCITY_LEAD, ControlKind, HarmonicsTarget, LoopState, TestKind
-from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
-from nmt_pll.gains import LoopPlant
-from nmt_pll.harmonics_control import (
-    MOST_HARMONICS,
+from nmt_pll.amplitude.response_control import ResponseController
+from nmt_pll.detection.lock import Dwell, LockCriteria
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter, phase_error
+from nmt_pll.harmonics.harmonics_control import (
     ForcePerVolt,
     HarmonicsController,
     HarmonicSetup,
     most_harmonics,
     table_of,
 )
-from nmt_pll.harmonics_target import ModalPowerRatio, check_modes
+from nmt_pll.harmonics.harmonics_target import ModalPowerRatio, check_modes
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.lock import Dwell, LockCriteria
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.phase_detector import AdaptiveFourierFilter, phase_error
-from nmt_pll.response_control import ResponseController
-
-DEAD_BLOCKS = 1.5
-"""Mean delay between measurement and its effect in blocks, besides the latency."""
+from nmt_pll.phase_loop.controller import AmplitudeController, FrequencyController, GainSchedule
+from nmt_pll.phase_loop.gains import LoopPlant
+from nmt_pll.thresholds import HARMONICS, PHASE
 
 
 class PhaseLockedLoop(LevelLoop):
@@ -66,7 +63,7 @@ class PhaseLockedLoop(LevelLoop):
         self.settings = settings
         self.cutoff = settings.resolved_cutoff(linear)
         self.filter = AdaptiveFourierFilter(2, settings.harmonics, self.cutoff, sample_rate)
-        dead_time = (DEAD_BLOCKS + settings.latency_blocks) * self.block_duration
+        dead_time = (PHASE.dead_time_blocks + settings.latency_blocks) * self.block_duration
         self.plant = LoopPlant.from_description(linear)
         self.schedule = GainSchedule(self.plant, settings, self.cutoff, dead_time)
         mode = linear.frequencies_rad_s[linear.target_mode]
@@ -233,7 +230,7 @@ class PhaseLockedLoop(LevelLoop):
         warm_up = self._filter_warm_up
         if level.harmonics_control:
             wanted = level.harmonics_control
-            highest = self._most_harmonics(MOST_HARMONICS if wanted == AUTOMATIC else wanted)
+            highest = self._most_harmonics(HARMONICS.automatic_highest if wanted == AUTOMATIC else wanted)
             target = HarmonicsTarget(level.harmonics_target)
             if self.harmonics is None or self.harmonics.setup.highest != highest or target != self._harmonics_target:
                 self._harmonics_target = target

@@ -11,16 +11,16 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand
 from nmt_core.numerics.arrays import ComplexArray
 from nmt_core.vocabulary import AUTOMATIC, HarmonicsTarget, LoopState
-from nmt_pll.exciter_appropriation import AppropriationSetup, ExciterAppropriation, ForceMatrix
-from nmt_pll.harmonics_control import MOST_HARMONICS
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter
+from nmt_pll.exciters.exciter_appropriation import AppropriationSetup, ExciterAppropriation, ForceMatrix
 from nmt_pll.level_loop import LoopOutput
-from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.phase_detector import AdaptiveFourierFilter
+from nmt_pll.phase_loop.loop import PhaseLockedLoop
+from nmt_pll.thresholds import HARMONICS
 
 
 class AppropriatedLoop(PhaseLockedLoop):
-    """As :class:`~nmt_pll.loop.PhaseLockedLoop` for the first exciter, which the others follow.
+    """As :class:`~nmt_pll.phase_loop.loop.PhaseLockedLoop` for the first exciter, which the others follow.
 
     Args:
         linear: linear description that names the exciters' points.
@@ -64,7 +64,7 @@ class AppropriatedLoop(PhaseLockedLoop):
     def _prepare_harmonics(self, level: LevelCommand, end: int, was_quiet: bool) -> None:
         """Have a control of the exciters for the harmonics that a level asks for; the ratios stay."""
         wanted = level.harmonics_control
-        highest = self._most_harmonics(MOST_HARMONICS if wanted == AUTOMATIC else wanted) if wanted else 1
+        highest = self._most_harmonics(HARMONICS.automatic_highest if wanted == AUTOMATIC else wanted) if wanted else 1
         modal = bool(wanted) and level.harmonics_target == HarmonicsTarget.MODAL
         before = self.appropriation
         if before is None or before.setup.highest != highest or before.setup.modal != modal:

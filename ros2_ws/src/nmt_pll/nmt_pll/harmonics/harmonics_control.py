@@ -33,40 +33,14 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import json_value
 from nmt_core.messages.records import DriveTerm
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-
-PHASE_MARGIN = 0.35
-"""m: integral rate times filter and dead time, rad."""
-MOST_HARMONICS = 15
-"""Highest harmonic that ``auto`` takes."""
-SETTLED = 0.003
-"""Deviation of a harmonic from its target that counts as settled, of the fundamental."""
-
-_SETTLED_NOW = 2.0  # the same for the newest value instead of the mean over the dwell
-_NOISE_STDS = 3.0  # standard deviations by which noise may exceed it: once in 10,000, with many harmonics to wait for
-_QUIET_GAIN = 0.1  # least share of the gain in noise
-_LARGEST_STEP = 0.1  # of a harmonic's voltage in a block, of the drive's amplitude
-_LARGEST_VOLTAGE = 1.0  # of a harmonic, of the drive's amplitude
-_LIMIT_SHARE = 0.98  # of the voltage limit that drive and harmonics together may take
-_START_SPREAD = 0.3  # standard deviation of Ĝ at first, of its size
-_LARGEST_SPREAD = 0.5
-_NOISE_GROWS = 5.0  # dwells in which an estimate of noise may double: what looks like noise may be a transient
-_FORGETTING = 20.0  # loop time constants in which the variance of Ĝ doubles
-_DRIFT = 3.0  # relative change of d_n that a change of the motion may cause, over that of the motion and n
-_LEAST_SCATTER = 3e-4  # of the fundamental, of ΔF_n that Ĝ does not explain
-_LEAST_CORRECTION = 0.01  # of Ĝ over what was known at first
-_PROBE = 0.02  # of the drive's amplitude
-_REVIEW = 5.0  # loop time constants between two looks at whether a harmonic gets on
-_STEADY = 0.005  # relative change of the motion within the filter's time constant
-_GETS_ON = 0.7  # share of the deviation at the last look that it must be below
-_LOOKS = 3  # looks without progress before it is given up
-_AT_LIMIT = 10.0  # loop time constants at the largest voltage before a harmonic is given up
-_FADE = 0.7  # share of a given-up harmonic's voltage that is left after a block
+from nmt_pll.harmonics.deviation_record import FEWEST_BLOCKS, DeviationRecord
+from nmt_pll.thresholds import HARMONICS
 
 ForcePerVolt = Callable[[FloatArray], ComplexArray]
 """G at frequencies in Hz, N/V, both of shape (k,); NaN where it is not known."""
 
 
-def integral_rate(cutoff: float, dead_time: float, margin: float = PHASE_MARGIN) -> float:
+def integral_rate(cutoff: float, dead_time: float, margin: float = HARMONICS.phase_margin_rad) -> float:
     """κ = m/(1/ω_LP + T) in 1/s: phase margin at least π/2 − m, gain margin at least π/(2 m).
 
     Args:
@@ -77,7 +51,9 @@ def integral_rate(cutoff: float, dead_time: float, margin: float = PHASE_MARGIN)
     return margin / (1.0 / cutoff + dead_time)
 
 
-def most_harmonics(frequency_hz: float, sample_rate: float, cutoff: float, wanted: int = MOST_HARMONICS) -> int:
+def most_harmonics(
+    frequency_hz: float, sample_rate: float, cutoff: float, wanted: int = HARMONICS.automatic_highest
+) -> int:
     """Highest harmonic, at most ``wanted``, that stays below half the sample rate and that the filter can track.
 
     Args:
@@ -157,7 +133,7 @@ class HarmonicSetup:
     voltage_limit: float = 0.0
     slew_limit: float = 0.0
     sample_rate: float = 1e4
-    tolerance: float = SETTLED
+    tolerance: float = HARMONICS.settled_share
 
 
 class HarmonicsController:
@@ -185,14 +161,10 @@ class HarmonicsController:
         self._held = HeldVoltages(count, setup.cutoff, setup.block_duration, setup.latency_blocks)
         self._correction: ComplexArray = np.ones(count, complex)  # Ĝ over what was known at first
         self._probed: ComplexArray = np.full(count, np.nan + 0j)
-        self._spread: FloatArray = np.full(count, _START_SPREAD**2)  # variance of that
+        self._spread: FloatArray = np.full(count, HARMONICS.initial_gain_std**2)  # variance of that
         lag = max(1, round(1.0 / (setup.cutoff * setup.block_duration)))
         self._past: deque[tuple[ComplexArray, ComplexArray, complex]] = deque(maxlen=lag + 1)
-        self._dwell: ComplexArray = np.zeros((max(4, setup.dwell_blocks), count), complex)  # a ring
-        self._dwelt = 0
-        self._correlation = max(1.0, 2.0 / (setup.cutoff * setup.block_duration))
-        neighbour = math.exp(-2.0 / self._correlation)
-        self._noise_per_bend = 1.0 / math.sqrt(6.0 - 8.0 * neighbour + 2.0 * neighbour**2)
+        self._record = DeviationRecord(setup.dwell_blocks, (count,), setup.cutoff, setup.block_duration)
         self._strikes = np.zeros(count, int)
         self._limited: FloatArray = np.zeros(count)
         self._looked_at: FloatArray = np.full(count, np.inf)
@@ -224,7 +196,7 @@ class HarmonicsController:
 
     def restart_dwell(self) -> None:
         """Judge what comes from now on."""
-        self._dwelt = 0
+        self._record.restart()
         self._looked_at[:] = np.inf
         self._since_look[:] = 0.0
 
@@ -253,7 +225,7 @@ class HarmonicsController:
             (self.setup.slew_limit, 2.0 * self.setup.sample_rate * np.sin(step * np.arange(1, self.orders.size + 2))),
         ):
             together = float(np.sum(np.abs(self.voltages) * weights[1:]))
-            room = max(0.0, _LIMIT_SHARE * limit - amplitude * float(weights[0]))
+            room = max(0.0, HARMONICS.voltage_limit_share * limit - amplitude * float(weights[0]))
             if limit > 0.0 and together > room:
                 share = min(share, room / together)
         return share
@@ -294,32 +266,26 @@ class HarmonicsController:
         careful = size_squared / (size_squared + self._spread)  # an uncertain Ĝ is not trusted to be small
         step = -self.rate * self.setup.block_duration * self._quiet_share() * careful * self._deviation / gain
         size = np.abs(step)
-        largest = _LARGEST_STEP * amplitude
+        largest = HARMONICS.largest_step_share * amplitude
         step *= np.minimum(1.0, largest / np.maximum(size, 1e-300))
         self.voltages = self.voltages + step
         for order in self.given_up:
-            self.voltages[order - 2] = _FADE * (self.voltages[order - 2] - step[order - 2])
+            self.voltages[order - 2] = HARMONICS.fade_per_block * (self.voltages[order - 2] - step[order - 2])
         self._limit(amplitude, frequency_hz, gain)
         self._review()
 
     def _judge_block(self) -> None:
         """Mean deviation and noise over the dwell so far."""
-        most = self._dwell.shape[0]
-        self._dwell[self._dwelt % most] = self._deviation
-        self._dwelt += 1
-        length = min(self._dwelt, most)
-        if length < 4:
+        self._record.add(self._deviation)
+        length, most = self._record.length, self._record.blocks
+        if length < FEWEST_BLOCKS:
             self._mean = np.abs(self._deviation)
             return
-        oldest = self._dwelt % most if self._dwelt > most else 0
-        record = np.concatenate([self._dwell[oldest:length], self._dwell[:oldest]])
-        self._mean = np.abs(record.mean(axis=0))
-        bend = record[:-2] - 2.0 * record[1:-1] + record[2:]
-        # The median: a transient bends a few blocks only, noise all of them; its square is distributed exponentially.
-        noise = self._noise_per_bend * np.sqrt(np.median(np.abs(bend) ** 2, axis=0) / math.log(2.0))
+        mean, noise = self._record.mean_and_noise()
+        self._mean = np.abs(mean)
         if length < most:  # too few values; what is there from before counts
             noise = np.where(self._noise > 0.0, np.minimum(noise, self._noise), noise)
-        grow = 2.0 ** (1.0 / (_NOISE_GROWS * most))
+        grow = 2.0 ** (1.0 / (HARMONICS.noise_doubling_dwells * most))
         self._noise = np.where(self._noise > 0.0, np.minimum(noise, self._noise * grow), noise)
 
     def _quiet_share(self) -> FloatArray:
@@ -329,13 +295,13 @@ class HarmonicsController:
         """
         wanted = 0.5 * self.setup.tolerance * self._fundamental
         ratio = (wanted / np.maximum(self._noise, 1e-3 * wanted + 1e-300)) ** 2 * self.setup.cutoff / self.rate
-        return np.clip(ratio, _QUIET_GAIN, 1.0)
+        return np.clip(ratio, HARMONICS.lowest_gain_share, 1.0)
 
     def _learn(self, force: ComplexArray, seen: ComplexArray, response: complex, known: ComplexArray) -> None:
         """Put Ĝ right by what the newest changes of voltage have done to the force."""
         self._past.append((force.copy(), seen, response))
-        grow = 2.0 ** (self.rate * self.setup.block_duration / _FORGETTING)
-        largest = _LARGEST_SPREAD**2 * np.maximum(1.0, np.abs(self._correction) ** 2)
+        grow = 2.0 ** (self.rate * self.setup.block_duration / HARMONICS.variance_doubling_time_constants)
+        largest = HARMONICS.largest_gain_std**2 * np.maximum(1.0, np.abs(self._correction) ** 2)
         self._spread = np.minimum(self._spread * grow, largest)
         if len(self._past) < (self._past.maxlen or 0):
             return
@@ -343,19 +309,19 @@ class HarmonicsController:
         moved, change = known * (seen - old_seen), force - old_force
         self._motion = motion = abs(response - old_response) / max(abs(response), 1e-300)
         disturbance = np.abs(force - known * self._correction * seen)
-        disturbance *= np.minimum(1.0, _DRIFT * self.orders * motion)
-        scatter = 2.0 * self._noise**2 + disturbance**2 + (_LEAST_SCATTER * self._fundamental) ** 2
+        disturbance *= np.minimum(1.0, HARMONICS.motion_disturbance_ratio * self.orders * motion)
+        scatter = 2.0 * self._noise**2 + disturbance**2 + (HARMONICS.unexplained_share * self._fundamental) ** 2
         scatter *= len(self._past) - 1  # overlapping differences tell the same thing as often
         # What moves less than the motion may have done tells nothing, and would tell the same wrong thing every time.
         moved = np.where(np.abs(moved) > disturbance, moved, 0j)
         weight = self._spread / np.maximum(self._spread * np.abs(moved) ** 2 + scatter, 1e-300)
         corrected = self._correction + weight * moved.conjugate() * (change - self._correction * moved)
-        self._correction = np.where(np.abs(corrected) > _LEAST_CORRECTION, corrected, self._correction)
+        self._correction = np.where(np.abs(corrected) > HARMONICS.lowest_gain_correction, corrected, self._correction)
         self._spread = np.maximum(self._spread * (1.0 - weight * np.abs(moved) ** 2), 1e-6)
 
     def _limit(self, amplitude: float, frequency_hz: float, gain: ComplexArray) -> None:
         """Keep every voltage, and all of them together, below what is allowed; name what stays there."""
-        largest = np.full(self.orders.size, _LARGEST_VOLTAGE * amplitude)
+        largest = np.full(self.orders.size, HARMONICS.largest_voltage_share * amplitude)
         share = self._room(amplitude, frequency_hz)
         if share < 1.0:
             largest = np.minimum(largest, share * np.abs(self.voltages))
@@ -363,9 +329,9 @@ class HarmonicsController:
         over = (size > largest) | (largest == 0.0)
         self.voltages = np.where(over, self.voltages * largest / np.maximum(size, 1e-300), self.voltages)
         self._limited = np.where(over, self._limited + self.setup.block_duration, 0.0)
-        worst = int(np.argmax(np.where(self._limited > _AT_LIMIT / self.rate, size, -1.0)))
+        worst = int(np.argmax(np.where(self._limited > HARMONICS.limited_time_constants / self.rate, size, -1.0)))
         order = int(self.orders[worst]) if self.orders.size else 0
-        if order and self._limited[worst] > _AT_LIMIT / self.rate and order not in self.given_up:
+        if order and self._limited[worst] > HARMONICS.limited_time_constants / self.rate and order not in self.given_up:
             # One at a time, the greatest first: where all share one limit, the others may then have room.
             self.given_up[order] = (
                 f"it would need more than {largest[worst]:.3g} V "
@@ -375,22 +341,24 @@ class HarmonicsController:
 
     def _review(self) -> None:
         """From time to time: whether every harmonic that is not settled gets nearer to its target."""
-        if self._motion > _STEADY or not self._has_dwelt:
+        if self._motion > HARMONICS.steady_motion_change or not self._record.is_full:
             return  # what changes by itself says nothing of control
         self._since_look += self.setup.block_duration * self._quiet_share()
-        due = self._since_look >= _REVIEW / self.rate
+        due = self._since_look >= HARMONICS.review_time_constants / self.rate
         if not due.any():
             return
         self._since_look[due] = 0.0
         relative = self._mean / max(self._fundamental, 1e-300)
-        stuck = due & ~self.settled & (relative > _GETS_ON * self._looked_at) & (self._limited == 0.0)
+        stuck = due & ~self.settled & (relative > HARMONICS.progress_share * self._looked_at) & (self._limited == 0.0)
         self._strikes = np.where(stuck, self._strikes + 1, np.where(due & self.settled, 0, self._strikes))
         lower = np.where(np.isinf(self._looked_at), relative, np.minimum(self._looked_at, relative))
         self._looked_at = np.where(due, lower, self._looked_at)
         # What was learnt may be the reason: it is open to doubt at the first look, and forgotten at the second.
-        self._spread = np.where(stuck, np.maximum(self._spread, _START_SPREAD**2), self._spread)
-        self._correction = np.where(stuck & (self._strikes == _LOOKS - 1), 1.0, self._correction)
-        for index in np.flatnonzero(self._strikes >= _LOOKS).tolist():
+        self._spread = np.where(stuck, np.maximum(self._spread, HARMONICS.initial_gain_std**2), self._spread)
+        self._correction = np.where(
+            stuck & (self._strikes == HARMONICS.reviews_without_progress - 1), 1.0, self._correction
+        )
+        for index in np.flatnonzero(self._strikes >= HARMONICS.reviews_without_progress).tolist():
             order = int(self.orders[index])
             if order not in self.given_up:
                 self.given_up[order] = (
@@ -410,13 +378,13 @@ class HarmonicsController:
             index = int(np.flatnonzero(np.isnan(known))[0])
             self._probe = (index, 0, np.zeros(2, complex))
             self.voltages = np.zeros_like(self.voltages)
-            self.voltages[index] = _PROBE * amplitude
+            self.voltages[index] = HARMONICS.probe_share * amplitude
             return
         index, blocks, ends = self._probe
         blocks += 1
         if blocks == wait:
             ends[0], ends[1] = force[index], self._held.value[index]
-            self.voltages[index] = -_PROBE * amplitude
+            self.voltages[index] = -HARMONICS.probe_share * amplitude
         elif blocks == 2 * wait:
             moved = self._held.value[index] - ends[1]
             found = (force[index] - ends[0]) / moved if moved != 0 else 0j
@@ -436,17 +404,12 @@ class HarmonicsController:
     # -- judgement -----------------------------------------------------------------------------------------------
 
     @property
-    def _has_dwelt(self) -> bool:
-        return self._dwelt >= len(self._dwell)
-
-    @property
     def settled(self) -> np.ndarray:
         """Whether each harmonic is at its target, bool (N,): within the tolerance, or nothing but noise is left."""
-        length = min(self._dwelt, self._dwell.shape[0])
-        mean_std = self._noise * math.sqrt(self._correlation / max(1, length))
+        mean_std = self._record.mean_std(self._noise)
         tolerance = self.setup.tolerance * self._fundamental
-        in_mean = self._mean <= tolerance + _NOISE_STDS * mean_std
-        now = np.abs(self._deviation) <= _SETTLED_NOW * tolerance + _NOISE_STDS * self._noise
+        in_mean = self._mean <= tolerance + HARMONICS.noise_sigmas * mean_std
+        now = np.abs(self._deviation) <= HARMONICS.newest_value_ratio * tolerance + HARMONICS.noise_sigmas * self._noise
         result: np.ndarray = in_mean & now
         return result
 
@@ -455,7 +418,7 @@ class HarmonicsController:
         """What keeps the harmonics from being settled, empty if nothing does; harmonics given up do not count."""
         if self.is_probing:
             return "force per volt of the harmonics is being measured"
-        if not self._has_dwelt:
+        if not self._record.is_full:
             return "the force harmonics have not been controlled for a dwell yet"
         settled = self.settled
         for index, order in enumerate(self.orders.tolist()):

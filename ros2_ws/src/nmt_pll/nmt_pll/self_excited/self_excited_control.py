@@ -18,22 +18,7 @@ from dataclasses import dataclass
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
-
-METHODS = ("auto", "amplitude", "feedback", "envelope")
-"""How a self-excited test reaches an amplitude."""
-PROPORTIONAL = 0.35
-"""Rate of the amplitude law, and of damping feedback, times the dead time."""
-LARGEST_DAMPING = 0.6
-"""Largest rate of damping that is asked for, times the dead time: one in full would make the motion swing."""
-LARGEST_FEEDING = 3.0
-"""Largest rate that feeds the motion, times the dead time."""
-STABLE_GROWTH = 0.15
-"""Growth at rest times the dead time up to which the amplitude is held; beyond, the motion is released instead."""
-_TRACKING = 0.25  # rate at which the oscillator follows the phase, times the dead time
-_QUADRATURE = 0.25  # rate at which the force at right angles to the velocity is taken back, times the dead time
-_INTEGRAL = 0.25  # rate of the integral over that of the proportional part
-_ERROR = 0.2  # of ln a: larger ones do not wind the integral up faster
-_FEEDBACK = 0.3  # velocity feedback: rate at which its gain is adapted, times the dead time
+from nmt_pll.thresholds import SELF_EXCITED
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,22 +65,27 @@ class SelfExcitedPlant:
     @property
     def holds_amplitude(self) -> bool:
         """Whether a motion that grows at rest as fast as this one can be held at an amplitude through the dead time."""
-        return self.growth * self.dead_time <= STABLE_GROWTH
+        return self.growth * self.dead_time <= SELF_EXCITED.held_growth
 
     @property
     def damping_rate(self) -> float:
         """Rate u of damping feedback, 1/s, negative: what it takes away and the growth at rest beside it."""
-        return -min(PROPORTIONAL + max(self.growth * self.dead_time, 0.0), LARGEST_DAMPING) / self.dead_time
+        return (
+            -min(
+                SELF_EXCITED.amplitude_rate + max(self.growth * self.dead_time, 0.0), SELF_EXCITED.largest_damping_rate
+            )
+            / self.dead_time
+        )
 
     @property
     def tracking_rate(self) -> float:
         """Rate at which the oscillator follows the phase of the response, 1/s."""
-        return _TRACKING / self.dead_time
+        return SELF_EXCITED.phase_tracking_rate / self.dead_time
 
     @property
     def quadrature_rate(self) -> float:
         """Rate at which the force at right angles to the velocity is taken back, 1/s."""
-        return _QUADRATURE / self.dead_time
+        return SELF_EXCITED.quadrature_rate / self.dead_time
 
 
 class AmplitudeLaw:
@@ -115,12 +105,15 @@ class AmplitudeLaw:
     """
 
     def __init__(self, plant: SelfExcitedPlant, proportional: bool = True) -> None:
-        rate = PROPORTIONAL / plant.dead_time
+        rate = SELF_EXCITED.amplitude_rate / plant.dead_time
         self.rate = rate
         self._rate = rate if proportional else 0.0
-        slow = _FEEDBACK / plant.dead_time
-        self._integral = _INTEGRAL * rate**2 if proportional else 0.25 * slow**2
-        self._bounds = -LARGEST_DAMPING / plant.dead_time, LARGEST_FEEDING / plant.dead_time
+        slow = SELF_EXCITED.feedback_adaption_rate / plant.dead_time
+        self._integral = SELF_EXCITED.integral_rate_ratio * rate**2 if proportional else 0.25 * slow**2
+        self._bounds = (
+            -SELF_EXCITED.largest_damping_rate / plant.dead_time,
+            SELF_EXCITED.largest_feeding_rate / plant.dead_time,
+        )
         self.feedback = 0.0
 
     def reset(self, feedback: float = 0.0) -> None:
@@ -138,5 +131,9 @@ class AmplitudeLaw:
         error = math.log(target / amplitude)
         low, high = self._bounds
         if free and low < self.feedback + self._rate * error < high:
-            self.feedback += self._integral * min(max(error, -_ERROR), _ERROR) * duration
+            self.feedback += (
+                self._integral
+                * min(max(error, -SELF_EXCITED.largest_integrated_log_error), SELF_EXCITED.largest_integrated_log_error)
+                * duration
+            )
         return min(max(self.feedback + self._rate * error, low), high)

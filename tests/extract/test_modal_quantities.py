@@ -52,7 +52,7 @@ def test_the_floor_of_a_quantity_follows_from_its_powers() -> None:
     assert least["damping_ratio"] == pytest.approx(2.0 * 13e-6)
     assert least["modal_amplitude"] == 2.0 * shape
     assert least["mac"] == 2.0 * shape
-    assert least["frequency_hz"] == pytest.approx(2.0 * 3e-6 / (20 * math.pi))
+    assert least["omega_rad_s"] == pytest.approx(2.0 * 3e-6 / (20 * math.pi))
     assert least["phase_error"] == pytest.approx(5e-6)
     without = floors(force, drive, shape, values, 10, False)
     assert set(least) - set(without) == {"pbmif", "gamma_force", "gamma_acceleration", "mac"}

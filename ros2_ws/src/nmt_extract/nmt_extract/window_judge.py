@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_core.messages.modal_point import QUANTITIES
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
@@ -30,6 +31,9 @@ PHASE_LIMIT = math.radians(5.0)
 PHASE_REJECTED = math.radians(45.0)
 """Phase beyond which it is rejected, rad."""
 
+RESONANT_PHASE_LIMIT = math.radians(10.0)
+"""Deviation of the resonant order's phase from which on a window in a secondary resonance is flagged, rad."""
+
 LEAST_PBMIF = 0.5
 
 _PHASE_NOTED = 5e-4  # relative error of damping by the phase, from which on it is part of the uncertainty
@@ -40,6 +44,7 @@ _SELF_EXCITED = 0.05  # damping ratio that errors count by where it may be zero
 _STEADY = 1e-3  # the same, from which on it is part of the uncertainty
 _RUNNING = math.radians(3.0)  # phase over the window: half of it to each side makes 0.03 % of damping
 _SILENT = 0.05  # rms over a period, of the median one
+_ROUNDED = math.sqrt(2.0 * 1.2020569) / math.pi**2  # of a step and of the root of it beside the amplitude, see below
 _BURST, _BURST_SHARE = 10.0, 0.01  # residual of a part over that of the others; of the rms of the channel
 
 
@@ -51,11 +56,15 @@ class Remark:
         sentence: what was found, what may be the cause, what to do.
         parts: what it adds to standard uncertainties: by quantity of a point, in its unit.
         rejects: nothing of the window can be used.
+        of_channel: what a single channel does, whatever the level does.
+        moving: the level or the frequency of the loop still moves.
     """
 
     sentence: str
     parts: Mapping[str, float] = field(default_factory=dict)
     rejects: bool = False
+    of_channel: bool = False
+    moving: bool = False
 
 
 def words_of(remarks: Sequence[Remark], values: Mapping[str, float]) -> str:
@@ -73,6 +82,22 @@ def words_of(remarks: Sequence[Remark], values: Mapping[str, float]) -> str:
         ]
         sentences.append(remark.sentence + (f" It adds to the uncertainty: {', '.join(told)}." if told else ""))
     return " ".join(sentences)
+
+
+def add_parts(fields: dict[str, float], remarks: Sequence[Remark]) -> None:
+    """Put the parts of remarks into the standard uncertainties of a point, in place."""
+    for remark in remarks:
+        for name, part in remark.parts.items():
+            if part > 0.0 and math.isfinite(part):
+                own = fields[f"{name}_std"]
+                fields[f"{name}_std"] = math.hypot(own, part) if math.isfinite(own) else part
+
+
+def not_below(fields: dict[str, float], least: Mapping[str, float]) -> None:
+    """Let no standard uncertainty of a point be below a least one, in place."""
+    for name, floor in least.items():
+        if fields[f"{name}_std"] < floor:
+            fields[f"{name}_std"] = floor
 
 
 # --- phase, power, harmonics -----------------------------------------------------------------------------------------
@@ -120,6 +145,22 @@ def judge_phase(values: Mapping[str, float]) -> list[Remark]:
             )
         )
     return remarks
+
+
+def judge_resonant_phase(values: Mapping[str, float]) -> list[Remark]:
+    """Remark on the phase of the resonant order of a secondary resonance.
+
+    Args:
+        values: of the point: phase_error.
+    """
+    if abs(values["phase_error"]) <= RESONANT_PHASE_LIMIT:
+        return []
+    return [
+        Remark(
+            f"The resonant order is {math.degrees(values['phase_error']):.1f}° off its phase at resonance "
+            f"(limit {math.degrees(RESONANT_PHASE_LIMIT):.0f}°)."
+        )
+    ]
 
 
 def _likely(phase: float, frequency_hz: float) -> str:
@@ -255,7 +296,7 @@ def judge_steadiness(
             "wait longer before the window, or extract with 'power_balance: true'."
         )
         parts = {"damping_ratio": error, "self_excitation": 2.0 * values["omega_rad_s"] * error}
-        remarks.append(Remark(sentence if error > _UNSTEADY * size else "", parts))
+        remarks.append(Remark(sentence if error > _UNSTEADY * size else "", parts, moving=True))
     if not of_damping:
         return remarks
     angles = force * velocity.conj()
@@ -275,6 +316,7 @@ def judge_steadiness(
                     "omega_rad_s": abs(rate) * values["omega_rad_s"],
                     "modal_amplitude": run**2 / 24.0 * values["modal_amplitude"],
                 },
+                moving=True,
             )
         )
     return remarks
@@ -327,6 +369,17 @@ def burst_part(residuals: FloatArray, rms: float) -> int | None:
     return worst if residuals[worst] > max(_BURST * others, _BURST_SHARE * rms) else None
 
 
+def burst_parts(residuals: FloatArray, amplitudes: FloatArray) -> NDArray[np.bool_]:
+    """Which of many overlapping parts a channel departs in from what is fitted.
+
+    Args:
+        residuals: rms of what the fit of each part leaves, shape ``(parts,)``.
+        amplitudes: of the channel in each part, same shape.
+    """
+    share = residuals / np.maximum(amplitudes, 1e-300)
+    return np.asarray((share > max(_BURST * float(np.median(share)), _BURST_SHARE)) & (amplitudes > 0.0))
+
+
 def burst_span(residual: FloatArray) -> tuple[int, int]:
     """Where in a part the residual stands out: first sample and sample after the last one."""
     out = np.flatnonzero(np.abs(residual) > 0.3 * np.abs(residual).max())
@@ -362,6 +415,9 @@ def resolution_floor(values: FloatArray, places: int, noise: float) -> float:
     the scatter of the parts of the window shows it. Of values on no grid that can be seen, d is the step of a
     converter of ``CONVERTER_BITS`` over their range.
 
+    However many places there are, a sine of amplitude A that is rounded has the fundamental A + Σ (2 d/(π m)) (−1)ᵐ
+    J₁(2 π m A/d), off by √(2 ζ(3)) d/π² √(d/A) in the mean of squares over A.
+
     Args:
         values: of the channel.
         places: of the period at which samples lie.
@@ -372,7 +428,9 @@ def resolution_floor(values: FloatArray, places: int, noise: float) -> float:
         return 0.0
     step = step or float(np.ptp(values)) / 2**CONVERTER_BITS
     repeats = 4.0 if 2 * places < values.size else 1.0
-    return step / math.sqrt(12.0) * math.sqrt(2.0 * repeats / max(places, 2))
+    scatter = step / math.sqrt(12.0) * math.sqrt(2.0 * repeats / max(places, 2))
+    size = 0.5 * float(np.ptp(values))
+    return max(scatter, _ROUNDED * step * math.sqrt(step / size)) if size > 0.0 else scatter
 
 
 def floors(
@@ -387,7 +445,7 @@ def floors(
         indicators: mode indicators too. Resolution moves them in second order only; of samples that come from elsewhere
             nobody knows more than their resolution.
     """
-    relative = dict.fromkeys(("frequency_hz", "omega_rad_s"), force / (2.0 * math.pi * periods))
+    relative = {"omega_rad_s": force / (2.0 * math.pi * periods)}
     for quantity in QUANTITIES:
         if quantity.powers is not None and (indicators or not quantity.second_order):
             parts = zip(quantity.powers, (force, drive, shape), strict=True)

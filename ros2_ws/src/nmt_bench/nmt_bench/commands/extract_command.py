@@ -120,7 +120,7 @@ def run(options: ExtractOptions) -> int:
     written = (*tables, "report.html")
     names = ", ".join(name for name in written if (options.out / name).exists())
     console.print(f"Results in {options.out}: {names}")
-    print_verdict(result.points, console)
+    print_verdict(result.points, console, linear=result.linear)
     return 0
 
 

@@ -44,6 +44,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveTerm
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
+from nmt_pll.harmonics.deviation_record import DeviationRecord
 from nmt_pll.harmonics.harmonics_control import integral_rate
 from nmt_pll.thresholds import HARMONICS
 
@@ -127,13 +128,9 @@ class ExciterAppropriation:
         self._ratio_target: ComplexArray | None = None
         self._fundamental_target: ComplexArray = np.zeros(count, complex)
         self.following = min(self.rate, HARMONICS.shape_following_ratio * _nearest_mode(linear))
-        self._dwell: ComplexArray = np.zeros((max(4, setup.dwell_blocks), count, setup.highest), complex)
-        self._indicators: FloatArray = np.zeros((max(4, setup.dwell_blocks), 2))
-        self._dwelt = 0
-        correlation = max(1.0, 2.0 / (setup.cutoff * setup.block_duration))
-        neighbour = math.exp(-2.0 / correlation)
-        self._correlation = correlation
-        self._noise_per_bend = 1.0 / math.sqrt(6.0 - 8.0 * neighbour + 2.0 * neighbour**2)
+        shape = count, setup.highest
+        self._record = DeviationRecord(setup.dwell_blocks, shape, setup.cutoff, setup.block_duration)
+        self._indicators: FloatArray = np.zeros((self._record.blocks, 2))
         self.clear()
         self._fundamental_gain = self._largest_gain()
 
@@ -156,7 +153,7 @@ class ExciterAppropriation:
 
     def start_level(self) -> None:
         """A new level begins; the ratios stay."""
-        self._dwelt = 0
+        self._record.restart()
 
     def _linear_ratios(self) -> ComplexArray:
         """V_j / V_1 that isolate the linear mode at its frequency, with the first exciter as reference."""
@@ -233,10 +230,8 @@ class ExciterAppropriation:
         duration = self.setup.block_duration
         deviation = force - self.targets(force, response, quantity, duration)
         scale = max(abs(force[0, 0]), 1e-300)
-        row = self._dwelt % self._dwell.shape[0]
-        self._dwell[row] = deviation / scale
-        self._indicators[row] = self.mac, self.pbmif
-        self._dwelt += 1
+        self._indicators[self._record.count % self._record.blocks] = self.mac, self.pbmif
+        self._record.add(deviation / scale)
         step = np.zeros_like(self.ratios)
         step[1:, 0] = deviation[1:, 0] / self._fundamental_gain[1:]
         if self.ratios.shape[1] > 1:
@@ -263,25 +258,13 @@ class ExciterAppropriation:
 
     # -- judgement -----------------------------------------------------------------------------------------------
 
-    def _record(self) -> tuple[ComplexArray, FloatArray]:
-        """Mean deviation over the dwell, complex, and the standard deviation of noise in it; (exciters, H) each."""
-        most = self._dwell.shape[0]
-        length = min(self._dwelt, most)
-        oldest = self._dwelt % most if self._dwelt > most else 0
-        record = np.concatenate([self._dwell[oldest:length], self._dwell[:oldest]])
-        bend = record[:-2] - 2.0 * record[1:-1] + record[2:]
-        noise = self._noise_per_bend * np.sqrt(np.median(np.abs(bend) ** 2, axis=0) / math.log(2.0))
-        return record.mean(axis=0), noise
-
     @property
     def obstacle(self) -> str:
         """What keeps the exciters from being settled, empty if nothing does."""
-        if self._dwelt < self._dwell.shape[0]:
+        if not self._record.is_full:
             return "the exciters have not been controlled for a dwell yet"
-        mean, noise = self._record()
-        allowed = self.setup.tolerance + HARMONICS.noise_sigmas * noise * math.sqrt(
-            self._correlation / self._dwell.shape[0]
-        )
+        mean, noise = self._record.mean_and_noise()
+        allowed = self.setup.tolerance + HARMONICS.noise_sigmas * self._record.mean_std(noise)
         excess = np.abs(mean) / allowed
         if excess.max() > 1.0:
             j, n = np.unravel_index(int(np.argmax(excess)), excess.shape)
@@ -299,7 +282,7 @@ class ExciterAppropriation:
     @property
     def summary(self) -> str:
         """How the exciters are: the greatest deviation, MAC and PBMIF."""
-        mean, _ = self._record()
+        mean, _ = self._record.mean_and_noise()
         mac, pbmif = self._indicators.mean(axis=0)
         worst = 100.0 * float(np.abs(mean).max())
         return (

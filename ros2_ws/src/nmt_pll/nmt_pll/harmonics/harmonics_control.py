@@ -33,6 +33,7 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import json_value
 from nmt_core.messages.records import DriveTerm
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_pll.harmonics.deviation_record import FEWEST_BLOCKS, DeviationRecord
 from nmt_pll.thresholds import HARMONICS
 
 ForcePerVolt = Callable[[FloatArray], ComplexArray]
@@ -163,11 +164,7 @@ class HarmonicsController:
         self._spread: FloatArray = np.full(count, HARMONICS.initial_gain_std**2)  # variance of that
         lag = max(1, round(1.0 / (setup.cutoff * setup.block_duration)))
         self._past: deque[tuple[ComplexArray, ComplexArray, complex]] = deque(maxlen=lag + 1)
-        self._dwell: ComplexArray = np.zeros((max(4, setup.dwell_blocks), count), complex)  # a ring
-        self._dwelt = 0
-        self._correlation = max(1.0, 2.0 / (setup.cutoff * setup.block_duration))
-        neighbour = math.exp(-2.0 / self._correlation)
-        self._noise_per_bend = 1.0 / math.sqrt(6.0 - 8.0 * neighbour + 2.0 * neighbour**2)
+        self._record = DeviationRecord(setup.dwell_blocks, (count,), setup.cutoff, setup.block_duration)
         self._strikes = np.zeros(count, int)
         self._limited: FloatArray = np.zeros(count)
         self._looked_at: FloatArray = np.full(count, np.inf)
@@ -199,7 +196,7 @@ class HarmonicsController:
 
     def restart_dwell(self) -> None:
         """Judge what comes from now on."""
-        self._dwelt = 0
+        self._record.restart()
         self._looked_at[:] = np.inf
         self._since_look[:] = 0.0
 
@@ -279,19 +276,13 @@ class HarmonicsController:
 
     def _judge_block(self) -> None:
         """Mean deviation and noise over the dwell so far."""
-        most = self._dwell.shape[0]
-        self._dwell[self._dwelt % most] = self._deviation
-        self._dwelt += 1
-        length = min(self._dwelt, most)
-        if length < 4:
+        self._record.add(self._deviation)
+        length, most = self._record.length, self._record.blocks
+        if length < FEWEST_BLOCKS:
             self._mean = np.abs(self._deviation)
             return
-        oldest = self._dwelt % most if self._dwelt > most else 0
-        record = np.concatenate([self._dwell[oldest:length], self._dwell[:oldest]])
-        self._mean = np.abs(record.mean(axis=0))
-        bend = record[:-2] - 2.0 * record[1:-1] + record[2:]
-        # The median: a transient bends a few blocks only, noise all of them; its square is distributed exponentially.
-        noise = self._noise_per_bend * np.sqrt(np.median(np.abs(bend) ** 2, axis=0) / math.log(2.0))
+        mean, noise = self._record.mean_and_noise()
+        self._mean = np.abs(mean)
         if length < most:  # too few values; what is there from before counts
             noise = np.where(self._noise > 0.0, np.minimum(noise, self._noise), noise)
         grow = 2.0 ** (1.0 / (HARMONICS.noise_doubling_dwells * most))
@@ -350,7 +341,7 @@ class HarmonicsController:
 
     def _review(self) -> None:
         """From time to time: whether every harmonic that is not settled gets nearer to its target."""
-        if self._motion > HARMONICS.steady_motion_change or not self._has_dwelt:
+        if self._motion > HARMONICS.steady_motion_change or not self._record.is_full:
             return  # what changes by itself says nothing of control
         self._since_look += self.setup.block_duration * self._quiet_share()
         due = self._since_look >= HARMONICS.review_time_constants / self.rate
@@ -413,14 +404,9 @@ class HarmonicsController:
     # -- judgement -----------------------------------------------------------------------------------------------
 
     @property
-    def _has_dwelt(self) -> bool:
-        return self._dwelt >= len(self._dwell)
-
-    @property
     def settled(self) -> np.ndarray:
         """Whether each harmonic is at its target, bool (N,): within the tolerance, or nothing but noise is left."""
-        length = min(self._dwelt, self._dwell.shape[0])
-        mean_std = self._noise * math.sqrt(self._correlation / max(1, length))
+        mean_std = self._record.mean_std(self._noise)
         tolerance = self.setup.tolerance * self._fundamental
         in_mean = self._mean <= tolerance + HARMONICS.noise_sigmas * mean_std
         now = np.abs(self._deviation) <= HARMONICS.newest_value_ratio * tolerance + HARMONICS.noise_sigmas * self._noise
@@ -432,7 +418,7 @@ class HarmonicsController:
         """What keeps the harmonics from being settled, empty if nothing does; harmonics given up do not count."""
         if self.is_probing:
             return "force per volt of the harmonics is being measured"
-        if not self._has_dwelt:
+        if not self._record.is_full:
             return "the force harmonics have not been controlled for a dwell yet"
         settled = self.settled
         for index, order in enumerate(self.orders.tolist()):

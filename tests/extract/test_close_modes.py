@@ -10,7 +10,7 @@ from independent.epmc_of_masses import Masses
 from scipy.interpolate import CubicSpline
 
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.judgement.mode_identity import mode_verdict
+from nmt_extract.mode_identity import mode_verdict
 from nmt_session import Session, plan_test
 
 WINGS = """

@@ -15,9 +15,9 @@ from nmt_core.vocabulary import MOTIONS
 from nmt_extract.judgement import channel_noise, force_judge, moving_shape, shape_judge
 from nmt_extract.judgement.channel_history import ChannelHistory
 from nmt_extract.judgement.force_judge import DriveState
-from nmt_extract.judgement.mode_identity import other_mode
 from nmt_extract.modal.channels import WindowRows, derived
 from nmt_extract.modal.periodic_motion import PeriodicMotion
+from nmt_extract.mode_identity import other_mode
 from nmt_extract.window import Window
 from nmt_signals.channel_faults import clipping
 

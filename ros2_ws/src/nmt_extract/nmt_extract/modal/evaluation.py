@@ -15,7 +15,6 @@ from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
 from nmt_extract.judgement import window_judge
 from nmt_extract.judgement.channel_history import ChannelHistory
-from nmt_extract.judgement.mode_identity import mode_sentence
 from nmt_extract.judgement.window_judge import Remark
 from nmt_extract.modal.channel_findings import ChannelFindings
 from nmt_extract.modal.channels import WindowRows, derived, row_of
@@ -24,6 +23,7 @@ from nmt_extract.modal.quantities import ModalQuantities, modal_quantities
 from nmt_extract.modal.secondary_quantities import secondary_quantities
 from nmt_extract.modal.window_findings import least_uncertainties, remarks_on_bursts, remarks_on_drift
 from nmt_extract.modal_point import EVALUATED, ModalPoint, Status, bench_time_ns
+from nmt_extract.mode_identity import mode_sentence
 from nmt_extract.power_balance import BalancedMode, balance, part_count
 from nmt_extract.uncertainty import jackknife
 from nmt_extract.window import Window

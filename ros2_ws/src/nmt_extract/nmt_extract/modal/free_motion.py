@@ -26,11 +26,11 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_extract.decays.ring_down import Phasors, modal_row, window_fit
 from nmt_extract.judgement import window_judge
-from nmt_extract.judgement.mode_identity import mode_macs, mode_sentence
 from nmt_extract.judgement.window_judge import Remark
 from nmt_extract.modal.channel_findings import still_or_cut
 from nmt_extract.modal.channels import WindowRows
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns
+from nmt_extract.mode_identity import mode_macs, mode_sentence
 from nmt_extract.window import Window
 
 SHORTEST_PERIODS = 3.0

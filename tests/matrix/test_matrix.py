@@ -29,6 +29,7 @@ from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_extract.modal_table import write_results
 from nmt_extract.offline import extract_bag
+from nmt_extract.synthesis import SynthesisedBackbone
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.exported_run import export_run
 from nmt_record.windows.recorded_tests import recorded_tests
@@ -36,6 +37,7 @@ from nmt_record.windows.segments import read_signals, segments
 from nmt_report.figure_files import report_figures
 from nmt_report.run_data_from_bag import report_data_from_bag
 from nmt_report.run_report import write_report
+from nmt_rig.reference import compute_reference
 from nmt_rig.rig import Rig, load_rig
 from nmt_session import RunResult, Session, TestPlan, plan_test
 
@@ -131,6 +133,30 @@ def diagnoses(recording: Recording, _: Path) -> None:
     assert np.sqrt(np.mean(z**2)) < 1.5, np.abs(z).max()
 
 
+def compares_with_the_reference(recording: Recording, _: Path) -> None:
+    points = recording.result.points
+    found = compute_reference(recording.rig, modal_amplitudes=sorted(point.modal_amplitude for point in points) or None)
+    hertz = found.omega_rad_s / (2.0 * np.pi)
+    if not points:  # a ring-down: the frequency at which it was let go
+        locked = [segment.frequency_hz for segment in segments(Bag.open(recording.bag))]
+        assert all(0.995 * hertz.min() < frequency < 1.005 * hertz.max() for frequency in locked)
+        return
+    by_amplitude = sorted(points, key=lambda point: point.modal_amplitude)
+    assert [point.frequency_hz for point in by_amplitude] == pytest.approx(hertz.tolist(), rel=2e-3)
+    away = np.array([point.damping_ratio for point in by_amplitude]) - found.damping_ratio
+    assert np.abs(away).max() < 3e-4  # what one exciter and a sine of voltage leave
+
+
+def synthesises(recording: Recording, _: Path) -> None:
+    points = recording.result.points
+    if not points:
+        return
+    backbone = SynthesisedBackbone.from_points(points)
+    omega, damping, _ = backbone.at(backbone.modal_amplitude)
+    assert omega / (2.0 * np.pi) == pytest.approx(sorted(point.frequency_hz for point in points), rel=1e-3)
+    assert np.all(damping > 0.0)
+
+
 def exports_and_imports(recording: Recording, folder: Path) -> None:
     out = folder / "exported"
     out.mkdir()
@@ -177,9 +203,9 @@ def shows(recording: Recording, _: Path) -> None:
 TRIALS: dict[str, Callable[[Recording, Path], None]] = {
     "judgement": judges,
     "extract": extracts,
+    "reference": compares_with_the_reference,
     "diagnosis": diagnoses,
-    "export": exports_and_imports,
-    "nmt.open": opens,
+    "synthesis": synthesises,
     "report": reports,
     "figures": draws,
     "page": shows,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,7 +53,7 @@ def evaluate_linear_test(
     mode: int | None = None,
     near_hz: float | None = None,
     rig_mode: int = 1,
-    drive_point: int | None = None,
+    exciter_points: Sequence[int] | None = None,
     quantity: Quantity | None = None,
     segment_s: float | None = None,
 ) -> LinearTestResult:
@@ -69,12 +69,13 @@ def evaluate_linear_test(
         mode: the target's number among the fitted modes, from 1; None = see ``rig_mode``.
         near_hz: the target is the fitted mode nearest to this frequency, Hz; goes before ``mode``.
         rig_mode: the target's number among all modes of the rig, one of the suspension below the band included.
-        drive_point: point of the exciter; None = what the recording says, else the point of its first force channel.
+        exciter_points: points of the exciters, in the order of their voltages; None = what the recording says, else
+            the point of its first force channel.
         quantity: responses that give the shapes; None = acceleration where it is recorded, else displacement.
         segment_s: length of an averaged segment, s; None = a tenth of the record.
 
     Returns:
-        Modes with their standard uncertainties (Hz, 1, 1/√kg), residuals, and the plant with its exciter.
+        Modes with their standard uncertainties (Hz, 1, 1/√kg), residuals, and the plant with its exciters.
 
     Raises:
         BenchError: a setting out of its range, no whole window of random excitation, or a record that cannot be
@@ -107,7 +108,7 @@ def evaluate_linear_test(
     run = bag.run_start or {}
     main = max(whole, key=lambda segment: segment.level)
     settings = LinearTestSettings(
-        drive_point=_drive_point(bag, run) if drive_point is None else drive_point,
+        exciter_points=_exciter_points(bag, run) if exciter_points is None else tuple(exciter_points),
         quantity=quantity or (Quantity.ACCELERATION if "acceleration" in bag.topics else Quantity.DISPLACEMENT),
         band_hz=_band(bag, run, main) if band_hz is None else band_hz,
         modes=modes,
@@ -146,9 +147,9 @@ def _band(bag: Bag, run: Mapping[str, Any], main: Segment) -> tuple[float, float
     return DEFAULT_BAND_HZ
 
 
-def _drive_point(bag: Bag, run: Mapping[str, Any]) -> int:
-    known = run.get("exciter_point")
+def _exciter_points(bag: Bag, run: Mapping[str, Any]) -> tuple[int, ...]:
+    known = run.get("exciter_points") or run.get("exciter_point")
     if known is not None:
-        return int(known)
+        return tuple(map(int, known)) if isinstance(known, list) else (int(known),)
     block = next(iter(bag.blocks("force")), None)
-    return block.points[0] if block is not None else 0
+    return (block.points[0] if block is not None else 0,)

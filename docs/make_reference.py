@@ -9,7 +9,7 @@ written by hand. KIND is ``message`` (a .msg, .srv or .action file), ``parameter
 (a section of the rig file), ``elements`` (a file of local elements), ``devices`` (the sections of the
 converters), ``keys`` (attributes of a class by its
 docstring), ``options`` (a command), ``python`` (the public names of a package), ``effects`` (a place of the
-diagnosis), ``priors`` or ``quantities`` (of a modal point). The tables of parameters stand in the node modules, so
+diagnosis), ``matrix`` (tests and consumers), ``priors`` or ``quantities`` (of a modal point). The tables of parameters stand in the node modules, so
 they need ROS 2.
 """
 
@@ -560,7 +560,53 @@ def thresholds_table(theme: str) -> str:
     return "\n".join(lines)
 
 
+def matrix_table(name: str) -> str:
+    """Tests by kind, exciters and drive, and what each consumer says of them; its sentences below."""
+    from nmt_bench.consumers import CONSUMERS, covers_of
+    from nmt_core.kinds import KINDS as TESTS
+    from nmt_core.kinds import SecondaryResonanceTest
+    from nmt_core.messages.driven_test import DrivenTest
+    from nmt_core.vocabulary import TestKind
+
+    drives = {
+        "shaker": ("electrodynamic_shaker",), "force": ("force",), "table": ("shaking_table",),
+        "2 shakers": ("electrodynamic_shaker",) * 2, "2 forces": ("force",) * 2,
+    }  # fmt: skip
+    sentences: dict[str, int] = {}
+    lines = [f"| test | driven by | {' | '.join(CONSUMERS)} |", "|---|---|" + "---|" * len(CONSUMERS)]
+    for kind, test in TESTS.items():
+        if kind is TestKind.RECORD:
+            continue
+        for harmonics in (0, 1) if "harmonics_control" in test.FROM_RIG else (0,):
+            rows: dict[tuple[str, ...], list[str]] = {}
+            for drive, exciters in drives.items():
+                resonance = "3:1" if test is SecondaryResonanceTest else ""
+                asked = DrivenTest(
+                    kind=kind, exciters=exciters, control=test.CONTROL, controlled_harmonics=harmonics,
+                    resonance=resonance,
+                )  # fmt: skip
+                cells = []
+                for consumer in CONSUMERS:
+                    sentence = covers_of(consumer)(asked)
+                    if sentence:
+                        cells.append(f"({sentences.setdefault(sentence, len(sentences) + 1)})")
+                    else:
+                        cells.append("✓")
+                    if consumer == "run" and sentence:
+                        cells += ["–"] * (len(CONSUMERS) - 1)
+                        break
+                rows.setdefault(tuple(cells), []).append(drive)
+            for cells, driven in rows.items():
+                words = test.words() + (", harmonics controlled" if harmonics else "")
+                by = "any" if len(driven) == len(drives) else ", ".join(driven)
+                lines.append(f"| {words} | {by} | {' | '.join(cells)} |")
+    lines.append("")
+    lines += [f"{number}. {sentence}" for sentence, number in sentences.items()]
+    return "\n".join(lines)
+
+
 KINDS: dict[str, Callable[[str], str]] = {
+    "matrix": matrix_table,
     "thresholds": thresholds_table,
     "effects": effects_table,
     "priors": priors_table,

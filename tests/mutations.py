@@ -261,7 +261,7 @@ MUTATIONS = [
             "nmt_blind/nmt_blind/cases/operating.py",
             "stiffness={point: float(omega**2 / shape[point] ** 2) for point in points},",
             "stiffness={point: float(omega**2 * shape[point] ** 2) for point in points},",
-            "strengths of injected effects are of another stiffness",
+            "sizes of injected effects are of another stiffness",
         ),
         (
             "nmt_report/nmt_report/abscissa.py",

@@ -4,7 +4,7 @@ setup(
     name="nmt_blind",
     version="0.2.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"": ["py.typed"], "nmt_blind": ["cases/rigs/*.yaml", "cases/strengths/*.json"]},
+    package_data={"": ["py.typed"], "nmt_blind": ["cases/rigs/*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/nmt_blind"]),
         ("share/nmt_blind", ["package.xml"]),

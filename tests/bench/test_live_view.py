@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -61,8 +62,9 @@ def test_a_run_shows_its_points_as_the_report_writes_them(tmp_path: Path) -> Non
     assert arrays["point_q"] == pytest.approx([point.modal_amplitude for point in result.points], rel=1e-6)
     assert arrays["point_d_std"] == pytest.approx([100 * point.damping_ratio_std for point in result.points], rel=1e-6)
     assert head["table_head"][1] == "f̃ / Hz"
+    assert head["verdict"] == ["3 of 3 levels locked and extracted", "good"]
     point = result.points[1]
-    assert head["table"][1]["cells"][1] == uncertain(point.frequency_hz, point.frequency_hz_std, 4)
+    assert head["table"][1]["cells"][1] == uncertain(point.frequency_hz, point.omega_rad_s_std / (2.0 * math.pi), 4)
     numbers, _ = live(view)
     assert numbers["drive_limit"].startswith("10")
     assert numbers["progress"] == 1.0
@@ -343,6 +345,7 @@ def test_a_secondary_resonance_shows_the_mode_and_the_excitation() -> None:
     head, arrays = facts(view)
     assert head["test"] == "secondary_resonance"
     # The third order of the response has the mode's frequency, the excitation a third of it.
-    assert arrays["point_f"][0] == pytest.approx(3.0 * point.frequency_hz, rel=1e-5)
-    assert head["table_head"][1] == "f / Hz"
-    assert head["table"][0]["cells"][1] == uncertain(point.frequency_hz, point.frequency_hz_std, 4)
+    assert arrays["point_f"][0] == pytest.approx(point.frequency_hz, rel=1e-5)
+    assert head["table_head"][1:3] == ["f̃ / Hz", "Ω/2π / Hz"]
+    assert head["table"][0]["cells"][1] == uncertain(point.frequency_hz, point.omega_rad_s_std / (2.0 * math.pi), 4)
+    assert head["table"][0]["cells"][2].startswith(f"{point.frequency_hz / 3.0:.3f}"[:-1])

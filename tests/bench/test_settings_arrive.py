@@ -19,12 +19,19 @@ import pytest
 from nmt_bench.command_parser import CommandParser
 from nmt_bench.commands import hardware_options, linear_command, run_command, sweep_command
 from nmt_bench.page.start_goal import StartRequest, goal_of, start_form, start_request
-from nmt_core.messages.excitation import Excitation
+from nmt_core.kinds import (
+    GOAL_FIELDS,
+    KindOfTest,
+    PhaseResonanceTest,
+    RandomTest,
+    RingDownTest,
+    SecondaryResonanceTest,
+    SweepTest,
+)
 from nmt_core.messages.message_files import find_message_file, message_fields
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.options import add_options, options_of
 from nmt_core.settings import ordered_fields, parameters_of, values_of
-from nmt_core.vocabulary import TestKind
 from nmt_extract.extraction_settings import ExtractSettings
 from nmt_plant.plant_settings import PlantSettings
 from nmt_pll.pll_settings import PllSettings
@@ -33,6 +40,7 @@ from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 from nmt_sequencer.run_core import RunCore
 from nmt_sequencer.sequencer_settings import SequencerSettings
+from nmt_session import planning
 from nmt_session.node_plan import NODES, TestPlan, plan_nodes
 
 SOURCES = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
@@ -166,29 +174,39 @@ PLANS: dict[str, tuple[dict[str, Any], Any, frozenset[str]]] = {
     ),
     "levels_without": ({"harmonics_control": 5}, (0,), frozenset(("asked",))),
     "resonance": ({"test": "secondary_resonance"}, "1:3", frozenset(("asked",))),
-    "release": ({"test": "secondary_resonance", "resonance": "1:3"}, 1e-3, frozenset(("asked",))),
+    "release": ({"test": "secondary_resonance", "resonance": "1:3", "release": 2e-3}, 1e-3, frozenset(("asked",))),
     "refinement": ({}, 1e-3, frozenset(("asked",))),
-    "method": (SELF_EXCITED, "envelope", frozenset(("pll",))),
+    "method": (SELF_EXCITED, "envelope", frozenset(("asked", "pll"))),
     "tick_blocks": ({}, 3, frozenset(("sequencer", "plant", "pll"))),
     "block_reason": ({}, "because", frozenset(("run.json",))),
 }
-"""For each field of a plan: what else the plan has, a value that is not the default, and where that arrives."""
+"""For each field of a plan and each setting of a kind of test: what else the plan has, a value that is not the default,
+and where that arrives."""
+
+
+def plan_of(values: dict[str, Any]) -> TestPlan:
+    """A plan of its fields and of the settings of its kind of test."""
+    given = dict(values)
+    kind = planning.kind_of_rig(given.pop("test", "phase_resonance"), given["rig"], given)
+    return TestPlan(**given, kind=kind)
 
 
 def test_every_field_of_a_plan_has_its_case() -> None:
-    assert set(PLANS) == {item.name for item in fields(TestPlan)}
+    of_kinds = set(planning.TestSettings.__annotations__) - {"overrides", "exciter", "seed", "compare"}
+    assert set(PLANS) == {item.name for item in fields(TestPlan)} - {"kind"} | of_kinds
 
 
 @pytest.mark.parametrize("name", sorted(PLANS))
 def test_a_field_of_the_plan_arrives_at_its_nodes(name: str) -> None:
     beside, value, places = PLANS[name]
     usual = {"rig": BEAM, "rig_yaml": "name: beam\n", "levels": (0.1, 0.4), "run_id": "usual", **beside}
+    changed = {**usual, name: value}
     if name == "test":
-        usual["duration"] = 0.0
+        del usual["duration"]
     if name == "resonance":
         usual["resonance"] = "3:1"
-    changed = {**usual, **beside, name: value}
-    one, other = (plan_nodes(TestPlan(**plan), Path("bag"), Path("rig.yaml")) for plan in (usual, changed))
+        changed["release"] = 1e-3
+    one, other = (plan_nodes(plan_of(plan), Path("bag"), Path("rig.yaml")) for plan in (usual, changed))
     blank = {"run_json": "", "rig_yaml": ""}
     found = {
         node
@@ -241,33 +259,31 @@ def test_a_plan_gives_each_node_these_settings(pacing: str) -> None:
 RUN: dict[str, Any] = {
     "run_id": "mine", "levels": (0.3, 0.5), "control": 3, "ramp": 0.7, "window_periods": 33, "timeout": 12.0,
     "stop_on_lost_lock": True, "frequencies_hz": (21.0, 22.0), "levels_without": frozenset({1}),
-    "refinement": 1e-3,
 }  # fmt: skip
-EXCITATIONS: dict[str, Excitation] = {
-    "test": Excitation(TestKind.RING_DOWN, duration=1.0),
-    "band_low_hz": Excitation(TestKind.RANDOM, 20.0, 900.0, duration=1.0),
-    "band_high_hz": Excitation(TestKind.RANDOM, 10.0, 800.0, duration=1.0),
-    "rate_hz_s": Excitation(TestKind.SWEEP, rate_hz_s=0.5, frequency_end_hz=30.0),
-    "frequency_end_hz": Excitation(TestKind.SWEEP, rate_hz_s=1.0, frequency_end_hz=29.0),
-    "duration": Excitation(TestKind.RING_DOWN, duration=2.0),
-    "harmonics_control": Excitation(harmonics_control=7),
-    "harmonics_target": Excitation(harmonics_control=7, harmonics_target=1),
-    "response_order": Excitation(TestKind.SECONDARY_RESONANCE, response_order=3, force_order=1),
-    "force_order": Excitation(TestKind.SECONDARY_RESONANCE, response_order=1, force_order=3),
-    "release": Excitation(TestKind.SECONDARY_RESONANCE, response_order=1, force_order=3, release=1e-3),
+KINDS: dict[str, KindOfTest] = {
+    "test": RingDownTest(duration=1.0),
+    "band_low_hz": RandomTest(band_low_hz=20.0, band_high_hz=900.0, duration=1.0),
+    "band_high_hz": RandomTest(band_low_hz=10.0, band_high_hz=800.0, duration=1.0),
+    "rate_hz_s": SweepTest(rate_hz_s=0.5, frequency_end_hz=30.0),
+    "frequency_end_hz": SweepTest(rate_hz_s=1.0, frequency_end_hz=29.0),
+    "duration": RingDownTest(duration=2.0),
+    "harmonics_control": PhaseResonanceTest(harmonics_control=7),
+    "harmonics_target": PhaseResonanceTest(harmonics_control=7, harmonics_target=1),
+    "response_order": SecondaryResonanceTest(response_order=3, force_order=1),
+    "force_order": SecondaryResonanceTest(response_order=1, force_order=3, release=2e-3),
+    "release": SecondaryResonanceTest(response_order=1, force_order=3, release=1e-3),
+    "refinement": PhaseResonanceTest(refinement=1e-3),
 }
-ASKED = [RunSettings(levels=(0.1, 0.2), excitation=item) for item in EXCITATIONS.values()] + [
-    replace(RunSettings(levels=(0.1, 0.2), excitation=Excitation(harmonics_control=5)), **{name: value})
+ASKED = [RunSettings(levels=(0.1, 0.2), kind=item) for item in KINDS.values()] + [
+    replace(RunSettings(levels=(0.1, 0.2), kind=PhaseResonanceTest(harmonics_control=5)), **{name: value})
     for name, value in RUN.items()
 ]
-ASKED = [
-    replace(item, frequencies_hz=(15.0, 16.0)) if item.excitation.test is TestKind.SWEEP else item for item in ASKED
-]
+ASKED = [replace(item, frequencies_hz=(15.0, 16.0)) if isinstance(item.kind, SweepTest) else item for item in ASKED]
 
 
 def test_every_field_of_a_run_has_its_case_and_is_one_of_the_goal() -> None:
-    assert {*RUN, "excitation"} == {item.name for item in fields(RunSettings)}
-    assert set(EXCITATIONS) == {item.name for item in fields(Excitation)}
+    assert {*RUN, "kind"} == {item.name for item in fields(RunSettings)}
+    assert set(KINDS) == {*GOAL_FIELDS, "test"}
     action = find_message_file("nmt_msgs/msg/Level").parents[1] / "action" / "RunLevels.action"
     goal = action.read_text(encoding="utf-8").partition("\n---\n")[0]
     assert {name for name, _ in message_fields(goal)} == set(RunSettings().goal)
@@ -293,7 +309,7 @@ def test_what_a_run_is_asked_for_arrives_at_sequencer_description_and_page(asked
 def test_what_the_page_asks_for_arrives_in_the_goal_and_has_its_input() -> None:
     orders = {"levels": "0.5", "window_periods": 44, "harmonics_control": "9"}
     assert set(orders) == {item.name for item in fields(StartRequest)}
-    before = RunSettings(levels=(0.1,), excitation=Excitation(harmonics_control=5)).description
+    before = RunSettings(levels=(0.1,), kind=PhaseResonanceTest(harmonics_control=5)).description
     inputs = {"levels": "levels", "window_periods": "window_periods", "harmonics_control": "harmonics"}
     for name, value in orders.items():
         order = {"levels": "0.1", inputs[name]: value}

@@ -1,4 +1,4 @@
-"""A blind check small enough for tests: two levels, short windows, made-up strengths."""
+"""A blind check small enough for tests: two levels, short windows, round motions."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from nmt_blind.cases.blind_rigs import BLIND_RIGS, BlindRig
-from nmt_blind.cases.injected_effects import INJECTED_EFFECTS
 from nmt_blind.cases.laboratory import BenchSettings
 from nmt_blind.cases.make import Made, make_campaign
 from nmt_blind.cases.operating import Operating
-from nmt_blind.cases.strength_curve import spot_key
-from nmt_blind.cases.strength_table import StrengthTable
 
 SHORT = BenchSettings(
     levels=(0.5, 1.0), window_periods=10, ramp=0.1, random_level=0.15, band_hz=(5.0, 500.0), duration=1.0,
@@ -43,17 +40,6 @@ def operating() -> Operating:
     )
 
 
-def made_up_table(rig: BlindRig) -> StrengthTable:
-    """Every guess is worth 64 σ."""
-    model, motion = rig.model(), operating()
-    curves: dict[str, dict[str, Any]] = {}
-    for truth in INJECTED_EFFECTS.values():
-        for spot in truth.spots(model):
-            guess = min(truth.guess(model, motion, spot), 0.5 * truth.limit(model, motion, spot))
-            curves[spot_key(truth, spot)] = {"points": [[guess, 64.0]], "trouble": ""}
-    return StrengthTable(rig.name, motion, curves)
-
-
 def make(folder: Path, seed: int = 2, count: int = 2, **more: Any) -> Made:
     rig = short_rig()
-    return make_campaign(folder, rig.name, count, seed, rig=rig, table=made_up_table(rig), **more)
+    return make_campaign(folder, rig.name, count, seed, rig=rig, operating=operating(), **more)

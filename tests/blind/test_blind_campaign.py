@@ -377,11 +377,26 @@ def test_bands_go_to_the_strongest_effects() -> None:
     scores = compute_scores(cases, ABOUT)
     assert (scores.covered.hits, scores.covered.of) == (2, 3)
     bands = {(band.low, band.high): band for band in scores.bands}
-    assert (bands[4096.0, 4096.0].covered.hits, bands[4096.0, 4096.0].covered.of) == (1, 2)
-    assert (bands[8.0, 16.0].first.hits, bands[8.0, 16.0].first.of) == (0, 1)
-    assert bands[1.0, 4.0].detected.of == 1
+    assert (bands[1024.0, 1e9].covered.hits, bands[1024.0, 1e9].covered.of) == (2, 3)
+    assert (bands[8.0, 32.0].first.hits, bands[8.0, 32.0].first.of) == (0, 1)
+    assert bands[2.0, 8.0].detected.of == 1
     assert sum(band.detected.of for band in scores.bands) == len(cases)
-    assert "| 256 to 1024 | 100.0 %" in markdown(scores)
+    assert "| from 1024 | 100.0 %" in markdown(scores)
+
+
+def test_an_effect_of_unknown_strength_must_be_found_and_stands_in_no_band() -> None:
+    truth = {"case": "0001", "kind": "open", "shifted": False, "withheld": "",
+             "effects": [{"name": "lugre_joint", "place": "joint", "size": 1.0}]}  # fmt: skip
+    scores = compute_scores([scored_case(truth, {"diagnosis": diagnosis("none"), "seconds": 1.0})], ABOUT)
+    assert (scores.method.detected.hits, scores.method.detected.of) == (0, 1)
+    assert not any(band.detected.of for band in scores.bands)
+    assert not scores.unnamed
+
+
+def test_strengths_are_counted_by_their_next_power_of_2() -> None:
+    cases = [case("effect", diagnosis("effect", "air_drag"), "air_drag", sigma=sigma) for sigma in (0.2, 6.5, 9.0)]
+    scores = compute_scores(cases, ABOUT)
+    assert {sigma: detected.of for sigma, (detected, _) in scores.by_strength.items()} == {1.0: 1, 8.0: 2}
 
 
 def test_cases_that_did_not_lock_are_counted(campaign: Path) -> None:

@@ -10,17 +10,11 @@ import numpy as np
 import pytest
 
 from nmt_blind.campaign.ensemble_sindy import sparse_terms
-from nmt_blind.cases.blind_rigs import BLIND_RIGS, blind_rig
-from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, OPEN
+from nmt_blind.cases.blind_rigs import blind_rig
 from nmt_blind.cases.laboratory import TrialError, record_backbone, record_random
 from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.quiet_tests import play_backbone, play_random
 from nmt_blind.cases.rig_edits import Edit, with_edits
-from nmt_blind.cases.strength import Sensitivity
-from nmt_blind.cases.strength_curve import value_at
-from nmt_blind.cases.strength_table import load_table, table_file
-from nmt_blind.cases.tolerances import TOLERANCE_SETS
-from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest
 from nmt_diagnose.observations.observables import Part
@@ -144,91 +138,6 @@ def test_a_rig_that_cannot_be_integrated_is_a_test_that_cannot_be_made() -> None
     for played in (play_backbone, play_random):
         with pytest.raises(TrialError, match="not finite"):
             played(truth, MODEL, FEW)
-
-
-@pytest.mark.campaign
-def test_strengths_count_what_the_model_cannot_take() -> None:
-    rig = replace(BEAM, bench=replace(FEW, levels=(0.3, 0.8), window_periods=20, duration=2.0,
-                                      mesh_refinement=1, substeps=1))  # fmt: skip
-    sensitivity = Sensitivity(rig)
-    # A parameter of the model, one prior standard deviation off, is no effect: its own column takes it.
-    modulus = (Edit(("structure", "youngs_modulus_pa"), 1.01, "scale"),)
-    observed = sensitivity.observe(with_edits(MODEL, modulus))
-    good = np.isfinite(sensitivity.base.noise)
-    raw = np.linalg.norm(((observed.values - sensitivity.base.values) / sensitivity.base.noise)[good])
-    assert raw > 50.0
-    assert sensitivity.sigma_of(observed) < 2.0
-    gain = [sensitivity.sigma((Edit(("sensors", 3, "gain"), 1.0 + g),)) for g in (0.01, 0.02)]
-    assert gain[0] > 3.0
-    assert gain[1] == pytest.approx(2.0 * gain[0], rel=0.05)
-    assert sensitivity.sigma(()) == 0.0
-
-
-@pytest.mark.campaign
-def test_what_every_laboratory_has_is_no_effect() -> None:
-    """One standard deviation to either side of each tolerance, of leads too, and of a shifted resonance as well."""
-    rig = blind_rig("modal_beam")
-    levels = rig.bench.levels[-2:]
-    sensitivity = Sensitivity(replace(rig, bench=replace(rig.bench, levels=levels, window_periods=20, duration=2.0)),
-                              "laboratory")  # fmt: skip
-    leads = sensitivity.relative
-    assert len(leads) == 5
-    sensor = next(k for k, own in enumerate(sensitivity.model.sensors) if own.quantity == "acceleration")
-    for edits in (
-        (Edit(("clock_error",), -TOLERANCES.clock),),
-        (Edit(("sensors", sensor, "delay_s"), -TOLERANCES.delay_s),),
-        (Edit(("sensors", sensor, "gain"), 1.0 - TOLERANCES.gain),),
-    ):
-        assert sensitivity.sigma(edits) < 1.1
-    damped = (Edit(("structure", "modes", 0, "damping_ratio"), 1.3, "scale"),)
-    for observed, signs in ((sensitivity.base, (1.0, -1.0)), (sensitivity.played(damped), (-1.0,))):
-        best = sensitivity.settled(observed, sensitivity.shifted(observed))
-        lead = sensitivity.changes_about(observed.values)[:, leads[1]]
-        for sign in signs:
-            both = replace(observed, values=observed.values + sign * lead)
-            found = sensitivity.settled(both, sensitivity.shifted(both, best.made, best.changes))
-            assert found.left < math.hypot(best.left, 1.0) + 0.2
-
-
-def test_values_between_points_of_a_curve() -> None:
-    curve = {"points": [[1.0, 4.0], [4.0, 16.0], [8.0, 15.0]], "proportional": True}
-    assert value_at(curve, 8.0) == pytest.approx(2.0)
-    assert value_at(curve, 1.0) == pytest.approx(0.25)
-    assert value_at(curve, 32.0) == pytest.approx(8.0)
-    assert value_at({**curve, "proportional": False}, 32.0) is None
-    assert value_at({"points": []}, 1.0) is None
-
-
-SHIPPED = [
-    (name, tolerances)
-    for name in BLIND_RIGS
-    for tolerances in TOLERANCE_SETS
-    if table_file(BLIND_RIGS[name], tolerances).is_file()
-]
-
-
-# Truths that the tables are still to be completed by; `make --sealed` refuses until then.
-YOUNGER = {"amplitude_damping", "power_law_damping", "shared_delay"}
-
-
-def test_every_rig_has_a_table() -> None:
-    assert {name for name, _ in SHIPPED} == set(BLIND_RIGS)
-
-
-@pytest.mark.parametrize(("name", "tolerances"), SHIPPED)
-def test_the_program_has_tables_for_its_rigs(name: str, tolerances: str) -> None:
-    rig = blind_rig(name)
-    table = load_table(rig, tolerances)
-    model = rig.model()
-    for truth in (*KNOWN, *OPEN):
-        spots = truth.spots(model)
-        found = [table.value(truth, spot, 1.0) for spot in spots]
-        assert truth.name in YOUNGER or not spots or any(value is not None for value in found), truth.name
-    cubic = INJECTED_EFFECTS["cubic_stiffness"]
-    spot = cubic.spots(model)[0]
-    values = [table.value(cubic, spot, sigma) for sigma in (1.0, 4.0, 16.0)]
-    assert all(value is not None for value in values)
-    assert values == sorted(values, key=lambda value: value or 0.0)
 
 
 def test_sparse_regression_names_a_strong_spring(tmp_path: Path) -> None:

@@ -9,16 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from blind.blind_campaign import SHORT, made_up_table, make, operating, short_rig
+from blind.blind_campaign import SHORT, make, operating, short_rig
 
-from nmt_blind.cases.draw import MIXTURE, STRENGTHS, draw_cases
+from nmt_blind.cases.draw import MIXTURE, SIZES, draw_cases
 from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, NEAR_TWINS, OPEN
 from nmt_blind.cases.laboratory import record_backbone, record_random
 from nmt_blind.cases.make import bag_hash, make_campaign
 from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.priors import LARGEST_SHIFT, parameters
 from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
-from nmt_blind.cases.strength_curve import spot_key
 from nmt_core.errors import BenchError
 from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import Rig, load_rig
@@ -113,18 +112,15 @@ def test_campaigns_do_not_mix(tmp_path: Path) -> None:
 
 
 def test_the_mixture_is_as_stated_and_cases_do_not_depend_on_their_number() -> None:
-    table = made_up_table(RIG)
-    cases = draw_cases(MODEL, table, 200, 6)
+    cases = draw_cases(MODEL, operating(), 200, 6)
     assert Counter(case.kind for case in cases) == {kind: 10 * share for kind, share in MIXTURE.items()}
-    assert cases[:30] == draw_cases(MODEL, table, 30, 6)
+    assert cases[:30] == draw_cases(MODEL, operating(), 30, 6)
     nulls = [case for case in cases if case.kind == "null"]
     assert sum(case.shifted for case in nulls) == len(nulls) // 2
     assert all(not case.edits for case in nulls if not case.shifted)
     singles = [case for case in cases if case.kind == "effect"]
     assert {effect.name for case in singles for effect in case.effects} == {truth.name for truth in KNOWN}
-    assert {case.effects[0].asked for case in singles} == set(STRENGTHS)
-    # What the table does not reach is as strong as it gets, and says so.
-    assert all(case.effects[0].sigma == min(case.effects[0].asked, 64.0) for case in singles)
+    assert {case.effects[0].size for case in singles} == set(SIZES)
     for case in cases:
         names = [effect.name for effect in case.effects]
         assert case.kind != "withheld" or case.withheld.split(",")[0] == names[0]
@@ -137,17 +133,16 @@ def test_the_mixture_is_as_stated_and_cases_do_not_depend_on_their_number() -> N
 
 
 def test_a_gap_is_a_share_of_the_motion_of_the_rig_that_has_it() -> None:
-    table = made_up_table(RIG)
-    own = table.operating
+    own = operating()
     half = replace(own, displacement={point: 0.5 * size for point, size in own.displacement.items()})
-    plain = draw_cases(MODEL, table, 300, 6, ("effect",))
+    plain = draw_cases(MODEL, own, 300, 6, ("effect",))
     asked: list[Rig] = []
 
     def motion(rig: Rig) -> Operating:
         asked.append(rig)
         return half
 
-    cases = draw_cases(MODEL, table, 300, 6, ("effect",), motion=motion)
+    cases = draw_cases(MODEL, own, 300, 6, ("effect",), motion=motion)
     compared = 0
     for case, other in zip(cases, plain, strict=True):
         assert case.effects[0].value == other.effects[0].value
@@ -171,31 +166,32 @@ def test_a_gap_is_a_share_of_the_motion_of_the_rig_that_has_it() -> None:
     ],
 )
 def test_an_effect_is_withheld_with_what_contains_it(special: str, general: str) -> None:
-    cases = draw_cases(MODEL, made_up_table(RIG), 800, 8, kinds=("withheld",))
+    cases = draw_cases(MODEL, operating(), 800, 8, kinds=("withheld",))
     mine = [case for case in cases if case.effects[0].name == special]
     assert mine
     assert all(general in case.withheld.split(",") for case in mine)
 
 
+def test_an_effect_is_withheld_with_its_near_twins() -> None:
+    cases = draw_cases(MODEL, operating(), 400, 8, kinds=("withheld",))
+    for case in cases:
+        name = case.effects[0].name
+        twins = {other for pair in NEAR_TWINS if name in pair for other in pair}
+        assert twins <= set(case.withheld.split(","))
+
+
 def test_air_drags_no_more_than_air_can() -> None:
     limit = 0.5 * 1.2 * 10.0 * 0.7 * 0.00527668  # ½ ρ C_d A of the beam's face
-    plain = made_up_table(RIG)
-    heavy = {
-        key: {**curve, "points": [[0.9, 64.0]]} if key.startswith("air_drag") else curve
-        for key, curve in plain.curves.items()
-    }
-    for table, strengths in ((plain, set()), (replace(plain, curves=heavy), {1.0})):
-        cases = draw_cases(MODEL, table, 600, 6, ("effect",))
-        drags = [case.effects[0] for case in cases if case.effects[0].name == "air_drag"]
-        assert drags
-        assert all(abs(drag.value) <= limit for drag in drags)
-        assert not strengths or {drag.sigma for drag in drags} == strengths
+    cases = draw_cases(MODEL, operating(), 800, 6, ("effect",))
+    drags = [abs(case.effects[0].value) for case in cases if case.effects[0].name == "air_drag"]
+    assert max(drags) == pytest.approx(limit, rel=1e-3)
+    assert min(drags) < 0.5 * limit
 
 
 def test_shifts_stay_within_their_priors() -> None:
     priors = parameters(MODEL)
     assert ("structure", "youngs_modulus_pa") in priors
-    for case in draw_cases(MODEL, made_up_table(RIG), 20, 6, ("null",)):
+    for case in draw_cases(MODEL, operating(), 20, 6, ("null",)):
         for edit in case.edits:
             value, std = priors[edit.path]
             assert abs(edit.value / value - 1.0) < 1.05 * LARGEST_SHIFT * std * (1.0 + std)
@@ -205,7 +201,7 @@ def test_shifts_stay_within_their_priors() -> None:
 def test_every_truth_is_a_rig_file(truth: object) -> None:
     chosen = INJECTED_EFFECTS[truth.name]  # type: ignore[attr-defined]
     for spot in chosen.spots(MODEL):
-        value = min(chosen.guess(MODEL, operating(), spot), 0.5 * chosen.limit(MODEL, operating(), spot))
+        value = chosen.value(MODEL, operating(), spot, 0.5)
         rig = with_edits(MODEL, chosen.edits(MODEL, operating(), spot, value))
         assert rig != MODEL
         assert chosen.place_at(MODEL, spot)
@@ -247,19 +243,3 @@ def test_the_two_tests_of_a_case_have_noise_of_their_own(tmp_path: Path) -> None
     # The first samples come before any motion: they are noise alone.
     first = [read_signals(Bag.open(tmp_path / test), 0, 40).channels["x6"] for test in ("backbone", "random")]
     assert abs(float(first[0] @ first[1])) < 0.6 * float((first[0] @ first[0] * (first[1] @ first[1])) ** 0.5)
-
-
-def test_what_hardly_differs_is_withheld_together_and_leaves_nothing_alone() -> None:
-    plain = made_up_table(RIG)
-    gain = next(key for key in plain.curves if key.startswith("response_gain"))
-    curve = {
-        **plain.curves[gain],
-        "competing": {"transverse_sensitivity": 0.99, "clock_error": 0.6, "ground_loop": 0.98},
-    }
-    table = replace(plain, curves={**plain.curves, gain: curve})
-    truth = INJECTED_EFFECTS["response_gain"]
-    spot = next(s for s in truth.spots(MODEL) if spot_key(truth, s) == gain)
-    assert table.twins(truth, spot) == ("transverse_sensitivity",)  # no library has a ground loop
-    assert table.alone(truth, spot) == pytest.approx((1.0 - 0.99**2) ** 0.5)
-    assert table.alone(truth, spot, ("transverse_sensitivity",)) == pytest.approx(0.8)
-    assert table.alone(truth, spot, ("transverse_sensitivity", "clock_error")) == 1.0

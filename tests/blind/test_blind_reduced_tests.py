@@ -143,6 +143,6 @@ def test_truths_find_places_on_any_rig(points: list[int]) -> None:
         spots = truth.spots(rig)
         assert spots
         for spot in spots:
-            with_edits(rig, truth.edits(rig, motion, spot, truth.guess(rig, motion, spot)))
+            with_edits(rig, truth.edits(rig, motion, spot, truth.value(rig, motion, spot, 1.0)))
     assert bool(INJECTED_EFFECTS["transverse_sensitivity"].spots(rig)) == (len(points) > 1)
     assert not INJECTED_EFFECTS["clamp_compliance"].spots(rig)

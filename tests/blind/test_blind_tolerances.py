@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from blind.blind_campaign import made_up_table, make, operating, short_rig
+from blind.blind_campaign import make, operating, short_rig
 
 from nmt_blind.cases.blind_rigs import blind_rig
 from nmt_blind.cases.draw import draw_cases
@@ -89,7 +89,7 @@ def _block(first: int, samples: int, frequency: float, amplitude: float) -> Osci
     rate = MODAL.sample_rate_hz
     cycles = (frequency * first / rate) % 1.0
     phase = OscillatorPhase(cycles, frequency, 0.0)
-    return OscillatorBlock(amplitude * np.cos(phase.phase(samples + 1, rate)), phase)
+    return OscillatorBlock(amplitude * np.cos(phase.phase(samples + 1, rate))[None], phase)
 
 
 def _amplitudes(device: SimulatedRig, frequency: float, orders: tuple[int, ...]) -> np.ndarray:
@@ -161,9 +161,8 @@ def test_a_bag_with_tolerances_says_that_it_comes_from_elsewhere(tmp_path: Path)
 
 
 def test_every_case_has_a_chain_of_its_own_and_the_bags_say_nothing_of_it(tmp_path: Path) -> None:
-    table = made_up_table(RIG)
-    cases = draw_cases(MODEL, table, 20, 6, tolerances="laboratory")
-    plain = draw_cases(MODEL, table, 20, 6)
+    cases = draw_cases(MODEL, operating(), 20, 6, tolerances="laboratory")
+    plain = draw_cases(MODEL, operating(), 20, 6)
     for with_chain, without in zip(cases, plain, strict=True):
         assert with_chain.edits[: len(without.edits)] == without.edits
         assert replace(with_chain, edits=without.edits, converters=None) == without

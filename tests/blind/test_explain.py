@@ -21,7 +21,7 @@ SETTINGS = DiagnosisSettings(withheld=tuple(effect.name for effect in library() 
 
 
 def entry(value: float) -> dict[str, object]:
-    effect = {"name": "cubic_stiffness", "detail": "2", "sigma": 50.0, "figures": {"k": value}}
+    effect = {"name": "cubic_stiffness", "detail": "2", "figures": {"k": value}}
     return {"case": "0001", "effects": [effect], "edits": [], "withheld": ""}
 
 
@@ -50,24 +50,23 @@ def test_true_figures_become_the_parameters_that_are_reported_as_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("costs", "evidence", "sigma", "drawn", "scale", "answer"),
+    ("costs", "evidence", "sigma", "scale", "answer"),
     [
-        ((100.0, 60.0, 40.0), (10.0, 20.0), 7.7, 8.0, 1.0, "search"),
-        ((100.0, 60.0, 40.0), (30.0, 20.0), 7.7, 8.0, 1.0, "priors"),
-        ((100.0, 30.0, 60.0), (30.0, 10.0), 6.3, 8.0, 3.0, "physics"),
-        ((100.0, 95.0, 96.0), (1.0, 1.0), 2.0, 16.0, 1.0, "noise"),
-        ((100.0, 95.0, 96.0), (1.0, 1.0), 2.0, 3.0, 1.0, "information"),
-        ((100.0, 95.0, math.nan), (1.0, 1.0), math.nan, 16.0, 1.0, "physics"),
+        ((100.0, 60.0, 40.0), (10.0, 20.0), 7.7, 1.0, "search"),
+        ((100.0, 60.0, 40.0), (30.0, 20.0), 7.7, 1.0, "priors"),
+        ((100.0, 30.0, 60.0), (30.0, 10.0), 6.3, 3.0, "physics"),
+        ((100.0, 95.0, 96.0), (1.0, 1.0), 2.0, 1.0, "information"),
+        ((100.0, 95.0, math.nan), (1.0, 1.0), math.nan, 1.0, "physics"),
     ],
 )
 def test_what_a_miss_comes_from(
-    costs: tuple[float, ...], evidence: tuple[float, ...], sigma: float, drawn: float, scale: float, answer: str
+    costs: tuple[float, ...], evidence: tuple[float, ...], sigma: float, scale: float, answer: str
 ) -> None:
-    assert follows(False, True, costs, evidence, sigma, drawn, [1.0, scale]) == answer
+    assert follows(False, True, costs, evidence, sigma, [1.0, scale]) == answer
 
 
 def test_a_healthy_case_that_is_called_healthy_is_no_miss() -> None:
-    assert follows(True, False, (1.0, 1.0, 1.0), (0.0, 0.0), 0.0, 0.0, [1.0]) == "healthy"
+    assert follows(True, False, (1.0, 1.0, 1.0), (0.0, 0.0), 0.0, [1.0]) == "healthy"
 
 
 def test_strengths_are_measured_by_the_noise_of_the_recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,7 +74,7 @@ def test_strengths_are_measured_by_the_noise_of_the_recordings(tmp_path: Path, m
     observations = observations_of_model(truth, seed=6, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
     monkeypatch.setattr(explain, "_recorded", lambda folder, case, settings: (MODEL, observations))
     told: list[str] = []
-    unknown = {**entry(1.0), "case": "0002", "effects": [{"name": "no_such_effect", "detail": "", "sigma": 3.0}]}
+    unknown = {**entry(1.0), "case": "0002", "effects": [{"name": "no_such_effect", "detail": ""}]}
     healthy = {**entry(1.0), "case": "0003", "effects": []}
     cases = {"cases": [entry(2e8), unknown, healthy]}
 

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from nmt_blind.campaign.explain import measured_strengths
 from nmt_blind.campaign.run import run_campaign
 from nmt_blind.campaign.score import Scores, score_campaign
 from nmt_blind.campaign.statistics import Proportion
-from nmt_blind.cases.blind_rigs import blind_rig
 from nmt_blind.cases.make import make_campaign
-from nmt_blind.cases.strength_table import load_table
 
 CASES, SEED, JOBS = 20, 9001, 2
 
@@ -24,10 +23,10 @@ def at_least(found: Proportion, share: float) -> bool:
 @pytest.fixture(scope="module")
 def sealed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, Scores]:
     folder = tmp_path_factory.mktemp("blind") / "sealed"
-    made = make_campaign(folder, "beam", CASES, SEED, sealed=True, jobs=JOBS, table=load_table(blind_rig("beam")))
-    done = run_campaign(folder, jobs=JOBS, discard_bags=True)
+    made = make_campaign(folder, "beam", CASES, SEED, sealed=True, jobs=JOBS)
+    done = run_campaign(folder, jobs=JOBS)
     assert (done.done, done.failed) == (CASES, 0)
-    return folder, made.seal, score_campaign(folder)
+    return folder, made.seal, score_campaign(folder, measured=lambda truth: measured_strengths(folder, truth, JOBS))
 
 
 @pytest.mark.campaign

@@ -60,7 +60,7 @@ def test_the_floor_of_a_quantity_follows_from_its_powers() -> None:
 
 def test_columns_of_the_tables_stand_in_their_order() -> None:
     known = (
-        "frequency_hz", "damping_ratio", "hysteresis_damping", "modal_amplitude", "force_n", "pbmif", "gamma_force",
+        "omega_rad_s", "damping_ratio", "hysteresis_damping", "modal_amplitude", "force_n", "pbmif", "gamma_force",
         "gamma_acceleration", "mac",
     )  # fmt: skip
     assert tuple(column.name for column in MODAL_COLUMNS if column.name in known) == known

@@ -115,7 +115,7 @@ def busy(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
     """A run to its end."""
     del rng
     said, _ = (command := start(out, mark, "0.3:1:3", 60)).communicate(timeout=_LONGEST)
-    faults = [] if "3 of 3 levels locked." in said and "bag closed" in said else [said.strip()[-600:]]
+    faults = [] if "3 of 3 levels locked" in said and "bag closed" in said else [said.strip()[-600:]]
     return faults + ([f"exit code {command.returncode}"] if command.returncode else []) + faults_of_bag(out, whole=True)
 
 
@@ -142,7 +142,7 @@ def recorder(out: Path, mark: str, rng: np.random.Generator) -> list[str]:
     os.kill(process, signal.SIGCONT)
     said, _ = command.communicate(timeout=_LONGEST)
     held = [] if "The run waits for node recorder, which is stopped" in said else ["it was not said who holds it up"]
-    faults = [] if "4 of 4 levels locked." in said and "bag closed" in said else [said.strip()[-600:]]
+    faults = [] if "4 of 4 levels locked" in said and "bag closed" in said else [said.strip()[-600:]]
     return held + faults + faults_of_bag(out, whole=True)
 
 

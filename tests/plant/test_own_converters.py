@@ -85,6 +85,9 @@ BROKEN = {
     "long turns": ("delay = 0", "delay = 0; chunk_samples = 1000", "turn", r"a turn has 1000 samples \(200 ms\)"),
     "no samples": ("delay = 0", "delay = 0; chunk_samples = 0", "turn", "it asked for 0 samples"),
     "falls behind": (GIVES, GIVES + "[:, :20]", "input", "it measured 4000 samples while it put out 10000"),
+    "loses one of fifty": (
+        GIVES, GIVES + "[:, :49]", "input", "measures fewer samples than it puts out: 9800 for 10000",
+    ),
     "loses samples": (GIVES, GIVES + ", True", "loss", "it lost samples in 200 of 200 turns"),
     "another rate": ("shape[1] / self.rate", "shape[1] / 4594.0", "rate", "it takes 4594 samples a second"),
     "does not wait": ("self.clock.sleep", "abs", "rate", "it takes inf samples a second"),
@@ -112,6 +115,16 @@ def test_a_good_driver_is_found_so(tmp_path: Path) -> None:
     assert result.passed, str(result)
     assert (result.delay_samples, result.turn_samples) == (0, 50)
     assert result.rate_hz == pytest.approx(RATE)
+
+
+def test_a_device_that_gives_blocks_of_its_own_is_good(tmp_path: Path) -> None:
+    blocks = """
+        self.waiting = getattr(self, "waiting", 0) + volts.shape[1]
+        ready = 64 * (self.waiting // 64)
+        self.waiting -= ready
+        return np.zeros((self.inputs, ready))"""
+    result = tried(tmp_path, GOOD.replace(GIVES, blocks))
+    assert result.passed, str(result)
 
 
 def test_a_driver_with_a_callback_is_good_too(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ def test_every_output_is_the_amplitude_times_its_terms():
     block = oscillator.block(200)
     first, second = expected(2.0, 2 * np.pi * 50.0 * np.arange(201) / RATE)
     np.testing.assert_allclose(block.voltage, first, atol=1e-12)
-    np.testing.assert_allclose(block.further[0], second, atol=1e-12)
+    np.testing.assert_allclose(block.voltages[1], second, atol=1e-12)
 
 
 def test_ratios_change_without_a_step_and_ramps_take_all_outputs_along():
@@ -42,16 +42,16 @@ def test_ratios_change_without_a_step_and_ramps_take_all_outputs_along():
     before = oscillator.block(200)
     oscillator.apply(sine(terms=((2, 1, -0.9),)))
     change = oscillator.block(200)
-    assert change.further[0][0] == pytest.approx(before.further[0][-1], abs=1e-12)
-    assert np.abs(np.diff(change.further[0])).max() < 0.05
+    assert change.voltages[1][0] == pytest.approx(before.voltages[1][-1], abs=1e-12)
+    assert np.abs(np.diff(change.voltages[1])).max() < 0.05
     after = oscillator.block(200)
-    np.testing.assert_allclose(after.further[0], -0.9 * after.voltage, atol=1e-12)
+    np.testing.assert_allclose(after.voltages[1], -0.9 * after.voltage, atol=1e-12)
     oscillator.apply(DriveCommand(Waveform.OFF, ramp=0.04))
     for _ in range(2):
         block = oscillator.block(200)
-        np.testing.assert_allclose(block.further[0], -0.9 * block.voltage, atol=1e-12)
+        np.testing.assert_allclose(block.voltages[1], -0.9 * block.voltage, atol=1e-12)
     assert oscillator.is_quiet
-    assert block.further[0][-1] == 0.0
+    assert block.voltages[1][-1] == 0.0
 
 
 def test_the_first_output_is_the_same_whatever_others_there_are():
@@ -65,7 +65,7 @@ def test_the_first_output_is_the_same_whatever_others_there_are():
         for _ in range(4):
             one, many = alone.block(100), first.block(100)
             assert np.array_equal(one.voltage, many.voltage)
-            assert not many.further.any()
+            assert not many.voltages[1:].any()
 
 
 def test_random_outputs_are_uncorrelated():
@@ -75,7 +75,7 @@ def test_random_outputs_are_uncorrelated():
     )
     blocks = [oscillator.block(1000) for _ in range(100)]
     one = np.concatenate([block.voltage[:-1] for block in blocks])
-    two = np.concatenate([block.further[0][:-1] for block in blocks])
+    two = np.concatenate([block.voltages[1][:-1] for block in blocks])
     assert two.std() == pytest.approx(0.6 * one.std(), rel=0.05)
     assert abs(np.corrcoef(one, two)[0, 1]) < 0.02
 
@@ -104,7 +104,7 @@ def test_what_is_put_out_is_measured_at_every_exciter():
     [
         (((2, 1, 60.0),), "beyond the voltage limit"),
         (((3, 1, 0.1),), "exciter 3, but there are 2"),
-        (((1, 1, 0.1),), "no further term"),
+        (((1, 1, 0.1),), "is no term"),
         (((2, 150, 0.1),), "half the sample rate"),
         (((2, 1, float("nan")),), "must be finite"),
     ],

@@ -180,7 +180,7 @@ def test_the_device_stops_both_at_the_sample_that_is_beyond(row):
 
         def block(samples):
             made_now = real(samples)
-            (made_now.voltage if row == 0 else made_now.further[0])[33] = 51.0
+            made_now.voltages[row, 33] = 51.0
             oscillator.block = real
             return made_now
 

@@ -18,13 +18,18 @@ from report.synthetic_run import damping_of, omega_of, synthetic_run
 from nmt_core.errors import BenchError
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.offline import extract_bag
+from nmt_extract.uncertainty_budget import Budget, PointBudget, UncertaintySource
 from nmt_report import run_report
+from nmt_report.backbone_figures import participation_figure
 from nmt_report.history_figures import MOST_PANELS, chosen_excerpts, thinned
+from nmt_report.quantity_format import plain
 from nmt_report.run_data import ReferenceCurve
 from nmt_report.run_data_from_bag import _plant
 from nmt_report.run_page import page as words_of_page
-from nmt_report.run_page import verdict, worst_deviation
+from nmt_report.run_page import worst_deviation
 from nmt_report.run_report import list_files, read_reference, report_data_from_bag, report_html, write_report
+from nmt_report.run_verdict import run_verdict
+from nmt_report.stated_uncertainty import with_budgets
 
 FIGURES = (
     "backbone",
@@ -227,15 +232,67 @@ def test_displacement_offset_unknown_with_accelerometers() -> None:
     assert "harmonics" in Page(report_html(replace(data, points=points))).ids
 
 
-def test_verdict_counts_levels_never_reached() -> None:
-    data = synthetic_run(levels=10, failed=None)
-    assert verdict(data) == ("10 of 10 levels locked and extracted", "good")
-    data.points = data.points[:4]
-    text, kind = verdict(data)
-    assert kind == "partly"
-    assert "6 not reached" in text
-    data.points = []
-    assert verdict(data)[1] == "bad"
+def test_the_verdict_counts_what_became_of_every_level() -> None:
+    points = synthetic_run(levels=10, failed=None).points
+    assert run_verdict(points, 10) == ("10 of 10 levels locked and extracted", "good")
+    assert run_verdict(points[:4], 10) == ("4 of 10 levels locked and extracted; 6 not reached", "partly")
+    lost = [replace(point, status=Status.NOT_LOCKED) for point in points[:2]]
+    spoiled = [replace(point, status=Status.REJECTED) for point in points[2:3]]
+    assert run_verdict([*lost, *spoiled, *points[3:6]]) == (
+        "3 of 6 levels locked and extracted; 2 not locked; 1 rejected",
+        "partly",
+    )
+    assert run_verdict(lost) == ("0 of 2 levels locked and extracted; 2 not locked", "bad")
+    assert run_verdict([]).tone == "bad"
+
+
+def test_the_whole_budget_is_what_stands_behind_plus_minus() -> None:
+    data = synthetic_run(levels=2, failed=None, reference=False)
+    first, second = data.points
+    budget = Budget(
+        "damping_ratio", first.damping_ratio, {UncertaintySource.NOISE: 3e-5, UncertaintySource.GAINS: 4e-5}
+    )
+    data.budgets = [PointBudget(first.level_index, first.level, "V", {"damping_ratio": budget})]
+    assert [point.damping_ratio_std for point in with_budgets(data.points, data.budgets)] == [
+        pytest.approx(5e-5),
+        second.damping_ratio_std,
+    ]
+    html = report_html(data)
+    shown = plain(100 * first.damping_ratio, 4)
+    assert f"<td>{shown} <i>± 0.0050</i></td>" in html
+    assert "Bars: standard uncertainty by the budget." in html
+    assert "Bars: repeatability." in html
+
+
+def test_the_shift_counts_from_the_smallest_amplitude_and_has_a_sign() -> None:
+    data = synthetic_run(levels=3, failed=None)
+    for factor, words in ((1.02, "+2 %"), (0.98, "−2 %")):
+        points = [replace(point, frequency_hz=20.0) for point in data.points]
+        points[-1] = replace(points[-1], frequency_hz=20.0 * factor)
+        assert f"{words} from the smallest to the largest amplitude" in words_of_page(replace(data, points=points), {})
+
+
+def test_the_participation_of_one_mode_is_not_magnified() -> None:
+    data = synthetic_run(levels=3, failed=None)
+    data.points = [
+        replace(point, participation=np.array([1.0 + 1e-15 * index]) + 0j) for index, point in enumerate(data.points)
+    ]
+    figure = participation_figure(data)
+    assert figure is not None
+    assert "e-15" not in figure.svg
+    assert "1e−15" not in figure.svg
+
+
+def test_agreement_of_up_and_down_is_a_tile_and_no_fault() -> None:
+    data = synthetic_run(levels=3, failed=None)
+    down = [replace(point, level_index=3 + n) for n, point in enumerate(reversed(data.points[:2]))]
+    data.points = [*data.points, *down]
+    text = words_of_page(data, {})
+    assert "2 of 2 levels agree" in text
+    assert "Up and down agree" not in text
+    moved = [replace(point, frequency_hz=1.01 * point.frequency_hz) for point in down]
+    text = words_of_page(replace(data, points=[*data.points[:3], *moved]), {})
+    assert '<p class="notice partly">Up and down agree' in text
 
 
 def test_deviation_from_the_reference() -> None:

@@ -8,10 +8,11 @@ from scipy.optimize import brentq
 
 from nmt_core.errors import BenchError
 from nmt_rig.linear_description import linear_description
-from nmt_rig.model.assembly import OutputRow, assemble
+from nmt_rig.model.assembly import assemble
 from nmt_rig.model.beam import euler_bernoulli_beam
 from nmt_rig.model.continuation import NotConvergedError
 from nmt_rig.model.epmc import epmc_backbone
+from nmt_rig.model.exciter import OutputRow
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.local_elements.springs import CubicSpring

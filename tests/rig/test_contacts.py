@@ -76,7 +76,7 @@ def independent_motion(
         return element.stiffness * (w - branch[e] * element.gap) if branch[e] else 0.0
 
     def rate(t: float, y: np.ndarray) -> np.ndarray:
-        result = space.a @ y + space.b_input * (amplitude * np.sin(2 * np.pi * frequency_hz * t))
+        result = space.a @ y + space.b_inputs[:, 0] * (amplitude * np.sin(2 * np.pi * frequency_hz * t))
         for e, column in enumerate(columns):
             result = result + column * force(e, rows[e] @ y[:m])
         return result

@@ -73,7 +73,7 @@ def test_linear_motion_is_exact_for_a_straight_input(linear_system):
     integrator = TimeIntegrator(linear_system, RATE, [displacement_output(linear_system, 2)])
     integrator.advance(np.linspace(0.0, 1.0, 201))
     solution = solve_ivp(
-        lambda t, s: space.a @ s + space.b_input * (t / 0.02), (0, 0.02), np.zeros(space.size), "Radau",
+        lambda t, s: space.a @ s + space.b_inputs[:, 0] * (t / 0.02), (0, 0.02), np.zeros(space.size), "Radau",
         jac=space.a, rtol=1e-10, atol=1e-14,
     )  # fmt: skip
     scale = np.abs(solution.y).max(axis=1) + 1e-12

@@ -8,16 +8,16 @@ import pytest
 from sequencer.bench import Bench, Fate
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.excitation import Excitation
-from nmt_core.vocabulary import ResultCode, TestKind
+from nmt_core.kinds import SweepTest
+from nmt_core.vocabulary import ResultCode
 from nmt_sequencer.run_machine import RunPlan
 
-SWEEP = Excitation(TestKind.SWEEP, rate_hz_s=0.2, frequency_end_hz=390.0)
+SWEEP = SweepTest(rate_hz_s=0.2, frequency_end_hz=390.0)
 
 
 def test_every_order_says_what_kind_of_test_it_belongs_to():
     bench = Bench([Fate(), Fate()])
-    bench.start(RunPlan("run", (14.65, 38.15), control=3, excitation=SWEEP, frequencies_hz=(350.0, 360.0)))
+    bench.start(RunPlan("run", (14.65, 38.15), control=3, kind=SWEEP, frequencies_hz=(350.0, 360.0)))
     bench.run()
     assert bench.machine.code == ResultCode.SUCCEEDED
     # Two levels, and the one that ends the excitation.
@@ -31,7 +31,7 @@ def test_every_order_says_what_kind_of_test_it_belongs_to():
 
 
 def test_plans_beyond_the_sample_rate_are_refused():
-    plan = RunPlan("run", (1.0,), excitation=SWEEP, frequencies_hz=(350.0,))
+    plan = RunPlan("run", (1.0,), kind=SWEEP, frequencies_hz=(350.0,))
     plan.check(1000.0)
     with pytest.raises(BenchError, match="half the sample rate, 350 Hz"):
         plan.check(700.0)

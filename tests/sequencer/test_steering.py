@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from sequencer.bench import BLOCK, PACING, Bench, Fate
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.excitation import Excitation
+from nmt_core.kinds import SteppedSineTest
 from nmt_core.messages.records import Steering
-from nmt_core.vocabulary import LoopState, ResultCode, RunPhase, SteeringAct, TestKind
+from nmt_core.vocabulary import LoopState, ResultCode, RunPhase, SteeringAct
 from nmt_sequencer.run_machine import RunMachine, RunPlan
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest
 
@@ -264,9 +264,7 @@ def test_requests_that_mean_nothing_are_refused(fields: dict[str, object], words
 
 
 def test_frequencies_go_with_their_levels() -> None:
-    stepped = RunPlan(
-        "run", (1.0, 1.0, 1.0), excitation=Excitation(TestKind.STEPPED_SINE), frequencies_hz=(10.0, 11.0, 12.0)
-    )
+    stepped = RunPlan("run", (1.0, 1.0, 1.0), kind=SteppedSineTest(), frequencies_hz=(10.0, 11.0, 12.0))
     changed = with_rest(stepped, 0, (2.0,), (20.0,))
     assert (changed.levels, changed.frequencies_hz) == ((1.0, 2.0), (10.0, 20.0))
     again = with_repetition(stepped, 1, 0)

@@ -178,9 +178,9 @@ def test_what_cannot_be_done_is_refused_with_a_sentence(settings, sentence):
 
 def test_a_rig_file_may_ask_for_it():
     plan = plan_test("beam", [0.1], overrides=["test.harmonics_control=auto"])
-    assert plan.excitation.harmonics_control == 1
-    assert plan_test("beam", [0.1], overrides=["test.harmonics_control=7"]).excitation.harmonics_control == 7
+    assert plan.kind.controlled_harmonics == 1
+    assert plan_test("beam", [0.1], overrides=["test.harmonics_control=7"]).kind.controlled_harmonics == 7
     off = plan_test("beam", [0.1], overrides=["test.harmonics_control=7"], harmonics_control=0)
-    assert off.excitation.harmonics_control == 0
+    assert off.kind.controlled_harmonics == 0
     # Kinds of test that cannot do it go on without.
     plan_test("beam", [0.1], overrides=["test.harmonics_control=7"], test="random", band_hz=(5.0, 50.0), duration=1.0)

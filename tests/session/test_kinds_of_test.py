@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.excitation import _FIELDS, Excitation
+from nmt_core.kinds import GOAL_FIELDS, RandomTest
+from nmt_core.kinds import KINDS as CLASSES
 from nmt_core.vocabulary import ControlKind, TestKind
 from nmt_pll.loop_core import LoopCore
 from nmt_record.windows.window_policy import POLICIES, Consequence, WindowFault
@@ -20,9 +21,8 @@ EACH = pytest.mark.parametrize("kind", KINDS, ids=[kind.label for kind in KINDS]
 
 @EACH
 def test_its_settings_are_known(kind: TestKind) -> None:
-    names = set(Excitation().level_fields)
-    assert kind in _FIELDS, f"say in excitation.py what a {kind.label} test has"
-    assert set(_FIELDS[kind]) <= names
+    assert kind in CLASSES, f"write the class of a {kind.label} test in nmt_core/kinds"
+    assert set(CLASSES[kind]().level_fields) <= {*GOAL_FIELDS, "test"}
 
 
 @EACH
@@ -39,15 +39,15 @@ def test_the_page_has_it(kind: TestKind) -> None:
 @EACH
 def test_what_is_noise_has_no_phase(kind: TestKind) -> None:
     judged = POLICIES[kind].effects[WindowFault.PHASE_JUMP]
-    assert not kind.is_noise or judged is Consequence.NONE
-    assert not (kind.is_noise and (kind.closes_phase_loop or kind.gives_modal_points))
+    found = CLASSES[kind]
+    assert not found.is_noise or judged is Consequence.NONE
+    assert not (found.is_noise and (found.closes_phase_loop or found.gives_modal_points))
 
 
 def test_noise_has_levels_of_voltage_and_no_frequencies() -> None:
-    for kind in (each for each in KINDS if each.is_noise):
-        noise = Excitation(kind, band_low_hz=5.0, band_high_hz=50.0, duration=4.0)
-        noise.check([], 1, ControlKind.VOLTAGE, 1000.0)
-        with pytest.raises(BenchError, match="levels of voltage"):
-            noise.check([], 1, ControlKind.FORCE, 1000.0)
-        with pytest.raises(BenchError, match="has a band and no frequencies"):
-            noise.check([10.0], 1, ControlKind.VOLTAGE, 1000.0)
+    noise = RandomTest(band_low_hz=5.0, band_high_hz=50.0, duration=4.0)
+    noise.check([], 1, ControlKind.VOLTAGE, 1000.0)
+    with pytest.raises(BenchError, match="levels of voltage"):
+        noise.check([], 1, ControlKind.FORCE, 1000.0)
+    with pytest.raises(BenchError, match="has a band and no frequencies"):
+        noise.check([10.0], 1, ControlKind.VOLTAGE, 1000.0)

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import RandomTest
 from nmt_core.settings import parameters_of, values_of
 from nmt_pll.pll_settings import PllSettings
 from nmt_rig.rig import load_rig
@@ -18,7 +19,7 @@ from nmt_session.node_plan import PlanSettings
 
 
 def test_the_settings_are_the_fields_of_the_plan() -> None:
-    made = {"rig", "rig_yaml", "levels", "tick_blocks", "block_reason"}
+    made = {"rig", "rig_yaml", "levels", "tick_blocks", "block_reason", "kind"}
     assert set(PlanSettings.__annotations__) == {item.name for item in fields(TestPlan)} - made
 
 
@@ -47,12 +48,12 @@ def test_frequencies_and_band_may_be_arrays() -> None:
     stepped = plan_test("beam", [np.float64(0.2)], test="stepped_sine", frequencies_hz=np.linspace(20.0, 21.0, 3))
     assert (stepped.levels, stepped.frequencies_hz) == ((0.2,) * 3, (20.0, 20.5, 21.0))
     noise = plan_test("beam", np.array([0.05]), test="random", band_hz=np.array([10, 2000]), duration=np.float64(2.0))
-    assert noise.band_hz == (10, 2000)
-    assert noise.run_settings.excitation.band_high_hz == 2000.0
+    assert noise.run_settings.kind == RandomTest(band_low_hz=10.0, band_high_hz=2000.0, duration=2.0)
+    assert type(noise.run_settings.kind.duration) is float
 
 
 def test_a_wrong_setting_is_named() -> None:
-    with pytest.raises(TypeError, match="'colour'"):
+    with pytest.raises(BenchError, match="A phase resonance test has no colour"):
         plan_test("beam", [0.2], colour=1)
     with pytest.raises(BenchError, match="Pacing 'slow' is not known; use lockstep or realtime"):
         plan_test("beam", [0.2], pacing="slow")

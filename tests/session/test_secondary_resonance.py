@@ -40,8 +40,9 @@ def check(points, bag, resonance: str, forces, order: int):
         balance = at_force(resonance, force)[0]
         assert point.status is PointStatus.OK, point.reason
         assert (point.response_order, point.force_order) == (k, nu)
-        assert point.frequency_hz == pytest.approx(nu * balance.omega_b * OMEGA / (2.0 * math.pi), rel=1e-3)
-        assert point.omega_rad_s == pytest.approx(2.0 * math.pi * point.frequency_hz * k / nu, rel=1e-12)
+        assert point.frequency_hz == pytest.approx(k * balance.omega_b * OMEGA / (2.0 * math.pi), rel=1e-3)
+        assert point.omega_rad_s == pytest.approx(2.0 * math.pi * point.frequency_hz, rel=1e-12)
+        assert point.excitation_frequency_hz == pytest.approx(point.frequency_hz * nu / k, rel=1e-12)
         assert point.modal_amplitude == pytest.approx(abs(balance.series[order, 0]) * LENGTH, rel=5e-3)
         assert point.force_n == pytest.approx(force * FORCE, rel=5e-3)
         # One dashpot damps every order alike: ξ = 2 ζ ω₁ whatever the amplitude.
@@ -76,7 +77,7 @@ def test_the_subharmonic_resonance_is_recorded_and_extracted_again_bit_for_bit(t
         ({"resonance": "3:1", "release": 1e-3}, "needs no release"),
         ({"resonance": "1:3", "release": -1e-3}, "must not be negative"),
         ({"resonance": "3:1", "control": "response"}, "levels are voltages or forces"),
-        ({"resonance": "3:1", "refinement": 1e-3}, "in stepped phase resonance tests only"),
+        ({"resonance": "3:1", "refinement": 1e-3}, "A secondary resonance test has no refinement"),
     ],
 )
 def test_what_a_secondary_resonance_test_cannot_be_is_refused(settings, sentence):
@@ -85,7 +86,7 @@ def test_what_a_secondary_resonance_test_cannot_be_is_refused(settings, sentence
 
 
 def test_other_tests_have_no_resonance():
-    with pytest.raises(BenchError, match="other tests have none"):
+    with pytest.raises(BenchError, match="A phase resonance test has no resonance"):
         plan_test("strong_cubic", [0.1], resonance="3:1")
 
 

@@ -95,7 +95,7 @@ def solve_ivp_peer(
         constant = port * (branch * slip if branch else -stiffness * slider)
 
         def rate(t: float, y: Any, matrix: Any = matrix, constant: Any = constant) -> Any:
-            return matrix @ y + space.b_input * (amplitude * np.cos(frequency * t)) + constant
+            return matrix @ y + space.b_inputs[:, 0] * (amplitude * np.cos(frequency * t)) + constant
 
         def corner(t: float, y: Any, branch: int = branch, slider: float = slider) -> Any:
             if branch:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import sys
 import time
 from dataclasses import dataclass
@@ -87,9 +86,6 @@ class ScoreOptions:
     train: Path | None = option(
         None, "diagnosed development campaign that the generic classifier learns from", metavar="DIR"
     )
-    measured: bool = option(
-        False, "judge strengths by the noise that each case's recordings have, in place of the generator's"
-    )
     jobs: int | None = jobs_option()
     page: bool = task_page_option()
     docs: Path | None = option(None, "write the score sheet as a page of the documentation, too", metavar="FILE")
@@ -104,24 +100,6 @@ class ExplainOptions:
     laboratory: Path | None = option(
         None, "folder of the cases of a laboratory that shares no code", metavar="DIR", exclusive=True
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class StrengthsOptions:
-    """table of strengths of all effects of a rig, in standard deviations"""
-
-    rig: str = option("beam", "the rig (default: beam)", choices=RIGS)
-    tolerances: str = option(
-        TOLERANCES[0],
-        "measuring chain: gains, phases, delays, held drive and the like of an ordinary laboratory, drawn for"
-        " "
-        "every case, or none (default: laboratory)",
-        choices=TOLERANCES,
-    )
-    effects: str = option("", "only these effects (default: all)", metavar="NAME,…")
-    table: Path | None = option(None, "the table (default: the program's own)", metavar="FILE")
-    jobs: int | None = jobs_option()
-    page: bool = task_page_option()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,9 +189,7 @@ def _score(options: ScoreOptions) -> int:
                 progress=lambda done, total, case: bar.update(done, total),
             )
 
-    scores = score_campaign(
-        options.out, options.results, options.again, options.train, measured if options.measured else None
-    )
+    scores = score_campaign(options.out, options.results, options.again, options.train, measured)
     files = write_sheets(scores, options.out, options.docs)
     for line in print_scores(scores):
         _console().print(line)
@@ -232,8 +208,7 @@ def _explain(options: ExplainOptions) -> int:
     null, winner, truth = found.costs
     console = _console()
     lines = [
-        f"case {found.case}: truth {found.truth or 'none'}"
-        + (f", drawn at {found.drawn:g} standard deviations" if math.isfinite(found.drawn) else ""),
+        f"case {found.case}: truth {found.truth or 'none'}",
         f"cost of the model alone {null:.1f}",
         f"cost of the winner, {found.winner}: {winner:.1f} ({winner - null:+.1f}), "
         f"ln evidence {found.evidence[0]:+.1f}",
@@ -245,27 +220,6 @@ def _explain(options: ExplainOptions) -> int:
     ]
     for line in lines:
         console.print(line, soft_wrap=True)
-    return EXIT_DONE
-
-
-def _strengths(options: StrengthsOptions) -> int:
-    from nmt_blind.cases.blind_rigs import blind_rig
-    from nmt_blind.cases.strength_table import make_table, table_file
-
-    rig = blind_rig(options.rig)
-    names = tuple(word.strip() for word in options.effects.split(",") if word.strip())
-    with _bar(options, "measuring strengths") as bar:
-        table = make_table(
-            rig,
-            names,
-            worker_count(options),
-            options.table,
-            progress=lambda done, total, key: bar.update(done, total, str(key)),
-            tolerances=options.tolerances,
-        )
-    weaker = sum(bool(curve["trouble"]) for curve in table.curves.values())
-    file = options.table or table_file(rig, options.tolerances)
-    bar.say(f"{len(table.curves)} curves in {file}; {weaker} end below 4,096 standard deviations")
     return EXIT_DONE
 
 
@@ -366,7 +320,6 @@ PART_COMMANDS = {
     "run": _run,
     "score": _score,
     "explain": _explain,
-    "strengths": _strengths,
     "laboratory": _laboratory,
 }
 """What does each part; its options are those that it takes."""

@@ -15,11 +15,12 @@ PAPER_JOINT = 8000.0
 """Tangential stiffness of the paper's joint, N/m."""
 
 _EXCITATION = ("test", "frequencies_hz", "rate_hz_s", "frequency_end_hz", "duration", "band_hz")
-PLANNED = (
-    "levels", "overrides", "exciter", "seed", "window_periods", "ramp", "timeout", "control", "strategy", *_EXCITATION,
-    "harmonics_control", "harmonics_target",
+_PLANNED = (
+    "levels", "overrides", "exciter", "seed", "window_periods", "ramp", "timeout", "control", "test", "frequencies_hz",
 )  # fmt: skip
-"""What of a case :func:`nmt_session.planning` takes by the same name."""
+_OF_KIND = (
+    "strategy", "rate_hz_s", "frequency_end_hz", "duration", "band_hz", "harmonics_control", "harmonics_target",
+)  # fmt: skip
 
 JOINT_KEY = "local_elements.0.tangential_stiffness_n_m"
 
@@ -40,7 +41,7 @@ class StudyCase:
         extract_values: further parameters of the extraction.
         control: ``voltage``, ``response`` or ``force``.
         strategy: ``stepped`` or ``ramp``.
-        test: kind of test, see :class:`nmt_session.node_plan.TestPlan`; its further settings are the next five.
+        test: kind of test, see :mod:`nmt_core.kinds`; its settings are the next five.
         frequencies_hz: one for each level; empty where the kind needs none.
         rate_hz_s: sweep rate.
         frequency_end_hz: where a sweep ends.
@@ -111,6 +112,14 @@ class StudyCase:
             return cls(**data)
         except TypeError as error:
             raise BenchError(f"A case is not complete: {error}.") from error
+
+    @property
+    def planned(self) -> dict[str, Any]:
+        """What `plan_test` takes by the same name; of the settings of a kind of test what is no default."""
+        usual = {item.name: item.default for item in fields(self)}
+        settings = {name: getattr(self, name) for name in _OF_KIND}
+        chosen = {name: value for name, value in settings.items() if value != usual[name]}
+        return {name: getattr(self, name) for name in _PLANNED} | chosen
 
     @property
     def fingerprint(self) -> str:

@@ -13,7 +13,7 @@ from nmt_core.errors import BenchError
 from nmt_core.files.plain_json import plain_json
 from nmt_core.vocabulary import ResultCode
 from nmt_extract.modal_point import MEASURED, ModalPoint, Status
-from nmt_study.case import PLANNED, StudyCase
+from nmt_study.case import StudyCase
 
 Evaluation = Callable[[StudyCase, Path], dict[str, Any]]
 """Further evaluation of a case's bag; what it returns is kept under ``extra``, its ``levels`` in place of the run's."""
@@ -43,7 +43,7 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
     try:
         plan = plan_test(
             case.rig,
-            **{name: getattr(case, name) for name in PLANNED},
+            **case.planned,
             run_id=case.name,
             node_values={
                 "pll": {"loop": case.loop, **case.loop_values},

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_rig.model.assembly import OutputRow, assemble
+from nmt_rig.model.assembly import assemble
 from nmt_rig.model.chain import lumped_chain
+from nmt_rig.model.exciter import OutputRow
 from nmt_rig.model.forced_response import ForcedProblem, _DriveHeld, _ForceHeld, frequency_response
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements.attachments import BoucWen, FractionalDamper, TunedMassQuadratic

@@ -2,7 +2,7 @@
 
 A miss is judged before anything is changed. The case is diagnosed with measured noise, then the truth is fitted to the
 same rows from its true parameters. Costs of model alone, winner and truth, the strength that the truth has there, and
-the learnt scales tell whether the search, the priors, the physics, the noise or the information failed.
+the learnt scales tell whether the search, the priors, the physics or the information failed.
 """
 
 from __future__ import annotations
@@ -45,7 +45,6 @@ from nmt_rig.rig import Rig, load_rig
 _MEASURED_FILE = "measured.json"
 _SAME = 2.0  # difference of costs that is none
 _SEEN = 5.0  # standard deviations from which recordings show an effect
-_HALF = 0.5  # share of the drawn strength below which noise hides it
 _MOST_PLACES = 16  # combinations of places at which a truth is fitted
 _OFF = 1.5  # learnt scale from which a group of rows is predicted wrongly
 
@@ -57,18 +56,16 @@ class Account:
     Attributes:
         case: its number.
         truth: labels of the true effects; empty for a healthy case.
-        drawn: strength that the generator states, standard deviations; 0 for a healthy case, NaN where it states none.
         winner: label of the most probable explanation; ``none`` for the model alone.
         costs: of null, winner and truth; NaN where the truth has no fit.
         evidence: ln evidence of winner and truth over null.
         sigma: strength of the truth under the learnt noise, standard deviations.
         scales: learnt scale of each group of rows under null, winner and truth.
-        follows: found, search, priors, physics, noise, information, or healthy.
+        follows: found, search, priors, physics, information (too little of it in the recordings), or healthy.
     """
 
     case: str
     truth: str
-    drawn: float
     winner: str
     costs: tuple[float, float, float]
     evidence: tuple[float, float]
@@ -287,7 +284,6 @@ def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, t
         if findings.data.counts[k]
     }
     sigma = math.sqrt(max(0.0, costs[0] - costs[2])) if true is not None else math.nan
-    drawn = min((float(effect.get("sigma", math.nan)) for effect in truth["effects"]), default=0.0)
     named = frozenset(str(effect["name"]) for effect in truth["effects"])
     members = leading.members if leading is not None and raised else (null,)
     found = any(frozenset(member.effects) == named for member in members)
@@ -296,7 +292,6 @@ def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, t
         true.explanation.label
         if true is not None and true.candidates
         else " + ".join(f"{effect['name']}@{effect['detail']}" for effect in truth["effects"]),
-        drawn,
         winner.explanation.label,
         costs,
         (evidence[0], evidence[1]),
@@ -308,7 +303,6 @@ def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, t
             costs,
             evidence,
             sigma,
-            drawn,
             [of_three[2] for of_three in scales.values()],
         ),
     )
@@ -320,7 +314,6 @@ def follows(
     costs: Sequence[float],
     evidence: Sequence[float],
     sigma: float,
-    drawn: float,
     scales: Sequence[float],
 ) -> str:
     """What a miss comes from.
@@ -331,7 +324,6 @@ def follows(
         costs: of null, winner and truth.
         evidence: of winner and truth over null.
         sigma: strength of the truth under the learnt noise.
-        drawn: strength that the generator states.
         scales: learnt scale of each group of rows at the truth.
     """
     if found:
@@ -342,8 +334,6 @@ def follows(
         return "search" if evidence[1] > evidence[0] else "priors"
     if max(scales, default=1.0) > _OFF:
         return "physics"
-    if sigma < _HALF * drawn and drawn >= _SEEN:
-        return "noise"
     return "information" if sigma < _SEEN else "priors"
 
 

@@ -33,8 +33,8 @@ STRONG = 8.0
 """Standard deviations from which an effect must be found."""
 STRONGEST = 16.0
 """Up to here effects are of the strengths that the published figures are about; beyond, anyone sees them."""
-BANDS = ((1.0, 4.0), (8.0, 16.0), (32.0, 64.0), (256.0, 1024.0), (4096.0, 4096.0))
-"""Weakest and strongest effects that are counted together, standard deviations."""
+BANDS = ((0.0, 2.0), (2.0, 8.0), (8.0, 32.0), (32.0, 128.0), (128.0, 1024.0), (1024.0, 1e9))
+"""Effects that are counted together, from the first number on to below the second, standard deviations."""
 FALSE_ALARMS = 0.01
 WRONGLY_UNKNOWN = 0.05
 _OPENED_FILE = "opened.json"
@@ -103,7 +103,7 @@ class Scores:
         width, count: reliability over bins of equal width and of equal count, of null cases and effects from 8 σ.
         closed: median share of the held-out gap that was closed where an effect was accepted; harm: share of
             such cases whose held-out gap grew.
-        by_strength: sigma -> (detected, right first) of single effects.
+        by_strength: power of 2 next to the strength -> (detected, right first) of single effects.
         confusion: truth -> answer -> number of cases.
         roc: false alarms and detections of effects from 8 σ.
         seconds: median computing time of a diagnosis, s.
@@ -114,8 +114,6 @@ class Scores:
         covered: share of rightly named effects from 8 σ with the truth within 3 standard uncertainties in all their
             parameters; bands: figures by strength.
         stalled: cases of which fewer than half of the levels locked.
-        distinct: the same of those of which no named effect takes the last 8 σ; distinct_area: area under the ROC of
-            these against named effects.
     """
 
     rig: str
@@ -146,8 +144,6 @@ class Scores:
     seconds: float
     within: MethodScore
     unnamed: dict[float, Proportion]
-    distinct: Proportion
-    distinct_area: float
     covered: Proportion
     bands: tuple[BandScore, ...]
     training: str = ""
@@ -192,7 +188,7 @@ def score_campaign(
         again: score although the seal has been opened before.
         train: diagnosed development campaign for the generic classifier.
         measured: gives for the opened truth the strength of each case by the noise that its recordings have, standard
-            deviations; the generator's counts for those left out, and for all of them without it.
+            deviations. Those left out, and all of them without it, have no known strength.
 
     Raises:
         BenchError: the truth or the bags' hashes are not those that were sealed, the seal has been opened before,
@@ -261,7 +257,6 @@ def compute_scores(cases: Sequence[ScoredCase], about: dict[str, Any], classifie
     named = [case for case in cases if case.known and case.sigma >= STRONG]
     unnamed = [case for case in cases if case.unknown and case.sigma >= STRONG]
     compound = [case for case in cases if case.kind == "compound"]
-    distinct = [case for case in unnamed if case.alone >= STRONG]
     limit = threshold_for([_unknown(case) for case in named], WRONGLY_UNKNOWN)
     accepted = [case for case in cases if case.verdict == "effect" and case.known and math.isfinite(case.closed)]
     judged = [
@@ -292,10 +287,10 @@ def compute_scores(cases: Sequence[ScoredCase], about: dict[str, Any], classifie
         harm=Proportion.count([case.after > 1.001 * case.before for case in judged]),
         by_strength={
             sigma: (
-                Proportion.count([case.answer.alarm for case in single if case.sigma == sigma]),
-                Proportion.count([case.answer.first(case.truth) for case in single if case.sigma == sigma]),
+                Proportion.count([case.answer.alarm for case in cases_there]),
+                Proportion.count([case.answer.first(case.truth) for case in cases_there]),
             )
-            for sigma in sorted({case.sigma for case in single})
+            for sigma, cases_there in _by_octave(single).items()
         },
         confusion=_confusion(
             [case for case in cases if case.kind != "compound" and (case.sigma == 0.0 or case.sigma >= STRONG)]
@@ -305,19 +300,24 @@ def compute_scores(cases: Sequence[ScoredCase], about: dict[str, Any], classifie
         by_kind=_by_kind(cases),
         within=_method("diagnosis", [case for case in cases if case.sigma <= STRONGEST], lambda case: case.answer),
         unnamed={
-            sigma: Proportion.count(
-                [case.verdict == "unknown" for case in cases if case.unknown and case.sigma == sigma]
-            )
-            for sigma in sorted({case.sigma for case in cases if case.unknown})
+            sigma: Proportion.count([case.verdict == "unknown" for case in cases_there])
+            for sigma, cases_there in _by_octave([case for case in cases if case.unknown]).items()
         },
-        distinct=Proportion.count([case.verdict == "unknown" for case in distinct]),
-        distinct_area=area_under_roc([_unknown(case) for case in distinct], [_unknown(case) for case in named]),
         covered=Proportion.count([within for case in strong for within in case.covered]),
         bands=tuple(
-            _band(low, high, [case for case in cases if case.kind != "null" and low <= case.sigma <= high])
+            _band(low, high, [case for case in cases if case.kind != "null" and low <= case.sigma < high])
             for low, high in BANDS
         ),
     )
+
+
+def _by_octave(cases: Sequence[ScoredCase]) -> dict[float, list[ScoredCase]]:
+    """Cases by the power of 2 next to their strength, 1 at least; those of unknown strength are left out."""
+    found: dict[float, list[ScoredCase]] = {}
+    for case in cases:
+        if math.isfinite(case.sigma):
+            found.setdefault(2.0 ** round(math.log2(max(case.sigma, 1.0))), []).append(case)
+    return dict(sorted(found.items()))
 
 
 def _band(low: float, high: float, cases: Sequence[ScoredCase]) -> BandScore:

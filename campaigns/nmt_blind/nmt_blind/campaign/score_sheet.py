@@ -86,14 +86,11 @@ def further(scores: Scores) -> list[tuple[str, str]]:
     """Figures without a target."""
     within = scores.within
     return [
-        ("detection, effects of 8 and 16 σ only", percent(within.detected)),
+        ("detection, effects of 8 to 16 σ only", percent(within.detected)),
         ("the same at ≤ 1 % false alarms here", percent(within.detected_at_rate)),
-        ("right effect first / among the first three, 8 and 16 σ only",
+        ("right effect first / among the first three, 8 to 16 σ only",
          f"{percent(within.first)} / {percent(within.first_three)}"),
-        ("unknown recognised, area under the ROC, 8 and 16 σ only", number(within.unknown_area)),
-        ("unknown recognised, area under the ROC, effects of which named ones leave at least 8 σ",
-         number(scores.distinct_area)),
-        ("verdict unknown, the same effects", percent(scores.distinct)),
+        ("unknown recognised, area under the ROC, 8 to 16 σ only", number(within.unknown_area)),
         ("verdict unknown, unnamed effects from 8 σ", percent(scores.verdict_unknown)),
         ("verdict unknown, named effects from 8 σ", percent(scores.wrongly_unknown)),
         ("verdict calibration, null cases with shifted parameters", percent(scores.calibrated)),
@@ -160,7 +157,7 @@ def markdown(scores: Scores) -> str:
     parts += _table(
         ("σ", "detected", "right first", "right place", "within 3 σ", "called unknown", "pairs, first three"),
         [
-            (f"{b.low:g} to {b.high:g}" if b.high > b.low else f"{b.low:g}",
+            (f"{b.low:g} to {b.high:g}" if b.high < 1e9 else f"from {b.low:g}",
              *(percent(share) for share in (b.detected, b.first, b.place, b.covered, b.unknown, b.pairs)))
             for b in scores.bands
         ],

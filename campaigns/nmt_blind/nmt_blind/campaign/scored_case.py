@@ -73,8 +73,8 @@ class ScoredCase:
         kind: null, effect, open, compound, twin or withheld.
         truth: names of its effects.
         places: where they act.
-        sigma: strength of the weakest of them; 0 without.
-        alone: of that, what no other named effect takes; NaN if it is not known.
+        sigma: strength of the weakest of them, standard deviations; 0 without, infinite where it is not known: such an
+            effect counts with those that must be found.
         shifted: parameters of the model were off.
         withheld: what the library did without.
         verdict: of the diagnosis; ``failed`` where there is none.
@@ -108,7 +108,6 @@ class ScoredCase:
     details: dict[str, Any] = field(default_factory=dict)
     sindy: dict[str, Any] = field(default_factory=dict)
     seconds: float = math.nan
-    alone: float = math.nan
     estimates: tuple[Estimate, ...] = ()
 
     @property
@@ -179,7 +178,7 @@ def scored_case(truth: dict[str, Any], result: dict[str, Any]) -> ScoredCase:
         kind=str(truth["kind"]),
         truth=frozenset(str(effect["name"]) for effect in effects),
         places=frozenset(str(effect["place"]) for effect in effects),
-        sigma=min((float(effect["sigma"]) for effect in effects), default=0.0),
+        sigma=min((_number(effect.get("sigma"), math.inf) for effect in effects), default=0.0),
         shifted=bool(truth["shifted"]),
         withheld=str(truth["withheld"]),
         verdict=verdict,
@@ -194,7 +193,6 @@ def scored_case(truth: dict[str, Any], result: dict[str, Any]) -> ScoredCase:
         details=diagnosis,
         sindy=diagnosis.get("sindy") or {},
         seconds=_number(result.get("seconds")),
-        alone=min((_number(effect.get("alone")) for effect in effects), default=math.nan),
         estimates=_estimates(effects, diagnosis) if verdict == "effect" else (),
     )
 

@@ -19,13 +19,11 @@ class BlindRig:
     Attributes:
         name: name of the rig.
         bench: its tests.
-        caution: factor on first guesses of strengths; the smaller, the more its tests see.
         tests: of every case, see `nmt_blind.cases.make.RECORDERS`.
     """
 
     name: str
     bench: BenchSettings
-    caution: float = 0.1
     tests: tuple[str, ...] = ("backbone", "random")
 
     @property
@@ -67,7 +65,6 @@ BLIND_RIGS: dict[str, BlindRig] = {
             settling_time=1.5,
             substeps=2,
         ),
-        caution=0.02,
     ),
     "modal_beam": BlindRig(
         "modal_beam",
@@ -80,7 +77,6 @@ BLIND_RIGS: dict[str, BlindRig] = {
             duration=16.0,
             settling_time=1.5,
         ),
-        caution=0.02,
         tests=("backbone", "random", "tables", "ring_down"),
     ),
 }

@@ -10,26 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, NEAR_TWINS, OPEN, InjectedEffect, Spot
+from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, NEAR_TWINS, OPEN, InjectedEffect
 from nmt_blind.cases.laboratory import TrialError
 from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.priors import draw_shifts
 from nmt_blind.cases.rig_edits import Edit, with_edits
-from nmt_blind.cases.strength_table import StrengthTable
 from nmt_blind.cases.tolerances import check_tolerances, draw_chain
 from nmt_core.errors import BenchError
 from nmt_rig.rig import Rig
 
-STRENGTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 256.0, 1024.0, 4096.0)
-"""Standard deviations at which single effects are drawn."""
-TWIN_STRENGTHS = (4.0, 8.0, 16.0)
+SIZES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""Of single effects, see `InjectedEffect.natural`: from what noise hides to what anyone sees."""
+TWIN_SIZES = (0.1, 0.3, 1.0)
 """Of effects with a near twin: what is strong enough is distinguished by anyone."""
-UNNAMED_STRENGTHS = (8.0, 16.0, 32.0, 64.0, 256.0, 1024.0)
+UNNAMED_SIZES = (0.3, 1.0, 3.0, 10.0)
 """Of effects without a name: a named relative takes most of a weak one."""
-COMPOUND_STRENGTHS = (
-    (16.0, 16.0), (16.0, 64.0), (64.0, 16.0), (64.0, 64.0), (64.0, 256.0), (256.0, 64.0), (256.0, 256.0),
-    (1024.0, 256.0), (1024.0, 1024.0), (4096.0, 1024.0), (4096.0, 4096.0),
+COMPOUND_SIZES = (
+    (0.1, 0.1), (0.1, 1.0), (1.0, 0.1), (0.3, 0.3), (0.3, 3.0), (3.0, 0.3), (1.0, 1.0), (3.0, 3.0), (10.0, 10.0),
 )  # fmt: skip
 """Of each of two effects."""
 
@@ -48,23 +46,19 @@ class TrueEffect:
         name: of the truth.
         place: where it acts.
         detail: point, channel or form.
-        sigma: strength in standard deviations.
-        value: strength in `unit`, with its sign.
+        size: multiple of its natural value that was drawn.
+        value: in `unit`, with its sign; less than `size` says where no rig has more.
         known: the library is supposed to have it.
-        alone: standard deviations that no other named effect takes, withheld ones apart.
-        asked: standard deviations that were drawn; more than `sigma` where the rig does not get there.
         figures: true values of the parameters that a diagnosis reports.
     """
 
     name: str
     place: str
     detail: str
-    sigma: float
+    size: float
     value: float
     unit: str
     known: bool
-    alone: float
-    asked: float
     figures: Mapping[str, float]
 
     def to_mapping(self) -> dict[str, Any]:
@@ -126,9 +120,7 @@ class _Deck:
 
     def deal(self) -> Any:
         if not self._cards:
-            raise BenchError(
-                "The table of strengths lacks truths for this kind of case; complete it with './nmt blind strengths'."
-            )
+            raise BenchError("This rig has no place for effects of a kind of case; leave that kind out with --kinds.")
         if not self._order:
             self._order = [int(i) for i in self._generator.permutation(len(self._cards))]
         return self._cards[self._order.pop()]
@@ -147,7 +139,7 @@ def check_kinds(kinds: Sequence[str]) -> None:
 
 def draw_cases(
     model: Rig,
-    table: StrengthTable,
+    operating: Operating,
     count: int,
     seed: int,
     kinds: Sequence[str] = (),
@@ -158,7 +150,7 @@ def draw_cases(
 
     Args:
         model: the rig as it is believed to be.
-        table: its strengths.
+        operating: how far it moves in its tests.
         count: number of cases.
         seed: of everything.
         kinds: kinds of case to draw; none = all.
@@ -167,13 +159,13 @@ def draw_cases(
             damping than its model would not reach a gap of the model's. None = as far as the model.
 
     Raises:
-        BenchError: tolerances or a kind that do not exist, or a table without the truths that are needed.
+        BenchError: tolerances or a kind that do not exist, or a rig without a place for what is needed.
     """
     check_tolerances(tolerances)
     check_kinds(kinds)
     cards = [kind for kind, share in MIXTURE.items() if not kinds or kind in kinds for _ in range(share)]
     mixture = _Deck(cards, np.random.default_rng([seed, 1]))
-    draws = _Draws(model, table, seed)
+    draws = _Draws(model, operating, seed)
     cases = []
     shifts = {kind: _Deck((True, False), np.random.default_rng([seed, 2, i])) for i, kind in enumerate(MIXTURE)}
     for number in range(1, count + 1):
@@ -181,13 +173,13 @@ def draw_cases(
         shifted = bool(shifts[kind].deal())
         generator = np.random.default_rng([seed, 3, number])
         moved = draw_shifts(model, generator) if shifted else ()
-        effects, edits, family = draws.effects(kind, partial(_own_motion, model, table, moved, motion))
+        effects, edits, family = draws.effects(kind, partial(_own_motion, model, operating, moved, motion))
         withheld = ",".join(family) if kind == "withheld" else draws.bystander(effects, generator)
         noise_seed = int(generator.integers(1, 2**31))
         all_edits, converters = (*moved, *edits), None
         if tolerances == "laboratory":
-            chain = draw_chain(model, table.operating, np.random.default_rng([seed, 6, number]))
-            all_edits += chain.edits(with_edits(model, all_edits), table.operating.omega)
+            chain = draw_chain(model, operating, np.random.default_rng([seed, 6, number]))
+            all_edits += chain.edits(with_edits(model, all_edits), operating.omega)
             converters = chain.converters
         cases.append(Case(number, kind, effects, withheld, shifted, all_edits, noise_seed, converters))
     return cases
@@ -196,37 +188,24 @@ def draw_cases(
 class _Draws:
     """Draws of effects, each kind of case with decks of its own."""
 
-    def __init__(self, model: Rig, table: StrengthTable, seed: int) -> None:
-        self.model, self.table = model, table
-        self._motion: Callable[[], Operating] = lambda: table.operating
+    def __init__(self, model: Rig, operating: Operating, seed: int) -> None:
+        self.model, self.operating = model, operating
+        self._motion: Callable[[], Operating] = lambda: operating
         self._generator = np.random.default_rng([seed, 4])
-        self.known = [truth for truth in KNOWN if self._reach(truth)]
-        unknown = [truth for truth in OPEN if self._reach(truth)]
+        self.known = [truth for truth in KNOWN if truth.spots(model)]
+        unknown = [truth for truth in OPEN if truth.spots(model)]
         pairs = [pair for pair in NEAR_TWINS if all(any(truth.name == name for truth in self.known) for name in pair)]
 
         def deck(cards: Sequence[Any], key: int) -> _Deck:
             return _Deck(cards, np.random.default_rng([seed, 5, key]))
 
         self._single = deck(self.known, 0)
-        self._strength = {truth.name: deck(STRENGTHS, 10 + i) for i, truth in enumerate(self.known)}
+        self._size = {truth.name: deck(SIZES, 10 + i) for i, truth in enumerate(self.known)}
         self._open, self._withheld = deck(unknown, 1), deck(self.known, 2)
-        self._pair, self._strong = deck([*pairs, *((b, a) for a, b in pairs)], 3), deck(TWIN_STRENGTHS, 4)
-        self._unnamed = deck(UNNAMED_STRENGTHS, 7)
+        self._pair, self._twin = deck([*pairs, *((b, a) for a, b in pairs)], 3), deck(TWIN_SIZES, 4)
+        self._unnamed = deck(UNNAMED_SIZES, 7)
         self._first, self._second = deck(self.known, 5), deck(self.known, 6)
-        self._together = deck(COMPOUND_STRENGTHS, 8)
-
-    def _reach(self, truth: InjectedEffect) -> bool:
-        """Whether the truth gets to the weakest strength anywhere on this rig."""
-        return bool(self._spots(truth, STRENGTHS[0]))
-
-    def _spots(self, truth: InjectedEffect, sigma: float) -> list[tuple[Spot, float]]:
-        found = []
-        for spot in truth.spots(self.model):
-            value = self.table.value(truth, spot, sigma)
-            # Beyond the limit no rig is like that.
-            if value is not None and value <= truth.limit(self.model, self.table.operating, spot):
-                found.append((spot, value))
-        return found
+        self._together = deck(COMPOUND_SIZES, 8)
 
     def effects(
         self, kind: str, motion: Callable[[], Operating]
@@ -237,13 +216,13 @@ class _Draws:
             return (), (), ()
         if kind == "effect":
             truth = self._single.deal()
-            return self._drawn((truth, self._strength[truth.name].deal()))
+            return self._drawn((truth, self._size[truth.name].deal()))
         if kind == "open":
             return self._drawn((self._open.deal(), self._unnamed.deal()))
         if kind == "withheld":
             return self._drawn((self._withheld.deal(), self._unnamed.deal()), withheld=True)
         if kind == "twin":
-            return self._drawn((INJECTED_EFFECTS[self._pair.deal()[0]], self._strong.deal()))
+            return self._drawn((INJECTED_EFFECTS[self._pair.deal()[0]], self._twin.deal()))
         first, second = self._first.deal(), self._second.deal()
         while second.name == first.name or _near(first.name, second.name) or _overlap(first.name, second.name):
             second = self._second.deal()
@@ -256,31 +235,24 @@ class _Draws:
         effects: list[TrueEffect] = []
         edits: list[Edit] = []
         family: tuple[str, ...] = ()
-        for truth, sigma in wanted:
-            at = STRENGTHS.index(sigma)
-            while not self._spots(truth, STRENGTHS[at]) and at > 0:
-                at -= 1  # as strong as it gets
-            spot, value = self._choose(self._spots(truth, STRENGTHS[at]))
+        for truth, size in wanted:
+            spots = truth.spots(self.model)
+            spot = spots[int(self._generator.integers(len(spots)))]
             if withheld:
-                family = tuple(
-                    dict.fromkeys((truth.name, *_CONTAINED.get(truth.name, ()), *self.table.twins(truth, spot)))
-                )
+                family = tuple(dict.fromkeys((truth.name, *_CONTAINED.get(truth.name, ()), *_twins(truth.name))))
+            value = truth.value(self.model, self.operating, spot, size)
             if truth.signed and self._generator.random() < 0.5:
                 value = -value
-            operating = self._motion() if spot.shape else self.table.operating
+            operating = self._motion() if spot.shape else self.operating
             edits += truth.edits(self.model, operating, spot, value)
             place = truth.place_at(self.model, spot)
-            alone = round(STRENGTHS[at] * self.table.alone(truth, spot, family), 2)
             effects.append(
                 TrueEffect(
-                    truth.name, place, spot.label, STRENGTHS[at], value, truth.unit, truth.known, alone, sigma,
+                    truth.name, place, spot.label, size, value, truth.unit, truth.known,
                     truth.figures(self.model, operating, spot, value),
                 )
             )  # fmt: skip
         return tuple(effects), tuple(edits), family
-
-    def _choose(self, spots: list[tuple[Spot, float]]) -> tuple[Spot, float]:
-        return spots[int(self._generator.integers(len(spots)))]
 
     def bystander(self, effects: Sequence[TrueEffect], generator: np.random.Generator) -> str:
         """An effect to withhold that is not true here, or none."""
@@ -295,13 +267,18 @@ class _Draws:
 
 
 def _own_motion(
-    model: Rig, table: StrengthTable, moved: tuple[Edit, ...], motion: Callable[[Rig], Operating] | None
+    model: Rig, operating: Operating, moved: tuple[Edit, ...], motion: Callable[[Rig], Operating] | None
 ) -> Operating:
     """How far a rig with shifted parameters moves; where it cannot be tested, whoever makes the case says so."""
     if motion is not None and moved:
         with contextlib.suppress(TrialError):
             return motion(with_edits(model, moved))
-    return table.operating
+    return operating
+
+
+def _twins(name: str) -> tuple[str, ...]:
+    """Effects that are hardly another: with one of them in the library nothing is unnamed."""
+    return tuple(other for pair in NEAR_TWINS if name in pair for other in pair if other != name)
 
 
 def _near(one: str, other: str) -> bool:

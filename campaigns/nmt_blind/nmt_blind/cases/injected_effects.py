@@ -87,15 +87,15 @@ class InjectedEffect:
     Attributes:
         name: fixed name.
         place: structure, boundary, joint, exciter, force_sensor, response_sensor, controller or time.
-        unit: unit of the strength.
+        unit: unit of the value.
         spots: where it may act on a rig; none = not on this one.
-        changes: what is changed at a strength.
-        first: a strength to start the search with.
+        changes: what is changed at a value.
+        natural: the value of size 1: a share of the mode's own force at the largest amplitude, or what a
+            laboratory would call large.
         estimated: what a diagnosis has to find, see `figures`.
-        signed: the strength may be negative.
-        largest: largest strength that makes sense; bound: the same where it depends on rig and spot.
+        signed: the value may be negative.
+        largest: largest value that makes sense; bound: the same where it depends on rig and spot.
         known: the library of the diagnosis is supposed to have it.
-        proportional: its change of the observables grows in proportion to the strength, up to 64 σ.
     """
 
     name: str
@@ -103,21 +103,20 @@ class InjectedEffect:
     unit: str
     spots: Spots
     changes: Edits
-    first: Guess
+    natural: Guess
     estimated: Figures = lambda at, value: {}
     signed: bool = False
     largest: float = math.inf
     known: bool = True
-    proportional: bool = True
     bound: Guess | None = None
 
     def edits(self, rig: Rig, operating: Operating, spot: Spot, value: float) -> tuple[Edit, ...]:
-        """What is changed at a strength."""
+        """What is changed at a value."""
         return self.changes(At(rig, operating, spot), value)
 
-    def guess(self, rig: Rig, operating: Operating, spot: Spot) -> float:
-        """A strength to start the search with."""
-        return self.first(At(rig, operating, spot))
+    def value(self, rig: Rig, operating: Operating, spot: Spot, size: float) -> float:
+        """The value of a size, at most what makes sense there."""
+        return min(size * self.natural(At(rig, operating, spot)), self.limit(rig, operating, spot))
 
     def figures(self, rig: Rig, operating: Operating, spot: Spot, value: float) -> dict[str, float]:
         """True values of the parameters that a diagnosis reports, by the names of the effects' equations.
@@ -127,7 +126,7 @@ class InjectedEffect:
         return self.estimated(At(rig, operating, spot), value)
 
     def limit(self, rig: Rig, operating: Operating, spot: Spot) -> float:
-        """Largest strength that makes sense at a spot of a rig."""
+        """Largest value that makes sense at a spot of a rig."""
         return self.largest if self.bound is None else min(self.largest, self.bound(At(rig, operating, spot)))
 
     def place_at(self, rig: Rig, spot: Spot) -> str:
@@ -541,7 +540,7 @@ KNOWN: tuple[InjectedEffect, ...] = (
           _named("k", lambda value: 1.0 / value)),
     InjectedEffect("clamp_friction", "boundary", "N/m or N m/rad", _clamp_friction, _friction,
           _at_rotation(0.02, lambda at: 1), _friction_figures),
-    InjectedEffect("microslip", "joint", "1", _jenkins, _microslip, _constant(0.1), largest=50.0, proportional=False),
+    InjectedEffect("microslip", "joint", "1", _jenkins, _microslip, _constant(0.1), largest=50.0),
     InjectedEffect("second_friction_contact", "joint", "N/m", _CONTACTS, _friction, _elastic(0.02, 1),
           _friction_figures),
     InjectedEffect("preload_loss", "time", "1/s or 1/period", _losses, _drift("slip_force_per_s", -1.0),
@@ -592,10 +591,10 @@ KNOWN: tuple[InjectedEffect, ...] = (
           lambda at: 0.003 * at.omega / (2.0 * math.pi), _named("f_h"), largest=20.0),
     InjectedEffect("clipping", "response_sensor", "1", _some_channels(*_ANY),
           _sensor(clip=lambda at, value: at.operating.peaks[at.spot.label] * math.exp(-value)), _constant(0.05),
-          largest=3.0, proportional=False),
+          largest=3.0),
     InjectedEffect("quantisation", "response_sensor", "channel", _some_channels(*_ANY),
           _sensor(bits=lambda at, value: _COARSE_BITS, range=lambda at, value: value * 2.0 ** (_COARSE_BITS - 1)),
-          _of_noise(5.0), _named("lsb"), proportional=False),
+          _of_noise(5.0), _named("lsb")),
     InjectedEffect("mains_hum", "response_sensor", "channel", _some_channels(*_ANY), _sensor(hum_amplitude=_own),
           _of_noise(0.05), _named("amplitude")),
     InjectedEffect("clock_error", "response_sensor", "1", _everywhere, _set("clock_error"), _constant(1e-3),
@@ -607,31 +606,27 @@ KNOWN: tuple[InjectedEffect, ...] = (
 )  # fmt: skip
 
 OPEN: tuple[InjectedEffect, ...] = (
-    InjectedEffect("bouc_wen_joint", "joint", "share", _joint, _bouc_wen, _constant(0.1), largest=0.98,
-          proportional=False, known=False),
-    InjectedEffect("lugre_joint", "joint", "share", _joint, _lugre, _constant(0.1), largest=0.98,
-          proportional=False, known=False),
+    InjectedEffect("bouc_wen_joint", "joint", "share", _joint, _bouc_wen, _constant(0.1), largest=0.98, known=False),
+    InjectedEffect("lugre_joint", "joint", "share", _joint, _lugre, _constant(0.1), largest=0.98, known=False),
     InjectedEffect("fractional_damper", "structure", "N s^0.5/m", _sites(),
           lambda at, value: _element(
               at, "fractional_damper", coefficient_n_sa_m=value, order=0.5, low_hz=0.5,
               high_hz=0.5 * at.rig.sample_rate_hz,
           ),
           lambda at: 0.003 * at.stiffness / math.sqrt(at.omega), known=False),
-    InjectedEffect("backlash_damper", "structure", "N/m", _sites((0.4,)), _backlash, _elastic(0.05, 1), known=False,
-          proportional=False),
+    InjectedEffect("backlash_damper", "structure", "N/m", _sites((0.4,)), _backlash, _elastic(0.05, 1), known=False),
     InjectedEffect("eddy_brake", "structure", "N s/m", _points,
           lambda at, value: _element(
               at, "eddy_brake", damping_ns_m=value, critical_velocity_m_s=0.3 * at.omega * at.size
           ), _viscous(0.005, 1), known=False),
-    InjectedEffect("mode_coupling", "structure", "N/m²", _sites(), _coupling, _elastic(0.01, 2), known=False,
-          proportional=False),
+    InjectedEffect("mode_coupling", "structure", "N/m²", _sites(), _coupling, _elastic(0.01, 2), known=False),
     InjectedEffect("cable_rattle", "structure", "kg", _sites((0.5,)), _rattle,
-          lambda at: 0.01 * at.stiffness / at.omega**2, known=False, proportional=False),
+          lambda at: 0.01 * at.stiffness / at.omega**2, known=False),
     InjectedEffect("loose_accelerometer", "response_sensor", "channel", _channels("acceleration"),
-          _sensor(dead_zone=_own), lambda at: 0.003 * at.operating.channels[at.spot.label], proportional=False,
+          _sensor(dead_zone=_own), lambda at: 0.003 * at.operating.channels[at.spot.label],
           known=False),
     InjectedEffect("dropped_samples", "response_sensor", "share", _some_channels(*_ANY), _sensor(dropped_fraction=_own),
-          _constant(0.03), largest=0.9, proportional=False, known=False),
+          _constant(0.03), largest=0.9, known=False),
     InjectedEffect("ground_loop", "response_sensor", "channel/V", _some_channels(*_ANY),
           _sensor(crosstalk_per_volt=_own),
           lambda at: 0.001 * at.operating.channels[at.spot.label] / at.operating.voltage, signed=True, known=False),

@@ -14,12 +14,14 @@ from nmt_blind.cases.laboratory_rig import Converters, LaboratoryRig
 from nmt_blind.cases.rig_edits import rig_yaml
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
+from nmt_core.kinds import RandomTest
 from nmt_core.messages.blocks import Quantity
-from nmt_core.vocabulary import ResultCode, TestKind
+from nmt_core.vocabulary import ResultCode
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.model.time_integration import IntegrationError
 from nmt_rig.rig import BeamSection, Rig
 from nmt_session import RunResult, Session, TestPlan
+from nmt_session.planning import kind_of_rig
 from nmt_session.session import Listener
 
 # The oscillator runs through the random numbers of a seed: each test has one of its own.
@@ -109,6 +111,7 @@ def backbone_test(truth: Rig, model: Rig, bench: BenchSettings, bag: Path | None
         rig=model,
         rig_yaml=rig_yaml(model),
         levels=bench.levels,
+        kind=kind_of_rig("phase_resonance", model, {}),
         run_id="run",
         window_periods=bench.window_periods,
         ramp=bench.ramp,
@@ -126,9 +129,7 @@ def random_test(model: Rig, bench: BenchSettings, bag: Path | None = None) -> Pl
         run_id="run",
         ramp=bench.ramp,
         node_values={**_recorder(bag), "pll": {"settling_time": bench.settling_time}},
-        test=TestKind.RANDOM.label,
-        band_hz=bench.band_hz,
-        duration=bench.duration,
+        kind=RandomTest.spelled(band_hz=bench.band_hz, duration=bench.duration),
     )
     return PlannedTest(plan, {})
 

@@ -85,16 +85,17 @@ class LaboratoryRig(SimulatedRig):
 
     def _make_integrator(self) -> TimeIntegrator:
         system = build_system(self.rig)
-        outputs = [sensor_row(system, self.rig, row, self._volts_to_input) for row in range(len(self.sensors))]
+        outputs = [sensor_row(system, self.rig, row) for row in range(len(self.sensors))]
         return TimeIntegrator(system, self.steps * self.true_sample_rate, outputs)
 
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
         monitor = self._distorted(drive)
         applied = monitor
-        if self._saturation is not None:
-            applied = self._saturation * np.tanh(applied / self._saturation)
-        fine = self._volts_to_input * self._between(applied)
-        self._drive_voltage = monitor[:-1]
+        most = self._saturations.get(0)
+        if most is not None:
+            applied = most * np.tanh(applied / most)
+        fine = self._volts_to_inputs * self._between(applied)
+        self._drive_voltages = monitor[None, :-1]
         try:
             if self._drift.active:
                 values = self._drift.advance(self.integrator, fine, drive.phase)

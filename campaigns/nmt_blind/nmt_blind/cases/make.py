@@ -13,15 +13,13 @@ from typing import Any
 from nmt_blind.cases.blind_rigs import BlindRig, blind_rig
 from nmt_blind.cases.draw import Case, check_kinds, draw_cases
 from nmt_blind.cases.laboratory import record_backbone, record_random
-from nmt_blind.cases.operating import operating_point
+from nmt_blind.cases.operating import Operating, operating_point
 from nmt_blind.cases.reduced_tests import record_ring_down, record_tables
 from nmt_blind.cases.rig_edits import with_edits
-from nmt_blind.cases.strength_table import StrengthTable, load_table
 from nmt_core.errors import BenchError
 from nmt_core.files import hardened
 from nmt_core.files.whole_file import write_whole
 from nmt_core.processes.workers import worked
-from nmt_rig.rig import Rig
 
 TRUTH_FILE = "truth.sealed"
 SEAL_FILE = "seal.json"
@@ -73,7 +71,7 @@ def make_campaign(
     tolerances: str = "none",
     scheduler: str = "",
     rig: BlindRig | None = None,
-    table: StrengthTable | None = None,
+    operating: Operating | None = None,
     on_seal: Callable[[str], None] = lambda digest: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
     batch: int = 0,
@@ -90,7 +88,7 @@ def make_campaign(
         jobs: worker processes.
         tolerances: of the measuring chain, ``laboratory`` or ``none``.
         scheduler: address of a Dask scheduler in place of worker processes; its workers must see the same folder.
-        rig, table: in place of the program's own.
+        rig, operating: in place of the program's own, and of how far it moves.
         on_seal: called with the seal before any bag is made.
         progress: called with cases done and in all.
         batch: most cases to make this time; 0 = all. The truth of all of them is sealed at once.
@@ -107,9 +105,9 @@ def make_campaign(
     check_kinds(kinds)
     rig = rig or blind_rig(rig_name)
     model = rig.model()
-    table = table or _program_table(rig, model, tolerances, sealed)
+    operating = operating or operating_point(model, rig.bench)
     cases = draw_cases(
-        model, table, count, seed, kinds, tolerances, lambda truth_rig: operating_point(truth_rig, rig.bench)
+        model, operating, count, seed, kinds, tolerances, lambda truth_rig: operating_point(truth_rig, rig.bench)
     )
     truth = json.dumps({
         "format": FORMAT, "rig": rig.name, "seed": seed, "tolerances": tolerances,
@@ -141,18 +139,6 @@ def make_campaign(
     trail = "" if left else _hash_trail(folder, rig, cases)
     size = sum(path.stat().st_size for path in (folder / "cases").rglob("*.mcap"))
     return Made(folder, digest, trail, len(cases), len(now), seconds, size / 1e6, left)
-
-
-def _program_table(rig: BlindRig, model: Rig, tolerances: str, sealed: bool) -> StrengthTable:
-    """The program's own table; a sealed campaign draws from a complete one only."""
-    table = load_table(rig, tolerances)
-    missing = table.missing(model)
-    if sealed and missing:
-        raise BenchError(
-            f"The table of strengths of {rig.name} lacks {len(missing)} lines ({missing[0]} is the first); complete it "
-            f"with './nmt blind strengths --rig {rig.name} --tolerances {tolerances}' before a sealed campaign."
-        )
-    return table
 
 
 def _purpose(sealed: bool) -> str:
@@ -190,8 +176,8 @@ def _claim(folder: Path, digest: str, sealed: bool) -> None:
         )
     if found.get("sha256") != digest:
         raise BenchError(
-            f"The folder {folder} holds another campaign (rig, seed, kinds, number of cases or table of strengths "
-            "differ); choose another with --out."
+            f"The folder {folder} holds another campaign (rig, seed, kinds or number of cases differ); choose "
+            "another with --out."
         )
 
 

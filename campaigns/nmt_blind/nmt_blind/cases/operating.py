@@ -1,10 +1,9 @@
-"""How far a rig moves in its backbone test: sizes of gaps, slip and first guesses of strengths follow from it."""
+"""How far a rig moves in its backbone test: sizes of gaps, slip and injected effects follow from it."""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -45,17 +44,6 @@ class Operating:
     voltage: float
     duration: float
     cycles: float
-
-    def to_mapping(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return asdict(self)
-
-    @classmethod
-    def from_mapping(cls, values: dict[str, Any]) -> Operating:
-        """From `to_mapping`, after a passage through JSON too."""
-        by_point = ("displacement", "relative", "rotation", "stiffness", "relative_stiffness")
-        fixed = {name: {int(key): float(v) for key, v in values[name].items()} for name in by_point}
-        return cls(**{**values, **fixed})
 
     def size(self, point: int, other: int) -> float:
         """Amplitude at a point, or between it and its neighbour `other`, m."""

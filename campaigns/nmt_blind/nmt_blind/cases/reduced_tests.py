@@ -65,7 +65,7 @@ class BenchRig:
         self.rate = built.sample_rate_hz
         system = build_system(built)
         self._volts = input_per_volt(built)
-        rows = [sensor_row(system, built, index, self._volts) for index in range(len(built.sensors))]
+        rows = [sensor_row(system, built, index) for index in range(len(built.sensors))]
         true_rate = self.rate * (1.0 + built.clock_error)
         self._integrator = TimeIntegrator(system, true_rate, rows, built.substeps)
         self._drift = Drift(built)
@@ -84,7 +84,7 @@ class BenchRig:
         voltage = amplitude * np.cos(2.0 * np.pi * cycles)
         if self._drift.active:
             phase = OscillatorPhase(self._cycles % 1.0, frequency_hz, 0.0)
-            values = self._drift.advance(self._integrator, self._volts * voltage, phase)
+            values = self._drift.advance(self._integrator, self._volts * voltage[None], phase)
         else:
             values = self._integrator.advance(self._volts * voltage)
         self._cycles = float(cycles[-1]) % 1.0

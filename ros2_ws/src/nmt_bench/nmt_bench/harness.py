@@ -509,7 +509,7 @@ class Bench:
         """
         from nmt_extract.offline import extract_bag
 
-        if not self.test.excitation.test.gives_modal_points:
+        if not self.test.kind.gives_modal_points:
             return points, (), ""
         known = {point.level_index for point in points}
         try:

@@ -233,7 +233,7 @@ LEVEL_UNITS = tuple(
 
 
 class TestKind(IntEnum):
-    """Kind of test; values as in ``nmt_msgs/Level`` and ``nmt_msgs/LockEvent``.
+    """Kind of test; values as in ``nmt_msgs/Level`` and ``nmt_msgs/LockEvent``. Its class is in :mod:`nmt_core.kinds`.
 
     Attributes:
         UNKNOWN: as recorded by benches that knew one kind only; read as PHASE_RESONANCE.
@@ -286,37 +286,6 @@ class TestKind(IntEnum):
     def label(self) -> str:
         """Name in small letters."""
         return self.name.lower()
-
-    @property
-    def closes_phase_loop(self) -> bool:
-        """Whether the frequency is controlled by the phase, which needs a linear description."""
-        return self in (
-            TestKind.UNKNOWN,
-            TestKind.PHASE_RESONANCE,
-            TestKind.RING_DOWN,
-            TestKind.SECONDARY_RESONANCE,
-            TestKind.SELF_EXCITED,
-        )
-
-    @property
-    def controls_harmonics(self) -> bool:
-        """Whether the harmonics of the force can be controlled."""
-        return self in (TestKind.UNKNOWN, TestKind.PHASE_RESONANCE, TestKind.RING_DOWN)
-
-    @property
-    def is_noise(self) -> bool:
-        """Whether the drive is noise: levels are V rms, and there is no excitation phase and no one frequency."""
-        return self in (TestKind.RANDOM,)
-
-    @property
-    def gives_modal_points(self) -> bool:
-        """Whether its windows are extracted while the test runs."""
-        return self in (
-            TestKind.UNKNOWN,
-            TestKind.PHASE_RESONANCE,
-            TestKind.SECONDARY_RESONANCE,
-            TestKind.SELF_EXCITED,
-        )
 
 
 TestKind.__test__ = False  # type: ignore[attr-defined]  # not a collection of tests

@@ -17,6 +17,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import csv_text, write_result
+from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
@@ -78,7 +79,7 @@ def holds_decays_only(bag: Any) -> bool:
     if (bag.run_start or {}).get("linear") is not None:
         return False
     kinds = {event.test for event in bag.lock_events()}
-    return TestKind.RING_DOWN in kinds and not any(kind.gives_modal_points for kind in kinds)
+    return TestKind.RING_DOWN in kinds and not any(kind_class(kind).gives_modal_points for kind in kinds)
 
 
 def free_decays(bag: Any) -> list[FreeDecay]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.wire import LEVEL
 from nmt_core.processes.work_progress import tell
@@ -98,7 +99,7 @@ def evaluate_linear_test(
             raise BenchError(f"The {name} must be positive, got {value:g}.")
     if band_hz is not None and not 0.0 < band_hz[0] < band_hz[1] < math.inf:
         raise BenchError(f"The band must be two rising frequencies in Hz, got {band_hz[0]:g} and {band_hz[1]:g}.")
-    windows = [segment for segment in segments(bag) if segment.kind.is_noise]
+    windows = [segment for segment in segments(bag) if kind_class(segment.kind).is_noise]
     whole = [segment for segment in windows if not segment.fault]
     if not whole:
         fault = f" ({windows[0].fault})" if windows else ""

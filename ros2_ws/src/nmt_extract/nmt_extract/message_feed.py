@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import kind_class
 from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.messages.wire import LEVEL, LOCK_EVENT, BlockReader, read_status
 from nmt_core.vocabulary import ControlKind
@@ -77,7 +78,7 @@ class MessageFeed:
 
     def add_lock(self, lock: LockEvent) -> None:
         """Take a lock event; only those of phase resonance tests are extracted."""
-        if lock.test.gives_modal_points:
+        if kind_class(lock.test).gives_modal_points:
             self._extractor.add_lock(lock)
 
     def _on_level(self, raw: bytes) -> None:
@@ -93,7 +94,7 @@ class MessageFeed:
 
     def add_level(self, level: LevelCommand) -> None:
         """Take a level of the plan."""
-        if not level.test.gives_modal_points:
+        if not kind_class(level.test).gives_modal_points:
             self._extractor.pass_over_level(level.index)
             return
         unit = ControlKind(level.control).level_unit() if level.control in _KNOWN else ""

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import KINDS
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_core.vocabulary import TestKind
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
@@ -127,10 +127,11 @@ def _refuse_foreign(bag: Any) -> None:
 def _require_phase_resonance(run: dict[str, Any], bag: Any) -> None:
     plan = run.get("plan")
     kind = plan.get("test") if isinstance(plan, dict) else None
-    names = {item.label: item for item in TestKind}
-    if kind in names and not names[kind].gives_modal_points:
-        label = str(kind).replace("_", " ")
-        raise BenchError(f"The bag {bag.path} holds a {label} test; modal points come from phase resonance tests.")
+    found = next((item for item in KINDS.values() if item.label() == kind), None)
+    if found is not None and not found.gives_modal_points:
+        raise BenchError(
+            f"The bag {bag.path} holds a {found.words()} test; modal points come from phase resonance tests."
+        )
 
 
 def _linear_of(run: dict[str, Any], bag: Any) -> LinearDescription:

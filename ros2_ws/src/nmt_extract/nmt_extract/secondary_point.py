@@ -208,8 +208,8 @@ class _SecondaryEvaluation(WindowEvaluation):
         measured = {name: getattr(values, name) for name in EVALUATED}
         fields = {name: float(value[0]) for name, value in measured.items()}
         fields.update({f"{name}_std": self._uncertainty(name, value) for name, value in measured.items()})
-        fields["frequency_hz"] = nu * float(self.frequency_hz[0])
-        fields["frequency_hz_std"] = nu * self.frequency_std
+        fields["frequency_hz"] = k * float(self.frequency_hz[0])
+        fields["frequency_hz_std"] = k * self.frequency_std
         fields["omega_rad_s"] = k * float(base[0])
         phase = math.hypot(fields["phase_error"], fields["phase_error_std"])
         fields["omega_rad_s_std"] = math.hypot(

@@ -1,6 +1,6 @@
-"""Further terms of the drive of several exciters: harmonics and ratios that all follow one amplitude.
+"""Terms of the drive beside its fundamental at exciter 1: harmonics and ratios that all follow one amplitude.
 
-With the common amplitude A(t) exciter j gets u_j = A(t) · Re Σ r_jn exp(i n θ); the first exciter has r_11 = 1 besides.
+With the common amplitude A(t) exciter j gets u_j = A(t) · Re Σ r_jn exp(i n θ); r_11 = 1 is the fundamental.
 So every ramp of the amplitude, and every end of a test, takes all exciters along. Ratios that change go to their new
 values along a half-cosine within one block.
 """
@@ -42,7 +42,7 @@ class ExciterTerms:
 
     @property
     def largest(self) -> float:
-        """Largest sum of |r_jn| of any exciter in the next block, the first one's 1 included."""
+        """Largest sum of |r_jn| of any exciter in the next block, the fundamental's 1 included."""
         sums = np.zeros(self.exciters)
         sums[0] = 1.0
         before = self._before or {}
@@ -50,18 +50,20 @@ class ExciterTerms:
             sums[key[0]] += max(abs(self._now.get(key, 0.0)), abs(before.get(key, 0.0)))
         return float(sums.max())
 
-    def signals(self, theta: FloatArray) -> FloatArray | None:
-        """Re Σ r_jn exp(i n θ) over the next block; None where there are no terms.
+    def __bool__(self) -> bool:
+        """Whether there are any, now or at the beginning of the next block."""
+        return bool(self._now or self._before)
+
+    def signals(self, theta: FloatArray) -> FloatArray:
+        """Re Σ r_jn exp(i n θ) over the next block.
 
         Args:
             theta: (samples + 1,) phase at the samples and the first of the next block, rad.
 
         Returns:
-            (exciters, samples + 1), without the first exciter's 1.
+            (exciters, samples + 1), without the fundamental's 1.
         """
         before, self._before = self._before, None
-        if not self._now and not before:
-            return None
         result = np.zeros((self.exciters, theta.size))
         fade = half_cosine(np.arange(theta.size) / (theta.size - 1))
         powers: dict[int, ComplexArray] = {}

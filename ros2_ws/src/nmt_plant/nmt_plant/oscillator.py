@@ -15,8 +15,8 @@ from functools import lru_cache
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import PEAK_FACTOR
 from nmt_core.messages.blocks import OscillatorPhase
-from nmt_core.messages.excitation import PEAK_FACTOR
 from nmt_core.messages.records import DriveCommand
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.kernels import njit
@@ -122,7 +122,7 @@ def check_command(command: DriveCommand, sample_rate: float) -> None:
     if len(command.harmonics) > _MOST_HARMONICS:
         raise BenchError(f"the drive has {len(command.harmonics)} harmonics; use {_MOST_HARMONICS} at most.")
     if len(command.terms) > _MOST_HARMONICS:
-        raise BenchError(f"the drive has {len(command.terms)} further terms; use {_MOST_HARMONICS} at most.")
+        raise BenchError(f"the drive has {len(command.terms)} terms; use {_MOST_HARMONICS} at most.")
     if command.waveform == Waveform.RANDOM:
         highest = command.band_high_hz
         least = _NARROWEST_BAND * sample_rate
@@ -187,15 +187,18 @@ class OscillatorBlock:
     """Output over one block.
 
     Attributes:
-        voltage: (samples + 1,) V at the block's samples and at the first of the next block, for a
+        voltages: (exciters, samples + 1) V at the block's samples and at the first of the next block, for a
             first-order hold.
         phase: phase at the first sample.
-        further: (exciters - 1, samples + 1) V, the same of the exciters besides the first; None = there are none.
     """
 
-    voltage: FloatArray
+    voltages: FloatArray
     phase: OscillatorPhase
-    further: FloatArray | None = None
+
+    @property
+    def voltage(self) -> FloatArray:
+        """Voltage (samples + 1,) of exciter 1, V."""
+        return np.asarray(self.voltages[0])
 
 
 class Oscillator:
@@ -211,7 +214,6 @@ class Oscillator:
         self.sample_rate = sample_rate
         self.exciters = exciters
         self._terms = ExciterTerms(exciters)
-        self._further_noise: tuple[BandNoise, ...] = ()
         self._seed = seed
         self.cycles = 0.0
         self.frequency_hz = 0.0
@@ -222,7 +224,7 @@ class Oscillator:
         self._harmonic_weight = Envelope()
         self._harmonics: tuple[tuple[int, complex], ...] = ()
         self._harmonics_before: dict[int, complex] = {}
-        self._noise: BandNoise | None = None
+        self._noise: tuple[BandNoise, ...] = ()
         self._band = (0.0, 0.0)
 
     @property
@@ -285,15 +287,14 @@ class Oscillator:
         random = command.waveform == Waveform.RANDOM
         if random:
             band = (command.band_low_hz, command.band_high_hz)
-            if self._noise is None or band != self._band:
-                self._noise = self._band_noise(band, 0)
-                self._further_noise = tuple(self._band_noise(band, row) for row in range(1, self.exciters))
+            if not self._noise or band != self._band:
+                self._noise = tuple(self._band_noise(band, row) for row in range(self.exciters))
                 self._band = band
         if random != (self._waveform == Waveform.RANDOM) and self._waveform != Waveform.OFF:
             self._amplitude.clear()
             self._harmonic_weight.clear()
         if not random:
-            self._noise = None
+            self._noise = ()
             self.frequency_hz = command.frequency_hz
             self._rate = command.rate_hz_s if command.waveform == Waveform.SWEEP else 0.0
             self._frequency_end = command.frequency_end_hz
@@ -313,7 +314,7 @@ class Oscillator:
         self._harmonic_weight.aim(1.0 if self._harmonics else 0.0, length)
 
     def _band_noise(self, band: tuple[float, float], row: int) -> BandNoise:
-        """Noise of an exciter, counted from 0; that of the first is the same whatever others there are."""
+        """Noise of an exciter, counted from 0; it is the same whatever others there are."""
         seeds = np.random.SeedSequence([self._seed, 0x6472697665, *([row] if row else [])])
         return BandNoise(*band, self.sample_rate, np.random.Generator(np.random.PCG64(seeds)))
 
@@ -334,25 +335,15 @@ class Oscillator:
             end = self._frequency_end
             rate = (end - self.frequency_hz) / duration
             self._rate = 0.0
-        if self._waveform == Waveform.RANDOM and self._noise is not None:
-            voltage = self._amplitude.values(samples + 1) * self._noise.values(samples)
+        if self._waveform == Waveform.RANDOM:
             phase = OscillatorPhase(self.cycles, 0.0, 0.0)
-            further = self._further_random(samples)
+            voltages = np.array([source.values(samples) for source in self._noise])
+            ratios = self._terms.signals(np.zeros(samples + 1))
+            ratios[0] += 1.0
+            voltages *= self._amplitude.values(samples + 1) * ratios
         else:
             phase = OscillatorPhase(self.cycles, self.frequency_hz, rate)
-            voltage = np.empty(samples + 1)
-            self._amplitude.cosine(voltage, phase, self.sample_rate)
-            if self._harmonics:
-                theta = phase.phase(samples + 1, self.sample_rate)
-                weight = self._harmonic_weight.values(samples + 1)
-                before = self._harmonics_before
-                fade = half_cosine(np.arange(samples + 1) / samples) if before else np.ones(samples + 1)
-                for order, value in self._harmonics:
-                    start = before.get(order, 0j)
-                    amplitude = value if start == value or not before else start + (value - start) * fade
-                    voltage += weight * (amplitude * np.exp(1j * order * theta)).real
-                before.clear()
-            further = self._further_periodic(voltage, phase)
+            voltages = self._periodic(samples, phase)
             moved = self.cycles + duration * (self.frequency_hz + 0.5 * rate * duration)
             self.cycles = moved - math.floor(moved)
             self.frequency_hz = end
@@ -362,27 +353,23 @@ class Oscillator:
             self._waveform = Waveform.OFF
             self._harmonics = ()
             self._terms.clear()
-        return OscillatorBlock(voltage, phase, further)
+        return OscillatorBlock(voltages, phase)
 
-    def _further_periodic(self, voltage: FloatArray, phase: OscillatorPhase) -> FloatArray | None:
-        """Voltages of the exciters besides the first, (exciters - 1, samples + 1); further harmonics of the first are
-        added to ``voltage``.
-        """
-        if self.exciters == 1:
-            return None
-        signals = self._terms.signals(phase.phase(voltage.size, self.sample_rate))
-        if signals is None:
-            return np.zeros((self.exciters - 1, voltage.size))
-        signals *= self._amplitude.values(voltage.size)
-        voltage += signals[0]
-        return signals[1:]
-
-    def _further_random(self, samples: int) -> FloatArray | None:
-        """Noise of the exciters besides the first, (exciters - 1, samples + 1)."""
-        if self.exciters == 1:
-            return None
-        noise = np.array([source.values(samples) for source in self._further_noise])
-        weights = self._terms.signals(np.zeros(samples + 1))
-        if weights is None:
-            return np.zeros_like(noise)
-        return np.asarray(self._amplitude.values(samples + 1) * weights[1:] * noise, dtype=np.float64)
+    def _periodic(self, samples: int, phase: OscillatorPhase) -> FloatArray:
+        """Voltages (exciters, samples + 1) of a sine or sweep; also of a drive at rest."""
+        voltages = np.zeros((self.exciters, samples + 1))
+        self._amplitude.cosine(voltages[0], phase, self.sample_rate)
+        if self._harmonics:
+            theta = phase.phase(samples + 1, self.sample_rate)
+            weight = self._harmonic_weight.values(samples + 1)
+            before = self._harmonics_before
+            fade = half_cosine(np.arange(samples + 1) / samples) if before else np.ones(samples + 1)
+            for order, value in self._harmonics:
+                start = before.get(order, 0j)
+                amplitude = value if start == value or not before else start + (value - start) * fade
+                voltages[0] += weight * (amplitude * np.exp(1j * order * theta)).real
+            before.clear()
+        if self._terms:
+            signals = self._terms.signals(phase.phase(samples + 1, self.sample_rate))
+            voltages += signals * self._amplitude.values(samples + 1)
+        return voltages

@@ -33,7 +33,7 @@ class Specimen:
         noise: V rms at a port of 10 V range; proportionally less at a smaller one.
         clock_error: of the converter's clock against that of whoever asks, relative; the specimen's samples then drift
             against the asker's, as with two devices that share no clock.
-        delay: further samples from the output port to the input ports.
+        delay: more samples from the output port to the input ports.
         faults: planted ones, see `specimen_faults`.
         seed: of the noise; None = the rig's.
     """

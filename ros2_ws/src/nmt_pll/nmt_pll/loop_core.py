@@ -6,13 +6,16 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.command_judge import LONGEST_AHEAD, CommandJudge
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveCommand, LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import ControlKind, LoopState, Quantity, TestKind, Waveform
 from nmt_pll.appropriated_loop import AppropriatedLoop
+from nmt_pll.coverage import covers
 from nmt_pll.exciter_appropriation import matrix_table
 from nmt_pll.harmonics_control import table_from_json
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
@@ -151,9 +154,11 @@ class LoopCore:
         settings = self.settings.loop_settings
         loops: list[LevelLoop] = []
         drive_point = self.settings.drive_point
+        self._exciters = self.settings.exciters
         if self.settings.linear_json:
             linear = LinearDescription.from_json(self.settings.linear_json)
             drive_point = linear.drive_point
+            self._exciters = max(self._exciters, len(linear.exciter_points))
             if self.settings.loop == "paper":
                 paper = self.settings.paper_settings.beside(settings)
                 loops.append(PaperLoop(linear, paper, self.sample_rate, self.block_samples))
@@ -202,24 +207,30 @@ class LoopCore:
             loop.filter.process(loop.warm_up_data(), 0.0, 1.0)
             loop.filter.reset()
 
+    def refusal(self, kind: TestKind) -> str:
+        """Why there is no loop for a kind of test; empty = there is one."""
+        refusal = covers(DrivenTest(kind=kind, exciters=("",) * self._exciters), self.settings.loop)
+        if refusal or kind in self.loops:
+            return refusal
+        label = kind_class(kind).words()
+        if kind_class(kind).closes_phase_loop and not self.settings.linear_json:
+            return f"A {label} test needs a linear description: the parameter 'linear_json' of the pll node is empty."
+        return f"The pll node has no {label} test for a rig with this linear description."
+
     def _choose_loop(self, level: LevelCommand) -> None:
         """Take the loop for the kind of test; only a loop at rest may be left.
 
         Raises:
             BenchError: no such loop here, or another one is at work.
         """
-        loop = self.loops.get(level.test)
-        label = level.test.label.replace("_", " ")
-        if loop is None and level.test.closes_phase_loop and not self.settings.linear_json:
-            raise BenchError(
-                f"A {label} test needs a linear description: the parameter 'linear_json' of the pll node is empty."
-            )
-        if loop is None:
-            raise BenchError(f"The pll node has no {label} test with this loop.")
+        refusal = self.refusal(level.test)
+        if refusal:
+            raise BenchError(refusal)
+        loop = self.loops[level.test]
         if loop is self.loop:
             return
         if self.loop.machine.state in (LoopState.ACQUIRING, LoopState.LOCKED):
-            raise BenchError(f"A {label} test cannot begin while the level before is at work.")
+            raise BenchError(f"A {kind_class(level.test).words()} test cannot begin while the level before is at work.")
         self.loop = loop
 
     def refuse(self, sentence: str, often: bool = True) -> None:

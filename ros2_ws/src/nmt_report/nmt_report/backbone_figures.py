@@ -19,6 +19,7 @@ from nmt_report.error_bars import joined_error_bars
 from nmt_report.quantity_format import significant, uncertain
 from nmt_report.run_data import RunReportData
 from nmt_report.shown_levels import MOST_MARKS
+from nmt_report.stated_uncertainty import std_words
 from nmt_report.svg import BLUE, DOTS, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, svg_text
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def frequency_figure(data: RunReportData) -> ReportFigure:
     if data.reference is not None:
         _deviation(residual, data, abscissa, points, omega, omega_std, 0)
     _finish(main, residual, abscissa, x)
-    caption = "Modal frequency f̃ over " + abscissa.html + ". Bars: standard uncertainty." + _reference_caption(data)
+    caption = "Modal frequency f̃ over " + abscissa.html + _bars("omega_rad_s", data) + _reference_caption(data)
     label = "Modal frequency over modal amplitude"
     return ReportFigure("backbone", "Backbone f̃(q)", caption, svg_text(figure, "backbone", label, tips))
 
@@ -95,7 +96,7 @@ def damping_figure(data: RunReportData) -> ReportFigure:
     if data.reference is not None:
         _deviation(residual, data, abscissa, points, damping, damping_std, 1, relative=not feeds)
     _finish(main, residual, abscissa, x)
-    caption = "Modal damping ratio δ̃ over " + abscissa.html + ". Bars: standard uncertainty." + _reference_caption(data)
+    caption = "Modal damping ratio δ̃ over " + abscissa.html + _bars("damping_ratio", data) + _reference_caption(data)
     if feeds:
         caption += " Below zero the structure feeds its motion. Circles: limit cycles, filled where stable."
     label = "Modal damping ratio over modal amplitude"
@@ -132,7 +133,7 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
     caption = Markup(
         "1 is a perfectly appropriated mode. PBMIF: active over apparent power; γ<sub>F</sub>, "
         "γ<sub>A</sub>: fundamental content of force and drive-point acceleration; MAC: correlation with "
-        "the linear mode."
+        "the linear mode. Bars: repeatability."
     )
     label = "Power-based mode indicator, fundamental contents and modal assurance criterion over modal amplitude"
     return ReportFigure("indicators", "Quality of the isolation", caption, svg_text(figure, "indicators", label, tips))
@@ -154,7 +155,7 @@ def quantity_figures(data: RunReportData) -> list[ReportFigure]:
         main.set_ylabel(quantity.curve)
         _finish(main, None, abscissa, x)
         words = quantity.meaning[0].upper() + quantity.meaning[1:]
-        caption = Markup("{} over ").format(words) + abscissa.html + ". Bars: standard uncertainty."
+        caption = Markup("{} over ").format(words) + abscissa.html + _bars(quantity.name, data)
         svg = svg_text(figure, quantity.name, f"{words} over modal amplitude", tips)
         made.append(ReportFigure(quantity.name, words, caption, svg))
     return made
@@ -186,6 +187,10 @@ def participation_figure(data: RunReportData) -> ReportFigure | None:
         )
         phase.plot(x, np.degrees(np.angle(gamma[:, mode])), look, color=colours[mode % 5], linewidth=1.0)
     magnitude.set_yscale("log")
+    low, high = magnitude.get_ylim()
+    if high < _LEAST_DECADE * low:  # one mode: |Γ| = 1 but for rounding
+        middle = math.sqrt(low * high * _LEAST_DECADE)
+        magnitude.set_ylim(middle / _LEAST_DECADE, middle)
     magnitude.set_ylabel(r"$|\Gamma|$")
     magnitude.legend(loc="best")
     phase.set_ylabel(r"$\arg\Gamma$ / °")
@@ -224,7 +229,7 @@ def amplitude_figure(data: RunReportData) -> ReportFigure:
         axes.set_yscale("log")
         decade_ticks(axes.yaxis, *axes.get_ylim())
     decade_ticks(lower.xaxis, *lower.get_xlim())
-    caption = "Modal amplitude and fundamental of the excitation force at each level."
+    caption = "Modal amplitude and fundamental of the excitation force at each level" + _bars("modal_amplitude", data)
     label = "Modal amplitude and force over level"
     return ReportFigure("amplitudes", "Amplitude and force", caption, svg_text(figure, "amplitudes", label, tips))
 
@@ -272,6 +277,7 @@ def _points(
     return tips
 
 
+_LEAST_DECADE = 10.0  # ratio of the ends of an axis of participation, at least
 # The abscissa spans a factor of 2.56 at least: a bar of this relative size is shorter than a mark.
 _HIDDEN = 0.004
 _PLAIN_SYMBOLS = {quantity.name: quantity.symbol for quantity in QUANTITIES} | {"omega_rad_s": "f̃"}
@@ -346,6 +352,11 @@ def _deviation(
     limit = 1.2 * float(np.nanmax(reach)) if np.any(np.isfinite(reach)) else 1.0
     residual.set_ylim(-max(limit, 1e-3), max(limit, 1e-3))
     residual.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+
+
+def _bars(name: str, data: RunReportData) -> str:
+    """End of a caption's sentence, and what the bars are."""
+    return f". Bars: {std_words(name, data.budgets)}."
 
 
 def _reference_caption(data: RunReportData) -> Markup:

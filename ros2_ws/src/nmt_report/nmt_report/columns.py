@@ -60,15 +60,22 @@ def _in_order() -> tuple[ModalColumn, ...]:
 MODAL_COLUMNS = _in_order()
 """Columns of the tables of modal properties, in order."""
 
+_EXCITATION = ModalColumn(
+    "excitation_frequency_hz", TableColumn("Ω/2π", unit="Hz", rank=2, live=True)
+)  # of a secondary resonance, where it is not the modal frequency
+
 
 def shown_columns(points: Iterable[ModalPoint]) -> tuple[ModalColumn, ...]:
     """The columns that have something to show for these points."""
     known = list(points)
-    return tuple(
+    columns = [
         column
         for column in MODAL_COLUMNS
         if not column.shown.optional or any(math.isfinite(getattr(point, column.name)) for point in known)
-    )
+    ]
+    if any(point.force_order for point in known):
+        columns.insert(1, _EXCITATION)
+    return tuple(columns)
 
 
 def status_text(status: int) -> str:

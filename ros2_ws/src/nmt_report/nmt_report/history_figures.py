@@ -66,7 +66,7 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
         frequency.legend(loc="upper right", ncols=3, frameon=True, facecolor="white", framealpha=0.9, edgecolor="none")
     _level_numbers(strip, data)
     _level_starts((frequency, phase), data)
-    frequency.set_ylabel("frequency / Hz")
+    frequency.set_ylabel("excitation frequency / Hz")
     frequency.ticklabel_format(axis="y", useOffset=False)
     # With the drive off the phase means nothing.
     degrees = np.degrees(np.where(history.state == LoopState.FIXED, np.nan, history.phase_error))
@@ -92,7 +92,7 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
     label = "Loop state, excitation frequency and phase error over bench time"
     return ReportFigure(
         "history",
-        "Frequency and phase error over the run",
+        "Excitation frequency and phase error over the run",
         caption,
         svg_text(figure, "history", label),
         wide=True,

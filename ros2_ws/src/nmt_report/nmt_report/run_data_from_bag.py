@@ -283,7 +283,7 @@ def _excerpts(
 
 def _with_frequency(excerpts: Sequence[Excerpt], points: Sequence[ModalPoint]) -> list[Excerpt]:
     """Imported windows need not name their frequency: it is then that of the modal point."""
-    known = {point.level_index: point.frequency_hz for point in points if math.isfinite(point.frequency_hz)}
+    known = {point.level_index: point.excitation_frequency_hz for point in points}
     complete = []
     for excerpt in excerpts:
         frequency = known.get(excerpt.level_index, math.nan)

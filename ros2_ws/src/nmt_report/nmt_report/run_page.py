@@ -11,10 +11,10 @@ from markupsafe import Markup
 
 from nmt_core.text.number_words import level_list
 from nmt_core.vocabulary import ControlKind
-from nmt_extract.backbone_jumps import backbone_sentences
+from nmt_extract.backbone_jumps import direction_difference, find_jumps
 from nmt_extract.harmonics_indicators import any_control, indicators
 from nmt_extract.limit_cycles import feeds_its_motion, limit_cycles
-from nmt_extract.modal_point import Status
+from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.uncertainty_budget import UncertaintySource, channel_tolerances_used, left_out
 from nmt_plant.real_time import read_histogram
 from nmt_report.columns import shown_columns, status_text, unit_text
@@ -29,6 +29,8 @@ from nmt_report.quantity_format import (
     significant,
 )
 from nmt_report.run_data import RunReportData
+from nmt_report.run_verdict import run_verdict
+from nmt_report.stated_uncertainty import std_note
 from nmt_report.svg import ReportFigure
 
 
@@ -45,8 +47,9 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         title=f"{run_name(data)}: nonlinear modal test",
         name=run_name(data),
         description=str(description) if description else "",
-        result=verdict(data),
+        result=run_verdict(data.points, len(data.run.get("plan", {}).get("levels", ()))),
         faults=_faults(data),
+        remarks=_remarks(data),
         shown_cards=_cards(data),
         facts=_facts(data),
         modal_table=_modal_table(data),
@@ -59,6 +62,7 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         harmonics_notes=_harmonics_notes(data),
         level_table=_level_table(data),
         block_reason=_block_reason(data),
+        std_note=std_note(data.budgets),
         budget_tables=_budget_tables(data),
         budget_notes=_budget_notes(data),
         assumptions=_assumptions(data),
@@ -72,23 +76,6 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
 def run_name(data: RunReportData) -> str:
     """Name of the rig, else of the run."""
     return str(data.rig.get("name") or data.run.get("rig") or data.run.get("run_id") or "Run")
-
-
-def verdict(data: RunReportData) -> tuple[str, str]:
-    """One sentence on what the run gave, and its class: ``good``, ``partly`` or ``bad``."""
-    total = max(len(data.points), len(data.run.get("plan", {}).get("levels", ())))
-    good = len(data.good_points)
-    not_locked = sum(point.status == Status.NOT_LOCKED for point in data.points)
-    rejected = len(data.failed_points) - not_locked
-    parts = [f"{good} of {total} levels locked and extracted"]
-    if not_locked:
-        parts.append(f"{not_locked} not locked")
-    if rejected:
-        parts.append(f"{rejected} rejected")
-    if total > len(data.points):
-        parts.append(f"{total - len(data.points)} not reached")
-    kind = "good" if good == total and good else "partly" if good else "bad"
-    return "; ".join(parts), kind
 
 
 def worst_deviation(data: RunReportData) -> tuple[float, float]:
@@ -116,26 +103,34 @@ _CONTROLS: dict[Any, str] = {kind.value: kind.label for kind in ControlKind if k
 
 
 def _faults(data: RunReportData) -> list[str]:
-    """Sentences on what is missing or wrong, the most important first."""
-    faults = [
-        f"Level {point.level_index + 1} ({significant(point.level)} {unit_text(point.level_unit)}): "
-        f"{status_text(point.status)}{f': {point.reason}' if point.reason else ''}"
-        for point in data.points
-        if point.reason or point.status != Status.OK
-    ]
-    faults[:0] = backbone_sentences(data.points)
-    if data.not_live:
-        faults.insert(
-            0,
-            f"Extraction sent no point of {level_list(data.not_live)} while the test ran ({len(data.not_live)} of "
-            f"{len(data.locks)} locked): they were extracted from the recording.",
-        )
-    if data.loss:
-        faults.insert(0, data.loss)
+    """Sentences on what is missing, the most important first."""
+    faults = []
     state, reason = _end_of_run(data)
     if state not in ("", "done") and reason:
-        faults.insert(0, f"End of the run: {reason}")
-    return faults
+        faults.append(f"End of the run: {reason}")
+    if data.loss:
+        faults.append(data.loss)
+    if data.not_live:
+        faults.append(
+            f"Extraction sent no point of {level_list(data.not_live)} while the test ran ({len(data.not_live)} of "
+            f"{len(data.locks)} locked): they were extracted from the recording."
+        )
+    return faults + [_level_words(point) for point in data.failed_points]
+
+
+def _remarks(data: RunReportData) -> list[str]:
+    """Sentences on what is there and needs a second look."""
+    remarks = [jump.sentence for jump in find_jumps(data.points)]
+    directions = direction_difference(data.points)
+    if directions is not None and directions.different:
+        remarks.append(directions.sentence)
+    return remarks + [_level_words(point) for point in data.good_points if point.reason]
+
+
+def _level_words(point: ModalPoint) -> str:
+    """What became of a level, and why."""
+    level = f"Level {point.level_index + 1} ({significant(point.level)} {unit_text(point.level_unit)})"
+    return f"{level}: {status_text(point.status)}{f': {point.reason}' if point.reason else ''}"
 
 
 def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
@@ -149,12 +144,13 @@ def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
         return low if low == high else f"{low} … {high}"
 
     frequencies = [point.frequency_hz for point in points]
+    lowest, highest = (pick(points, key=lambda point: point.modal_amplitude) for pick in (min, max))
     exponent = engineering_exponent(point.modal_amplitude for point in points)
     cards: list[tuple[str, str, str]] = [
         (
             "Modal frequency f̃",
             f"{span(frequencies)} Hz",
-            f"shift {_percent(min(frequencies) / max(frequencies) - 1.0)}",
+            f"{_percent(highest.frequency_hz / lowest.frequency_hz - 1.0)} from the smallest to the largest amplitude",
         ),
         ("Modal damping δ̃", f"{span([100 * p.damping_ratio for p in points], 3)} %", ""),
         (
@@ -178,6 +174,11 @@ def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
         ]
     else:
         cards.append(("PBMIF, worst level", significant(min(point.pbmif for point in points), 4), ""))
+    directions = direction_difference(data.points)
+    if directions is not None:
+        alike = directions.levels - len(directions.different)
+        agreement = f"{alike} of {directions.levels} levels agree"
+        cards.append(("Up and down", agreement, f"f̃ within {significant(100.0 * directions.largest, 2)} %"))
     return cards
 
 
@@ -262,9 +263,9 @@ def _modal_table(data: RunReportData) -> Table | None:
             deviation = point.damping_ratio - expected[1] if feeds else point.damping_ratio / expected[1] - 1
             cells.append(plain(100 * deviation, 3 if feeds else 2))
         rows.append(Row(cells))
-    note = ""
+    note = std_note(data.budgets)
     if data.reference is not None:
-        note = f"Δf̃, Δδ̃: deviation from {data.reference.label} at the same modal amplitude."
+        note += f" Δf̃, Δδ̃: deviation from {data.reference.label} at the same modal amplitude."
     return Table(head, rows, note)
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from nmt_core.files.whole_file import write_whole
 from nmt_report.run_data import FileEntry, ReferenceCurve, RunReportData, read_reference
 from nmt_report.run_data_from_bag import report_data_from_bag
+from nmt_report.stated_uncertainty import with_budgets
 from nmt_report.svg import ReportFigure, figure_style
 
 __all__ = [
@@ -66,6 +68,7 @@ def report_html(data: RunReportData) -> str:
             report_history.excerpt_figure,
         ),
     }
+    data = replace(data, points=with_budgets(data.points, data.budgets))
     figures: dict[str, list[ReportFigure]] = {}
     with figure_style():
         for section, functions in builders.items():

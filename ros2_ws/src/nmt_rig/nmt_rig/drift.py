@@ -45,15 +45,13 @@ class Drift:
         integrator: TimeIntegrator,
         inputs: FloatArray,
         phase: OscillatorPhase,
-        further: FloatArray | None = None,
     ) -> FloatArray:
         """Integrate a block, with the drift up to each of its steps.
 
         Args:
             integrator: of the rig.
-            inputs: (n + 1,) as for `TimeIntegrator.advance`.
+            inputs: (exciters, n + 1) as for `TimeIntegrator.advance`.
             phase: oscillator phase at the block's first sample.
-            further: (exciters - 1, n + 1) inputs of the exciters besides the first; None = zero.
 
         Returns:
             (outputs, n).
@@ -66,7 +64,7 @@ class Drift:
             n = self._base.structure_size
             self._stiffness = np.zeros_like(self._base.stiffness)
             self._stiffness[:n, :n] = build_structure(self._rig).stiffness
-        n = inputs.size - 1
+        n = inputs.shape[1] - 1
         parts = []
         done = 0
         while done < n:
@@ -74,12 +72,11 @@ class Drift:
             if into == 0:
                 self._apply(integrator, (self._sample + done) / self._rate, self._cycles_at(phase, done))
             length = min(n - done, self._step - into)
-            others = None if further is None else further[:, done : done + length + 1]
-            parts.append(integrator.advance(inputs[done : done + length + 1], others))
+            parts.append(integrator.advance(inputs[:, done : done + length + 1]))
             done += length
         self._cycles = self._cycles_at(phase, n)
         self._sample += n
-        return np.concatenate(parts, axis=1) if parts else integrator.advance(inputs, further)
+        return np.concatenate(parts, axis=1) if parts else integrator.advance(inputs)
 
     def _cycles_at(self, phase: OscillatorPhase, samples: int) -> float:
         """Periods of the drive until so many samples into the block."""

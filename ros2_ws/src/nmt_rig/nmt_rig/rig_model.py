@@ -292,12 +292,11 @@ def build_system(rig: Rig, structure: Structure | None = None) -> Electromechani
     return assemble(
         structure,
         build_elements(rig, structure),
-        rig.drive_point,
-        build_shaker(rig),
+        rig.exciter_points,
+        [shaker_of(exciter) for exciter in rig.all_exciters],
         build_attachments(rig, structure),
         build_exciter_elements(rig, structure),
         build_table(rig, structure),
-        [(exciter.point, shaker_of(exciter)) for exciter in rig.all_exciters[1:]],
     )
 
 

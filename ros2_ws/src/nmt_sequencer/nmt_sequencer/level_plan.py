@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.excitation import PEAK_FACTOR
+from nmt_core.kinds import PEAK_FACTOR, KindOfTest
 from nmt_core.settings import parameters_of, setting
-from nmt_core.vocabulary import ControlKind, TestKind
+from nmt_core.vocabulary import ControlKind
 
 DIRECTIONS = ("up", "down", "both")
 SPACINGS = ("geometric", "linear")
@@ -121,7 +121,7 @@ class LevelLimits:
         """From the description of a run; what is not there is no limit."""
         return cls(*(float(values.get(parameter.name) or 0.0) for parameter in parameters_of(cls)))
 
-    def check(self, levels: Sequence[Any], control: int, test: TestKind, where: str = "Plan") -> list[float]:
+    def check(self, levels: Sequence[Any], control: int, test: KindOfTest, where: str = "Plan") -> list[float]:
         """The levels as a list of numbers.
 
         Args:

@@ -182,7 +182,7 @@ class RunCore:
     def missing_points(self) -> set[int]:
         """Levels whose modal point has not come yet."""
         machine = self.machine
-        if machine.plan is not None and not machine.plan.excitation.test.gives_modal_points:
+        if machine.plan is not None and not machine.plan.kind.gives_modal_points:
             return set()
         return {record.index for record in machine.records if record.complete} - set(self.points)
 

@@ -16,10 +16,11 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import PhaseResonanceTest, SelfExcitedTest
 from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.records import LevelCommand, LoopStatus, Steering
 from nmt_core.messages.run_settings import RunSettings
-from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct, TestKind
+from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct
 from nmt_sequencer.level_plan import NO_LIMITS, LevelLimits, check_levels
 from nmt_sequencer.refinement import LevelRefinement
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest
@@ -53,17 +54,18 @@ class RunPlan(RunSettings):
             raise BenchError(f"The time-out must be finite and >= 0 s, got {self.timeout}.")
         if self.window_periods < 1:
             raise BenchError(f"A window needs at least one period, got {self.window_periods}.")
-        if not 0.0 <= self.refinement < 1.0:
-            raise BenchError(f"The refinement must be from 0 (none) to below 1, got {self.refinement}.")
-        if self.refinement and (self.frequencies_hz or self.levels_without):
-            raise BenchError("Levels can be put in only where all are done alike: leave out --compare and frequencies.")
-        if self.refinement and self.excitation.test is not TestKind.PHASE_RESONANCE:
-            raise BenchError("Levels are put in between in phase resonance tests only; leave out the refinement.")
+        if self.refinement and self.levels_without:
+            raise BenchError("Levels can be put in only where all are done alike: leave out --compare.")
+
+    @property
+    def refinement(self) -> float:
+        """Relative deviation of the frequency above which levels are put in between; 0 = none."""
+        return self.kind.refinement if isinstance(self.kind, PhaseResonanceTest) else 0.0
 
     def check(self, sample_rate: float, limits: LevelLimits = NO_LIMITS) -> None:
         """Refuse (BenchError) what a bench of this sample rate (Hz) cannot do, and what its rig does not allow."""
-        limits.check(self.levels, self.control, self.excitation.test)
-        self.excitation.check(self.frequencies_hz, len(self.levels), self.control, sample_rate)
+        limits.check(self.levels, self.control, self.kind)
+        self.kind.check(self.frequencies_hz, len(self.levels), self.control, sample_rate)
 
 
 @dataclass(frozen=True)
@@ -550,8 +552,7 @@ class RunMachine:
                 self._quiet(effective, ResultCode.LOCK_LOST, why)
                 return
             following = plan.levels[record.index + 1 : record.index + 2]
-            test = plan.excitation.test
-            is_open = plan.open_loop_abort and test.gives_modal_points and test is not TestKind.SELF_EXCITED
+            is_open = plan.open_loop_abort and plan.kind.stops_without_answer
             if is_open and record.index in self._unanswered and following and following[0] > record.amplitude:
                 why = (
                     f"Level {record.index + 1} had no force or no response ({record.reason}), so no higher level "
@@ -603,7 +604,7 @@ class RunMachine:
 
     def _note_ending(self, report: LoopStatus) -> None:
         """How the loop of a self-excited rig ended the motion belongs to the reason of the run's end."""
-        if self.plan is not None and self.plan.excitation.test is TestKind.SELF_EXCITED and "damp" in report.reason:
+        if self.plan is not None and isinstance(self.plan.kind, SelfExcitedTest) and "damp" in report.reason:
             self.reason = f"{self.reason.rstrip()} At the end {report.reason}."
 
     def _quiet(self, effective: int, code: ResultCode, reason: str) -> None:
@@ -630,7 +631,7 @@ class RunMachine:
             float(frequency),
             window_periods,
             float(timeout),
-            **plan.excitation.level_fields,
+            **plan.kind.level_fields,
         )
         if index in plan.levels_without:
             order = replace(order, harmonics_control=0)

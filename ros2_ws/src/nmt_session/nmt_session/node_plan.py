@@ -18,28 +18,28 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.files.yaml_text import yaml_text
+from nmt_core.kinds import KindOfTest, PhaseResonanceTest, SecondaryResonanceTest, SelfExcitedTest
 from nmt_core.messages.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.messages.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
-from nmt_core.messages.excitation import Excitation
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.run_settings import RunSettings
-from nmt_core.messages.secondary_resonance import resonance_named
 from nmt_core.nodes.node_settings import PACINGS, NodeSettings
 from nmt_core.nodes.parameters import ParameterValue
 from nmt_core.settings import parameters_of, values_of, with_values
-from nmt_core.vocabulary import AUTOMATIC, MOTIONS, ControlKind, HarmonicsTarget, TestKind
+from nmt_core.vocabulary import AUTOMATIC, MOTIONS, ControlKind, HarmonicsTarget
 from nmt_extract.extraction_settings import ExtractionSettings, ExtractSettings
 from nmt_extract.hysteresis import HysteresisLayout
 from nmt_plant.devices.guarded_device import LEAST_LEAD
 from nmt_plant.devices.hardware_rig import HARDWARE_LEAD
 from nmt_plant.plant_settings import PlantSettings
 from nmt_plant.safety.output_guard import default_slew
+from nmt_pll.coverage import covers_linear
 from nmt_pll.harmonics_control import MOST_HARMONICS
 from nmt_pll.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from
 from nmt_pll.paper_settings import PaperSettings
 from nmt_pll.pll_settings import PAPER_PREFIX, PllSettings
-from nmt_pll.self_excited_control import METHODS
 from nmt_record.bag.bag_keys import SIMULATED_RIG, converter_name
 from nmt_record.bag.recorder_settings import RecorderSettings
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS, SPECIMEN
@@ -47,9 +47,9 @@ from nmt_rig.linear_description import force_per_volt, linear_description
 from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import LevelLimits
 from nmt_sequencer.sequencer_settings import SequencerSettings
+from nmt_session.coverage import covers
 
 S = TypeVar("S", bound=NodeSettings)
-STRATEGIES = ("stepped", "ramp")
 LOOP_TOPICS = ("drive", "frequency")
 """Topics of the loop with a message for every block."""
 _FORCE_ROWS = 500  # of the force per volt over frequency
@@ -62,9 +62,6 @@ RAMP_WINDOW = 20
 """Whole periods of a window of the strategy ``ramp`` unless the test says otherwise."""
 RAMP_DELAY = 1.0
 """Periods from the start of a level to its window in the strategy ``ramp``."""
-
-SELF_EXCITED_DURATION = 5.0
-"""Longest time that a free motion is waited for, and that damping takes, unless the test says otherwise, s."""
 REAL_TIME_LEAD = 6
 """Blocks that wait at the output in real time unless the test says otherwise: a busy computer may be late by five."""
 OUTPUT_RECORD = "output.jsonl"
@@ -93,23 +90,11 @@ class PlanSettings(TypedDict, total=False):
     linear: LinearDescription | None
     node_values: Mapping[str, Mapping[str, Any]]
     control: str
-    strategy: str
-    test: str
     frequencies_hz: Sequence[float]
-    band_hz: Sequence[float] | None
-    rate_hz_s: float
-    frequency_end_hz: float
-    duration: float
     device: str
     device_address: str
     linked: bool
-    harmonics_control: int | str | None
-    harmonics_target: str | None
     levels_without: Sequence[int]
-    resonance: str
-    release: float
-    refinement: float
-    method: str
 
 
 @dataclass(frozen=True)
@@ -130,28 +115,14 @@ class TestPlan:
         node_values: further parameters by node name.
         control: what the levels are: ``voltage`` (V), ``response`` (amplitude at the drive point, m or m/s²) or
             ``force`` (N).
-        strategy: ``stepped``: wait at every level for lock; ``ramp``: lock once, then ramp from level to level as long
-            as a window lasts and extract during the ramps by the balance of power.
-        test: kind of test, see :class:`nmt_core.vocabulary.TestKind`: ``phase_resonance``, ``random``, ``sweep``,
-            ``stepped_sine``, ``ring_down`` or ``self_excited``. Only kinds that control a phase use a linear
+        kind: kind of test with its settings, see :mod:`nmt_core.kinds`. Only kinds that control a phase use a linear
             description.
         frequencies_hz: start of the sweep or frequency of the stepped sine, one for all levels or one a level.
-        band_hz: band of the noise of a random test, Hz; its levels are V rms.
-        rate_hz_s, frequency_end_hz: rate and end of the sweep.
-        duration: length of the window of a random test, or of the free decay of a ring-down, s; of a self-excited test
-            the longest time that a free motion is waited for and that damping at the end takes, 0 = 5 s.
         device: what is driven: empty or ``simulated``, or a kind of converter, see `nmt_rig.device_sections`.
         device_address: of NI's device server.
         linked: whether plant, loop and sequencer are on one host, so that in lockstep they may hand on the sample path
             past the middleware.
-        harmonics_control: harmonics 2 to this one of the force are controlled; 0 = none, ``auto`` = as many as can be,
-            None = as the rig says.
-        harmonics_target: ``force`` (they are brought to zero) or ``modal``; None = as the rig says.
-        levels_without: indices of levels in which they are not controlled nevertheless, for comparison.
-        resonance: ``3:1`` or ``1:3`` for the test ``secondary_resonance``; empty otherwise.
-        release: response amplitude at the drive point that a release onto an isola begins with, m or m/s²; 0 = none.
-        refinement: relative deviation of the frequency from a straight backbone above which levels are put in.
-        method: how a self-excited test reaches its amplitudes, see :mod:`nmt_pll.self_excited_loop`.
+        levels_without: indices of levels without control of the force's harmonics, for comparison.
         tick_blocks: blocks between two decisions of the sequencer.
         block_reason: why blocks are as long as they are, where that was chosen; see `nmt_session.block_length`.
 
@@ -174,47 +145,33 @@ class TestPlan:
     linear: LinearDescription | None = None
     node_values: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     control: str = "voltage"
-    strategy: str = "stepped"
-    test: str = "phase_resonance"
+    kind: KindOfTest = field(default_factory=PhaseResonanceTest)
     frequencies_hz: Sequence[float] = ()
-    band_hz: Sequence[float] | None = None
-    rate_hz_s: float = 0.0
-    frequency_end_hz: float = 0.0
-    duration: float = 0.0
     device: str = ""
     device_address: str = ""
     linked: bool = True
-    harmonics_control: int | str | None = None
-    harmonics_target: str | None = None
     levels_without: Sequence[int] = ()
-    resonance: str = ""
-    release: float = 0.0
-    refinement: float = 0.0
-    method: str = "auto"
     tick_blocks: int = 5
     block_reason: str = ""
 
     def __post_init__(self) -> None:
-        plain = {item.name: _plain(getattr(self, item.name)) for item in fields(self)}
+        plain = {item.name: as_plain(getattr(self, item.name)) for item in fields(self)}
         plain["run_id"] = self.run_id or time.strftime(f"{self.rig.name}-%Y%m%d-%H%M%S")
         plain["node_values"] = plain["node_values"] or {}
-        for name in ("levels", "frequencies_hz", "band_hz", "levels_without"):
-            plain[name] = None if plain[name] is None else tuple(plain[name])
+        for name in ("levels", "frequencies_hz", "levels_without"):
+            plain[name] = tuple(plain[name])
         for name, value in plain.items():
             object.__setattr__(self, name, value)
         for what, value, known in (
             ("Pacing", self.pacing, PACINGS),
             ("Device", self.device or SIMULATED, SIMULATED_OR_CONVERTERS),
-            ("Strategy", self.strategy, STRATEGIES),
-            ("Method", self.method, METHODS),
         ):
             if value not in known:
                 raise BenchError(f"{what} '{value}' is not known; use {' or '.join(known)}.")
         if self.is_on_hardware and self.pacing != "realtime":
             raise BenchError("A test on hardware is in real time; leave out --pacing lockstep.")
         control = ControlKind.named(self.control)
-        kind = TestKind.named(self.test)
-        level_limits(self.rig).check(self.levels, control, kind, f"The test of rig {self.rig.name}")
+        level_limits(self.rig).check(self.levels, control, self.kind, f"The test of rig {self.rig.name}")
         if self.latency_blocks < 0:
             raise BenchError(f"latency_blocks must not be negative, got {self.latency_blocks}.")
         if self.window_periods is not None and self.window_periods < 3:
@@ -223,18 +180,7 @@ class TestPlan:
             value = getattr(self, name)
             if value is not None and not 0 < value < 1e6:
                 raise BenchError(f"The {name} must be positive and below 1e6 s, got {value:g}.")
-        if self.band_hz is not None and len(self.band_hz) != 2:
-            raise BenchError(f"band_hz needs a lower and an upper edge, got {len(self.band_hz)} values.")
-        if (kind is TestKind.SECONDARY_RESONANCE) != bool(self.resonance):
-            raise BenchError("A secondary resonance test needs the resonance, 3:1 or 1:3; other tests have none.")
-        if self.refinement and (self.strategy == "ramp" or kind is not TestKind.PHASE_RESONANCE):
-            raise BenchError(
-                "Levels are put in between in stepped phase resonance tests only; leave out the refinement."
-            )
-        if self.strategy == "ramp" and kind is not TestKind.PHASE_RESONANCE:
-            raise BenchError("The strategy ramp is one of phase resonance tests; leave the strategy at stepped.")
-        rate = float(self.rig.sample_rate_hz)
-        self.excitation.check(self.level_frequencies_hz, len(self.levels), control, rate)
+        self.kind.check(self.level_frequencies_hz, len(self.levels), control, float(self.rig.sample_rate_hz))
 
     @property
     def lead_blocks(self) -> int:
@@ -258,47 +204,14 @@ class TestPlan:
         return converter_name(self.device, "" if own else SPECIMEN)
 
     @property
-    def excitation(self) -> Excitation:
-        """Kind of test and its settings."""
-        low, high = self.band_hz or (0.0, 0.0)
-        target = self.rig.test.harmonics_target if self.harmonics_target is None else self.harmonics_target
-        return Excitation(
-            TestKind.named(self.test),
-            float(low),
-            float(high),
-            float(self.rate_hz_s),
-            float(self.frequency_end_hz),
-            float(self.duration or (SELF_EXCITED_DURATION if self.is_self_excited else 0.0)),
-            self.controlled_harmonics,
-            int(HarmonicsTarget.named(str(target))) if self.controlled_harmonics else 0,
-            *(resonance_named(self.resonance)[:2] if self.resonance else (0, 0)),
-            float(self.release),
-        )
+    def ramps(self) -> bool:
+        """Whether windows lie in slow ramps from level to level."""
+        return isinstance(self.kind, PhaseResonanceTest) and self.kind.strategy == "ramp"
 
     @property
-    def is_self_excited(self) -> bool:
-        """Whether the motion is one that the structure feeds."""
-        return TestKind.named(self.test) is TestKind.SELF_EXCITED
-
-    @property
-    def controlled_harmonics(self) -> int:
-        """Highest harmonic of the force that is controlled; 0 = none, 1 = as many as can be.
-
-        What the rig file says holds for the kinds of test that can do it.
-
-        Raises:
-            BenchError: not a number, nor ``auto``.
-        """
-        given = self.harmonics_control
-        if given is None:
-            can = TestKind.named(self.test).controls_harmonics
-            given = self.rig.test.harmonics_control if can else 0
-        if given == "auto":
-            return AUTOMATIC
-        try:
-            return int(given)
-        except ValueError:
-            raise BenchError(f"Harmonics to be controlled: '{given}' is no number; give a number or auto.") from None
+    def driven(self) -> DrivenTest:
+        """What drives the test, for those who say whether they take it."""
+        return DrivenTest.of(self.run_settings, tuple(exciter.kind for exciter in self.rig.all_exciters))
 
     @property
     def level_frequencies_hz(self) -> tuple[float, ...]:
@@ -309,7 +222,7 @@ class TestPlan:
     @property
     def used_linear(self) -> LinearDescription | None:
         """Linear description that loop and extraction get; the model's only where the test needs one."""
-        if self.linear is None and TestKind.named(self.test).closes_phase_loop:
+        if self.linear is None and self.kind.closes_phase_loop:
             return linear_description(self.rig)
         return self.linear
 
@@ -326,7 +239,7 @@ class TestPlan:
         """What the run is asked for; what the test leaves open is the rig's."""
         test = self.rig.test
         window, ramp = self.window_periods, self.ramp
-        if self.strategy == "ramp":
+        if self.ramps:
             window = RAMP_WINDOW if window is None else window
             linear = self.linear or linear_description(self.rig)
             ramp = window / linear.frequency_hz if ramp is None else ramp
@@ -338,10 +251,9 @@ class TestPlan:
             window_periods=int(test.window_periods if window is None else window),
             timeout=float(test.lock_timeout_s if self.timeout is None else self.timeout),
             stop_on_lost_lock=self.stop_on_lost_lock,
-            excitation=self.excitation,
+            kind=self.kind,
             frequencies_hz=self.level_frequencies_hz,
             levels_without=frozenset(self.levels_without),
-            refinement=float(self.refinement),
         )
 
 
@@ -408,7 +320,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     extraction = ExtractionSettings(
         harmonics=_extracted_harmonics(test, linear),
         topics=_extraction_topics(rig, topics),
-        power_balance=test.strategy == "ramp",
+        power_balance=test.ramps,
         hysteresis=_hysteresis_layout(rig),
     )
     layout = extraction.hysteresis
@@ -451,8 +363,8 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
         linked=linked,
         joined_input=joined,
     )
-    if test.is_self_excited:
-        pll = replace(pll, self_excited_method=test.method, response_limit=limits.largest_response)
+    if isinstance(test.kind, SelfExcitedTest):
+        pll = replace(pll, self_excited_method=test.kind.method, response_limit=limits.largest_response)
     sequencer = SequencerSettings(
         sample_rate=float(rig.sample_rate_hz),
         block_samples=int(rig.block_samples),
@@ -486,14 +398,11 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     sequencer = _given(sequencer, test, "sequencer", peers)
     extract = _given(extract, test, "extract", peers)
     recorder = _given(recorder, test, "recorder", peers)
-    for lacking, does, what in (
-        (test.strategy == "ramp", "waits at every level", "the strategy ramp"),
-        (test.excitation.test is TestKind.RING_DOWN, "does not switch off", "a ring-down test"),
-        (test.is_self_excited, "cannot hold such a motion", "a self-excited test"),
-        (test.control != "voltage", "steps the voltage only", f"levels of {test.control}"),
-    ):
-        if lacking and pll.loop == "paper":
-            raise BenchError(f"The paper's loop {does}; use the adaptive loop for {what}.")
+    refusal = covers(test.driven, pll.loop, test.ramps, test.device)
+    if not refusal and linear is not None:
+        refusal = covers_linear(test.driven, linear)
+    if refusal:
+        raise BenchError(refusal)
     nodes = {"plant": plant, "pll": pll, "sequencer": sequencer, "extract": extract, "recorder": recorder}
     asked = test.run_settings
     run = {
@@ -528,13 +437,13 @@ def _given(settings: S, test: TestPlan, name: str, peers: Mapping[str, Sequence[
     return replace(with_values(settings, test.node_values.get(name, {}), name), expected_peers=tuple(peers[name]))
 
 
-def _plain(value: Any) -> Any:
+def as_plain(value: Any) -> Any:
     """Numbers and arrays of numpy as Python's, at any depth: neither JSON nor YAML takes the former."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {name: _plain(item) for name, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+        return {name: as_plain(item) for name, item in value.items()}
+    return [as_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def level_limits(rig: Rig) -> LevelLimits:
@@ -575,7 +484,8 @@ def _joins_loop_input(test: TestPlan, response: str) -> bool:
 
 def _wants_shape(test: TestPlan) -> bool:
     """Whether the loop takes all channels: for the modal target, and for several exciters."""
-    return test.excitation.harmonics_target == HarmonicsTarget.MODAL or len(test.rig.all_exciters) > 1
+    is_modal = getattr(test.kind, "harmonics_target", HarmonicsTarget.ZERO) == HarmonicsTarget.MODAL
+    return is_modal or len(test.rig.all_exciters) > 1
 
 
 def _is_linked(test: TestPlan) -> bool:
@@ -642,7 +552,7 @@ def expected_peers(
 def _extracted_harmonics(test: TestPlan, linear: LinearDescription | None) -> int:
     """Harmonics of the extraction: those that are controlled, too, as far as they are below half the sample rate."""
     harmonics = int(test.rig.extraction.harmonics)
-    controlled = test.controlled_harmonics
+    controlled = test.kind.controlled_harmonics
     if not controlled or linear is None:
         return harmonics
     wanted = MOST_HARMONICS if controlled == AUTOMATIC else controlled
@@ -655,7 +565,7 @@ def _known_force(test: TestPlan, linear: LinearDescription | None) -> str:
 
     On hardware nothing but the test is believed; what it does not cover is probed.
     """
-    if not test.controlled_harmonics or linear is None:
+    if not test.kind.controlled_harmonics or linear is None:
         return ""
     rows = [list(row) for row in linear.force_per_volt_rows]
     low, high = (rows[0][0], rows[-1][0]) if rows else (math.inf, math.inf)
@@ -715,11 +625,11 @@ def _with_loops(pll: PllSettings, test: TestPlan, linear: LinearDescription | No
         _add_floors(values, test, linear, response)
     if test.rig.limits.voltage_v is not None:
         values.setdefault("voltage_limit", float(test.rig.limits.voltage_v))
-    if test.controlled_harmonics:
+    if test.kind.controlled_harmonics:
         limits, rate = test.rig.limits, float(test.rig.sample_rate_hz)
         usual = 0.0 if limits.voltage_v is None else default_slew(float(limits.voltage_v), rate)
         values.setdefault("slew_limit", float(usual if limits.slew_v_s is None else limits.slew_v_s))
-    if test.strategy == "ramp":
+    if test.ramps:
         values.setdefault("ramp_delay_periods", RAMP_DELAY)
     settings_from({**values, "latency_blocks": test.lead_blocks})
     return with_values(pll, {"latency_blocks": test.lead_blocks, **chosen, **values}, "pll")
@@ -732,7 +642,7 @@ def _add_floors(values: dict[str, Any], test: TestPlan, linear: LinearDescriptio
     lowest = min(test.levels) / per_volt
     if "force_floor" not in values and lowest * force_per_volt > 0:
         values["force_floor"] = 0.02 * lowest * force_per_volt
-    if test.resonance:  # its response is not that of the mode in phase resonance
+    if isinstance(test.kind, SecondaryResonanceTest):  # its response is not that of the mode in phase resonance
         return
     if "response_floor" not in values and lowest * response_per_volt > 0:
         values["response_floor"] = 0.02 * lowest * response_per_volt

@@ -5,23 +5,35 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 import yaml
 
 from nmt_core.errors import BenchError
-from nmt_core.vocabulary import TestKind
+from nmt_core.kinds import KindOfTest, SelfExcitedTest, kind_named
 from nmt_pll.loop_settings import LoopSettings
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_snapshot import rig_text
 from nmt_sequencer.level_plan import parse_levels
 from nmt_session.block_length import LevelTime, choose_block
-from nmt_session.node_plan import PlanSettings, TestPlan
+from nmt_session.node_plan import PlanSettings, TestPlan, as_plain
 
 
 class TestSettings(PlanSettings, total=False):
-    """Keyword arguments of :func:`plan_test`."""
+    """Keyword arguments of :func:`plan_test`; those from ``band_hz`` on are settings of kinds of test."""
 
+    test: str
+    band_hz: Sequence[float] | None
+    rate_hz_s: float | None
+    frequency_end_hz: float | None
+    duration: float | None
+    harmonics_control: int | str | None
+    harmonics_target: str | None
+    resonance: str | None
+    release: float | None
+    refinement: float | None
+    strategy: str | None
+    method: str | None
     overrides: Sequence[str]
     exciter: int | None
     seed: int | None
@@ -36,7 +48,8 @@ def plan_test(
     exciter: int | None = None,
     seed: int | None = None,
     compare: int = 0,
-    **settings: Unpack[PlanSettings],
+    test: str = "phase_resonance",
+    **settings: Any,
 ) -> TestPlan:
     """A test of a rig.
 
@@ -51,7 +64,8 @@ def plan_test(
         exciter: drive point; None = the rig's own.
         seed: seed of all noise; None = the rig's own.
         compare: with control of the force's harmonics, every so manyth level is run without it first; 0 = none.
-        settings: fields of :class:`nmt_session.node_plan.TestPlan`.
+        test: kind of test, a name of :mod:`nmt_core.kinds`.
+        settings: fields of :class:`nmt_session.node_plan.TestPlan`, and the settings of the kind of test.
 
     Raises:
         BenchError: the rig, the levels or a setting is refused.
@@ -68,29 +82,55 @@ def plan_test(
     else:
         loaded = load_rig(str(rig), changes)
         text = rig_text(loaded, rig, changes)
-    kind = TestKind.named(settings.get("test", "phase_resonance"))
-    if kind is TestKind.SELF_EXCITED:
-        settings.setdefault("control", "response")
-        levels = loaded.test.response_levels or None if levels is None else levels
-    control = settings.get("control", "voltage")
-    if levels is None and control != "voltage":
-        raise BenchError(f"Levels of {control} are needed: those of rig {loaded.name} are voltages; give --levels.")
-    if levels is None and (not kind.closes_phase_loop or kind is TestKind.SECONDARY_RESONANCE):
-        label = kind.label.replace("_", " ")
-        raise BenchError(f"A {label} test needs levels: those of rig {loaded.name} are for phase resonance.")
-    plan = loaded.test.levels if levels is None else levels
+    kind = kind_of_rig(test, loaded, settings)
+    settings.setdefault("control", kind.CONTROL.label)
+    plan = _rig_levels(loaded, kind, settings["control"]) if levels is None else levels
     amplitudes = tuple(parse_levels(plan) if isinstance(plan, str) else plan)
-    if kind is TestKind.STEPPED_SINE and len(amplitudes) == 1:
+    if kind.needs_frequencies and not kind.sweeps and len(amplitudes) == 1:
         amplitudes *= max(1, len(settings.get("frequencies_hz", ())))
     if compare:
         amplitudes, without = _with_comparison(amplitudes, compare)
         settings["levels_without"] = without
-    planned = TestPlan(loaded, text, amplitudes, **settings)
-    if compare and not planned.controlled_harmonics:
+    planned = TestPlan(loaded, text, amplitudes, kind=kind, **settings)
+    if compare and not kind.controlled_harmonics:
         raise BenchError("A comparison needs control of the force's harmonics: give --harmonics-control.")
     if compare and len(planned.frequencies_hz) > 1:
         raise BenchError("A comparison takes one frequency for all levels; leave out --compare.")
     return _with_chosen_block(planned) if _leaves_block_open(planned) else planned
+
+
+def kind_of_rig(test: str, rig: Rig, settings: dict[str, Any]) -> KindOfTest:
+    """A kind of test by its name, with its settings.
+
+    Args:
+        test: name of a kind that the bench does.
+        rig: of it are the settings that are not given, or None.
+        settings: in the words of Python; those that are no fields of a `TestPlan` are taken out.
+
+    Raises:
+        BenchError: no such kind, or a setting that it has not or that is not understood.
+    """
+    kind = kind_named(test)
+    of_plan = {item.name for item in fields(TestPlan)}
+    chosen = {name: settings.pop(name) for name in list(settings) if name not in of_plan}
+    chosen = {name: as_plain(value) for name, value in chosen.items() if value is not None}
+    for name in kind.FROM_RIG:
+        chosen.setdefault(name, getattr(rig.test, name))
+    return kind.spelled(**chosen)
+
+
+def _rig_levels(rig: Rig, kind: KindOfTest, control: str) -> Sequence[float] | str:
+    """Levels of the rig for a kind of test.
+
+    Raises:
+        BenchError: it has none for it.
+    """
+    levels: Sequence[float] | str | None = getattr(rig.test, kind.RIG_LEVELS) if kind.RIG_LEVELS else None
+    if not kind.RIG_LEVELS:
+        raise BenchError(f"A {kind.words()} test needs levels: those of rig {rig.name} are for phase resonance.")
+    if not levels or control != kind.CONTROL.label:
+        raise BenchError(f"Levels of {control} are needed: those of rig {rig.name} are voltages; give --levels.")
+    return levels
 
 
 def _with_comparison(levels: Sequence[float], every: int) -> tuple[tuple[float, ...], tuple[int, ...]]:
@@ -116,16 +156,15 @@ def _leaves_block_open(plan: TestPlan) -> bool:
 
     Blocks of hardware and of real time wait at its output; those of a latency are what the user has counted.
     """
-    kind = TestKind.named(plan.test)
     values = _loop_values(plan)
     return (
         "block_samples" not in plan.rig.model_fields_set
         and plan.pacing == "lockstep"
         and not plan.is_on_hardware
         and plan.lead_blocks == 0
-        and kind.closes_phase_loop
-        and not plan.is_self_excited
-        and plan.strategy == "stepped"
+        and plan.kind.closes_phase_loop
+        and not isinstance(plan.kind, SelfExcitedTest)
+        and not plan.ramps
         and values.get("loop", "adaptive") == "adaptive"
         and not values.get("proportional")
         and not any("block_samples" in items or "tick_blocks" in items for items in plan.node_values.values())
@@ -144,7 +183,7 @@ def _with_chosen_block(plan: TestPlan) -> TestPlan:
     known = {item.name for item in fields(LoopSettings)}
     settings = LoopSettings(**{name: value for name, value in _loop_values(plan).items() if name in known})
     asked = plan.run_settings
-    window = plan.duration or asked.window_periods / linear.frequency_hz
+    window = plan.kind.window_s or asked.window_periods / linear.frequency_hz
     level = LevelTime(asked.ramp, window, plan.control != "voltage")
     rate = float(plan.rig.sample_rate_hz)
     quantities = [sensor.quantity for sensor in plan.rig.sensors]

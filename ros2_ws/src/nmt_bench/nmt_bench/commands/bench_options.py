@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, Unpack
+from typing import TYPE_CHECKING, Protocol, Unpack, cast
 
 from nmt_bench.commands.shared_options import DeviceOptions
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nmt_bench.harness import Bench
-    from nmt_session.node_plan import PlanSettings
+    from nmt_session.planning import TestSettings
 
 
 class BenchOptions(DeviceOptions, Protocol):
@@ -37,8 +37,7 @@ class BenchOptions(DeviceOptions, Protocol):
 def bench_of(
     options: BenchOptions,
     levels: Sequence[float] | str | None = None,
-    compare: int = 0,
-    **settings: Unpack[PlanSettings],
+    **settings: Unpack[TestSettings],
 ) -> Bench:
     """The bench that the options of rig, device and processes ask for; the rest as of `plan_test`.
 
@@ -48,16 +47,13 @@ def bench_of(
     from nmt_bench.commands.hardware_options import device_settings
     from nmt_bench.harness import Bench
 
-    settings.update(device_settings(options, settings.pop("latency_blocks", 0)))
+    chosen = {**settings, **device_settings(options, settings.get("latency_blocks", 0))}
+    chosen |= {"overrides": options.set, "exciter": options.exciter, "seed": options.seed}
     return Bench(
         options.rig,
         levels,
         out=options.out,
         processes=not options.one_process,
         domain_id=options.domain,
-        overrides=options.set,
-        exciter=options.exciter,
-        seed=options.seed,
-        compare=compare,
-        **settings,
+        **cast("TestSettings", chosen),
     )

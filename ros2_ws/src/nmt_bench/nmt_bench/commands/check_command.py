@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +57,7 @@ def run(options: CheckOptions) -> int:
     from nmt_bench.commands.linear_input import read_linear
     from nmt_bench.hardware.chosen_device import look_for_device, parsed_device
     from nmt_bench.hardware.hardware_checks import fingerprint, keep_check
-    from nmt_plant.check.converter_contract import contract_mapping
+    from nmt_plant.check.converter_contract import check_monitor, contract_mapping
     from nmt_plant.check.exciter_in_turn import check_in_turn
     from nmt_plant.check.hardware_check import evaluate_check, record_check
     from nmt_plant.devices.device import DeviceFault
@@ -89,6 +89,8 @@ def run(options: CheckOptions) -> int:
     }
     if section.by_contract or section.check == "converter":
         contract = _contract(rig, section)
+        if contract.passed and section.check == "converter":
+            contract = replace(contract, findings=check_monitor(rig, section))
         if not contract.passed or section.check == "converter":
             document |= {"passed": contract.passed, **contract_mapping(contract)}
             with OutputFolder(options.out, options.force) as folder:

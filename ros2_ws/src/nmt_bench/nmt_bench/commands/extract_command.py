@@ -73,7 +73,7 @@ def run(options: ExtractOptions) -> int:
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.linear_input import read_linear
-    from nmt_bench.commands.terminal import print_modal_table
+    from nmt_bench.commands.terminal import print_modal_table, print_verdict
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_extract.modal_table import write_results
     from nmt_extract.offline import extract_opened_bag
@@ -111,7 +111,7 @@ def run(options: ExtractOptions) -> int:
     for sentence in (result.loss, _lack_of_run(bag)):
         if sentence:
             console.print(sentence, style="yellow")
-    print_modal_table(result.points, reference, console)
+    print_modal_table(result.points, reference, console, budgets)
     if linear is None and settings is None:
         from nmt_core.messages.wire import MODAL_POINT
 
@@ -120,6 +120,7 @@ def run(options: ExtractOptions) -> int:
     written = (*tables, "report.html")
     names = ", ".join(name for name in written if (options.out / name).exists())
     console.print(f"Results in {options.out}: {names}")
+    print_verdict(result.points, console)
     return 0
 
 

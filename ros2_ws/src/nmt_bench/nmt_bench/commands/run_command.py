@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
+from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_PARTLY
 from nmt_bench.commands.bench_options import bench_of
 from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_bench.commands.shared_options import (
@@ -34,8 +34,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from nmt_bench.harness import Bench
+    from nmt_extract.uncertainty_budget import PointBudget
     from nmt_record.exchange.calibration_file import CalibrationSheet
     from nmt_report.run_data import ReferenceCurve
+    from nmt_report.run_verdict import RunVerdict
     from nmt_session.run_result import RunResult
 
 
@@ -65,8 +67,8 @@ class RunOptions:
         "it passes them; the damping ratio may have either sign (default: phase_resonance)",
         choices=("phase_resonance", "self_excited"),
     )
-    method: str = option(
-        "auto",
+    method: str | None = option(
+        None,
         "of a self-excited test: amplitude control, velocity feedback, release of the motion, or by what is stable "
         "(default: auto)",
         choices=("auto", "amplitude", "feedback", "envelope"),
@@ -89,18 +91,18 @@ class RunOptions:
         "list a,b,c (default: the rig's, in V; of a self-excited test in the unit of the response)",
         metavar="PLAN",
     )
-    strategy: str = option(
-        "stepped",
+    strategy: str | None = option(
+        None,
         "stepped: wait for lock at every level; ramp: lock once, then windows of 20 periods during slow "
         "ramps, "
         "evaluated by the balance of power (default: stepped)",
         choices=("stepped", "ramp"),
     )
-    control: str = option(
-        "voltage",
+    control: str | None = option(
+        None,
         "what the levels are: drive voltage (V), amplitude of the drive-point response that is held (m or "
         "m/s^2),"
-        " or force fundamental that is held (N) (default: voltage)",
+        " or force fundamental that is held (N) (default: voltage; of a self-excited test response)",
         choices=("voltage", "response", "force"),
     )
     refine: float | None = option(
@@ -191,7 +193,8 @@ def run(options: RunOptions) -> int:
     """Run the test, write the results, print the table.
 
     Returns:
-        0 if the plan was worked through and a level locked, 130 after Ctrl-C, 1 otherwise.
+        0 if the plan was worked through and every level is in the table, 3 if it was worked through and some are, 130
+        after Ctrl-C, 1 otherwise.
 
     Raises:
         BenchError: the rig, a level or an option is refused, or the nodes do not start.
@@ -207,14 +210,14 @@ def _run(options: RunOptions) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.linear_input import check_fits, read_linear
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_core.vocabulary import PointStatus
     from nmt_record.exchange.calibration_file import read_calibration
+    from nmt_report.run_verdict import BAD, GOOD
 
-    if not options.resonance and (options.release is not None or options.start_frequency is not None):
-        raise BenchError("--release and --start-frequency belong to --resonance; give it, or leave them out.")
-    self_excited = options.kind == "self_excited"
-    if self_excited and options.resonance:
+    if not options.resonance and options.start_frequency is not None:
+        raise BenchError("--start-frequency belongs to --resonance; give it, or leave it out.")
+    if options.kind != "phase_resonance" and options.resonance:
         raise BenchError("A self-excited test has no secondary resonance; leave out --resonance or --kind.")
+    settings: dict[str, Any] = {"control": options.control} if options.control else {}
     linear = read_linear(options.linear) if options.linear is not None else None
     sheet = None if options.calibration is None else read_calibration(options.calibration)
     bench = bench_of(
@@ -225,20 +228,20 @@ def _run(options: RunOptions) -> int:
         timeout=options.timeout,
         stop_on_lost_lock=options.stop_on_lost_lock,
         node_values={"pll": {"loop": options.pll}} if options.pll else {},
-        control="response" if self_excited and options.control == "voltage" else options.control,
         method=options.method,
-        duration=options.duration or 0.0,
+        duration=options.duration,
         strategy=options.strategy,
         linear=linear,
         harmonics_control=options.harmonics_control,
         harmonics_target=options.harmonics_target,
         compare=options.compare or 0,
         latency_blocks=options.latency_blocks,
-        refinement=options.refine or 0.0,
+        refinement=options.refine,
         test="secondary_resonance" if options.resonance else options.kind,
-        resonance=options.resonance or "",
-        release=options.release or 0.0,
+        resonance=options.resonance,
+        release=options.release,
         frequencies_hz=() if options.start_frequency is None else (options.start_frequency,),
+        **settings,
     )
     if linear is not None:
         check_fits(linear, bench.rig, str(options.linear))
@@ -246,14 +249,15 @@ def _run(options: RunOptions) -> int:
     with terminate_as_interrupt(), OutputFolder(options.out, options.force, live=True) as folder:
         result = measure(bench, console, options.quiet, options.page)
         with WorkDisplay(console, quiet=options.quiet):
-            reference, unwritten, interrupted = evaluate(
+            reference, budgets, unwritten, interrupted = evaluate(
                 result, bench, folder, options.reference, not options.no_report, sheet
             )
-        _summarise(result, reference, console, folder, unwritten)
+        verdict = _summarise(result, bench, reference, budgets, console, folder, unwritten)
     if result.interrupted or interrupted:
         return EXIT_INTERRUPTED
-    locked = any(point.status == PointStatus.OK for point in result.points)
-    return EXIT_DONE if locked and result.complete and not unwritten else EXIT_FAILED
+    if verdict.tone == BAD or not result.complete or unwritten:
+        return EXIT_FAILED
+    return EXIT_DONE if verdict.tone == GOOD else EXIT_PARTLY
 
 
 def evaluate(
@@ -263,7 +267,7 @@ def evaluate(
     choice: str | None,
     report: bool = True,
     sheet: CalibrationSheet | None = None,
-) -> tuple[ReferenceCurve | None, str, bool]:
+) -> tuple[ReferenceCurve | None, Sequence[PointBudget], str, bool]:
     """Write tables and report; the tables first, since Ctrl-C may end the rest.
 
     Args:
@@ -272,8 +276,8 @@ def evaluate(
         choice, report, sheet: as ``--reference``, ``--no-report`` and ``--calibration`` say.
 
     Returns:
-        The reference; what could not be written, as a sentence; whether Ctrl-C came. One leaves out the comparison that
-        is being computed, a second one the report.
+        The reference; the uncertainty budgets; what could not be written, as a sentence; whether Ctrl-C came. One
+        leaves out the comparison that is being computed, a second one the report.
     """
     from nmt_core.processes.work_progress import tell
 
@@ -287,11 +291,11 @@ def evaluate(
             reference = _reference(choice, bench, result)
     except KeyboardInterrupt:
         interrupted = True
+    budgets: list[Any] = []
     if unwritten:
-        return reference, unwritten, interrupted
+        return reference, (), unwritten, interrupted
     try:
         tell("writing the results")
-        budgets: list[Any] = []
         unwritten = _saving(folder, lambda: budgets.extend(_write_budget(result, bench, folder, reference, sheet)))
         if report and not unwritten:
             unwritten = _saving(folder, lambda: _write_report(result, folder, reference, budgets))
@@ -301,7 +305,7 @@ def evaluate(
             f"Stopped before the report was written. The results so far are in {folder}; "
             f"'./nmt extract {folder} --out DIR' goes on from the bag."
         )
-    return reference, unwritten, interrupted
+    return reference, budgets[0] if budgets else (), unwritten, interrupted
 
 
 def _levels(options: RunOptions) -> list[float] | str | None:
@@ -343,7 +347,9 @@ def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunR
 
 def _reference(choice: str | None, bench: Bench, result: RunResult) -> ReferenceCurve | None:
     """The backbone to compare with: a file, or EPMC of the rig's model, solved at the measured amplitudes too."""
-    if choice == "none" or (choice is None and bench.test.resonance):
+    from nmt_core.kinds import SecondaryResonanceTest
+
+    if choice == "none" or (choice is None and isinstance(bench.test.kind, SecondaryResonanceTest)):
         return None  # what the force drives beside the resonant order moves it off the mode's own backbone
     import numpy as np
 
@@ -451,15 +457,23 @@ def pace_line(result: RunResult) -> str:
     )
 
 
-def _summarise(result: RunResult, reference: ReferenceCurve | None, console: Any, folder: Path, unwritten: str) -> None:
-    from nmt_bench.commands.terminal import print_modal_table
+def _summarise(
+    result: RunResult,
+    bench: Bench,
+    reference: ReferenceCurve | None,
+    budgets: Sequence[PointBudget],
+    console: Any,
+    folder: Path,
+    unwritten: str,
+) -> RunVerdict:
+    from nmt_bench.commands.terminal import print_modal_table, print_verdict
     from nmt_core.vocabulary import ResultCode
     from nmt_extract.backbone_jumps import backbone_sentences
 
     if result.points:
-        print_modal_table(result.points, reference, console)
-    style = None if result.code == ResultCode.SUCCEEDED else "yellow"
-    console.print(result.message, style=style)
+        print_modal_table(result.points, reference, console, budgets)
+    if result.code != ResultCode.SUCCEEDED:
+        console.print(result.message, style="yellow")
     if result.bench_time > 0:
         levels = max(1, len(result.points))
         console.print(
@@ -472,3 +486,4 @@ def _summarise(result: RunResult, reference: ReferenceCurve | None, console: Any
         console.print(unwritten, style="red", soft_wrap=True)
     if (folder / "report.html").exists():
         console.print(f"Report: {(folder / 'report.html').resolve()}", soft_wrap=True)
+    return print_verdict(result.points, console, len(bench.test.levels))

@@ -15,24 +15,38 @@ from nmt_extract.limit_cycles import feeds_its_motion, limit_cycles
 from nmt_extract.modal_point import Status
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import concise, plain, significant, uncertain
+from nmt_report.run_verdict import BAD, GOOD, PARTLY, run_verdict
+from nmt_report.stated_uncertainty import std_note, with_budgets
 
 if TYPE_CHECKING:
     from nmt_extract.modal_point import ModalPoint
+    from nmt_extract.uncertainty_budget import PointBudget
     from nmt_report.run_data import ReferenceCurve
+    from nmt_report.run_verdict import RunVerdict
 
 
-def modal_table(points: Sequence[ModalPoint], reference: ReferenceCurve | None = None, width: int = 160) -> Table:
+def modal_table(
+    points: Sequence[ModalPoint],
+    reference: ReferenceCurve | None = None,
+    width: int = 160,
+    budgets: Sequence[PointBudget] = (),
+) -> Table:
     """Modal properties of each level with standard uncertainties, as many of them as fit.
 
     Args:
         points: in the order of the test; those without a result show what became of the level.
         reference: computed backbone; adds the deviation at the same modal amplitude.
+        budgets: uncertainty budgets of the points; ± is their total, without them repeatability.
         width: columns of the terminal. Where ``value ± uncertainty`` does not fit, ``value(uncertainty of its
             last digits)`` is written; then the least important properties are left out.
     """
     console = Console(width=10_000)
+    points = with_budgets(points, budgets)
     for write, rank in _LAYOUTS:
         table = _table(points, reference, write, rank)
+        how = "value ± uncertainty" if write is uncertain else "value(uncertainty of its last digits)"
+        table.title = f"Modal properties: {how}"
+        table.caption = std_note(budgets)
         if console.measure(table).maximum <= width:
             break
     return table
@@ -52,11 +66,11 @@ def _table(
 ) -> Table:
     good = [point for point in points if point.status == Status.OK]
     unit = unit_text(points[0].level_unit) if points else "V"
-    how = "value ± standard uncertainty" if write is uncertain else "value(standard uncertainty of its last digits)"
     table = Table(
-        title=f"Modal properties: {how}",
         title_justify="left",
         title_style="bold",
+        caption_justify="left",
+        caption_style="dim",
         header_style="bold",
         box=SIMPLE_HEAD,
     )
@@ -85,13 +99,18 @@ def _table(
     return table
 
 
-def print_modal_table(points: Sequence[ModalPoint], reference: ReferenceCurve | None, console: Console) -> None:
+def print_modal_table(
+    points: Sequence[ModalPoint],
+    reference: ReferenceCurve | None,
+    console: Console,
+    budgets: Sequence[PointBudget] = (),
+) -> None:
     """Print :func:`modal_table`, and below it why levels gave no result, or one without some channel."""
     if not points:
         console.print("No modal point.")
         return
-    console.print(modal_table(points, reference, console.width))
-    for cycle in limit_cycles(points):
+    console.print(modal_table(points, reference, console.width, budgets))
+    for cycle in limit_cycles(with_budgets(points, budgets)):
         kind = "Stable" if cycle.stable else "Unstable"
         q = uncertain(cycle.modal_amplitude, cycle.modal_amplitude_std)
         frequency = significant(cycle.omega_rad_s / (2.0 * math.pi), 6)
@@ -106,3 +125,22 @@ def print_modal_table(points: Sequence[ModalPoint], reference: ReferenceCurve | 
                     style="yellow" if point.status == Status.OK else "red",
                 )
             )
+
+
+def print_verdict(points: Sequence[ModalPoint], console: Console, planned: int = 0) -> RunVerdict:
+    """Print what a run gave in the colour of its tone.
+
+    Args:
+        points: one a level.
+        console: where to.
+        planned: levels of the plan; 0 = as many as there are points.
+
+    Returns:
+        The verdict.
+    """
+    verdict = run_verdict(points, planned)
+    console.print(Text(f"{verdict.sentence}.", style=_TONES[verdict.tone]), soft_wrap=True)
+    return verdict
+
+
+_TONES = {GOOD: "green", PARTLY: "yellow", BAD: "red"}

@@ -12,6 +12,7 @@ from nmt_rig.rig import load_rig
 from nmt_rig.rig_snapshot import rig_text
 from nmt_sequencer.level_plan import parse_levels
 from nmt_session.node_plan import NodePlan, PlanSettings, TestPlan, plan_nodes
+from nmt_session.planning import kind_of_rig
 
 
 def write_bench_files(
@@ -50,6 +51,7 @@ def write_bench_files(
         rig=rig,
         rig_yaml=text,
         levels=tuple(parse_levels(levels or rig.test.levels)),
+        kind=kind_of_rig("phase_resonance", rig, {}),
         **settings,
     )
     plan = plan_nodes(test, out / "bag", out / "rig.yaml", test.device_name if test.device else "")

@@ -30,6 +30,7 @@ from nmt_bench.page.signal_views import (
     velocity_of,
     whole_periods,
 )
+from nmt_core.kinds import KINDS, KindOfTest, PhaseResonanceTest, kind_class
 from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
@@ -44,10 +45,10 @@ from nmt_core.vocabulary import (
     RunPhase,
     SteeringAct,
     StopCause,
-    TestKind,
 )
-from nmt_report.columns import MODAL_COLUMNS, status_text, unit_text
+from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import duration, engineering_exponent, plain, power_of_ten, significant
+from nmt_report.run_verdict import run_verdict
 from nmt_signals.frequency_responses import RunningFrf
 
 MOST_SHOWN = 8
@@ -304,12 +305,12 @@ class LiveView:
             )
 
     @property
-    def _test(self) -> TestKind:
+    def _test(self) -> type[KindOfTest]:
         if self._levels:
-            return self._levels[max(self._levels)].test
+            return kind_class(self._levels[max(self._levels)].test)
         plan = self._run.get("plan")
         name = plan.get("test") if isinstance(plan, Mapping) else None
-        return next((kind for kind in TestKind if kind and kind.label == name), TestKind.PHASE_RESONANCE)
+        return next((kind for kind in KINDS.values() if kind.label() == name), PhaseResonanceTest)
 
     @property
     def _level_unit(self) -> str:
@@ -389,10 +390,11 @@ class LiveView:
                     "replay": self._replay,
                     "run": self.run_id,
                     "rig": str(self._run.get("rig", "")),
-                    "test": self._test.label,
+                    "test": self._test.label(),
                     "phase": self._state.phase.name.lower() if self._state else "idle",
                     "result": self._state.result_code.name if self._state and self._state.result_code else "",
                     "reason": self._state.reason if self._state else "",
+                    "verdict": run_verdict(points, len(self._plan)) if points else None,
                     "stopped": self._stop_text(),
                     "stop_state": "" if self._stop is None else self._stop.cause.name.lower(),
                     "response_unit": unit_text(self._response.unit) if self._response else "",
@@ -454,14 +456,10 @@ class LiveView:
     def _table(self, points: Sequence[ModalPoint]) -> tuple[list[str], list[dict[str, Any]]]:
         """Modal properties as in the report: heads and rows."""
         good = [point for point in points if point.status is PointStatus.OK]
-        columns = [column for column in MODAL_COLUMNS if column.shown.live]
+        columns = [column for column in shown_columns(good) if column.shown.live]
         exponents = {column.name: column.exponent(good) for column in columns}
-        # Of a secondary resonance the excitation has another frequency than the mode.
-        renamed = {"frequency_hz": "f"} if self._test is TestKind.SECONDARY_RESONANCE else {}
-        symbols = [renamed.get(column.name, column.shown.symbol) for column in columns]
         head = [f"level / {unit_text(self._level_unit) or 'V'}"] + [
-            " / ".join(filter(None, (symbol, column.unit(exponents[column.name]))))
-            for symbol, column in zip(symbols, columns, strict=True)
+            " / ".join(filter(None, (column.shown.symbol, column.unit(exponents[column.name])))) for column in columns
         ]
         rows = []
         for point in points:

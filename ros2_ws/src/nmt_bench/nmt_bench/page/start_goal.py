@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.excitation import MOST_HARMONICS, Excitation
+from nmt_core.kinds import MOST_HARMONICS
+from nmt_core.kinds.kind_of_test import refuse_foreign
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.vocabulary import AUTOMATIC
 from nmt_sequencer.level_plan import LevelLimits, parse_levels
@@ -52,7 +53,7 @@ def _harmonics(text: Any) -> int | None:
 class StartRequest:
     """A run that a person asks for; what is not said here is as in the run before, or the sequencer's.
 
-    The fields have the names of `RunSettings` and `Excitation`; the form of the page is made from them.
+    The fields have the names of `RunSettings` and of the settings of kinds of test; the page makes its form of them.
 
     Attributes:
         levels: in the order of the test, in the unit of the run before, else V.
@@ -110,7 +111,7 @@ def goal_of(request: StartRequest, before: Mapping[str, Any]) -> dict[str, Any]:
         BenchError: a level is beyond the limits of the rig, or the run before gave each a frequency of its own.
     """
     asked = RunSettings.described(before)
-    LevelLimits.of(before).check(request.levels, asked.control, asked.excitation.test, "The levels")
+    LevelLimits.of(before).check(request.levels, asked.control, asked.kind, "The levels")
     frequencies = asked.frequencies_hz
     if len(set(frequencies)) > 1 and len(frequencies) != len(request.levels):
         raise BenchError(
@@ -119,8 +120,9 @@ def goal_of(request: StartRequest, before: Mapping[str, Any]) -> dict[str, Any]:
     if len(set(frequencies)) == 1:
         frequencies = frequencies[:1] * len(request.levels)
     given = {name: value for name, value in vars(request).items() if value or (value == 0 and name in _MAY_BE_ZERO)}
-    of_excitation = {item.name for item in fields(Excitation)}
-    excitation = replace(asked.excitation, **{name: given[name] for name in given.keys() & of_excitation})
-    of_run = {name: given[name] for name in given.keys() - of_excitation}
+    of_run = {name: given[name] for name in given.keys() & {item.name for item in fields(RunSettings)}}
+    of_kind = {name: given[name] for name in given.keys() - of_run.keys()}
+    refuse_foreign(type(asked.kind), of_kind, tuple(of_kind))
+    kind = replace(asked.kind, **{name: of_kind[name] for name in of_kind.keys() & vars(asked.kind).keys()})
     changed = {"run_id": "", "frequencies_hz": frequencies, "levels_without": frozenset(), **of_run}
-    return replace(asked, excitation=excitation, **changed).goal
+    return replace(asked, kind=kind, **changed).goal

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from nmt_core.kinds import SecondaryResonanceTest, kind_class
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.messages.secondary_resonance import resonance_of
 from nmt_core.vocabulary import ControlKind, TestKind
@@ -40,14 +41,15 @@ class DrivenTest:
     @classmethod
     def of(cls, asked: RunSettings, exciters: tuple[str, ...]) -> DrivenTest:
         """The test that a run is asked for, on a rig with these exciters."""
-        excitation = asked.excitation
-        orders = excitation.response_order, excitation.force_order
+        kind, resonance = asked.kind, ""
+        if isinstance(kind, SecondaryResonanceTest):
+            resonance = resonance_of(kind.response_order, kind.force_order).label
         return cls(
-            kind=excitation.test,
+            kind=kind.NUMBER,
             exciters=exciters,
             control=ControlKind(asked.control),
-            controlled_harmonics=excitation.harmonics_control,
-            resonance=resonance_of(*orders).label if any(orders) else "",
+            controlled_harmonics=kind.controlled_harmonics,
+            resonance=resonance,
         )
 
     @classmethod
@@ -74,7 +76,7 @@ class DrivenTest:
     @property
     def words(self) -> str:
         """As in a sentence: ``a random test with 2 exciters``."""
-        name = f"{self.resonance} resonance" if self.resonance else self.kind.label.replace("_", " ")
+        name = f"{self.resonance} resonance" if self.resonance else kind_class(self.kind).words()
         parts = [f"a {name} test"]
         if self.has_several_exciters:
             parts.append(f"with {len(self.exciters)} exciters")

@@ -51,7 +51,7 @@ class ModalPoint:
         participation: Γ, shape ``(modes,)``.
         harmonics_control: harmonics 2 to this one of the force were controlled; 0 = none, 1 = as many as could be.
         response_order, force_order: k and ν of a secondary resonance; values are those of the order k, n counts in
-            ``frequency_hz`` / ν, see :mod:`nmt_core.messages.secondary_resonance`; 0 = phase resonance.
+            ``frequency_hz`` / k, see :mod:`nmt_core.messages.secondary_resonance`; 0 = phase resonance.
         exciter_points: measurement points of several exciters, the first's first; empty = one exciter.
         exciter_forces: F_jn of several exciters, N, one exciter's 0..H after the other's; the powers are those of
             all.
@@ -68,15 +68,19 @@ class ModalPoint:
     window_periods: int = 0
     frequency_hz: float = measured(
         "Hz",
-        "locked excitation frequency",
+        "modal frequency f̃ = ω̃/2π",
         csv=True,
         from_harmonics=False,
         axis="modal frequency / Hz",
-        column=TableColumn("f̃", unit="Hz", rank=1, live=True),
     )
     frequency_hz_std: float = math.nan
     omega_rad_s: float = measured(
-        "rad/s", "modal frequency ω̃", csv=True, from_harmonics=False, axis="modal frequency / (rad/s)"
+        "rad/s",
+        "modal frequency ω̃",
+        csv=True,
+        from_harmonics=False,
+        axis="modal frequency / (rad/s)",
+        column=TableColumn("f̃", unit="Hz", factor=0.5 / math.pi, rank=1, live=True),
     )
     omega_rad_s_std: float = math.nan
     damping_ratio: float = measured(
@@ -199,6 +203,16 @@ class ModalPoint:
             array = np.array(getattr(self, name), dtype=np.complex128)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+
+    @property
+    def excitation_frequency_hz(self) -> float:
+        """Ω/2π, Hz: ν/k times the modal frequency in a secondary resonance, else the modal frequency."""
+        return self.frequency_hz * (self.force_order or 1) / (self.response_order or 1)
+
+    @property
+    def excitation_frequency_hz_std(self) -> float:
+        """Repeatability of ``excitation_frequency_hz``, Hz."""
+        return self.frequency_hz_std * (self.force_order or 1) / (self.response_order or 1)
 
     def identical(self, other: ModalPoint) -> bool:
         """Whether all fields agree bit for bit (NaN equals NaN)."""

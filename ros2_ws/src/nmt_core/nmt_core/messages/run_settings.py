@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from nmt_core.messages.excitation import Excitation
-from nmt_core.vocabulary import ControlKind, TestKind
+from nmt_core.kinds import KINDS, KindOfTest, PhaseResonanceTest, goal_fields, kind_of_goal
+from nmt_core.vocabulary import ControlKind
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,9 @@ class RunSettings:
         window_periods: whole periods to capture; 0 = the sequencer's parameter.
         timeout: bench time a level may take to lock, s; 0 = the sequencer's parameter.
         stop_on_lost_lock: end the run at the first level that does not lock.
-        excitation: kind of test and its settings.
+        kind: kind of test with its settings, the same for every level.
         frequencies_hz: frequency of each level, Hz; empty = none given.
         levels_without: indices of levels without control of the force's harmonics.
-        refinement: relative deviation of the frequency from a straight backbone above which levels are put in between;
-            0 = none.
     """
 
     run_id: str = ""
@@ -36,31 +34,29 @@ class RunSettings:
     window_periods: int = 0
     timeout: float = 0.0
     stop_on_lost_lock: bool = False
-    excitation: Excitation = field(default_factory=Excitation)
+    kind: KindOfTest = field(default_factory=PhaseResonanceTest)
     frequencies_hz: tuple[float, ...] = ()
     levels_without: frozenset[int] = frozenset()
-    refinement: float = 0.0
 
     @classmethod
     def of_goal(cls, goal: Mapping[str, Any]) -> RunSettings:
         """Read from the fields of an action goal, or of a run's description; what is not there has its default.
 
         Raises:
-            BenchError: no such kind of test.
+            BenchError: no such kind of test, or a setting of another kind.
         """
         given: dict[str, Any] = {item.name: goal[item.name] for item in fields(RunSettings) if item.name in goal}
         for name in ("levels", "frequencies_hz"):
             given[name] = tuple(given.get(name) or ())
         given["levels_without"] = frozenset(int(index) for index in given.get("levels_without") or ())
         given["control"] = int(given.get("control", 0)) or ControlKind.VOLTAGE
-        return RunSettings(excitation=Excitation.from_goal(goal), **given)
+        return RunSettings(kind=kind_of_goal(goal), **given)
 
     @classmethod
     def described(cls, description: Mapping[str, Any]) -> RunSettings:
         """Read from the plan in a run's description of itself, which has the kind of test as a word."""
-        label = description.get("test")
-        kind = next((kind for kind in TestKind if kind and kind.label == label), TestKind.PHASE_RESONANCE)
-        return cls.of_goal({**description, "test": int(kind)})
+        numbers = {kind.label(): int(number) for number, kind in KINDS.items()}
+        return cls.of_goal({**description, "test": numbers.get(str(description.get("test")), 0)})
 
     @property
     def values(self) -> dict[str, Any]:
@@ -70,8 +66,8 @@ class RunSettings:
     @property
     def goal(self) -> dict[str, Any]:
         """Fields of the action goal."""
-        values = {**self.values, **self.excitation.values, "control": int(self.control)}
-        del values["excitation"]
+        values = {**self.values, **goal_fields(self.kind), "control": int(self.control)}
+        del values["kind"]
         for name, value in values.items():
             if isinstance(value, tuple | frozenset):
                 values[name] = sorted(value) if isinstance(value, frozenset) else list(value)
@@ -82,4 +78,4 @@ class RunSettings:
         """The plan in a run's description of itself, for JSON."""
         goal = self.goal
         del goal["run_id"]
-        return goal | {"test": self.excitation.test.label}
+        return goal | {"test": self.kind.label()}

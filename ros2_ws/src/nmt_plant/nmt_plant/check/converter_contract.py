@@ -29,6 +29,9 @@ from nmt_core.files.plain_json import plain_json
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.processes.steady_clock import STEADY_CLOCK, SteadyClock
 from nmt_plant.converters.converter import Converter, Taken, load_converter
+from nmt_plant.devices.device import DeviceFault
+from nmt_rig.device_sections import AnyDevice
+from nmt_rig.rig import Rig
 
 TRIED = 2.0
 """s of samples that a driver is tried with."""
@@ -36,7 +39,7 @@ _LONGEST_TURN = 0.05  # s: the guard looks at everything once a turn
 _MOST_RATE_ERROR = 0.03  # relative
 _FIRST = 0.3  # s, whose turns say nothing of the rate: buffers fill
 _STRETCH = 0.5  # s of samples
-_MOST_OWED = 0.5  # s of samples that may still be on their way
+_MOST_OWED = 0.5  # s of samples that may still be on their way; by then it is in the steady state
 _PATIENCE = 15.0  # s beyond the samples' time, after which a driver hangs
 _SECOND = 0.1  # s of samples of the second start
 
@@ -94,6 +97,7 @@ class _Trial:
     times: list[float] = field(default_factory=list)
     taken: list[tuple[Taken, FloatArray]] = field(default_factory=list)
     empty_turns: int = 0
+    owed: list[int] = field(default_factory=list)
     after_end: int = 0
     ended: bool = False
     given: list[FloatArray] = field(default_factory=list)
@@ -113,6 +117,7 @@ class _Trial:
             self.taken.append((taken, np.array(taken.values)))
         elif self.counts:
             self.empty_turns += 1
+        self.owed.append(sum(self.counts) - sum(copy.shape[1] for _, copy in self.taken))
         if sum(self.counts) >= self.samples:
             self.ended = True
             return None
@@ -171,6 +176,16 @@ class _Trial:
                         "measure as many samples as are put out; both count from the same turn on",
                     )
                 )
+            elif shift := self._drifts:
+                way = "fewer" if shift > 0 else "more"
+                found.append(
+                    ContractFinding(
+                        "input",
+                        f"turn after turn it measures {way} samples than it puts out: {measured} for {put_out}, and "
+                        "the difference grows",
+                        "give as many samples in each turn as were put out, inputs and outputs by one clock",
+                    )
+                )
         if any(not np.array_equal(taken.values, copy) for taken, copy in self.taken):
             found.append(
                 ContractFinding("input", "it changed what it had given before", "give a new array in each turn")
@@ -183,6 +198,19 @@ class _Trial:
                 )
             )
         return found
+
+    @property
+    def _drifts(self) -> int:
+        """Samples by which what is owed has left, in the last quarter, all that it was in the second; 0 = it has not.
+
+        What is on its way is the same in the steady state, within the turns of a device that takes blocks of its own;
+        a sample that is lost in every turn is not.
+        """
+        quarter = len(self.owed) // 4
+        if quarter < 2:
+            return 0
+        before, after = self.owed[quarter : 2 * quarter], self.owed[-quarter:]
+        return max(min(after) - max(before), 0) + min(max(after) - min(before), 0)
 
     @property
     def _fastest_hz(self) -> float:
@@ -351,6 +379,30 @@ def check_in_process(
     return ContractResult(found, **answer)
 
 
+def check_monitor(rig: Rig, section: AnyDevice) -> tuple[ContractFinding, ...]:
+    """Whether the output is seen at the drive's monitor, as every test asks at its start; nothing without a monitor.
+
+    Args:
+        rig: the rig.
+        section: its converter.
+    """
+    from nmt_plant.devices.hardware_rig import HardwareRig
+
+    device = HardwareRig(rig, section)
+    if not device.has_monitor:
+        return ()
+    try:
+        device.configure()
+        device.start()
+        device.read()
+    except (BenchError, DeviceFault) as error:
+        remedy = "connect the monitor to the output, or take its port out of device.inputs where it measures no output"
+        return (ContractFinding("monitor", _words(error), remedy),)
+    finally:
+        device.close()
+    return ()
+
+
 def contract_mapping(result: ContractResult) -> dict[str, Any]:
     """What ``check.json`` says of it, with the keys of the check of a whole rig."""
     return plain_json(  # type: ignore[no-any-return]
@@ -365,7 +417,7 @@ def contract_mapping(result: ContractResult) -> dict[str, Any]:
 
 def _words(error: Exception) -> str:
     """What an error says, without the stop at its end."""
-    text = str(error) if isinstance(error, BenchError) else f"{type(error).__name__}: {error}"
+    text = str(error) if isinstance(error, BenchError | DeviceFault) else f"{type(error).__name__}: {error}"
     return text.rstrip(": .")
 
 

@@ -64,7 +64,7 @@ class MovedModes:
         stiffness, damping = system.sticking_stiffness(), system.resting_damping()
         solved = np.array([np.linalg.solve(stiffness + x * damping + x * x * system.mass, given) for x in s])
         order = [sensor.channel for sensor in rig_sensors(rig)]
-        rows = [sensor_row(system, rig, order.index(name), input_per_volt(rig)) for name in channels]
+        rows = [sensor_row(system, rig, order.index(name)) for name in channels]
         parts = np.array([[row.displacement, row.velocity, row.acceleration] for row in rows])
         powers = np.stack((np.ones_like(s), s, s * s), axis=1)
         self._out = np.einsum("fp,cpn,fnk->fck", powers, parts, solved)

@@ -96,7 +96,7 @@ class CustomConverter(Converter):
         sample_rate: Hz.
         outputs: (port, range in V, amplifier gain) of each.
         inputs: (port, range in V) of each.
-        arguments: further keyword arguments of the driver.
+        arguments: other keyword arguments of the driver.
 
     Raises:
         BenchError: the driver cannot be loaded or made, or lacks a method.

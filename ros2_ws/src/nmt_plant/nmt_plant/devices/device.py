@@ -61,8 +61,8 @@ def check_drive(command: DriveCommand) -> None:
     for exciter, order, ratio in command.terms:
         if exciter < 1 or order < 1 or (exciter, order) == (1, 1):
             raise BenchError(
-                f"drive command: harmonic {order} of exciter {exciter} is no further term; exciters and orders count "
-                "from 1, and the fundamental of the first is the amplitude itself."
+                f"drive command: harmonic {order} of exciter {exciter} is no term; exciters and orders count "
+                "from 1, and the fundamental of exciter 1 is the amplitude itself."
             )
         if not (math.isfinite(ratio.real) and math.isfinite(ratio.imag)):
             raise BenchError(f"drive command: the ratio of exciter {exciter} must be finite, got {ratio}.")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import operator
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -17,8 +18,8 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import PEAK_FACTOR
 from nmt_core.messages.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock, rounded
-from nmt_core.messages.excitation import PEAK_FACTOR
 from nmt_core.messages.records import DriveCommand
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.ramp import half_cosine
@@ -177,16 +178,6 @@ def _ratio_sums(command: DriveCommand, weight: Callable[[int], float] = lambda o
     return sums
 
 
-def _rows(block: OscillatorBlock) -> FloatArray:
-    """(exciters, samples + 1) V."""
-    return block.voltage[np.newaxis] if block.further is None else np.vstack([block.voltage, block.further])
-
-
-def _is_on(block: OscillatorBlock) -> bool:
-    """Whether any exciter is driven in a block."""
-    return bool(block.voltage.any() or (block.further is not None and block.further.any()))
-
-
 class GuardedDevice(Device):
     """Commands, final samples, trips and publishing of a device; `_measure` and `_compute` are left to the device.
 
@@ -259,9 +250,8 @@ class GuardedDevice(Device):
         )
         self._seen = 0.0  # V, amplitude of the drive in the block measured last
         self._reached = 0.0  # V, amplitude of the drive in the block made last
-        n = self._block_samples + 1
-        nothing = np.zeros((self._exciters - 1, n)) if self._exciters > 1 else None
-        still = OscillatorBlock(np.zeros(n), OscillatorPhase(0.0, 0.0, 0.0), nothing)
+        nothing = np.zeros((self._exciters, self._block_samples + 1))
+        still = OscillatorBlock(nothing, OscillatorPhase(0.0, 0.0, 0.0))
         self._made = deque([(still, 0.0)] * self._lead)
         self._fed = False
         self._lost = False
@@ -331,7 +321,7 @@ class GuardedDevice(Device):
             if state in (OutputState.RAMPING, OutputState.NOT_KNOWN):
                 return False
             follows = state in (OutputState.FOLLOWING, OutputState.AT_ZERO)
-            if self._last != 0.0 or (follows and any(_is_on(block) for block, _ in self._made)):
+            if self._last != 0.0 or (follows and any(block.voltages.any() for block, _ in self._made)):
                 return False
         return self._oscillator.is_quiet and all(output.reaches_zero for output in self._outputs)
 
@@ -461,7 +451,7 @@ class GuardedDevice(Device):
             all_to_zero(self._outputs)
             self._quiet_link(None)
         block = self._oscillator.block(n)
-        wanted_samples = [block.voltage, *(() if block.further is None else block.further)]
+        wanted_samples = list(block.voltages)
         risen = self._rising(wanted_samples, share)
         self._reached = reached
         final = guard_together(self._outputs, risen, n)
@@ -477,9 +467,8 @@ class GuardedDevice(Device):
                     StopCause.LIMIT,
                     0.0,
                 )
-        if block.further is not None:
-            return replace(block, voltage=final[0], further=np.array(final[1:]))
-        return block if final[0] is block.voltage else replace(block, voltage=final[0])
+        unchanged = all(map(operator.is_, final, wanted_samples))
+        return block if unchanged else replace(block, voltages=np.array(final))
 
     @final
     def _put_out(self, block: OscillatorBlock) -> OscillatorBlock:
@@ -495,8 +484,8 @@ class GuardedDevice(Device):
         if not self._fed:
             self._fed = True
             for still, _ in self._made:
-                self._link.feed(_rows(still)[:, :n])
-        self._link.feed(_rows(block)[:, :n])
+                self._link.feed(still.voltages[:, :n])
+        self._link.feed(block.voltages[:, :n])
         self._made.append((block, self._reached))
         made, self._seen = self._made.popleft()
         put_out, self.measured, self._lost = self._link.collect(n, 1.0 + 4.0 * self._lead * n / self._sample_rate)
@@ -505,9 +494,8 @@ class GuardedDevice(Device):
             if self._link.state is OutputState.NOT_KNOWN:
                 raise DeviceFault(self._link.sentence)
             self._trip(f"output: {self._link.reason}", self._link.cause or StopCause.OUTPUT, 0.0)
-        following = put_out[:, -1:] if self._reason else _rows(self._made[0][0])[:, :1]
-        final = np.concatenate([put_out, following], axis=1)
-        return replace(made, voltage=final[0], further=final[1:] if self._exciters > 1 else None)
+        following = put_out[:, -1:] if self._reason else self._made[0][0].voltages[:, :1]
+        return replace(made, voltages=np.concatenate([put_out, following], axis=1))
 
     def _quiet_link(self, ramp: float | None) -> None:
         """Tell the process that owns the output at once, past the blocks that wait there."""
@@ -527,8 +515,7 @@ class GuardedDevice(Device):
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
         """True values of all channels under the drive of this block, shape (channels, samples), SI.
 
-        ``drive.voltage``, and ``drive.further`` of several exciters, hold the final samples: a converter puts out these
-        and no others. Where a process owns the
+        ``drive.voltages`` hold the final samples: a converter puts out these and no others. Where a process owns the
         output, they are those that were put out, and ``self.measured``, shape (inputs, samples), is what its converter
         took in at the same time, in the converter's own unit.
         """

@@ -77,7 +77,7 @@ class HardwareRig(GuardedDevice):
         lead_blocks: blocks that wait at the output.
         probe_needed: whether a drive that is not seen at its monitor is a fault.
         specimen: stands in for converter and cables, in lockstep, without a process of its own; None = the converter.
-        **output: further settings of `guarded_device.owned_output`.
+        **output: other settings of `guarded_device.owned_output`.
 
     Attributes:
         outputs: (exciters, samples) V put out in the last block.
@@ -152,6 +152,11 @@ class HardwareRig(GuardedDevice):
         self.outputs: FloatArray = np.zeros((exciters, rig.block_samples))
         self._prepare()
 
+    @property
+    def has_monitor(self) -> bool:
+        """Whether an input measures the output of exciter 1, at which every start looks for the delay."""
+        return self._monitor >= 0
+
     def _prepare(self) -> None:
         super()._prepare()
         self._clock = ClockWatch(self._sample_rate)
@@ -164,9 +169,7 @@ class HardwareRig(GuardedDevice):
 
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
         n = self._block_samples
-        self.outputs = drive.voltage[np.newaxis, :n]
-        if drive.further is not None:
-            self.outputs = np.vstack([self.outputs, drive.further[:, :n]])
+        self.outputs = drive.voltages[:, :n]
         if self._specimen is not None:
             self.measured = self._specimen.respond(self.outputs / self._gains)
         values = self.measured / self._sensitivity

@@ -30,7 +30,7 @@ class LoopbackDevice(GuardedDevice):
         quiet_ramp: s, ramp to zero after a trip.
         point: measurement point of both channels.
         owned: whether a process of its own owns the converter, for real time; what is put out comes back through it.
-        arguments: further ones of `converter.LoopbackConverter`, which that process then has.
+        arguments: other ones of `converter.LoopbackConverter`, which that process then has.
         **output: settings of `guarded_device.owned_output`.
     """
 

@@ -18,7 +18,6 @@ from nmt_plant.safety.limits import ChannelLimit, OpenLoop
 from nmt_rig.drift import Drift
 from nmt_rig.model.assembly import (
     ElectromechanicalSystem,
-    OutputRow,
     acceleration_output,
     current_output,
     displacement_output,
@@ -26,6 +25,7 @@ from nmt_rig.model.assembly import (
     input_output,
     velocity_output,
 )
+from nmt_rig.model.exciter import OutputRow
 from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator
 from nmt_rig.rig import Rig, ShakerSection
 from nmt_rig.rig_model import build_system, inputs_per_volt
@@ -93,9 +93,7 @@ def sensor_output(
     return by_point[sensor.quantity](system, sensor.point)
 
 
-def sensor_row(
-    system: ElectromechanicalSystem, rig: Rig, index: int, volts_to_input: float | Sequence[float]
-) -> OutputRow:
+def sensor_row(system: ElectromechanicalSystem, rig: Rig, index: int) -> OutputRow:
     """Output row of one of the rig's sensors, with the mass of a force cell and the share of a transverse motion.
 
     Raises:
@@ -103,12 +101,12 @@ def sensor_row(
     """
     sensor, section = rig_sensors(rig)[index], rig.sensors[index]
     exciter = (section.exciter or 1) - 1
-    own = volts_to_input if isinstance(volts_to_input, float | int) else volts_to_input[exciter]
-    row = sensor_output(system, sensor, own, exciter)
+    per_volt = inputs_per_volt(rig)[exciter]
+    row = sensor_output(system, sensor, per_volt, exciter)
     if section.mass_kg and sensor.quantity == Quantity.FORCE:
         row = row.plus(acceleration_output(system, sensor.point), section.mass_kg)
     if section.transverse is not None:
-        other = sensor_output(system, replace(sensor, point=section.transverse.point), own, exciter)
+        other = sensor_output(system, replace(sensor, point=section.transverse.point), per_volt, exciter)
         row = row.plus(other, section.transverse.fraction)
     return row
 
@@ -201,7 +199,7 @@ class SimulatedRig(GuardedDevice):
         self._channels = [SensorChannel(sensor, self.true_sample_rate, rig.seed) for sensor in self.sensors]
         self._plain_sensors = all(channel.plain for channel in self._channels)
         self._drift = Drift(rig)
-        self._drive_voltage = np.zeros(0)
+        self._drive_voltages = np.zeros((len(rig.all_exciters), 0))
 
     @property
     def true_sample_rate(self) -> float:
@@ -223,26 +221,26 @@ class SimulatedRig(GuardedDevice):
         return bool(self._stop_file) and os.path.exists(self._stop_file)
 
     def _configure(self) -> None:
-        self._volts_to_inputs = inputs_per_volt(self.rig)
-        self._volts_to_input = self._volts_to_inputs[0]
+        self._volts_to_inputs = np.array(inputs_per_volt(self.rig))[:, None]
         self._integrator = self._make_integrator()
-        self._saturations = [
-            exciter.amplifier_saturation_v if isinstance(exciter, ShakerSection) else None
-            for exciter in self.rig.all_exciters
-        ]
-        self._saturation = self._saturations[0]
+        # Exciters, counted from 0, whose amplifiers saturate, and how far.
+        self._saturations = {
+            number: exciter.amplifier_saturation_v
+            for number, exciter in enumerate(self.rig.all_exciters)
+            if isinstance(exciter, ShakerSection) and exciter.amplifier_saturation_v is not None
+        }
         self._voltage_rows = [row for row, s in enumerate(self.sensors) if s.quantity == Quantity.VOLTAGE]
-        # Row of each voltage sensor whose amplifier saturates, and its exciter, counted from 0.
+        # Row of each voltage sensor whose amplifier saturates, and its exciter.
         exciters = [(section.exciter or 1) - 1 for section in self.rig.sensors]
         self._saturated_rows = [
-            (row, exciters[row]) for row in self._voltage_rows if self._saturations[exciters[row]] is not None
+            (row, exciters[row]) for row in self._voltage_rows if exciters[row] in self._saturations
         ]
         # Compiles the time loop, or loads it: not in the first block.
-        self._integrator.advance(np.zeros(2))
+        self._integrator.advance(np.zeros((len(self.rig.all_exciters), 2)))
 
     def _make_integrator(self) -> TimeIntegrator:
         system = build_system(self.rig)
-        outputs = [sensor_row(system, self.rig, row, self._volts_to_inputs) for row in range(len(self.sensors))]
+        outputs = [sensor_row(system, self.rig, row) for row in range(len(self.sensors))]
         return TimeIntegrator(system, self.true_sample_rate, outputs, self.rig.substeps)
 
     def _start(self) -> None:
@@ -252,33 +250,22 @@ class SimulatedRig(GuardedDevice):
         super()._start()
 
     def _measure(self, drive: OscillatorBlock) -> FloatArray:
-        voltage = drive.voltage
-        if self._saturation is not None:
-            voltage = self._saturation * np.tanh(voltage / self._saturation)
-        self._drive_voltage = drive.voltage[:-1]
-        further = self._further_inputs(drive)
+        self._drive_voltages = drive.voltages[:, :-1]
+        behind = drive.voltages
+        for exciter, most in self._saturations.items():
+            behind = behind.copy()
+            behind[exciter] = most * np.tanh(behind[exciter] / most)
+        inputs = self._volts_to_inputs * behind
         try:
             if self._drift.active:
-                values = self._drift.advance(self.integrator, self._volts_to_input * voltage, drive.phase, further)
+                values = self._drift.advance(self.integrator, inputs, drive.phase)
             else:
-                values = self.integrator.advance(self._volts_to_input * voltage, further)
+                values = self.integrator.advance(inputs)
         except (IntegrationError, ValueError) as error:
             raise DeviceFault(str(error)) from error
         for row, exciter in self._saturated_rows:  # measured before the amplifier
-            own = drive.voltage if exciter == 0 or drive.further is None else drive.further[exciter - 1]
-            values[row] = own[:-1]
+            values[row] = self._drive_voltages[exciter]
         return values
-
-    def _further_inputs(self, drive: OscillatorBlock) -> FloatArray | None:
-        """Inputs of the exciters besides the first, (exciters - 1, n + 1), behind their amplifiers."""
-        if drive.further is None:
-            return None
-        inputs = np.empty_like(drive.further)
-        for row, voltage in enumerate(drive.further):
-            most = self._saturations[row + 1]
-            behind = voltage if most is None else most * np.tanh(voltage / most)
-            inputs[row] = self._volts_to_inputs[row + 1] * behind
-        return inputs
 
     def respond(self, voltage: FloatArray) -> FloatArray:
         """What the sensors record while a voltage acts, beside the device's own clock; needs a configured rig.
@@ -293,8 +280,7 @@ class SimulatedRig(GuardedDevice):
             DeviceFault: a motion that is not finite.
         """
         still = OscillatorPhase(0.0, 0.0, 0.0)
-        rows = np.atleast_2d(voltage)
-        return self._compute(self._measure(OscillatorBlock(rows[0], still, rows[1:] if len(rows) > 1 else None)))[0]
+        return self._compute(self._measure(OscillatorBlock(np.atleast_2d(voltage), still)))[0]
 
     def _compute(self, true_values: FloatArray) -> tuple[FloatArray, bool]:
         if self._plain_sensors:
@@ -302,7 +288,7 @@ class SimulatedRig(GuardedDevice):
         overload = False
         recorded = np.empty_like(true_values)
         for row, channel in enumerate(self._channels):
-            recorded[row], over = channel.measure(true_values[row], self._drive_voltage)
+            recorded[row], over = channel.measure(true_values[row], self._drive_voltages[0])
             overload = overload or over
         return recorded, overload
 

@@ -15,6 +15,7 @@ import yaml
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_text
 from nmt_core.files.whole_file import write_whole, writing
+from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import OscillatorPhase, Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
@@ -269,9 +270,9 @@ def _segment_entries(bag: Bag, extent: Extent, rate: float) -> list[dict[str, An
             head["level_unit"] = span.unit
         head["index"] = span.index
         command = span.command
-        if command is not None and span.test.is_noise and command.band_high_hz > 0.0:
+        if command is not None and kind_class(span.test).is_noise and command.band_high_hz > 0.0:
             head["band_hz"] = [command.band_low_hz, command.band_high_hz]
-        if command is not None and span.test is TestKind.SWEEP:
+        if command is not None and kind_class(span.test).sweeps:
             head["rate_hz_s"] = command.rate_hz_s
             if command.frequency_end_hz > 0.0:
                 head["frequency_end_hz"] = command.frequency_end_hz

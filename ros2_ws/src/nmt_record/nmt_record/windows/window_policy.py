@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
+from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import BlockFlag, SampleBlock
 from nmt_core.messages.wire import BlockHead
 from nmt_core.vocabulary import LoopState, TestKind
@@ -159,9 +160,9 @@ class WindowPolicy:
 
 
 def _policy(kind: TestKind) -> WindowPolicy:
-    exceptions = _EXCEPTIONS.get(kind, _OF_NOISE if kind.is_noise else {})
+    exceptions = _EXCEPTIONS.get(kind, _OF_NOISE if kind_class(kind).is_noise else {})
     effects = {**dict.fromkeys(WindowFault, Consequence.WINDOW), **_CHANNEL_FAULTS, **exceptions}
-    return WindowPolicy(kind, effects, kind.gives_modal_points)
+    return WindowPolicy(kind, effects, kind_class(kind).gives_modal_points)
 
 
 POLICIES: Mapping[TestKind, WindowPolicy] = {kind: _policy(kind) for kind in TestKind}

@@ -1,4 +1,4 @@
-"""Structure, local elements and shaker as one system of equations with one input."""
+"""Structure, local elements and exciters as one system of equations with an input for each exciter."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from nmt_rig.model.attached_shaker import AttachedShaker
 from nmt_rig.model.couplings import FORCE_FACTOR, Coupling, coupling_parameters
+from nmt_rig.model.exciter import Exciter, OutputRow, moved_to
 from nmt_rig.model.local_elements.attachments import Attachment
 from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.shaker import ElectrodynamicShaker
@@ -20,94 +20,65 @@ _FEW_ENTRIES = 0.05
 
 
 @dataclass(frozen=True)
-class OutputRow:
-    """Linear output of the system.
-
-    y = acceleration · q̈ + velocity · q̇ + displacement · q + feedthrough · input + exciter_elements · Σ g, the sum
-    being over the local elements on the side of the exciter; rows have shape (n,). The feedthrough is that of input 0,
-    of the first exciter, or of another one's input.
-    """
-
-    acceleration: Array
-    velocity: Array
-    displacement: Array
-    feedthrough: float
-    exciter_elements: float = 0.0
-    input: int = 0
-
-    def plus(self, other: OutputRow, factor: float = 1.0) -> OutputRow:
-        """This output and a multiple of another."""
-        return OutputRow(
-            self.acceleration + factor * other.acceleration,
-            self.velocity + factor * other.velocity,
-            self.displacement + factor * other.displacement,
-            self.feedthrough + factor * other.feedthrough,
-            self.exciter_elements + factor * other.exciter_elements,
-            self.input if self.feedthrough != 0.0 else other.input,
-        )
-
-
-@dataclass(frozen=True)
-class FurtherExciter:
-    """An exciter besides the first.
-
-    Attributes:
-        point: point number it acts on.
-        input_vector: (n,) column of its input, V with a shaker, N without.
-        force: output row set of its force on the structure, N; the feedthrough is that of its own input.
-        current: index of the coil's current, None without a shaker.
-    """
-
-    point: int
-    input_vector: Array
-    force: OutputRow
-    current: int | None = None
-
-
-@dataclass(frozen=True)
 class ElectromechanicalSystem(PointMotion):
-    """M q̈ + C q̇ + K q + Σ d_j g_j + Σ c_k f_k = b · input.
+    """M q̈ + C q̇ + K q + Σ d_j g_j + Σ c_k f_k = Σ b_e · input_e.
 
-    With a shaker q = [structure…, coil displacement (m), current (A)] and the input is the voltage u (V); the
-    row of the current has no mass (inductance in `damping`, resistance in `stiffness`). Without a shaker q is
-    the structure's and the input is the force (N) at the drive point. On a shaking table q is relative to the table,
+    With shakers q = [structure…, coil displacements (m), currents (A)] and their inputs are voltages (V); the
+    row of a current has no mass (inductance in `damping`, resistance in `stiffness`). The input of an exciter without
+    a shaker is its force (N). On a shaking table q is relative to the table,
     its own unknowns stand behind the structure's, and the input is the acceleration asked for (m/s²). Attachments put
     their unknowns with inertia behind the structure's, those without at the very end.
 
     Attributes:
         mass, damping, stiffness: (n, n).
-        input_vector: b, (n,).
+        exciters: what drives it, one or more.
         elements: local elements with directions of shape (n,).
         points: point number -> index of its lateral displacement.
-        drive_point: point number the exciter acts on.
-        force: output row set of the (stinger) force on the structure, N.
         structure_size: number of degrees of freedom of the structure; they come first.
-        coil, current: index of coil displacement and current, None without a shaker.
         first_order: number of unknowns without inertia (of attachments, of a shaking table), at the end.
         couplings: forces f_k of two arguments with columns c_k of shape (n,).
         on_exciter: for each element, whether it is on the side of the exciter; empty = none is.
         shapes: point number -> row (n,) of points that are no unknown of their own.
         base: motion of the shaking table, None without one.
-        further: exciters besides the first, in their order; empty = one exciter.
     """
 
     mass: Array
     damping: Array
     stiffness: Array
-    input_vector: Array
+    exciters: tuple[Exciter, ...]
     elements: tuple[LocalElement, ...]
     points: dict[int, int]
-    drive_point: int
-    force: OutputRow
     structure_size: int
-    coil: int | None = None
-    current: int | None = None
     first_order: int = 0
     couplings: tuple[Coupling, ...] = ()
     on_exciter: tuple[bool, ...] = ()
     shapes: dict[int, Array] = field(default_factory=dict)
     base: BaseMotion | None = None
-    further: tuple[FurtherExciter, ...] = ()
+
+    @property
+    def input_vector(self) -> Array:
+        """b of exciter 1, (n,): of the only one, for those who take no more."""
+        return self.exciters[0].input_vector
+
+    @property
+    def drive_point(self) -> int:
+        """Point number that exciter 1 acts on."""
+        return self.exciters[0].point
+
+    @property
+    def force(self) -> OutputRow:
+        """Force of exciter 1 on the structure, N."""
+        return self.exciters[0].force
+
+    @property
+    def coil(self) -> int | None:
+        """Index of the displacement of exciter 1's coil, None without a shaker."""
+        return self.exciters[0].coil
+
+    @property
+    def current(self) -> int | None:
+        """Index of the current of exciter 1, None without a shaker."""
+        return self.exciters[0].current
 
     @property
     def size(self) -> int:
@@ -116,8 +87,8 @@ class ElectromechanicalSystem(PointMotion):
 
     @property
     def mechanical_size(self) -> int:
-        """Number of unknowns with inertia; the current, if any, and unknowns of first order come behind."""
-        return self.size - (0 if self.current is None else 1) - self.first_order
+        """Number of unknowns with inertia; currents and unknowns of first order come behind."""
+        return self.size - sum(exciter.current is not None for exciter in self.exciters) - self.first_order
 
     def is_on_exciter(self, element: int) -> bool:
         """Whether an element (by its position) is on the side of the exciter."""
@@ -145,27 +116,29 @@ class ElectromechanicalSystem(PointMotion):
         return result
 
     def response(self, frequency: float, sticking: bool = True) -> tuple[Array, complex]:
-        """Complex amplitudes of q (n,) and of the drive-point force (N) for a unit input at ω (rad/s)."""
+        """Complex amplitudes of q (n,) and of exciter 1's force (N) for a unit input of it at ω (rad/s)."""
         q = _solution(self.impedance(frequency, sticking), self.input_vector.astype(complex))
-        s = 1j * frequency
-        row = s * s * self.force.acceleration + s * self.force.velocity + self.force.displacement
-        if sticking and self.force.exciter_elements:
-            for index, element in enumerate(self.elements):
-                if self.is_on_exciter(index):
-                    tangent = element.linear_stiffness + s * element.linear_damping
-                    row = row + self.force.exciter_elements * tangent * element.direction
-        return q, complex(row @ q + self.force.feedthrough)
+        return q, complex(self._force_row(self.force, frequency, sticking) @ q + self.force.feedthrough)
 
     def responses(self, frequency: float, sticking: bool = True) -> tuple[Array, Array]:
         """Complex amplitudes of q (n, exciters) and of every exciter's force (exciters, exciters), N, for a unit input
         of each at ω (rad/s).
         """
-        columns = np.column_stack([self.input_vector, *(exciter.input_vector for exciter in self.further)])
+        columns = np.column_stack([exciter.input_vector for exciter in self.exciters])
         q = np.linalg.solve(self.impedance(frequency, sticking), columns.astype(complex))
+        rows = np.array([self._force_row(exciter.force, frequency, sticking) for exciter in self.exciters])
+        return q, rows @ q + np.diag([exciter.force.feedthrough for exciter in self.exciters])
+
+    def _force_row(self, force: OutputRow, frequency: float, sticking: bool) -> Array:
+        """(n,) complex amplitude of a force per one of q at ω (rad/s), beside its feedthrough."""
         s = 1j * frequency
-        forces = [self.force, *(exciter.force for exciter in self.further)]
-        rows = np.array([s * s * row.acceleration + s * row.velocity + row.displacement for row in forces])
-        return q, rows @ q + np.diag([row.feedthrough for row in forces])
+        row = s * s * force.acceleration + s * force.velocity + force.displacement
+        if sticking and force.exciter_elements:
+            for index, element in enumerate(self.elements):
+                if self.is_on_exciter(index):
+                    tangent = element.linear_stiffness + s * element.linear_damping
+                    row = row + force.exciter_elements * tangent * element.direction
+        return np.asarray(row)
 
 
 def _solution(matrix: Array, right: Array) -> Array:
@@ -226,7 +199,7 @@ def _table_position(system: ElectromechanicalSystem, point: int, quantity: str) 
 
 def force_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
     """Force of the exciter at `point`, of the first where none is there, N."""
-    return next((exciter.force for exciter in system.further if exciter.point == point), system.force)
+    return next((exciter.force for exciter in system.exciters if exciter.point == point), system.force)
 
 
 def input_output(system: ElectromechanicalSystem, exciter: int = 0) -> OutputRow:
@@ -241,7 +214,7 @@ def current_output(system: ElectromechanicalSystem, exciter: int = 0) -> OutputR
     Raises:
         ValueError: it is no shaker.
     """
-    current = system.current if exciter == 0 else system.further[exciter - 1].current
+    current = system.exciters[exciter].current
     if current is None:
         raise ValueError("the system has no shaker, hence no coil current")
     zero = np.zeros(system.size)
@@ -259,17 +232,18 @@ def _extended(direction: Array, size: int) -> Array:
 def assemble(
     structure: Structure,
     elements: Sequence[LocalElement],
-    drive_point: int,
-    shaker: ElectrodynamicShaker | None = None,
+    points: int | Sequence[int],
+    shakers: ElectrodynamicShaker | Sequence[ElectrodynamicShaker | None] | None = None,
     attachments: Sequence[Attachment] = (),
     exciter_elements: Sequence[LocalElement] = (),
     table: ShakingTable | None = None,
-    further: Sequence[tuple[int, ElectrodynamicShaker | None]] = (),
 ) -> ElectromechanicalSystem:
-    """Join structure, local elements, exciter and attachments.
+    """Join structure, local elements, exciters and attachments.
 
-    Elements on the side of the exciter (`exciter_elements`) act on the drive point from behind the force sensor: their
-    force on the structure, -Σ g, is part of the stinger force.
+    Exciters act on the structure's `points`, one or several; each has its shaker, None = an ideal force.
+
+    Elements on the side of the exciter (`exciter_elements`) act on the point of exciter 1 from behind its force sensor:
+    their force on the structure, -Σ g, is part of its stinger force.
 
     The stinger (1.32e14 N/m in the paper) is a rigid link: table and drive point share a degree of
     freedom, and the stinger force stays available as
@@ -278,94 +252,64 @@ def assemble(
     On a shaking table the ground of local elements moves with the table, and the force is the one that stands for the
     base acceleration at the drive point.
 
-    Exciters besides the first (`further`: point and shaker, None = an ideal force) stand on the structure as
-    attachments with an input: coil behind the structure, current at the end.
-
     Raises:
-        KeyError: the structure has no such drive point.
-        ValueError: an element's direction does not fit the structure; a table with a shaker, with elements on its side,
-            with attachments that have inertia, with further exciters, or under a structure without base load.
+        KeyError: the structure has no such point.
+        ValueError: an element's direction does not fit the structure; no exciter, or another number of shakers; a table
+            with a shaker, with several points, with elements on its side, with attachments that have inertia, or under
+            a structure without base load.
     """
-    n = structure.size
-    if table is not None and further:
-        raise ValueError("a shaking table takes no further exciters")
+    places = [points] if isinstance(points, int) else list(points)
+    if shakers is None or isinstance(shakers, ElectrodynamicShaker):
+        shakers = [shakers] * len(places)
+    if not places or len(shakers) != len(places):
+        raise ValueError(f"there must be one exciter or more and a shaker or None for each, got {len(places)} points")
+    linear = [element for element in exciter_elements if element.linear]
+    others = [element for element in exciter_elements if not element.linear]
+    system = _with_exciters(structure, (*elements, *others), list(zip(places, shakers, strict=True)))
     if table is not None:
-        if shaker is not None or exciter_elements or any(attachment.inertial for attachment in attachments):
+        if (
+            len(places) > 1
+            or shakers[0] is not None
+            or exciter_elements
+            or any(attachment.inertial for attachment in attachments)
+        ):
             raise ValueError(
-                "a shaking table takes no shaker, no elements on its side and no attachments with mass of their own"
+                "a shaking table takes no shaker, no second exciter, no elements on its side and no attachments with "
+                "mass of their own"
             )
-        system = on_table(structure, _with_exciter(structure, elements, drive_point, None), table)
-    elif not exciter_elements:
-        system = _with_exciter(structure, elements, drive_point, shaker)
-    else:
-        linear = [element for element in exciter_elements if element.linear]
-        others = [element for element in exciter_elements if not element.linear]
-        system = _with_exciter(structure, (*elements, *others), drive_point, shaker)
-        # A moment (an element on the rotation) is no part of the lateral stinger force.
-        drive = structure.selector(drive_point)
-        lateral = [bool(np.any(element.direction * drive)) for element in others]
-        if any(lateral):
-            system = replace(
-                system,
-                force=replace(system.force, exciter_elements=-1.0),
-                on_exciter=(False,) * len(elements) + tuple(lateral),
-            )
-        for element in linear:
-            system = _with_linear_on_exciter(system, element)
-    further_shakers = [
-        AttachedShaker(structure.selector(point), shaker) for point, shaker in further if shaker is not None
-    ]
-    attached = [*attachments, *further_shakers]
-    system = _attached(system, n, attached) if attached else system
-    return _with_further(system, n, further, attachments) if further else system
-
-
-def _with_further(
-    system: ElectromechanicalSystem,
-    n: int,
-    further: Sequence[tuple[int, ElectrodynamicShaker | None]],
-    attachments: Sequence[Attachment],
-) -> ElectromechanicalSystem:
-    """The system with inputs and forces of exciters whose shakers are attached behind ``attachments``."""
-    coil = n + sum(attachment.inertial for attachment in attachments)
-    current = system.size - sum(shaker is not None for _, shaker in further)
-    exciters = []
-    for number, (point, shaker) in enumerate(further, start=1):
-        drive = system.selector(point)
-        zero = np.zeros(system.size)
-        if shaker is None:
-            exciters.append(FurtherExciter(point, drive, OutputRow(zero, zero, zero, 1.0, input=number)))
-            continue
-        voltage, coils = np.zeros(system.size), np.zeros(system.size)
-        voltage[current], coils[coil] = 1.0, 1.0
-        force = OutputRow(
-            -shaker.table_mass * drive,
-            -(shaker.table_damping + shaker.coil_damping) * drive + shaker.coil_damping * coils,
-            -(shaker.table_stiffness + shaker.coil_stiffness) * drive + shaker.coil_stiffness * coils,
-            0.0,
-            input=number,
+        system = on_table(structure, system, table)
+    # A moment (an element on the rotation) is no part of the lateral stinger force.
+    drive = structure.selector(places[0])
+    lateral = [bool(np.any(element.direction * drive)) for element in others]
+    if any(lateral):
+        first = system.exciters[0]
+        system = replace(
+            system,
+            exciters=(replace(first, force=replace(first.force, exciter_elements=-1.0)), *system.exciters[1:]),
+            on_exciter=(False,) * len(elements) + tuple(lateral),
         )
-        exciters.append(FurtherExciter(point, voltage, force, current))
-        coil, current = coil + 1, current + 1
-    return replace(system, further=tuple(exciters))
+    for element in linear:
+        system = _with_linear_on_exciter(system, element)
+    return _attached(system, structure.size, attachments) if attachments else system
 
 
 def _with_linear_on_exciter(system: ElectromechanicalSystem, element: LocalElement) -> ElectromechanicalSystem:
     """A linear spring or damper on the side of the exciter, as part of matrices and stinger force."""
     direction = _extended(element.direction, system.size)
     outer = np.outer(direction, direction)
-    force = system.force
-    if np.any(direction * system.selector(system.drive_point)):
+    first = system.exciters[0]
+    if np.any(direction * system.selector(first.point)):
         force = replace(
-            force,
-            velocity=force.velocity - element.linear_damping * direction,
-            displacement=force.displacement - element.linear_stiffness * direction,
+            first.force,
+            velocity=first.force.velocity - element.linear_damping * direction,
+            displacement=first.force.displacement - element.linear_stiffness * direction,
         )
+        first = replace(first, force=force)
     return replace(
         system,
         damping=system.damping + element.linear_damping * outer,
         stiffness=system.stiffness + element.linear_stiffness * outer,
-        force=force,
+        exciters=(first, *system.exciters[1:]),
     )
 
 
@@ -378,9 +322,7 @@ def _attached(system: ElectromechanicalSystem, n: int, attachments: Sequence[Att
     place = np.array([*range(n), *range(n + inertial, old + inertial)])  # where the old unknowns go
 
     def moved(vector: Array) -> Array:
-        result = np.zeros(size)
-        result[place] = vector
-        return result
+        return moved_to(vector, place, size)
 
     matrices = []
     for matrix in (system.mass, system.damping, system.stiffness):
@@ -428,17 +370,8 @@ def _attached(system: ElectromechanicalSystem, n: int, attachments: Sequence[Att
         mass=matrices[0],
         damping=matrices[1],
         stiffness=matrices[2],
-        input_vector=moved(system.input_vector),
+        exciters=tuple(exciter.moved(place, size) for exciter in system.exciters),
         elements=tuple(elements),
-        force=OutputRow(
-            moved(system.force.acceleration),
-            moved(system.force.velocity),
-            moved(system.force.displacement),
-            system.force.feedthrough,
-            system.force.exciter_elements,
-        ),
-        coil=None if system.coil is None else system.coil + inertial,
-        current=None if system.current is None else system.current + inertial,
         first_order=system.first_order + first_order,
         couplings=tuple(couplings),
         on_exciter=flags,
@@ -447,77 +380,67 @@ def _attached(system: ElectromechanicalSystem, n: int, attachments: Sequence[Att
     )
 
 
-def _with_exciter(
+def _with_exciters(
     structure: Structure,
     elements: Sequence[LocalElement],
-    drive_point: int,
-    shaker: ElectrodynamicShaker | None,
+    exciters: Sequence[tuple[int, ElectrodynamicShaker | None]],
 ) -> ElectromechanicalSystem:
+    """The structure with its elements and exciters (point and shaker): coils behind it, then the currents."""
     n = structure.size
     for element in elements:
         if element.direction.shape != (n,):
             raise ValueError(f"direction of {type(element).__name__} must have shape ({n},)")
-    drive = structure.selector(drive_point)
-    if shaker is None:
-        zero = np.zeros(n)
-        return ElectromechanicalSystem(
-            mass=structure.mass.copy(),
-            damping=structure.damping.copy(),
-            stiffness=structure.stiffness.copy(),
-            input_vector=drive,
-            elements=tuple(elements),
-            points=dict(structure.points),
-            drive_point=drive_point,
-            force=OutputRow(zero, zero, zero, 1.0),
-            structure_size=n,
-            shapes=dict(structure.shapes),
-        )
-    size = n + 2
-    coil, current = n, n + 1
+    shakers = sum(shaker is not None for _, shaker in exciters)
+    size = n + 2 * shakers
     mass, damping, stiffness = (np.zeros((size, size)) for _ in range(3))
     mass[:n, :n] = structure.mass
     damping[:n, :n] = structure.damping
     stiffness[:n, :n] = structure.stiffness
-
-    own = np.outer(drive, drive)
-    mass[:n, :n] += shaker.table_mass * own
-    mass[coil, coil] = shaker.coil_mass
-    damping[:n, :n] += shaker.table_damping * own
-    stiffness[:n, :n] += shaker.table_stiffness * own
-    for matrix, value in ((damping, shaker.coil_damping), (stiffness, shaker.coil_stiffness)):
-        matrix[:n, :n] += value * own
-        matrix[coil, coil] += value
-        matrix[:n, coil] -= value * drive
-        matrix[coil, :n] -= value * drive
-    stiffness[coil, current] = -shaker.force_factor
-    damping[current, coil] = shaker.force_factor
-    damping[current, current] = shaker.inductance
-    stiffness[current, current] = shaker.resistance
-
-    voltage = np.zeros(size)
-    voltage[current] = 1.0
-    rows = np.zeros((3, size))
-    rows[0, :n] = -shaker.table_mass * drive
-    rows[1, :n] = -(shaker.table_damping + shaker.coil_damping) * drive
-    rows[1, coil] = shaker.coil_damping
-    rows[2, :n] = -(shaker.table_stiffness + shaker.coil_stiffness) * drive
-    rows[2, coil] = shaker.coil_stiffness
-    couplings: tuple[Coupling, ...] = ()
-    if shaker.force_factor_linear != 0.0 or shaker.force_factor_quadratic != 0.0:
-        couplings = _varying_force_factor(shaker, size, coil, current)
+    couplings: list[Coupling] = []
+    found = []
+    coil = n
+    for number, (point, shaker) in enumerate(exciters):
+        drive = structure.selector(point)
+        zero = np.zeros(size)
+        if shaker is None:
+            found.append(Exciter(point, _extended(drive, size), OutputRow(zero, zero, zero, 1.0, input=number)))
+            continue
+        current = coil + shakers
+        table = np.outer(drive, drive)
+        mass[:n, :n] += shaker.table_mass * table
+        mass[coil, coil] = shaker.coil_mass
+        damping[:n, :n] += shaker.table_damping * table
+        stiffness[:n, :n] += shaker.table_stiffness * table
+        for matrix, value in ((damping, shaker.coil_damping), (stiffness, shaker.coil_stiffness)):
+            matrix[:n, :n] += value * table
+            matrix[coil, coil] += value
+            matrix[:n, coil] -= value * drive
+            matrix[coil, :n] -= value * drive
+        stiffness[coil, current] = -shaker.force_factor
+        damping[current, coil] = shaker.force_factor
+        damping[current, current] = shaker.inductance
+        stiffness[current, current] = shaker.resistance
+        voltage = np.zeros(size)
+        voltage[current] = 1.0
+        rows = np.zeros((3, size))
+        rows[0, :n] = -shaker.table_mass * drive
+        rows[1, :n] = -(shaker.table_damping + shaker.coil_damping) * drive
+        rows[1, coil] = shaker.coil_damping
+        rows[2, :n] = -(shaker.table_stiffness + shaker.coil_stiffness) * drive
+        rows[2, coil] = shaker.coil_stiffness
+        found.append(Exciter(point, voltage, OutputRow(rows[0], rows[1], rows[2], 0.0, input=number), coil, current))
+        if shaker.force_factor_linear != 0.0 or shaker.force_factor_quadratic != 0.0:
+            couplings += _varying_force_factor(shaker, size, coil, current)
+        coil += 1
     return ElectromechanicalSystem(
         mass=mass,
         damping=damping,
         stiffness=stiffness,
-        input_vector=voltage,
+        exciters=tuple(found),
         elements=tuple(element.along(_extended(element.direction, size)) for element in elements),
         points=dict(structure.points),
-        drive_point=drive_point,
-        force=OutputRow(rows[0], rows[1], rows[2], 0.0),
         structure_size=n,
-        coil=coil,
-        current=current,
-        couplings=couplings,
+        couplings=tuple(couplings),
         shapes={point: _extended(row, size) for point, row in structure.shapes.items()},
     )
 

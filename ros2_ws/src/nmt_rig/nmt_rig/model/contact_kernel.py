@@ -16,16 +16,26 @@ located on a grid of step / 2^K. Four things differ, so that a place at rest cos
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nmt_core.numerics.kernels import loop_step, njit
+from nmt_rig.model.active_ports import (
+    AT_END,
+    AT_START,
+    Active,
+    Motion,
+    Places,
+    Trial,
+    follow_branches,
+    follow_width,
+    project,
+    row_product,
+    solve_factored,
+)
 from nmt_rig.model.element_kernels import margin, next_branch, piece
 from nmt_rig.model.integration_kernel import (
-    _INPUT_END,
-    _INPUT_START,
     _SMALLEST,
     _XX,
     _XY,
@@ -38,14 +48,13 @@ from nmt_rig.model.integration_kernel import (
     Memory,
     OutputRows,
     begin_slip,
+    hold_inputs,
     is_bounded,
     slip_along,
     widest_level,
 )
 from nmt_rig.model.structure import Array
 
-# First rows of `Motion.holds` for forces at the start and at the end of a step, and their columns.
-_AT_START, _AT_END = 0, 2
 # A bound on a motion is a sum of rounded numbers; so much earlier the element itself is looked at.
 _CAUTION = 1.0 - 1e-9
 # Share of a force that it causes itself by the end of a step, below which forces are iterated for.
@@ -53,220 +62,6 @@ _ITERATED_BELOW = 0.05
 # Sweeps for the forces end where the next one would change less than this share of them.
 _SETTLED = 1e-14
 _SWEEPS = 14
-# Sums may be taken several terms at a time, in an order that the compiler fixes once for all.
-_IN_LANES = {"reassoc", "contract"}
-
-
-class Motion(NamedTuple):
-    """The linear motion between the samples.
-
-    Attributes:
-        pair, start_weights, port_rows: of the `Propagator`.
-        holds: (K+1, 4, 4, pairs) blocks that take the projected forces and slopes at the start, then at the end of a
-            step to the state.
-        projection: (ports, Z) of port forces on the working coordinates' rates.
-        answers: (K+1, 2 ports, 2 ports) the propagator's compliance of displacements and velocities, transposed.
-        reach: (Z,) largest |share| of each working coordinate in the ports' displacements.
-        gains: (K+1,) largest share of a change of the ports' forces that it causes again by the end of a step; where it
-            is small a fixed-point iteration finds the forces, else they are factorised.
-        step: of the integration, s.
-    """
-
-    pair: Array
-    start_weights: Array
-    port_rows: Array
-    holds: Array
-    projection: Array
-    answers: Array
-    reach: Array
-    gains: Array
-    step: float
-
-
-class Places(NamedTuple):
-    """Elements and the ports that they act at.
-
-    Attributes:
-        kinds, parameters: (elements,), (elements, PARAMETER_COUNT).
-        absorbed: (elements,) stiffness that is part of the linear motion, N/m.
-        element_port: (elements,) port of each element.
-        port_start, port_elements: (ports + 1,), (elements,) elements of each port.
-    """
-
-    kinds: Integers
-    parameters: Array
-    absorbed: Array
-    element_port: Integers
-    port_start: Integers
-    port_elements: Integers
-
-
-class Active(NamedTuple):
-    """What follows from the branches alone.
-
-    Attributes:
-        stiffness, constant: (ports,) of the elements, N/m and N.
-        ports: (ports,) its beginning: those that have to be solved for.
-        place: (ports,) of each port among them, −1 = at rest.
-        steady: (Z,) projected forces of the ports at rest.
-        steady_step: (K+1, Z) what they do in a step of each width.
-        columns, order: (K+1, 2 ports, 2 ports), (K+1, 2 ports) factors of the equations of the active ports.
-        known: (K+1,) whether the last three are.
-    """
-
-    stiffness: Array
-    constant: Array
-    ports: Integers
-    place: Integers
-    steady: Array
-    steady_step: Array
-    columns: Array
-    order: Integers
-    known: NDArray[np.bool_]
-
-
-class Trial(NamedTuple):
-    """A sub-step that may be refused.
-
-    Attributes:
-        state: (Z,) at its end.
-        w, v: (ports,) displacement and velocity there.
-        forces: (2 ports,) forces and slopes there.
-        due: (ports,) the way from its end at which a port that was looked at is to be looked at again.
-        looked: (ports,) its beginning: resting ports that were looked at.
-        turned: (ports,) where a branch does not fit the end.
-        own, own_slope, next_own, next_slope: (Z,) projected forces and slopes at the start and at the end.
-        free, seen: (2 ports,) displacements and velocities without and with the forces at the end.
-        right: (2 ports,) forces and slopes of the active ports.
-        change: (ports,) of a sweep.
-    """
-
-    state: Array
-    w: Array
-    v: Array
-    forces: Array
-    due: Array
-    looked: Integers
-    turned: NDArray[np.bool_]
-    own: Array
-    own_slope: Array
-    next_own: Array
-    next_slope: Array
-    free: Array
-    seen: Array
-    right: Array
-    change: Array
-
-
-@njit(cache=True, fastmath=_IN_LANES)
-def row_product(matrix: Array, row: int, vector: Array, size: int) -> float:
-    """matrix[row] · vector over the leading `size` entries, always summed in the same order."""
-    total = 0.0
-    for i in range(size):
-        total += matrix[row, i] * vector[i]
-    return total
-
-
-@njit(cache=True, fastmath=_IN_LANES)
-def project(projection: Array, active: Integers, count: int, forces: Array, own: Array, own_slope: Array) -> None:
-    """Overwrite `own` and `own_slope` (Z,) with the active ports' forces and slopes on the working coordinates."""
-    size = own.size
-    ports = projection.shape[0]
-    for i in range(size):
-        own[i] = 0.0
-        own_slope[i] = 0.0
-    for a in range(0, count - 3, 4):
-        q0, q1, q2, q3 = active[a], active[a + 1], active[a + 2], active[a + 3]
-        g0, g1, g2, g3 = forces[q0], forces[q1], forces[q2], forces[q3]
-        s0, s1, s2, s3 = forces[ports + q0], forces[ports + q1], forces[ports + q2], forces[ports + q3]
-        for i in range(size):
-            p0, p1, p2, p3 = projection[q0, i], projection[q1, i], projection[q2, i], projection[q3, i]
-            own[i] += (g0 * p0 + g1 * p1) + (g2 * p2 + g3 * p3)
-            own_slope[i] += (s0 * p0 + s1 * p1) + (s2 * p2 + s3 * p3)
-    for a in range(count - count % 4, count):
-        q = active[a]
-        g = forces[q]
-        slope = forces[ports + q]
-        for i in range(size):
-            own[i] += g * projection[q, i]
-            own_slope[i] += slope * projection[q, i]
-
-
-@njit(cache=True)
-def factorise(matrix: Array, order: Integers, n: int) -> None:
-    """LU factors of the leading n x n part in place, partial pivoting; `order` is overwritten with the rows' swaps."""
-    for i in range(n):
-        pivot = i
-        for r in range(i + 1, n):
-            if abs(matrix[r, i]) > abs(matrix[pivot, i]):
-                pivot = r
-        order[i] = pivot
-        if pivot != i:
-            for c in range(n):
-                swap = matrix[i, c]
-                matrix[i, c] = matrix[pivot, c]
-                matrix[pivot, c] = swap
-        for r in range(i + 1, n):
-            factor = matrix[r, i] / matrix[i, i]
-            matrix[r, i] = factor
-            if factor != 0.0:
-                for c in range(i + 1, n):
-                    matrix[r, c] -= factor * matrix[i, c]
-
-
-@njit(cache=True)
-def solve_factored(columns: Array, level: int, order: Integers, right: Array, n: int) -> None:
-    """Solve with the factors of `factorise`, given by columns; the solution replaces `right`."""
-    for i in range(n):
-        pivot = order[level, i]
-        if pivot != i:
-            value = right[i]
-            right[i] = right[pivot]
-            right[pivot] = value
-    for i in range(n):
-        value = right[i]
-        for r in range(i + 1, n):
-            right[r] -= columns[level, i, r] * value
-    for i in range(n - 1, -1, -1):
-        right[i] /= columns[level, i, i]
-        value = right[i]
-        for r in range(i):
-            right[r] -= columns[level, i, r] * value
-
-
-@loop_step
-def gather(places: Places, branch: Integers, slider: Array, now: Active) -> int:
-    """Stiffness and constant of each port for the present branches, and the ports that have to be solved for.
-
-    Args:
-        places, branch, slider: description and memory of the elements.
-        now: its stiffness, constant, ports and place are overwritten.
-
-    Returns:
-        The number of active ports.
-    """
-    kinds, absorbed = places.kinds, places.absorbed
-    stiffness, constant, active, place = now.stiffness, now.constant, now.ports, now.place
-    ports = stiffness.size
-    for q in range(ports):
-        stiffness[q] = 0.0
-        constant[q] = 0.0
-        place[q] = -1
-    for e in range(kinds.size):
-        q = places.element_port[e]
-        k, rest = piece(kinds[e], places.parameters, e, branch[e], slider[e])
-        k -= absorbed[e]
-        stiffness[q] += k
-        constant[q] += rest
-        if k != 0.0 or (kinds[e] == JENKINS and branch[e] != 0):
-            place[q] = 0
-    count = 0
-    for q in range(ports):
-        if place[q] == 0:
-            place[q] = count
-            active[count] = q
-            count += 1
-    return count
 
 
 @loop_step
@@ -304,93 +99,28 @@ def quiet_ticks(
 
 
 @loop_step
-def follow_branches(
-    motion: Motion, places: Places, memory: Memory, due: Array, now: Active, trial: Trial
-) -> tuple[int, float]:
-    """Everything that follows from the branches; it depends on nothing else, so not on the blocks.
-
-    Returns:
-        The number of active ports, and the way of the state at which the first port at rest is to be looked at.
-    """
-    forces, ports = memory.forces, due.size
-    count = gather(places, memory.branch, memory.slider, now)
-    earliest = np.inf
-    seen = 0
-    for q in range(ports):
-        if now.place[q] < 0:
-            forces[q] = now.constant[q]
-            forces[ports + q] = 0.0
-            earliest = min(earliest, due[q])
-            if now.constant[q] != 0.0:
-                trial.looked[seen] = q
-                seen += 1
-    project(motion.projection, trial.looked, seen, forces, now.steady, trial.next_slope)
-    project(motion.projection, now.ports, count, forces, trial.own, trial.own_slope)
-    for n in range(now.known.size):
-        now.known[n] = False
-    return count, earliest
-
-
-@loop_step
-def follow_width(motion: Motion, now: Active, level: int, count: int, matrix: Array, row_order: Integers) -> None:
-    """What a step width adds to `follow_branches`: the motion under the steady forces, and the factors.
-
-    Args:
-        level: of the width.
-        count: of active ports; 0 where their forces are iterated for.
-        matrix, row_order: (2 ports, 2 ports), (2 ports,) work space.
-    """
-    holds, answers = motion.holds, motion.answers
-    steady, stiffness, active = now.steady, now.stiffness, now.ports
-    pairs, ports = steady.size // 2, stiffness.size
-    for i in range(pairs):
-        j = pairs + i
-        now.steady_step[level, i] = (holds[level, _AT_START, _XX, i] + holds[level, _AT_END, _XX, i]) * steady[i] + (
-            holds[level, _AT_START, _XY, i] + holds[level, _AT_END, _XY, i]
-        ) * steady[j]
-        now.steady_step[level, j] = (holds[level, _AT_START, _YX, i] + holds[level, _AT_END, _YX, i]) * steady[i] + (
-            holds[level, _AT_START, _YY, i] + holds[level, _AT_END, _YY, i]
-        ) * steady[j]
-    now.known[level] = True
-    for a in range(count):
-        q = active[a]
-        for b in range(count):
-            c = active[b]
-            matrix[a, b] = -stiffness[q] * answers[level, c, q]
-            matrix[a, count + b] = -stiffness[q] * answers[level, ports + c, q]
-            matrix[count + a, b] = -stiffness[q] * answers[level, c, ports + q]
-            matrix[count + a, count + b] = -stiffness[q] * answers[level, ports + c, ports + q]
-        matrix[a, a] += 1.0
-        matrix[count + a, count + a] += 1.0
-    factorise(matrix, row_order, 2 * count)
-    for a in range(2 * count):
-        now.order[level, a] = row_order[a]
-        for b in range(2 * count):
-            now.columns[level, a, b] = matrix[b, a]
-
-
-@loop_step
-def move(motion: Motion, now: Active, state: Array, level: int, u0: float, u1: float, trial: Array) -> None:
-    """The state (Z,) at the end of a sub-step without the active ports' forces, for the input at its ends."""
-    pair, start_weights, steady_step = motion.pair, motion.start_weights, now.steady_step
+def move(
+    motion: Motion, now: Active, exciters: tuple[int, ...], state: Array, level: int, ends: Array, trial: Array
+) -> None:
+    """The state (Z,) at the end of a sub-step without the active ports' forces, for the inputs at its ends."""
+    pair, weights, steady_step = motion.pair, motion.start_weights, now.steady_step
     pairs = state.size // 2
     for i in range(pairs):
         j = pairs + i
         x = state[i]
         y = state[j]
-        trial[i] = (
-            (pair[level, _XX, i] * x + pair[level, _XY, i] * y)
-            + (start_weights[level, _INPUT_START, i] * u0 + start_weights[level, _INPUT_END, i] * u1)
-        ) + steady_step[level, i]
-        trial[j] = (
-            (pair[level, _YX, i] * x + pair[level, _YY, i] * y)
-            + (start_weights[level, _INPUT_START, j] * u0 + start_weights[level, _INPUT_END, j] * u1)
-        ) + steady_step[level, j]
+        first = pair[level, _XX, i] * x + pair[level, _XY, i] * y
+        second = pair[level, _YX, i] * x + pair[level, _YY, i] * y
+        for e in range(len(exciters)):
+            first += weights[level, 2 * e, i] * ends[e, 0] + weights[level, 2 * e + 1, i] * ends[e, 1]
+            second += weights[level, 2 * e, j] * ends[e, 0] + weights[level, 2 * e + 1, j] * ends[e, 1]
+        trial[i] = first + steady_step[level, i]
+        trial[j] = second + steady_step[level, j]
 
 
 @loop_step
 def add_held(holds: Array, level: int, end: int, force: Array, slope: Array, trial: Array) -> None:
-    """Add what projected forces and slopes (Z,) at one end of a step (`_AT_START`, `_AT_END`) do to the state."""
+    """Add what projected forces and slopes (Z,) at one end of a step (`AT_START`, `AT_END`) do to the state."""
     pairs = force.size // 2
     for i in range(pairs):
         j = pairs + i
@@ -454,7 +184,7 @@ def solve_active(
     """Forces of the active ports at the end of a sub-step, and the state there with them."""
     port_rows, stiffness = motion.port_rows, now.stiffness
     size, ports = trial.state.size, stiffness.size
-    add_held(motion.holds, level, _AT_START, trial.own, trial.own_slope, trial.state)
+    add_held(motion.holds, level, AT_START, trial.own, trial.own_slope, trial.state)
     for a in range(count):
         q = now.ports[a]
         w = row_product(port_rows, q, trial.state, size)
@@ -473,7 +203,7 @@ def solve_active(
         trial.forces[q] = trial.right[a]
         trial.forces[ports + q] = trial.right[count + a]
     project(motion.projection, now.ports, count, trial.forces, trial.next_own, trial.next_slope)
-    add_held(motion.holds, level, _AT_END, trial.next_own, trial.next_slope, trial.state)
+    add_held(motion.holds, level, AT_END, trial.next_own, trial.next_slope, trial.state)
 
 
 @loop_step
@@ -689,10 +419,13 @@ def next_level(position: int, goal: int, levels: int) -> int:
 
 
 @loop_step
-def write_outputs(rows: OutputRows, state: Array, forces: Array, ports: int, value: float, k: int, out: Array) -> None:
-    """Outputs (outputs, n) at sample k, for the input there."""
+def write_outputs(rows: OutputRows, state: Array, forces: Array, ports: int, inputs: Array, k: int, out: Array) -> None:
+    """Outputs (outputs, n) at sample k, for the inputs (exciters, n + 1)."""
     for o in range(out.shape[0]):
-        total = rows.input[o] * value + row_product(rows.state, o, state, state.size)
+        total = rows.inputs[o, 0] * inputs[0, k]
+        for e in range(1, inputs.shape[0]):
+            total += rows.inputs[o, e] * inputs[e, k]
+        total += row_product(rows.state, o, state, state.size)
         out[o, k] = total + row_product(rows.force, o, forces, ports)
 
 
@@ -720,6 +453,7 @@ def integrate_contacts(
     place_tables: tuple[Any, ...],
     output_tables: tuple[Array, Array, Array],
     memory_tables: tuple[Any, ...],
+    exciters: tuple[int, ...],
     substeps: int,
     inputs: Array,
     state: Array,
@@ -733,8 +467,9 @@ def integrate_contacts(
         motion_tables, place_tables, output_tables: `Motion`, `Places` and `OutputRows` of the system as plain tuples,
             which come from Python sooner than named ones.
         memory_tables: likewise the `Memory`, updated; its kinematics are those of active ports.
+        exciters: their numbers, from 0.
         substeps: per sample.
-        inputs: (n + 1,) input at the samples and one beyond; straight between them.
+        inputs: (exciters, n + 1) input at the samples and one beyond; straight between them.
         state: (Z,) working state, updated.
         due: (ports,) the way of the state at which a port at rest is to be looked at, updated.
         way: (1,) of the state so far, m, updated.
@@ -756,11 +491,12 @@ def integrate_contacts(
     count = 0
     earliest = 0.0
     fresh = False
-    for k in range(inputs.size - 1):
-        write_outputs(rows, state, forces, ports, inputs[k], k, outputs)
-        increment = (inputs[k + 1] - inputs[k]) / substeps
+    increments, ends = np.zeros(len(exciters)), np.zeros((len(exciters), 2))
+    for k in range(inputs.shape[1] - 1):
+        write_outputs(rows, state, forces, ports, inputs, k, outputs)
+        for e in range(len(exciters)):
+            increments[e] = (inputs[e, k + 1] - inputs[e, k]) / substeps
         for s in range(substeps):
-            u_start = inputs[k] + s * increment
             position = 0
             level = 0
             goal = 0
@@ -772,9 +508,8 @@ def integrate_contacts(
                     follow_width(motion, now, level, 0 if iterated[level] else count, matrix, row_order)
                 width = ticks >> level
                 span = motion.step * width / ticks
-                u0 = u_start + increment * (position / ticks)
-                u1 = u_start + increment * ((position + width) / ticks)
-                move(motion, now, state, level, u0, u1, end)
+                hold_inputs(exciters, inputs, increments, k, s, position / ticks, (position + width) / ticks, ends)
+                move(motion, now, exciters, state, level, ends, end)
                 if count > 0:
                     solve_active(motion, now, trial, count, level, span, iterated[level])
                 corner = turns_of_active(places, memory, now, trial, count)

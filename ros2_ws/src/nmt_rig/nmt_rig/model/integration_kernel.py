@@ -27,7 +27,7 @@ STIFFNESS = Jenkins.parameter_names().index("tangential_stiffness")
 SLIP_FORCE = Jenkins.parameter_names().index("slip_force")
 # Places in `Memory.counters`.
 SUB_STEPS, CORNERS = 0, 1
-# Rows of `pair`, and of `start_weights`.
+# Rows of `pair`; of `start_weights` with one exciter.
 _XX, _XY, _YX, _YY = 0, 1, 2, 3
 _INPUT_START, _INPUT_END, _FIRST_FORCE = 0, 1, 2
 _NEWTON_STEPS = 25
@@ -47,10 +47,9 @@ class LinearMotion(NamedTuple):
         modal: whether `pair` moves the state on, else `dense` does.
         pair: (K+1, 4, pairs).
         dense: (K+1, Z, Z).
-        start_weights, end_weights: (K+1, 2 + 2 ports, Z), (K+1, 2 ports, Z).
-        port_rows, port_input: (3 own + 4 couplings, Z), (3 own + 4 couplings,).
+        start_weights, end_weights: (K+1, 2 exciters + 2 ports, Z), (K+1, 2 ports, Z).
+        port_rows, port_inputs: (3 own + 4 couplings, Z), (exciters, 3 own + 4 couplings).
         compliance: (K+1, 3 own + 4 couplings, 2 ports).
-        further_weights, further_port_input: (K+1, 2 further, Z), (further, 3 own + 4 couplings) of further exciters.
     """
 
     modal: bool
@@ -59,10 +58,8 @@ class LinearMotion(NamedTuple):
     start_weights: Array
     end_weights: Array
     port_rows: Array
-    port_input: Array
+    port_inputs: Array
     compliance: Array
-    further_weights: Array
-    further_port_input: Array
 
 
 class PortForces(NamedTuple):
@@ -84,11 +81,11 @@ class PortForces(NamedTuple):
 
 
 class OutputRows(NamedTuple):
-    """Outputs C (outputs, Z), D_g (outputs, ports) and D_u (outputs,)."""
+    """Outputs C (outputs, Z), D_g (outputs, ports) and D_u (outputs, exciters)."""
 
     state: Array
     force: Array
-    input: Array
+    inputs: Array
 
 
 class Memory(NamedTuple):
@@ -205,7 +202,7 @@ def port_forces(
 def move_pairs(
     pair: Array, weights: Array, level: int, u0: float, u1: float, forces: Array, state: Array, end: Array
 ) -> None:
-    """`move_free` in modal form with one port; both branches give the same bits.
+    """`move_free` in modal form with one exciter and one port; both branches give the same bits.
 
     A step is compiled by itself before it is copied into the loop, and nothing states there that arrays do not overlap.
     A vectorised loop therefore compares the addresses of what it writes with all that it reads, and runs only where
@@ -244,53 +241,81 @@ def move_pairs(
 
 
 @loop_step
-def move_free(motion: LinearMotion, level: int, u0: float, u1: float, forces: Array, state: Array, end: Array) -> None:
-    """The state (Z,) at the end of a sub-step by all that is known at its start, for the input at its ends.
+def hold_inputs(
+    exciters: tuple[int, ...], inputs: Array, increments: Array, k: int, s: int, start: float, end: float, ends: Array
+) -> None:
+    """Inputs (exciters, 2) at both ends of a sub-step, given as shares of step s from sample k on.
+
+    Args:
+        exciters: their numbers, from 0: a tuple, so that their count is known to the compiler.
+        inputs, increments: (exciters, n + 1), (exciters,) at the samples, and their change in a step.
+        ends: overwritten.
+    """
+    for e in range(len(exciters)):
+        before = inputs[e, k] + s * increments[e]
+        ends[e, 0] = before + increments[e] * start
+        ends[e, 1] = before + increments[e] * end
+
+
+@loop_step
+def move_free(
+    motion: LinearMotion, exciters: tuple[int, ...], level: int, ends: Array, forces: Array, state: Array, end: Array
+) -> None:
+    """The state (Z,) at the end of a sub-step by all that is known at its start, for the inputs at its ends.
 
     Indices are written out in full: a view in this loop would cost more than the arithmetic.
     """
     pair, weights, dense = motion.pair, motion.start_weights, motion.dense
     size = state.size
     pairs = size // 2
-    if motion.modal and forces.size == 2:
-        move_pairs(pair, weights, level, u0, u1, forces, state, end)
+    inputs = 2 * len(exciters)
+    if motion.modal and forces.size == 2 and len(exciters) == 1:
+        move_pairs(pair, weights, level, ends[0, 0], ends[0, 1], forces, state, end)
         return
     if motion.modal:
         for i in range(pairs):
             j = pairs + i
             x = state[i]
             y = state[j]
-            end[i] = (pair[level, _XX, i] * x + pair[level, _XY, i] * y) + (
-                weights[level, _INPUT_START, i] * u0 + weights[level, _INPUT_END, i] * u1
-            )
-            end[j] = (pair[level, _YX, i] * x + pair[level, _YY, i] * y) + (
-                weights[level, _INPUT_START, j] * u0 + weights[level, _INPUT_END, j] * u1
-            )
+            end[i] = pair[level, _XX, i] * x + pair[level, _XY, i] * y
+            end[j] = pair[level, _YX, i] * x + pair[level, _YY, i] * y
+        for e in range(len(exciters)):
+            u0 = ends[e, 0]
+            u1 = ends[e, 1]
+            for i in range(size):
+                end[i] += weights[level, 2 * e, i] * u0 + weights[level, 2 * e + 1, i] * u1
     else:
         for i in range(size):
-            total = weights[level, _INPUT_START, i] * u0 + weights[level, _INPUT_END, i] * u1
+            total = 0.0
+            for e in range(len(exciters)):
+                total += weights[level, 2 * e, i] * ends[e, 0] + weights[level, 2 * e + 1, i] * ends[e, 1]
             for j in range(size):
                 total += dense[level, i, j] * state[j]
             end[i] = total
     for c in range(forces.size):
         value = forces[c]
         for i in range(size):
-            end[i] += weights[level, _FIRST_FORCE + c, i] * value
+            end[i] += weights[level, inputs + c, i] * value
 
 
 @loop_step
-def see_free(motion: LinearMotion, rows: int, lanes: int, u1: float, end: Array, free: Array) -> None:
+def see_free(
+    motion: LinearMotion, exciters: tuple[int, ...], rows: int, lanes: int, ends: Array, end: Array, free: Array
+) -> None:
     """What the ports see (the first `rows`) at the end of a sub-step without the forces there.
 
     Args:
+        exciters: as for `hold_inputs`.
         rows: how many are wanted.
         lanes: so many terms are summed four at a time.
-        u1: input at the end.
+        ends: (exciters, 2) inputs at both ends.
         end, free: as in `SubStep`.
     """
     port_rows = motion.port_rows
     for r in range(rows):
-        total0 = motion.port_input[r] * u1
+        total0 = 0.0
+        for e in range(len(exciters)):
+            total0 += motion.port_inputs[e, r] * ends[e, 1]
         total1 = 0.0
         total2 = 0.0
         total3 = 0.0
@@ -304,32 +329,6 @@ def see_free(motion: LinearMotion, rows: int, lanes: int, u1: float, end: Array,
         for i in range(lanes, end.size):
             total0 += port_rows[r, i] * end[i]
         free[r] = (total0 + total1) + (total2 + total3)
-
-
-@loop_step
-def hold_further(inputs: Array, k: int, start: float, end: float, ends: Array) -> None:
-    """(further, 2) inputs of further exciters at two places between sample k and the next, as shares of the way."""
-    for f in range(ends.shape[0]):
-        change = inputs[f + 1, k + 1] - inputs[f + 1, k]
-        ends[f, 0] = inputs[f + 1, k] + start * change
-        ends[f, 1] = inputs[f + 1, k] + end * change
-
-
-@loop_step
-def move_further(motion: LinearMotion, level: int, ends: Array, end: Array) -> None:
-    """Add to the state at the end of a sub-step what further exciters do; (further, 2) inputs at its ends."""
-    weights = motion.further_weights
-    for f in range(ends.shape[0]):
-        for i in range(end.size):
-            end[i] += weights[level, 2 * f, i] * ends[f, 0] + weights[level, 2 * f + 1, i] * ends[f, 1]
-
-
-@loop_step
-def see_further(motion: LinearMotion, rows: int, ends: Array, free: Array) -> None:
-    """Add the direct share of the inputs of further exciters to what the ports see at the end of a sub-step."""
-    for f in range(ends.shape[0]):
-        for r in range(rows):
-            free[r] += motion.further_port_input[f, r] * ends[f, 1]
 
 
 @loop_step
@@ -544,10 +543,13 @@ def write_outputs(
     rows: OutputRows, inputs: Array, history: Array, force_history: Array, lanes: int, outputs: Array
 ) -> None:
     """Outputs sample by sample in the inner loop: vectorised without changing the order of a sample's sum."""
-    samples = inputs.size - 1
+    samples = inputs.shape[1] - 1
     for o in range(outputs.shape[0]):
         for k in range(samples):
-            outputs[o, k] = rows.input[o] * inputs[k]
+            outputs[o, k] = rows.inputs[o, 0] * inputs[0, k]
+        for e in range(1, inputs.shape[0]):
+            for k in range(samples):
+                outputs[o, k] += rows.inputs[o, e] * inputs[e, k]
         for i in range(0, lanes, 4):
             c0 = rows.state[o, i]
             c1 = rows.state[o, i + 1]
@@ -580,6 +582,7 @@ def integrate(
     force_tables: tuple[Any, ...],
     output_tables: tuple[Array, Array, Array],
     memory_tables: tuple[Any, ...],
+    exciters: tuple[int, ...],
     substeps: int,
     inputs: Array,
     state: Array,
@@ -593,6 +596,7 @@ def integrate(
         motion_tables, force_tables, output_tables: `LinearMotion`, `PortForces` and `OutputRows` of the system as plain
             tuples, which come from Python sooner than named ones.
         memory_tables: likewise the `Memory`, updated.
+        exciters: their numbers, from 0.
         substeps: per sample.
         inputs: (exciters, n + 1) input at the samples and one beyond; straight between them.
         state: (Z,) working state, updated.
@@ -616,28 +620,22 @@ def integrate(
     # Sums are taken four terms at a time, of systems with couplings one at a time.
     lanes = size - size % 4 if couplings == 0 else 0
     good = True
-    ends = np.zeros((inputs.shape[0] - 1, 2))
+    increments, ends = np.zeros(len(exciters)), np.zeros((len(exciters), 2))
     for k in range(inputs.shape[1] - 1):
         for i in range(size):
             history[i, k] = state[i]
         for q in range(ports):
             force_history[q, k] = forces[q]
-        increment = (inputs[0, k + 1] - inputs[0, k]) / substeps
+        for e in range(len(exciters)):
+            increments[e] = (inputs[e, k + 1] - inputs[e, k]) / substeps
         for s in range(substeps):
-            u_start = inputs[0, k] + s * increment
             position = 0
             level = 0
             while position < ticks:
                 width = ticks >> level
-                u0 = u_start + increment * (position / ticks)
-                u1 = u_start + increment * ((position + width) / ticks)
-                move_free(motion, level, u0, u1, forces, state, end)
-                hold_further(
-                    inputs, k, (s + position / ticks) / substeps, (s + (position + width) / ticks) / substeps, ends
-                )
-                move_further(motion, level, ends, end)
-                see_free(motion, rows, lanes, u1, end, free)
-                see_further(motion, rows, ends, free)
+                hold_inputs(exciters, inputs, increments, k, s, position / ticks, (position + width) / ticks, ends)
+                move_free(motion, exciters, level, ends, forces, state, end)
+                see_free(motion, exciters, rows, lanes, ends, end, free)
                 solved = True
                 if ports == 1 and affine:
                     solve_one_port(compliance, level, acting, branch, slider, sub)
@@ -651,5 +649,5 @@ def integrate(
                 accept(motion, acting, memory, level, corner, rows, sub, state)
                 position += width
                 level = widest_level(position, levels)
-    write_outputs(OutputRows(*output_tables), inputs[0], history, force_history, lanes, outputs)
+    write_outputs(OutputRows(*output_tables), inputs, history, force_history, lanes, outputs)
     return good and is_bounded(state)

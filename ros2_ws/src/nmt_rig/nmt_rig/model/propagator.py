@@ -1,8 +1,8 @@
 """Exact propagation of the linear part over a time step, with polynomial holds for input and local forces.
 
 State s = [q with inertia (m), their velocities (m), coil current if any, unknowns of first order];
-ṡ = A s + B_u u + B_g g, where g are the forces of the ports, i.e. the distinct directions of the local elements, and
-behind them of the couplings. Over a step the input is a
+ṡ = A s + B_u u + B_g g, where u are the inputs of the exciters, and g the forces of the ports, i.e. the distinct
+directions of the local elements, and behind them of the couplings. Over a step an input is a
 straight line between samples; a port force is the cubic through its values and slopes at both ends (Hermite),
 so a smooth local force is integrated to fourth order and the linear part without error. Where the
 eigenvectors of A allow it, the state is kept in real modal form: pairs of states that a 2 x 2 block
@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
+from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.couplings import Coupling
+from nmt_rig.model.exciter import OutputRow
 from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.structure import Array
 
@@ -34,7 +35,7 @@ class StateSpace:
 
     Attributes:
         a: (N, N).
-        b_input: (N,).
+        b_inputs: (N, exciters).
         b_ports: (N, ports), those of the couplings last.
         directions: (ports without couplings, n) distinct directions of the local elements.
         elements: elements that are not part of A (springs and dampers that are linear are).
@@ -43,11 +44,10 @@ class StateSpace:
         exciter_ports: (ports,) 1 where the elements are on the side of the exciter, else 0.
         couplings: forces of two arguments.
         observed: (2 couplings, N) what the couplings observe, in turn y₁ and y₂ of each.
-        b_further: (N, inputs) of the exciters besides the first.
     """
 
     a: Array
-    b_input: Array
+    b_inputs: Array
     b_ports: Array
     directions: Array
     elements: tuple[LocalElement, ...]
@@ -56,7 +56,6 @@ class StateSpace:
     exciter_ports: Array
     couplings: tuple[Coupling, ...] = ()
     observed: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    b_further: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def size(self) -> int:
@@ -67,7 +66,7 @@ class StateSpace:
         """Output matrices of y = C s + D_g g + D_u u.
 
         Returns:
-            C (outputs, N), D_g (outputs, ports), D_u (outputs,).
+            C (outputs, N), D_g (outputs, ports), D_u (outputs, exciters).
 
         Raises:
             ValueError: an output asks for the time derivative of the current.
@@ -75,7 +74,7 @@ class StateSpace:
         m = self.mechanical_size
         c = np.zeros((len(rows), self.size))
         d_ports = np.zeros((len(rows), self.b_ports.shape[1]))
-        d_input = np.zeros(len(rows))
+        d_inputs = np.zeros((len(rows), self.b_inputs.shape[1]))
         for i, row in enumerate(rows):
             if np.any(row.acceleration[m:]) or np.any(row.velocity[m:]):
                 raise ValueError("an output cannot contain the time derivative of the current")
@@ -86,19 +85,10 @@ class StateSpace:
             d_ports[i] = row.acceleration[:m] @ self.b_ports[m : 2 * m]
             if row.exciter_elements:
                 d_ports[i] += row.exciter_elements * self.exciter_ports
-            own = row.feedthrough if row.input == 0 else 0.0
-            d_input[i] = row.acceleration[:m] @ self.b_input[m : 2 * m] + own
-        return c, d_ports, d_input
-
-    def further_output(self, rows: Sequence[OutputRow]) -> Array:
-        """D (outputs, inputs) of the inputs of the exciters besides the first."""
-        m = self.mechanical_size
-        result = np.zeros((len(rows), self.b_further.shape[1]))
-        for i, row in enumerate(rows):
-            for j in range(result.shape[1]):
-                own = row.feedthrough if row.input == j + 1 else 0.0
-                result[i, j] = row.acceleration[:m] @ self.b_further[m : 2 * m, j] + own
-        return result
+            for j, b_input in enumerate(self.b_inputs.T):
+                direct = row.feedthrough if row.input == j else 0.0
+                d_inputs[i, j] = row.acceleration[:m] @ b_input[m : 2 * m] + direct
+        return c, d_ports, d_inputs
 
 
 def state_space(system: ElectromechanicalSystem) -> StateSpace:
@@ -131,13 +121,14 @@ def state_space(system: ElectromechanicalSystem) -> StateSpace:
     m = system.mechanical_size
     size = 2 * m + (system.size - m)
     a = np.zeros((size, size))
-    b_input = np.zeros(size)
+    b_inputs = np.zeros((size, len(system.exciters)))
     b_ports = np.zeros((size, len(directions)))
     inverse_mass = np.linalg.inv(system.mass[:m, :m])
     a[:m, m : 2 * m] = np.eye(m)
     a[m : 2 * m, :m] = -inverse_mass @ stiffness[:m, :m]
     a[m : 2 * m, m : 2 * m] = -inverse_mass @ damping[:m, :m]
-    b_input[m : 2 * m] = inverse_mass @ system.input_vector[:m]
+    for j, exciter in enumerate(system.exciters):
+        b_inputs[m : 2 * m, j] = inverse_mass @ exciter.input_vector[:m]
     b_ports[m : 2 * m] = -inverse_mass @ port_matrix[:, :m].T
     if size > 2 * m:
         a[m : 2 * m, 2 * m :] = -inverse_mass @ stiffness[:m, m:]
@@ -145,24 +136,12 @@ def state_space(system: ElectromechanicalSystem) -> StateSpace:
         a[2 * m :, :m] = -inverse_inductance @ stiffness[m:, :m]
         a[2 * m :, m : 2 * m] = -inverse_inductance @ damping[m:, :m]
         a[2 * m :, 2 * m :] = -inverse_inductance @ stiffness[m:, m:]
-        b_input[2 * m :] = inverse_inductance @ system.input_vector[m:]
+        for j, exciter in enumerate(system.exciters):
+            b_inputs[2 * m :, j] = inverse_inductance @ exciter.input_vector[m:]
     space = StateSpace(
-        a, b_input, b_ports, port_matrix, tuple(rest), np.array(ports, dtype=np.int64), m, np.array(exciter_ports)
+        a, b_inputs, b_ports, port_matrix, tuple(rest), np.array(ports, dtype=np.int64), m, np.array(exciter_ports)
     )
-    if system.further:
-        space = replace(space, b_further=_further_inputs(system, inverse_mass, size))
     return _with_couplings(space, system, inverse_mass) if system.couplings else space
-
-
-def _further_inputs(system: ElectromechanicalSystem, inverse_mass: NDArray[Any], size: int) -> Array:
-    """(N, inputs) columns of the inputs of the exciters besides the first."""
-    m = system.mechanical_size
-    columns = np.array([exciter.input_vector for exciter in system.further]).T
-    result = np.zeros((size, columns.shape[1]))
-    result[m : 2 * m] = inverse_mass @ columns[:m]
-    if size > 2 * m:
-        result[2 * m :] = np.linalg.inv(system.damping[m:, m:]) @ columns[m:]
-    return result
 
 
 def _with_couplings(space: StateSpace, system: ElectromechanicalSystem, inverse_mass: NDArray[Any]) -> StateSpace:
@@ -198,12 +177,12 @@ class Propagator:
         modal: z is in pairs (x_i, y_i), stored as all x then all y.
         pair: (K+1, 4, pairs) blocks [[xx, xy], [yx, yy]] of each pair; empty unless modal.
         dense: (K+1, Z, Z) transition matrices; empty if modal.
-        start_weights: (K+1, 2 + 2 ports, Z) weights of what is known before the step: input at both ends,
-            port forces (N) at its start, their slopes (N/s) at its start.
+        start_weights: (K+1, 2 exciters + 2 ports, Z) weights of what is known before the step: each input at its start
+            and at its end, port forces (N) at its start, their slopes (N/s) at its start.
         end_weights: (K+1, 2 ports, Z) weights of port forces, then their slopes, at the step's end.
         port_rows: (3 ports, Z) displacement, velocity, acceleration of the ports of local elements, grouped by kind;
             behind them, where there are couplings, what these observe and its rate (4 rows a coupling).
-        port_input: (3 ports,) direct share of the input in them.
+        port_inputs: (exciters, 3 ports) direct share of each input in them.
         port_feedthrough: (3 ports, ports) direct share of the port forces in them.
         compliance: (K+1, 3 ports, 2 ports) share of port forces and slopes at the step's end in them.
         from_working: (N, Z).
@@ -211,9 +190,6 @@ class Propagator:
         projection: (ports, Z) of port forces on the rates of the working coordinates; empty unless modal.
         holds: (K+1, 4, 4, pairs) blocks [xx, xy, yx, yy] that take such projected forces, their slopes at the start,
             forces and slopes at the end of a step to the working coordinates; empty unless modal.
-        further_weights: (K+1, 2 inputs, Z) weights of the inputs of exciters besides the first, in turn at the start
-            and at the end of a step.
-        further_port_input: (inputs, 3 ports) direct share of these inputs in ``port_rows``.
     """
 
     modal: bool
@@ -222,15 +198,13 @@ class Propagator:
     start_weights: Array
     end_weights: Array
     port_rows: Array
-    port_input: Array
+    port_inputs: Array
     port_feedthrough: Array
     compliance: Array
     from_working: Array
     to_working: Array
     projection: Array
     holds: Array
-    further_weights: Array
-    further_port_input: Array
 
 
 def phi_functions(z: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
@@ -278,8 +252,9 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
     if not step > 0:
         raise ValueError(f"the time step must be positive, got {step}")
     ports = space.b_ports.shape[1]
-    further = space.b_further.shape[1]
-    inputs = np.column_stack([space.b_input, space.b_ports, *space.b_further.T])
+    exciters = space.b_inputs.shape[1]
+    of_ports = slice(exciters, exciters + ports)
+    inputs = np.column_stack([space.b_inputs, space.b_ports])
     values, vectors = np.linalg.eig(space.a)
     scale = np.linalg.norm(vectors, axis=1)
     scale[scale == 0.0] = 1.0
@@ -305,7 +280,7 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
         pair = np.zeros((levels + 1, 4, pairs))
         dense = np.zeros((0, size, size))
         left_inputs = left @ inputs
-        left_ports = left_inputs[:, 1 : 1 + ports]
+        left_ports = left_inputs[:, of_ports]
         projection = np.zeros((ports, size))
         projection[:, :u], projection[:, pairs : pairs + u] = left_ports[upper].real.T, left_ports[upper].imag.T
         projection[:, u : u + f] = left_ports[first].real.T
@@ -318,7 +293,7 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
         dense = np.zeros((levels + 1, size, size))
         projection, holds = np.zeros((0, 0)), np.zeros((0, 4, 4, 0))
 
-    weights = [np.zeros((levels + 1, size, 1 + ports + further)) for _ in range(6)]
+    weights = [np.zeros((levels + 1, size, exciters + ports)) for _ in range(6)]
     if modal:
         steps = step / 2.0 ** np.arange(levels + 1)
         with np.errstate(over="ignore", invalid="ignore"):  # what grows without bound is refused when it moves
@@ -363,33 +338,33 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
     rows[2 * own : seen] = port_map @ space.a[m : 2 * m]
     feedthrough = np.zeros((total, ports))
     feedthrough[2 * own : seen] = port_map @ space.b_ports[m : 2 * m]
-    port_input = np.zeros(total)
-    port_input[2 * own : seen] = port_map @ space.b_input[m : 2 * m]
+    port_inputs = np.zeros((exciters, total))
+    for j, b_input in enumerate(space.b_inputs.T):
+        port_inputs[j, 2 * own : seen] = port_map @ b_input[m : 2 * m]
     if space.couplings:
         rates = seen + space.observed.shape[0]
         rows[seen:rates] = space.observed
         rows[rates:] = space.observed @ space.a
         feedthrough[rates:] = space.observed @ space.b_ports
-        port_input[rates:] = space.observed @ space.b_input
+        for j, b_input in enumerate(space.b_inputs.T):
+            port_inputs[j, rates:] = space.observed @ b_input
     port_rows = rows @ from_working
     compliance = np.zeros((levels + 1, total, 2 * ports))
     for level in range(levels + 1):
-        compliance[level, :, :ports] = port_rows @ weights[4][level][:, 1 : 1 + ports] + feedthrough
-        compliance[level, :, ports:] = port_rows @ weights[5][level][:, 1 : 1 + ports]
+        compliance[level, :, :ports] = port_rows @ weights[4][level][:, of_ports] + feedthrough
+        compliance[level, :, ports:] = port_rows @ weights[5][level][:, of_ports]
 
-    of_ports = slice(1, 1 + ports)
+    # In turn those of the start and of the end for each input.
+    of_inputs = np.stack([weights[0][:, :, :exciters], weights[1][:, :, :exciters]], axis=3)
     start_weights = np.concatenate(
-        [weights[0][:, :, :1], weights[1][:, :, :1], weights[2][:, :, of_ports], weights[3][:, :, of_ports]], axis=2
+        [
+            of_inputs.reshape(levels + 1, size, 2 * exciters),
+            weights[2][:, :, of_ports],
+            weights[3][:, :, of_ports],
+        ],
+        axis=2,
     )
     end_weights = np.concatenate([weights[4][:, :, of_ports], weights[5][:, :, of_ports]], axis=2)
-    # In turn those of the start and of the end for each further input.
-    further_weights = np.stack([weights[0][:, :, 1 + ports :], weights[1][:, :, 1 + ports :]], axis=3)
-    further_weights = further_weights.reshape(levels + 1, size, 2 * further)
-    further_port_input = np.zeros((further, total))
-    for j in range(further):
-        further_port_input[j, 2 * own : seen] = port_map @ space.b_further[m : 2 * m, j]
-        if space.couplings:
-            further_port_input[j, rates:] = space.observed @ space.b_further[:, j]
     return Propagator(
         modal=bool(modal),
         pair=pair,
@@ -397,13 +372,11 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
         start_weights=np.ascontiguousarray(start_weights.transpose(0, 2, 1)),
         end_weights=np.ascontiguousarray(end_weights.transpose(0, 2, 1)),
         port_rows=np.ascontiguousarray(port_rows),
-        port_input=port_input,
+        port_inputs=port_inputs,
         port_feedthrough=feedthrough,
         compliance=compliance,
         from_working=from_working,
         to_working=to_working,
         projection=projection,
         holds=holds,
-        further_weights=np.ascontiguousarray(further_weights.transpose(0, 2, 1)),
-        further_port_input=further_port_input,
     )

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nmt_rig.model.exciter import OutputRow
 from nmt_rig.model.structure import Array, Structure
 
 if TYPE_CHECKING:
-    from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
+    from nmt_rig.model.assembly import ElectromechanicalSystem
 
 
 @dataclass(frozen=True)
@@ -70,17 +71,8 @@ class BaseMotion:
 
     def moved(self, place: Array, size: int) -> BaseMotion:
         """The same among `size` unknowns, old unknown i being the new one place[i]."""
-
-        def row(vector: Array) -> Array:
-            result = np.zeros(size)
-            result[place] = vector
-            return result
-
-        old = self.acceleration
-        acceleration = replace(
-            old, acceleration=row(old.acceleration), velocity=row(old.velocity), displacement=row(old.displacement)
-        )
-        return replace(self, acceleration=acceleration, index=None if self.index is None else int(place[self.index]))
+        index = None if self.index is None else int(place[self.index])
+        return replace(self, acceleration=self.acceleration.moved(place, size), index=index)
 
 
 def effective_mass(structure: Structure, shape: Array, drive_point: int) -> float:
@@ -118,8 +110,6 @@ def on_table(structure: Structure, system: ElectromechanicalSystem, table: Shaki
     Raises:
         ValueError: the structure has no base load.
     """
-    from nmt_rig.model.assembly import OutputRow
-
     load = structure.base_load
     if load is None:
         raise ValueError("the structure does not say how its base excites it")
@@ -165,10 +155,11 @@ def on_table(structure: Structure, system: ElectromechanicalSystem, table: Shaki
         mass=mass,
         damping=damping,
         stiffness=stiffness,
-        input_vector=inputs,
+        exciters=(
+            replace(system.exciters[0], input_vector=inputs, force=none.plus(acceleration, -table.effective_mass)),
+        ),
         elements=tuple(element.along(extended(element.direction)) for element in system.elements),
         shapes={point: extended(row) for point, row in system.shapes.items()},
-        force=none.plus(acceleration, -table.effective_mass),
         first_order=int(filtered is not None),
         base=BaseMotion(acceleration, position, weights if table.absolute else {}),
     )
@@ -184,9 +175,13 @@ def driven_by_force(system: ElectromechanicalSystem) -> ElectromechanicalSystem:
         raise ValueError("only a system on an ideal shaking table can be driven by its equivalent force")
     per_force = 1.0 / system.force.feedthrough
     acceleration = system.base.acceleration
-    return replace(
-        system,
+    exciter = replace(
+        system.exciters[0],
         input_vector=system.input_vector * per_force,
         force=replace(system.force, feedthrough=1.0),
+    )
+    return replace(
+        system,
+        exciters=(exciter,),
         base=replace(system.base, acceleration=replace(acceleration, feedthrough=acceleration.feedthrough * per_force)),
     )

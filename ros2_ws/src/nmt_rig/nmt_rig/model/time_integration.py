@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from nmt_rig.model.assembly import ElectromechanicalSystem, OutputRow
-from nmt_rig.model.contact_kernel import Motion, Places, integrate_contacts
+from nmt_rig.model.active_ports import Motion, Places
+from nmt_rig.model.assembly import ElectromechanicalSystem
+from nmt_rig.model.contact_kernel import integrate_contacts
 from nmt_rig.model.couplings import COUPLING_PARAMETERS
+from nmt_rig.model.exciter import OutputRow
 from nmt_rig.model.integration_kernel import (
     CORNERS,
     SUB_STEPS,
@@ -91,8 +93,7 @@ class TimeIntegrator:
         # Springs that stick are part of the linear motion, unless they are on the exciter's side, which outputs know.
         self._at_many_places = False
         ports = space.directions.shape[0]
-        # The loop for many places knows one input only.
-        if self._affine and not self._dense and ports > 1 and not system.further:
+        if self._affine and not self._dense and ports > 1:
             absorbed = [
                 element.linear_stiffness if isinstance(element, Jenkins) and not space.exciter_ports[port] else 0.0
                 for element, port in zip(space.elements, space.element_port, strict=True)
@@ -115,9 +116,8 @@ class TimeIntegrator:
         self._port_start = np.searchsorted(self._space.element_port[order], np.arange(ports + 1)).astype(np.int64)
         rows = np.abs(self._propagator.port_rows[:ports])
         self._reach = rows.max(axis=0) if ports else np.zeros(rows.shape[1])
-        c, self._d_ports, self._d_input = self._space.output(self._outputs)
+        c, self._d_ports, self._d_inputs = self._space.output(self._outputs)
         self._c = np.ascontiguousarray(c @ self._propagator.from_working)
-        self._d_further = self._space.further_output(self._outputs)
         for tables in ("_contact_tables", "_tables"):
             self.__dict__.pop(tables, None)
 
@@ -133,10 +133,9 @@ class TimeIntegrator:
         """`LinearMotion`, `PortForces` and `OutputRows` of the matrices and elements taken last, as plain tuples."""
         p = self._propagator
         motion = LinearMotion(
-            p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_input, p.compliance,
-            p.further_weights, p.further_port_input,
+            p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_inputs, p.compliance,
         )  # fmt: skip
-        return tuple(motion), tuple(self._acting), (self._c, self._d_ports, self._d_input)
+        return tuple(motion), tuple(self._acting), (self._c, self._d_ports, self._d_inputs)
 
     @cached_property
     def _contact_tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[Array, Array, Array]]:
@@ -149,7 +148,7 @@ class TimeIntegrator:
         places = Places(
             self._kinds, self._parameters, self._absorbed, space.element_port, self._port_start, self._port_elements
         )
-        return tuple(motion), tuple(places), (self._c, self._d_ports, self._d_input)
+        return tuple(motion), tuple(places), (self._c, self._d_ports, self._d_inputs)
 
     def _force_gains(self, step: float) -> Array:
         """(K + 1,) largest share of a change of the ports' forces that it causes again by the end of a step."""
@@ -253,13 +252,12 @@ class TimeIntegrator:
             forces[ports + q] += k * kinematics[ports + q]
         self._due[:] = 0.0
 
-    def advance(self, inputs: Array, further: Array | None = None) -> Array:
+    def advance(self, inputs: Array) -> Array:
         """Integrate over one block.
 
         Args:
-            inputs: (n + 1,) input at the n samples of the block and at the first of the next, straight
-                between.
-            further: (exciters - 1, n + 1) inputs of the exciters besides the first; None = zero.
+            inputs: (exciters, n + 1) input of each exciter at the n samples of the block and at the first of the next,
+                straight between; of one exciter (n + 1,) will do.
 
         Returns:
             (outputs, n) outputs at the n samples; the state moves on to the next block's first sample.
@@ -269,12 +267,14 @@ class TimeIntegrator:
             ValueError: inputs of a wrong shape or not finite.
         """
         inputs = np.ascontiguousarray(inputs, dtype=np.float64)
-        if inputs.ndim != 1 or inputs.size < 1:
-            raise ValueError("inputs must be one-dimensional with at least one value")
+        if inputs.ndim == 1:
+            inputs = inputs[None, :]
+        exciters = tuple(range(len(self.system.exciters)))
+        if inputs.ndim != 2 or inputs.shape[0] != len(exciters) or inputs.size < 1:
+            raise ValueError(f"inputs must be of shape ({len(exciters)}, 1 or more), got {inputs.shape}")
         if not np.isfinite(inputs).all():
             raise ValueError("inputs must be finite")
-        n = inputs.size - 1
-        every = self._with_further(inputs, further)
+        n = inputs.shape[1] - 1
         p = self._propagator
         if self._history.shape[1] < n:
             # Rows an odd number of cache lines apart: at a power of two a sample's values share one place of the cache.
@@ -286,6 +286,7 @@ class TimeIntegrator:
             good = integrate_contacts(
                 *self._contact_tables,
                 tuple(self._memory),
+                exciters,
                 self.substeps,
                 inputs,
                 self._state,
@@ -298,8 +299,9 @@ class TimeIntegrator:
             good = integrate(
                 *self._tables,
                 tuple(self._memory),
+                exciters,
                 self.substeps,
-                every,
+                inputs,
                 self._state,
                 self._history,
                 self._force_history,
@@ -307,20 +309,7 @@ class TimeIntegrator:
             )
         except ZeroDivisionError:  # a force without bound has no slope
             good = False
-        for f in range(1, len(every)):
-            result += self._d_further[:, f - 1, None] * every[f, :n]
         return self._moved(n, good, result)
-
-    def _with_further(self, inputs: Array, further: Array | None) -> Array:
-        """(exciters, n + 1) inputs of all exciters; without further ones a view, which takes no time of a block."""
-        others = len(self.system.further)
-        if others == 0 and (further is None or len(further) == 0):
-            return inputs[None, :]
-        shape = (others, inputs.size)
-        more = np.zeros(shape) if further is None else np.ascontiguousarray(further, dtype=np.float64)
-        if more.shape != shape or not np.isfinite(more).all():
-            raise ValueError(f"further inputs must be finite and of shape {shape}, got {more.shape}")
-        return np.concatenate([inputs[None, :], more])
 
     def _moved(self, samples: int, good: bool, result: Array) -> Array:
         """Count the samples of a block; refuse one whose end is not finite."""

@@ -355,7 +355,7 @@
     if (!t || t.length < 2) { return; }
     plot("plot-loop", () => ({
       scales: { x: { time: false }, y: { range: (chart, a, b) => padded(a, b) }, z: { range: (chart, a, b) => { const top = Math.min(180, Math.max(2, Math.abs(a || 0), Math.abs(b || 0))); return [-top, top]; } } },
-      axes: [axis("bench time / s", { values: ticks }), axis("frequency / Hz", { values: ticks, stroke: colour("blue") }), axis("phase error / °", { scale: "z", side: 1, grid: { show: false }, values: ticks, stroke: colour("orange") })],
+      axes: [axis("bench time / s", { values: ticks }), axis("excitation frequency / Hz", { values: ticks, stroke: colour("blue") }), axis("phase error / °", { scale: "z", side: 1, grid: { show: false }, values: ticks, stroke: colour("orange") })],
       series: [{}, line("frequency", 0), line("phase error", 1, { scale: "z", dash: [], width: 1 })],
     }), [Array.from(t), values(slow.track_frequency), values(slow.track_phase)]);
   }
@@ -446,7 +446,9 @@
     if (live.phase !== shownPhase) { shownPhase = live.phase; controls(); }
     const [words, kind] = PHASES[live.phase] || PHASES.unknown;
     const failed = live.phase === "done" && facts && facts.result && facts.result !== "SUCCEEDED";
-    pill("phase", failed ? "ended: " + facts.result.toLowerCase().replace("_", " ") : words, failed ? "bad" : kind);
+    const [verdict, tone] = live.phase === "done" && facts && facts.verdict || ["", ""];
+    if (failed) { pill("phase", "ended: " + facts.result.toLowerCase().replace("_", " "), "bad"); }
+    else { pill("phase", verdict ? words + ": " + verdict : words, { partly: "warn", bad: "bad" }[tone] || kind); }
     pill("loop", live.loop_text, LOOPS[live.loop] || "");
     text("level", live.level); text("frequency", live.frequency); text("phase-error", live.phase_error);
     text("force", live.force); text("response", live.response); text("left", live.left); text("bench-time", live.bench_time);

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.excitation import Excitation
+from nmt_core.kinds import GOAL_FIELDS, KINDS, goal_fields, kind_class, kind_of_goal
 from nmt_core.vocabulary import TestKind
 
 RANDOM = {"test": TestKind.RANDOM, "band_low_hz": 10.0, "band_high_hz": 2000.0, "duration": 20.0}
@@ -24,9 +24,10 @@ SWEEP = {"test": TestKind.SWEEP, "rate_hz_s": -0.2, "frequency_end_hz": 350.0}
     ],
 )
 def test_what_a_bench_can_do_passes_and_goes_through_messages(fields, frequencies):
-    excitation = Excitation(**fields)
-    excitation.check(frequencies, 2, 1, 10_000.0)
-    assert Excitation.from_goal(excitation.values) == excitation
+    kind = kind_of_goal({"test": TestKind.PHASE_RESONANCE, **fields})
+    kind.check(frequencies, 2, 1, 10_000.0)
+    assert kind_of_goal(goal_fields(kind)) == kind
+    assert set(goal_fields(kind)) == {*GOAL_FIELDS, "test"}
 
 
 @pytest.mark.parametrize(
@@ -50,15 +51,42 @@ def test_what_a_bench_can_do_passes_and_goes_through_messages(fields, frequencie
         ({"test": TestKind.STEPPED_SINE}, (21.0, math.nan), 1, "frequency of nan Hz"),
         ({"test": TestKind.RING_DOWN}, (), 1, "ring down test needs a duration"),
         ({"test": TestKind.SELF_EXCITED, "duration": 5.0}, (), 1, "levels of the response"),
-        ({"test": TestKind.SELF_EXCITED}, (), 2, "self excited test needs a duration"),
-        ({"test": TestKind.UNKNOWN}, (), 1, "does no unknown test"),
+        ({"test": TestKind.SELF_EXCITED, "duration": 0.0}, (), 2, "self excited test needs a duration"),
+        ({"test": TestKind.RECORD}, (), 1, "does no record test"),
         ({"duration": 3.0}, (), 1, "phase resonance test has no duration"),
         ({**SWEEP, "band_low_hz": 10.0}, (390.0, 390.0), 1, "sweep test has no band_low_hz"),
     ],
 )
 def test_what_it_cannot_do_is_refused_in_a_sentence(fields, frequencies, control, sentence):
     with pytest.raises(BenchError, match=sentence):
-        Excitation(**fields).check(frequencies, 2, control, 10_000.0)
+        kind_of_goal({"test": TestKind.PHASE_RESONANCE, **fields}).check(frequencies, 2, control, 10_000.0)
+
+
+def test_every_number_has_a_class_and_an_old_recording_is_phase_resonance():
+    assert set(KINDS) == {kind for kind in TestKind if kind}
+    assert kind_class(TestKind.UNKNOWN) is KINDS[TestKind.PHASE_RESONANCE]
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "sentence"),
+    [
+        ("phase_resonance", {"harmonics_control": 1}, "from 2 to 50, 0 for none or auto, got 1"),
+        ("phase_resonance", {"harmonics_control": "many"}, "is no number"),
+        ("phase_resonance", {"method": "envelope"}, "A phase resonance test has no method"),
+        ("self_excited", {"refinement": 0.001}, "A self excited test has no refinement"),
+        ("secondary_resonance", {}, "needs the resonance, 3:1 or 1:3"),
+        ("random", {"band_hz": (1.0,)}, "lower and an upper edge, got 1"),
+    ],
+)
+def test_settings_of_another_kind_and_words_nobody_knows_are_refused(name, given, sentence):
+    with pytest.raises(BenchError, match=sentence):
+        KINDS[TestKind.named(name)].spelled(**given)
+
+
+def test_a_subharmonic_needs_its_release_before_the_run():
+    kind = KINDS[TestKind.SECONDARY_RESONANCE].spelled(resonance="1:3")
+    with pytest.raises(BenchError, match="give --release"):
+        kind.check((), 1, 3, 10_000.0)
 
 
 def test_kinds_by_number_and_name():

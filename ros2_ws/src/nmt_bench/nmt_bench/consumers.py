@@ -1,0 +1,24 @@
+"""Who takes tests and their recordings, and what each says of a test before anything starts or is read."""
+
+from __future__ import annotations
+
+import importlib
+
+from nmt_core.messages.driven_test import Covers, DrivenTest
+
+CONSUMERS: dict[str, str] = {
+    "run": "nmt_session.coverage",
+}
+"""Module with the function ``covers`` of each consumer; the first says what can be done at all."""
+
+
+def covers_of(consumer: str) -> Covers:
+    """What a consumer says of a test: empty = it takes it, else one sentence why not."""
+    found: Covers = importlib.import_module(CONSUMERS[consumer]).covers
+    return found
+
+
+def refusals(test: DrivenTest) -> dict[str, str]:
+    """Sentence of each consumer that does not take a test."""
+    found = {name: covers_of(name)(test) for name in CONSUMERS}
+    return {name: sentence for name, sentence in found.items() if sentence}

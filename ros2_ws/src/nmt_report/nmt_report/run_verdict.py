@@ -1,0 +1,47 @@
+"""What a run gave, as one sentence and its tone: the same words on the console, in the report and on the live page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from nmt_core.vocabulary import PointStatus
+
+if TYPE_CHECKING:
+    from nmt_core.messages.modal_point import ModalPoint
+
+GOOD, PARTLY, BAD = "good", "partly", "bad"
+
+
+class RunVerdict(NamedTuple):
+    """What a run gave.
+
+    Attributes:
+        sentence: without a full stop.
+        tone: ``good`` = every level is in the table; ``partly`` = some are missing, or belong to another mode;
+            ``bad`` = none is there.
+    """
+
+    sentence: str
+    tone: str
+
+
+def run_verdict(points: Sequence[ModalPoint], planned: int = 0) -> RunVerdict:
+    """The verdict on a run.
+
+    Args:
+        points: one a level, also of levels without values.
+        planned: levels of the plan; 0 = as many as there are points.
+    """
+    total = max(len(points), planned)
+    good = sum(point.status is PointStatus.OK for point in points)
+    not_locked = sum(point.status is PointStatus.NOT_LOCKED for point in points)
+    counts = {
+        "not locked": not_locked,
+        "rejected": len(points) - good - not_locked,
+        "not reached": total - len(points),
+    }
+    parts = [f"{good} of {total} levels locked and extracted"]
+    parts += [f"{count} {words}" for words, count in counts.items() if count]
+    tone = BAD if not good else GOOD if len(parts) == 1 else PARTLY
+    return RunVerdict("; ".join(parts), tone)

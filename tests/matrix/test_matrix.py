@@ -1,0 +1,220 @@
+"""Every kind of test, with every exciter and drive, meets every consumer: right on its own model, or refused by name.
+
+The lists are the registries themselves: a kind, an exciter or a consumer without a case fails. What a model records of
+itself has no gap, offline is live, and an import of an export is the recording.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matrix.small_rigs import EXCITERS, rig_text
+
+import nmt
+from nmt_bench.consumers import CONSUMERS, covers_of
+from nmt_bench.data_import import import_data
+from nmt_bench.page.live_view import LiveView
+from nmt_bench.page.message_records import WATCHED_TOPICS, RecordReader
+from nmt_core.errors import BenchError
+from nmt_core.kinds import KINDS
+from nmt_core.vocabulary import ControlKind, PointStatus, TestKind
+from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.prediction.forward import Forward
+from nmt_extract.modal_table import write_results
+from nmt_extract.offline import extract_bag
+from nmt_record.bag.bag_reader import Bag
+from nmt_record.exchange.exported_run import export_run
+from nmt_record.windows.recorded_tests import recorded_tests
+from nmt_record.windows.segments import read_signals, segments
+from nmt_report.figure_files import report_figures
+from nmt_report.run_data_from_bag import report_data_from_bag
+from nmt_report.run_report import write_report
+from nmt_rig.rig import Rig, load_rig
+from nmt_session import RunResult, Session, TestPlan, plan_test
+
+SETTINGS: dict[TestKind, dict[str, Any]] = {
+    TestKind.PHASE_RESONANCE: {},
+    TestKind.RANDOM: {"levels": [0.15, 0.3], "band_hz": (5.0, 60.0), "duration": 8.0},
+    TestKind.SWEEP: {"levels": [0.5], "frequencies_hz": (18.0,), "frequency_end_hz": 23.0, "rate_hz_s": 1.0},
+    TestKind.STEPPED_SINE: {"levels": [0.5], "frequencies_hz": (19.0, 20.0, 21.0), "control": "force"},
+    TestKind.RING_DOWN: {"duration": 2.0},
+    TestKind.SELF_EXCITED: {},
+    TestKind.SECONDARY_RESONANCE: {"levels": [40.0], "resonance": "3:1", "control": "force"},
+}
+FIRST_TIER = ("electrodynamic_shaker", "2 force")
+"""Exciters whose row protects a change; the others are campaigns."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A test that a model did of itself."""
+
+    folder: Path
+    rig: Rig
+    plan: TestPlan
+    result: RunResult
+
+    @property
+    def bag(self) -> Path:
+        assert self.result.bag is not None
+        return self.result.bag
+
+    @property
+    def kind(self) -> type:
+        return type(self.plan.kind)
+
+
+def rows() -> Iterator[Any]:
+    """Kind, exciters, controlled harmonics."""
+    for kind in KINDS:
+        if kind is TestKind.RECORD:  # no test of the bench
+            continue
+        for exciters in EXCITERS:
+            controls = (False, True) if "harmonics_control" in KINDS[kind].FROM_RIG else (False,)
+            for controlled in controls:
+                marks = () if exciters in FIRST_TIER else (pytest.mark.campaign,)
+                name = f"{kind.label}, {exciters}{', controlled harmonics' if controlled else ''}"
+                yield pytest.param(kind, exciters, controlled, id=name, marks=marks)
+
+
+def driven(kind: TestKind, exciters: str, controlled: bool) -> DrivenTest:
+    settings = SETTINGS[kind]
+    return DrivenTest(
+        kind=kind,
+        exciters=tuple(section["kind"] for section in EXCITERS[exciters]),
+        control=ControlKind.named(settings.get("control", KINDS[kind].CONTROL.label)),
+        controlled_harmonics=5 if controlled else 0,
+        resonance=settings.get("resonance", ""),
+    )
+
+
+def record(folder: Path, kind: TestKind, exciters: str, controlled: bool) -> Recording:
+    file = folder / "small.yaml"
+    file.write_text(rig_text(exciters, kind), encoding="utf-8")
+    settings = {**SETTINGS[kind], **({"harmonics_control": 5} if controlled else {})}
+    plan = plan_test(file, settings.pop("levels", None), test=kind.label, **settings)
+    out = folder / "run"
+    with Session(plan, out) as session:
+        result = session.run()
+    if result.points:
+        write_results(result.points, out)
+    return Recording(out, load_rig(file), plan, result)
+
+
+# -- what each consumer does with a recording --------------------------------------------------------------------------
+
+
+def extracts(recording: Recording, _: Path) -> None:
+    again = extract_bag(recording.bag)
+    live = recording.result.points
+    assert len(again.points) == len(live) > 0
+    assert all(one.identical(other) for one, other in zip(again.points, live, strict=True))
+
+
+def judges(recording: Recording, _: Path) -> None:
+    assert all(point.status is PointStatus.OK for point in recording.result.points), recording.result.points
+    assert not any(segment.fault for segment in segments(Bag.open(recording.bag)))
+
+
+def diagnoses(recording: Recording, _: Path) -> None:
+    observations = read_observations([recording.bag], recording.rig)
+    forward = Forward(observations.tests, observations.rows)
+    z = forward.difference(observations.values, forward.predict(recording.rig).values) / observations.sigma
+    assert z.size > 2
+    assert np.sqrt(np.mean(z**2)) < 1.5, np.abs(z).max()
+
+
+def exports_and_imports(recording: Recording, folder: Path) -> None:
+    out = folder / "exported"
+    out.mkdir()
+    export_run(recording.folder, out, "npz")
+    import_data(out / "sidecar.yaml", folder / "imported")
+    before, after = Bag.open(recording.bag), Bag.open(folder / "imported")
+    pairs = list(zip(segments(before), segments(after), strict=True))
+    assert pairs
+    for one, other in pairs:
+        assert (one.kind, one.samples) == (other.kind, other.samples)
+        first, second = (read_signals(bag, s.first_sample, s.samples) for bag, s in ((before, one), (after, other)))
+        for name, values in first.channels.items():
+            assert np.array_equal(values, second.channels[name]), name
+    if recording.result.points:
+        again = extract_bag(folder / "imported").points
+        assert [p.damping_ratio for p in again] == [p.damping_ratio for p in recording.result.points]
+
+
+def opens(recording: Recording, _: Path) -> None:
+    assert nmt.open(recording.folder).to_dataframe().shape[0] == len(recording.result.points)
+
+
+def reports(recording: Recording, folder: Path) -> None:
+    path = write_report(report_data_from_bag(recording.bag, list(recording.result.points)), folder / "report.html")
+    assert "nan" not in path.read_text(encoding="utf-8").partition("<body")[2].lower().replace("nanometre", "")[:2000]
+
+
+def draws(recording: Recording, folder: Path) -> None:
+    path = write_report(report_data_from_bag(recording.bag, list(recording.result.points)), folder / "drawn.html")
+    assert report_figures(path)
+
+
+def shows(recording: Recording, _: Path) -> None:
+    bag = Bag.open(recording.bag)
+    view, reader = LiveView(), RecordReader()
+    view.begin(bag.run_start or {}, {})
+    for topic, _, _, raw in bag.raw_messages(WATCHED_TOPICS):
+        taken = reader.read(topic, raw)
+        if taken is not None:
+            view.take(taken)
+    assert view.facts()
+
+
+TRIALS: dict[str, Callable[[Recording, Path], None]] = {
+    "judgement": judges,
+    "extract": extracts,
+    "diagnosis": diagnoses,
+    "export": exports_and_imports,
+    "nmt.open": opens,
+    "report": reports,
+    "figures": draws,
+    "page": shows,
+}
+
+
+def test_every_consumer_has_a_trial_and_every_kind_its_settings() -> None:
+    assert {"run", *TRIALS} == set(CONSUMERS)
+    assert set(SETTINGS) == set(KINDS) - {TestKind.RECORD}
+
+
+@pytest.mark.parametrize(("kind", "exciters", "controlled"), rows())
+def test_a_recording_of_itself_is_right_or_refused_by_every_consumer(
+    kind: TestKind, exciters: str, controlled: bool, tmp_path: Path
+) -> None:
+    test = driven(kind, exciters, controlled)
+    if covers_of("run")(test):  # before a node starts
+        with pytest.raises(BenchError, match=re.escape(covers_of("run")(test))):
+            record(tmp_path, kind, exciters, controlled)
+        assert not (tmp_path / "run" / "bag").exists()
+        return
+    recording = record(tmp_path, kind, exciters, controlled)
+    assert recording.result.message.startswith(f"{len(recording.plan.levels)} of {len(recording.plan.levels)} levels")
+    assert recording.plan.driven == test
+    assert recorded_tests(Bag.open(recording.bag)) == (test,)
+    wrong = []
+    for consumer, trial in TRIALS.items():
+        sentence = covers_of(consumer)(test)
+        folder = tmp_path / consumer
+        folder.mkdir()
+        if sentence:
+            assert sentence.endswith("."), sentence
+            assert sentence[0].isupper(), sentence
+            continue
+        try:
+            trial(recording, folder)
+        except (AssertionError, BenchError) as error:
+            wrong.append(f"{consumer}: {str(error)[:300]}")
+    assert not wrong, "\n".join(wrong)

@@ -10,8 +10,10 @@ from typing import Any
 from nmt_core.errors import BenchError
 from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.wire import LEVEL
 from nmt_core.processes.work_progress import tell
+from nmt_extract.coverage import refuse_other_tests
 from nmt_extract.linear_file import Linearity, linear_mapping, linearity
 from nmt_extract.linear_identification import LinearTest, LinearTestSettings, linear_test
 from nmt_record.bag.bag_reader import Bag
@@ -90,7 +92,7 @@ def evaluate_linear_test(
         0.5
         >>> nmt.linear(nmt.Bag.open("out/demo"))
         Traceback (most recent call last):
-        nmt_core.errors.BenchError: The bag out/demo has no whole window of random excitation; record one with ...
+        nmt_core.errors.BenchError: The bag out/demo cannot be evaluated so: The linear test needs random ...
     """
     if modes < 1:
         raise BenchError(f"The number of modes to keep must be at least 1, got {modes}.")
@@ -99,6 +101,7 @@ def evaluate_linear_test(
             raise BenchError(f"The {name} must be positive, got {value:g}.")
     if band_hz is not None and not 0.0 < band_hz[0] < band_hz[1] < math.inf:
         raise BenchError(f"The band must be two rising frequencies in Hz, got {band_hz[0]:g} and {band_hz[1]:g}.")
+    refuse_other_tests(bag, covers)
     windows = [segment for segment in segments(bag) if kind_class(segment.kind).is_noise]
     whole = [segment for segment in windows if not segment.fault]
     if not whole:
@@ -146,6 +149,16 @@ def _band(bag: Bag, run: Mapping[str, Any], main: Segment) -> tuple[float, float
         if level.index == main.level_index and 0.0 < level.band_low_hz < level.band_high_hz:
             return level.band_low_hz, level.band_high_hz
     return DEFAULT_BAND_HZ
+
+
+def covers(test: DrivenTest) -> str:
+    """What the linear modal test does not take of a test, and what to use instead; empty = it takes it."""
+    if kind_class(test.kind).is_noise:
+        return ""
+    return (
+        f"The linear test needs random excitation, and this is a {kind_class(test.kind).words()} test; record one with "
+        "'./nmt linear'."
+    )
 
 
 def _exciter_points(bag: Bag, run: Mapping[str, Any]) -> tuple[int, ...]:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.kinds import KINDS
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_extract.coverage import covers, refuse_other_tests
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
@@ -92,7 +92,7 @@ def extract_opened_bag(
     """As :func:`extract_bag`, for an opened bag."""
     _refuse_foreign(bag)
     run: dict[str, Any] = bag.run_start or {}
-    _require_phase_resonance(run, bag)
+    refuse_other_tests(bag, covers)
     if linear is None:
         linear = _linear_of(run, bag)
     if settings is None:
@@ -121,16 +121,6 @@ def _refuse_foreign(bag: Any) -> None:
         raise BenchError(
             f"The bag {bag.path} has none of the bench's topics: it has {there}. './nmt import --init {bag.path}' "
             "lists its numeric fields and writes a sidecar (a file that says what they are) to fill in."
-        )
-
-
-def _require_phase_resonance(run: dict[str, Any], bag: Any) -> None:
-    plan = run.get("plan")
-    kind = plan.get("test") if isinstance(plan, dict) else None
-    found = next((item for item in KINDS.values() if item.label() == kind), None)
-    if found is not None and not found.gives_modal_points:
-        raise BenchError(
-            f"The bag {bag.path} holds a {found.words()} test; modal points come from phase resonance tests."
         )
 
 

@@ -9,7 +9,8 @@ written by hand. KIND is ``message`` (a .msg, .srv or .action file), ``parameter
 (a section of the rig file), ``elements`` (a file of local elements), ``devices`` (the sections of the
 converters), ``keys`` (attributes of a class by its
 docstring), ``options`` (a command), ``python`` (the public names of a package), ``effects`` (a place of the
-diagnosis), ``matrix`` (tests and consumers), ``priors`` or ``quantities`` (of a modal point). The tables of parameters stand in the node modules, so
+diagnosis), ``matrix`` (tests and consumers), ``priors`` or ``quantities`` (of a modal point).
+The tables of parameters stand in the node modules, so
 they need ROS 2.
 """
 
@@ -545,11 +546,14 @@ def quantities_table(name: str) -> str:
 
 
 def thresholds_table(theme: str) -> str:
-    """Thresholds of the diagnosis of one theme, such as ``fits`` or ``signals.decays``."""
+    """Thresholds of one theme of the diagnosis, as ``signals.decays``, or of the loops, as ``loops.phase``."""
     from nmt_core.threshold import thresholds_of
     from nmt_diagnose.thresholds import THRESHOLDS
+    from nmt_pll.thresholds import THRESHOLDS as LOOPS
 
-    record: Any = THRESHOLDS
+    theme, _, of_loops = theme.partition("loops.")
+    record: Any = LOOPS if of_loops else THRESHOLDS
+    theme = of_loops or theme
     for name in theme.split("."):
         record = getattr(record, name)
     lines = ["| threshold | value | unit | because |", "|---|---|---|---|"]

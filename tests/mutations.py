@@ -120,19 +120,19 @@ MUTATIONS = [
             "the output goes to zero ten times as slowly",
         ),
         (
-            "nmt_pll/nmt_pll/phase_detector.py",
+            "nmt_pll/nmt_pll/detection/phase_detector.py",
             "turned = response * force.conjugate() * cmath.rect(1.0, velocity_lead)",
             "turned = response.conjugate() * force * cmath.rect(1.0, velocity_lead)",
             "the sign of the phase error",
         ),
         (
-            "nmt_pll/nmt_pll/gains.py",
+            "nmt_pll/nmt_pll/phase_loop/gains.py",
             "real_part = -(d + 1.0) / 3.0",
             "real_part = -(d + 1.0) / 2.0",
             "the three poles of the loop do not fall together",
         ),
         (
-            "nmt_pll/nmt_pll/lock.py",
+            "nmt_pll/nmt_pll/detection/lock.py",
             "mean_std=noise * math.sqrt(self._inflation / self.length),",
             "mean_std=noise / math.sqrt(self._inflation * self.length),",
             "correlated values of the dwell count as independent",

@@ -14,6 +14,7 @@ from nmt_core.messages.modal_point import COMPLEX, MEASURED, ModalPoint
 from nmt_core.messages.records import (
     DriveCommand,
     DriveStop,
+    DriveTerm,
     LevelCommand,
     LockEvent,
     LoopStatus,
@@ -99,12 +100,14 @@ monitors = st.builds(
     st.lists(floats, max_size=5).map(tuple), st.lists(floats, max_size=5).map(tuple), uint8, times,
 )  # fmt: skip
 run_records = st.builds(RunRecord, st.sampled_from(RecordKind), long_texts, long_texts, times)
+values = st.complex_numbers(allow_nan=False)
+volts = st.builds(DriveTerm, st.just(1), uint32, values, st.just(False))
+ratios = st.builds(DriveTerm, uint32, uint32, values, st.just(True))
+terms = st.tuples(st.lists(volts, max_size=5), st.lists(ratios, max_size=3))
 drives = st.builds(
     DriveCommand, st.sampled_from([w for w in Waveform if w]), floats, floats, floats, st.integers(0, 2**40),
     st.integers(0, 2**40),
-    st.lists(st.tuples(uint32, st.complex_numbers(allow_nan=False)), max_size=5).map(tuple),
-    floats, floats, floats, floats,
-    st.lists(st.tuples(uint32, uint32, st.complex_numbers(allow_nan=False)), max_size=3).map(tuple),
+    floats, floats, floats, floats, terms.map(lambda lists: (*lists[0], *lists[1])),
 )  # fmt: skip
 statuses = st.builds(
     LoopStatus, st.integers(0, 2**40), uint32, uint32, st.sampled_from(LoopState), floats, floats, floats, floats,
@@ -128,15 +131,15 @@ def values_of(record: Any) -> dict[str, Any]:
     """Values of the fields of a record's message by name; a stamp is a time in ns."""
     if isinstance(record, DriveCommand):
         values = record._asdict()
-        harmonics = values.pop("harmonics")
-        values["harmonics"] = [order for order, _ in harmonics]
-        values["harmonics_real"] = [value.real for _, value in harmonics]
-        values["harmonics_imag"] = [value.imag for _, value in harmonics]
         terms = values.pop("terms")
-        values["exciters"] = [exciter for exciter, _, _ in terms]
-        values["exciter_orders"] = [order for _, order, _ in terms]
-        values["exciter_ratio_real"] = [ratio.real for _, _, ratio in terms]
-        values["exciter_ratio_imag"] = [ratio.imag for _, _, ratio in terms]
+        volts, ratios = ([term for term in terms if term.relative is kind] for kind in (False, True))
+        values["harmonics"] = [term.order for term in volts]
+        values["harmonics_real"] = [term.value.real for term in volts]
+        values["harmonics_imag"] = [term.value.imag for term in volts]
+        values["exciters"] = [term.exciter for term in ratios]
+        values["exciter_orders"] = [term.order for term in ratios]
+        values["exciter_ratio_real"] = [term.value.real for term in ratios]
+        values["exciter_ratio_imag"] = [term.value.imag for term in ratios]
         return {**values, "stamp": bench_time_ns(record.based_on_sample, RATE)}
     if isinstance(record, LoopStatus):
         return {**record._asdict(), "stamp": bench_time_ns(record.last_sample, RATE)}

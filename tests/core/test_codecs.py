@@ -37,6 +37,7 @@ from nmt_core.messages.modal_point import COMPLEX, ModalPoint
 from nmt_core.messages.records import (
     DriveCommand,
     DriveStop,
+    DriveTerm,
     LevelCommand,
     LockEvent,
     LoopStatus,
@@ -94,7 +95,7 @@ TERMS = ("exciters", "exciter_orders", "exciter_ratio_real", "exciter_ratio_imag
 @pytest.mark.parametrize(
     ("name", "record", "elsewhere"),
     [
-        ("Drive", DriveCommand, {"stamp", "harmonics_real", "harmonics_imag", *TERMS}),
+        ("Drive", DriveCommand, {"stamp", "harmonics", "harmonics_real", "harmonics_imag", *TERMS}),
         ("Frequency", LoopStatus, {"stamp"}),
         ("Level", LevelCommand, set()),
         ("LockEvent", LockEvent, {"stamp"}),
@@ -225,8 +226,8 @@ def test_numbers_that_stand_for_nothing_are_refused():
 
 
 def test_terms_of_several_exciters_come_back_and_those_of_one_cost_four_empty_lists():
-    terms = ((2, 1, 0.5 - 0.2j), (1, 3, 0.1j))
-    command = DriveCommand(Waveform.SINE, 20.0, 1.0, 0.1, 200, 199, harmonics=((3, 1j),), terms=terms)
+    terms = (DriveTerm(1, 3, 1j, False), DriveTerm(2, 1, 0.5 - 0.2j), DriveTerm(1, 3, 0.1j))
+    command = DriveCommand(Waveform.SINE, 20.0, 1.0, 0.1, 200, 199, terms=terms)
     assert read_drive(write_drive(command, RATE)) == command
     plain = write_drive(DriveCommand(Waveform.SINE, 20.0, 1.0), RATE)
     assert read_drive(plain).terms == ()
@@ -240,8 +241,10 @@ def test_terms_of_several_exciters_come_back_and_those_of_one_cost_four_empty_li
 
 
 def test_harmonics_whose_lists_differ_in_length_are_refused():
-    raw = bytearray(write_drive(DriveCommand(Waveform.SINE, 20.0, 1.0, harmonics=((3, 0.1 + 0.2j),)), RATE))
-    assert read_drive(bytes(raw)).harmonics == ((3, 0.1 + 0.2j),)
+    raw = bytearray(
+        write_drive(DriveCommand(Waveform.SINE, 20.0, 1.0, terms=(DriveTerm(1, 3, 0.1 + 0.2j, False),)), RATE)
+    )
+    assert read_drive(bytes(raw)).terms == (DriveTerm(1, 3, 0.1 + 0.2j, False),)
     plain = write_drive(DriveCommand(Waveform.SINE, 20.0, 1.0), RATE)
     real_only = rosbags_bytes(
         "Drive",

@@ -257,6 +257,6 @@ def test_drive_commands_are_made_from_a_loops_output_in_one_place():
                 makers.add(str(path.relative_to(SOURCES)))
     assert makers == {
         "nmt_core/nmt_core/messages/wire.py",
-        "nmt_plant/nmt_plant/check/hardware_check.py",
+        "nmt_plant/nmt_plant/check/check_record.py",
         "nmt_pll/nmt_pll/loop_core.py",
     }

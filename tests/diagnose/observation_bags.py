@@ -14,10 +14,10 @@ from nmt_core.messages.records import LevelCommand
 from nmt_core.messages.wire import LOCK_EVENT, BlockReader, BlockWriter
 from nmt_core.vocabulary import LoopState, TestKind
 from nmt_plant.devices.simulated_rig import SimulatedRig
-from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.loop_core import drive_command, lock_event
 from nmt_pll.loop_settings import settings_from
-from nmt_pll.random_drive import RandomDrive
+from nmt_pll.open_loop.random_drive import RandomDrive
+from nmt_pll.phase_loop.loop import PhaseLockedLoop
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK, parse_topic

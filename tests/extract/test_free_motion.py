@@ -11,8 +11,8 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LockEvent
 from nmt_core.vocabulary import PointStatus, TestKind
-from nmt_extract.free_motion import free_motion_point
 from nmt_extract.limit_cycles import limit_cycles, write_limit_cycles
+from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import ModalPoint
 from nmt_extract.window import Channel, Window
 
@@ -38,12 +38,12 @@ def test_linear_growth_and_decay_are_exact(damping: float, mass: float) -> None:
     time = np.arange(2000) / RATE
     x = 1e-3 * (np.exp(s * time)).real
     level = 1e-3 * math.exp(s.real * 0.2)
-    point = free_motion_point(window(x, level), linear(mass))
+    point = modal_point(window(x, level), linear(mass))
     assert point.status == PointStatus.OK, point.reason
     assert point.omega_rad_s == pytest.approx(OMEGA, rel=1e-6)
     assert point.damping_ratio == pytest.approx(damping, abs=1e-6)
     assert point.modal_amplitude == pytest.approx(level * math.sqrt(mass), rel=1e-9)
-    assert point.frequency_hz == pytest.approx(s.imag / (2.0 * math.pi), rel=1e-6)
+    assert point.frequency_hz == pytest.approx(OMEGA / (2.0 * math.pi), rel=1e-6)
     assert point.window_periods == 0
 
 
@@ -54,7 +54,7 @@ def test_a_force_that_was_measured_is_taken_out() -> None:
     s = complex(-decay, math.sqrt(OMEGA**2 - decay**2))
     wave = 1e-3 * np.exp(s * np.arange(2000) / RATE)
     level = 1e-3 * math.exp(s.real * 0.2)
-    point = free_motion_point(window(wave.real, level, (-brake * s * wave).real), linear(1.0))
+    point = modal_point(window(wave.real, level, (-brake * s * wave).real), linear(1.0))
     assert point.damping_ratio == pytest.approx(damping, abs=1e-5)
     assert point.omega_rad_s == pytest.approx(OMEGA, rel=1e-5)
 
@@ -65,7 +65,7 @@ def test_growth_that_levels_off_and_noise() -> None:
     time = np.arange(1500) / RATE
     a = cycle / np.sqrt(1.0 + (cycle / 1.5e-3) ** 2 * np.exp(-2.0 * growth * time))
     noise = np.random.default_rng(4).normal(size=time.size) * 5e-6
-    point = free_motion_point(window(a * np.cos(OMEGA * time) + noise, 3e-3), linear(1.0))
+    point = modal_point(window(a * np.cos(OMEGA * time) + noise, 3e-3), linear(1.0))
     expected = -growth * (1.0 - (3e-3 / cycle) ** 2) / OMEGA
     assert point.damping_ratio == pytest.approx(expected, abs=3e-4)
     assert 0.0 < point.damping_ratio_std < 1e-3
@@ -75,11 +75,11 @@ def test_growth_that_levels_off_and_noise() -> None:
 
 def test_what_does_not_pass_the_level_is_rejected() -> None:
     x = 1e-3 * np.exp(-1.0 * np.arange(2000) / RATE) * np.cos(OMEGA * np.arange(2000) / RATE)
-    point = free_motion_point(window(x, 2e-3), linear(1.0))
+    point = modal_point(window(x, 2e-3), linear(1.0))
     assert point.status == PointStatus.REJECTED
     assert "not the level's 0.002" in point.reason
     x[700] = math.nan
-    assert "Samples are missing" in free_motion_point(window(x, 8e-4), linear(1.0)).reason
+    assert "Samples are missing" in modal_point(window(x, 8e-4), linear(1.0)).reason
 
 
 @pytest.mark.parametrize("lost", [(), (1.8,), (2.6,), (5.0,), (1.8, 2.6), (1.8, 2.6, 5.0)])

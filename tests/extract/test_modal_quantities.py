@@ -14,8 +14,8 @@ import pytest
 
 from nmt_core.messages.modal_point import EVALUATED, MEASURED, QUANTITIES, ModalPoint
 from nmt_core.messages.modal_quantity import measured, quantities_of
+from nmt_extract.judgement.signal_faults import floors
 from nmt_extract.modal import ModalQuantities
-from nmt_extract.window_judge import floors
 from nmt_report.columns import MODAL_COLUMNS
 
 
@@ -52,7 +52,7 @@ def test_the_floor_of_a_quantity_follows_from_its_powers() -> None:
     assert least["damping_ratio"] == pytest.approx(2.0 * 13e-6)
     assert least["modal_amplitude"] == 2.0 * shape
     assert least["mac"] == 2.0 * shape
-    assert least["frequency_hz"] == pytest.approx(2.0 * 3e-6 / (20 * math.pi))
+    assert least["omega_rad_s"] == pytest.approx(2.0 * 3e-6 / (20 * math.pi))
     assert least["phase_error"] == pytest.approx(5e-6)
     without = floors(force, drive, shape, values, 10, False)
     assert set(least) - set(without) == {"pbmif", "gamma_force", "gamma_acceleration", "mac"}
@@ -90,7 +90,7 @@ from nmt.results import RunResults
 from nmt_bench.commands.terminal import modal_table
 from nmt_bench.page.live_view import LiveView
 from nmt_extract.modal_table import write_results
-from nmt_extract.window_judge import floors
+from nmt_extract.judgement.signal_faults import floors
 from nmt_report.run_report import report_html
 from report.synthetic_run import synthetic_run
 

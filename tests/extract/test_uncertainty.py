@@ -94,7 +94,11 @@ def test_fitted_frequency_is_covered(monte_carlo):
     *_, point = monte_carlo
     points = [point(0.03, seed, known_phase=False) for seed in range(100)]
     error = np.array([abs(item.frequency_hz - FREQUENCY) for item in points])
-    stated = np.array([item.frequency_hz_std for item in points])
+    phase = [item.damping_ratio * math.hypot(item.phase_error, item.phase_error_std) for item in points]
+    stated = np.array(
+        [FREQUENCY * math.sqrt((item.omega_rad_s_std / item.omega_rad_s) ** 2 - away**2)
+         for item, away in zip(points, phase, strict=True)]
+    )  # fmt: skip
     assert 0.5 < np.mean(error <= stated) < 0.82
     assert np.all(stated > 0.0)
 
@@ -109,7 +113,8 @@ def test_uncertainty_of_a_wandering_oscillator_frequency():
         stream = Stream([0, force], [[0, x] for x in shape], samples=40_000, frequencies=tuple(frequencies))
         point = extract(stream, lock_event(0, 40_000, 89))
         assert point.frequency_hz == pytest.approx(frequencies.mean(), abs=1e-9)
-        ratios.append(point.frequency_hz_std / (0.02 / math.sqrt(200)))
+        phase = point.damping_ratio * point.frequency_hz * math.hypot(point.phase_error, point.phase_error_std)
+        ratios.append(math.sqrt(point.frequency_hz_std**2 - phase**2) / (0.02 / math.sqrt(200)))
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, rel=0.15)
 
 

@@ -72,4 +72,5 @@ def test_participation_agrees_with_harmonic_balance(pair):
 def test_steady_state_has_small_stated_uncertainties(pair):
     point, _ = pair
     assert point.damping_ratio_std < 1e-3 * point.damping_ratio
-    assert point.frequency_hz_std < 1e-9
+    phase = point.damping_ratio * math.hypot(point.phase_error, point.phase_error_std)
+    assert point.frequency_hz_std == pytest.approx(phase * point.frequency_hz, abs=1e-9)

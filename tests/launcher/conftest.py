@@ -105,7 +105,7 @@ class Project:
         self.write("ros2_ws/src/nmt_msgs/msg/Level.msg", "float64 amplitude\n")
         self.write("ros2_ws/src/nmt_pll/package.xml", "<package/>")
         self.write("ros2_ws/src/nmt_pll/setup.py", "setup()\n")
-        self.write("ros2_ws/src/nmt_pll/nmt_pll/gains.py", "")
+        self.write("ros2_ws/src/nmt_pll/nmt_pll/phase_loop/gains.py", "")
         self.python = self.write("pretender", PRETENDER.format(python=sys.executable, root=str(root)))
         self.python.chmod(0o755)
         self.launcher = load_launcher(root)

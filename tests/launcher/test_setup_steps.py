@@ -57,8 +57,8 @@ def test_changed_message_rebuilds_its_package_only(project):
 def test_new_or_edited_python_file_needs_nothing(project):
     project.launcher.set_up.set_up(None)
     project.calls()
-    project.write("ros2_ws/src/nmt_pll/nmt_pll/gains.py", "GAIN = 2\n")
-    project.write("ros2_ws/src/nmt_pll/nmt_pll/lock.py", "")
+    project.write("ros2_ws/src/nmt_pll/nmt_pll/phase_loop/gains.py", "GAIN = 2\n")
+    project.write("ros2_ws/src/nmt_pll/nmt_pll/detection/lock.py", "")
     project.launcher.set_up.set_up(None)
     assert project.calls() == []
 

@@ -78,7 +78,7 @@ def test_random_needs_no_linear_description_and_fills_its_band(random_run: RunRe
 
 
 def test_random_is_no_data_for_modal_points(random_run: RunResult) -> None:
-    with pytest.raises(BenchError, match="A random test gives no modal points"):
+    with pytest.raises(BenchError, match="Windows of a random test give no modal points"):
         extract_bag(random_run.bag or Path())
 
 

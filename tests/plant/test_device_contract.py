@@ -7,7 +7,7 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, Quantity
-from nmt_core.messages.records import DriveCommand
+from nmt_core.messages.records import DriveCommand, DriveTerm
 from nmt_core.vocabulary import Waveform
 from nmt_plant.devices.device import Device, DeviceState, DeviceStateError
 from nmt_plant.devices.loopback_device import LoopbackDevice
@@ -113,7 +113,7 @@ def test_a_command_beyond_half_the_sample_rate_is_refused(running):
     "command",
     [
         DriveCommand(Waveform.SINE, 22.0, 1e4),
-        DriveCommand(Waveform.SINE, 22.0, 0.3, harmonics=((3, 1e6 + 0j),)),
+        DriveCommand(Waveform.SINE, 22.0, 0.3, terms=(DriveTerm(1, 3, 1e6 + 0j, False),)),
         DriveCommand(Waveform.RANDOM, amplitude=1e4, band_low_hz=10.0, band_high_hz=100.0),
         DriveCommand(Waveform.SINE, 22.0, 0.3, apply_at_sample=2**60),
         DriveCommand(Waveform.SINE, 22.0, 0.3, ramp=1e300),

@@ -9,7 +9,7 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, Quantity, SampleBlock
-from nmt_core.messages.records import DriveCommand
+from nmt_core.messages.records import DriveCommand, DriveTerm
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import Waveform
 from nmt_plant.devices.guarded_device import GuardedDevice
@@ -65,9 +65,22 @@ def sine(frequency: float, amplitude: float, ramp: float = 0.0, **more: object) 
 @pytest.mark.parametrize(
     ("command", "sentence"),
     [
-        (sine(22.0, 0.3, harmonics=((3, 1e6 + 0j),)), "with its harmonics 1e\\+06 V is beyond the voltage limit"),
+        (
+            sine(22.0, 0.3, terms=(DriveTerm(1, 3, 1e6 + 0j, False),)),
+            "with its harmonics 1e\\+06 V is beyond the voltage limit",
+        ),
         (sine(22.0, 51.0), "drive amplitude 51 V is beyond the voltage limit"),
-        (sine(22.0, 9.9, harmonics=((2, 20j), (3, 21.0 + 0j))), "with its harmonics 50.9 V"),
+        (
+            sine(
+                22.0,
+                9.9,
+                terms=(
+                    DriveTerm(1, 2, 20j, False),
+                    DriveTerm(1, 3, 21.0 + 0j, False),
+                ),
+            ),
+            "with its harmonics 50.9 V",
+        ),
         (
             DriveCommand(Waveform.RANDOM, amplitude=12.6, band_low_hz=10.0, band_high_hz=500.0),
             "reach 4 times as much, beyond the voltage limit",
@@ -129,7 +142,7 @@ def test_a_step_with_ramp_zero_is_spread_by_the_slew_limit() -> None:
     recorded = loopback(voltage_limit=10.0)
     recorded.device.write(sine(50.0, 0.4))
     recorded.device.read()
-    recorded.device.write(sine(50.0, 9.0, harmonics=((3, 0.9 + 0j),)))
+    recorded.device.write(sine(50.0, 9.0, terms=(DriveTerm(1, 3, 0.9 + 0j, False),)))
     for _ in range(5):
         recorded.device.read()
     step = default_slew(10.0, 10_000.0) / 10_000.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.records import DriveCommand
+from nmt_core.messages.records import DriveCommand, DriveTerm
 from nmt_core.vocabulary import Waveform
 from nmt_plant.devices.device import check_drive
 from nmt_plant.oscillator import BandNoise, Oscillator
@@ -49,7 +49,7 @@ def test_ramp_is_a_half_cosine_that_repeated_commands_do_not_restart():
 
 def test_off_ramps_down_and_becomes_quiet():
     oscillator = Oscillator(RATE)
-    oscillator.apply(sine(25.0, 1.0, harmonics=((3, 0.2 + 0.1j),)))
+    oscillator.apply(sine(25.0, 1.0, terms=(DriveTerm(1, 3, 0.2 + 0.1j, False),)))
     oscillator.block(200)
     oscillator.apply(DriveCommand(Waveform.OFF, ramp=0.04))
     assert not oscillator.is_quiet
@@ -62,7 +62,7 @@ def test_off_ramps_down_and_becomes_quiet():
 
 def test_no_slow_ramp_to_zero_keeps_a_fast_one_waiting():
     oscillator = Oscillator(RATE)
-    oscillator.apply(sine(25.0, 1.0, harmonics=((3, 0.2 + 0.1j),)))
+    oscillator.apply(sine(25.0, 1.0, terms=(DriveTerm(1, 3, 0.2 + 0.1j, False),)))
     oscillator.block(200)
     oscillator.apply(DriveCommand(Waveform.OFF, ramp=3600.0))
     oscillator.block(200)
@@ -77,9 +77,27 @@ def test_no_slow_ramp_to_zero_keeps_a_fast_one_waiting():
 
 def test_harmonics_that_change_do_so_along_a_half_cosine_of_one_block():
     oscillator = Oscillator(RATE)
-    oscillator.apply(sine(50.0, 1.0, harmonics=((3, 0.5j), (5, 0.2))))
+    oscillator.apply(
+        sine(
+            50.0,
+            1.0,
+            terms=(
+                DriveTerm(1, 3, 0.5j, False),
+                DriveTerm(1, 5, 0.2, False),
+            ),
+        )
+    )
     oscillator.block(200)
-    oscillator.apply(sine(50.0, 1.0, harmonics=((3, -0.3), (4, 0.1j))))  # the fifth is no longer asked for
+    oscillator.apply(
+        sine(
+            50.0,
+            1.0,
+            terms=(
+                DriveTerm(1, 3, -0.3, False),
+                DriveTerm(1, 4, 0.1j, False),
+            ),
+        )
+    )  # the fifth is no longer asked for
     assert oscillator.bound(200) >= 1.0 + 0.5 + 0.2 + 0.1
     blocks = [oscillator.block(200) for _ in range(2)]
     fade = 0.5 - 0.5 * np.cos(np.pi * np.arange(201) / 200)
@@ -95,7 +113,7 @@ def test_harmonics_that_change_do_so_along_a_half_cosine_of_one_block():
 
 def test_harmonics_are_relative_to_the_phase():
     oscillator = Oscillator(RATE)
-    oscillator.apply(sine(50.0, 1.0, harmonics=((3, 0.5j),)))
+    oscillator.apply(sine(50.0, 1.0, terms=(DriveTerm(1, 3, 0.5j, False),)))
     block = oscillator.block(200)
     theta = block.phase.phase(201, RATE)
     np.testing.assert_allclose(block.voltage, np.cos(theta) - 0.5 * np.sin(3 * theta), atol=1e-12)
@@ -136,13 +154,13 @@ def test_the_bound_is_the_largest_amplitude_of_the_block_to_come():
     rng = np.random.default_rng(5)
     oscillator = Oscillator(RATE)
     for _ in range(60):
-        harmonics = ((3, complex(rng.normal(), rng.normal())),) if rng.random() < 0.5 else ()
-        oscillator.apply(sine(40.0, rng.uniform(0.0, 3.0), float(rng.choice([0.0, 0.013, 0.1])), harmonics=harmonics))
+        terms = (DriveTerm(1, 3, complex(rng.normal(), rng.normal()), False),) if rng.random() < 0.5 else ()
+        oscillator.apply(sine(40.0, rng.uniform(0.0, 3.0), float(rng.choice([0.0, 0.013, 0.1])), terms=terms))
         for _ in range(3):
             bound = oscillator.bound(250)
             output = oscillator.block(250).voltage[:-1]
             assert np.abs(output).max() <= bound * (1 + 1e-12)
-            if not harmonics and oscillator.amplitude == bound:
+            if not terms and oscillator.amplitude == bound:
                 assert np.abs(output).max() == pytest.approx(bound, rel=1e-2), "a whole period of a settled sine"
             assert oscillator.bound(250) >= oscillator.amplitude
 
@@ -166,7 +184,7 @@ def test_random_has_its_rms_and_band():
         {"waveform": Waveform.SINE, "frequency_hz": 10.0, "amplitude": -1.0},
         {"waveform": Waveform.RANDOM, "amplitude": 1.0},
         {"waveform": Waveform.SWEEP, "frequency_hz": 10.0, "rate_hz_s": -1.0, "frequency_end_hz": 20.0},
-        {"waveform": Waveform.SINE, "frequency_hz": 10.0, "harmonics": ((0, 1j),)},
+        {"waveform": Waveform.SINE, "frequency_hz": 10.0, "terms": (DriveTerm(1, 0, 1j),)},
     ],
 )
 def test_bad_commands_are_refused(command):
@@ -176,7 +194,7 @@ def test_bad_commands_are_refused(command):
 
 def test_beyond_half_the_sample_rate_is_refused():
     with pytest.raises(BenchError, match="half the sample rate"):
-        Oscillator(RATE).apply(sine(1000.0, harmonics=((5, 1.0),)))
+        Oscillator(RATE).apply(sine(1000.0, terms=(DriveTerm(1, 5, 1.0, False),)))
 
 
 def test_a_term_of_order_one_turns_the_fundamental() -> None:
@@ -186,7 +204,7 @@ def test_a_term_of_order_one_turns_the_fundamental() -> None:
     voltages = []
     for value in (before, after):
         size = abs(value)
-        oscillator.apply(sine(25.0, size, 0.02, harmonics=((1, value - size),)))
+        oscillator.apply(sine(25.0, size, 0.02, terms=(DriveTerm(1, 1, value - size, False),)))
         assert oscillator.bound(200) == pytest.approx(max(abs(before), size) if voltages else size)
         voltages.append(oscillator.block(200).voltage)
     share = 0.5 - 0.5 * np.cos(np.pi * np.arange(201) / 200)
@@ -196,6 +214,6 @@ def test_a_term_of_order_one_turns_the_fundamental() -> None:
 
 
 def test_harmonics_begin_at_order_one() -> None:
-    check_drive(sine(25.0, harmonics=((1, -0.5 + 0j),)))
-    with pytest.raises(BenchError, match="order of at least 1"):
-        check_drive(sine(25.0, harmonics=((0, 0.5 + 0j),)))
+    check_drive(sine(25.0, terms=(DriveTerm(1, 1, -0.5 + 0j, False),)))
+    with pytest.raises(BenchError, match="exciters and orders count from 1"):
+        check_drive(sine(25.0, terms=(DriveTerm(1, 0, 0.5 + 0j, False),)))

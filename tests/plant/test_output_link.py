@@ -18,7 +18,7 @@ from plant.turned_clock import TurnedClock
 from nmt_benchmark.output_faults import measure
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, Quantity, SampleBlock
-from nmt_core.messages.records import DriveCommand
+from nmt_core.messages.records import DriveCommand, DriveTerm
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import OutputState, StopCause, Waveform
 from nmt_plant.converters.converter import SteadyClockConverter, read_log
@@ -206,7 +206,7 @@ def test_samples_are_put_out_when_they_are_due_and_a_late_host_stops_the_clock(c
 def test_an_owned_rig_measures_what_was_put_out_a_lead_later(patient: dict[str, Any]) -> None:
     rig = load_rig("beam")
     plain, owned = SimulatedRig(rig), SimulatedRig(rig, owned=True, **patient)
-    command = DriveCommand(Waveform.SINE, 22.0, 0.5, 0.1, harmonics=((3, 0.05j),))
+    command = DriveCommand(Waveform.SINE, 22.0, 0.5, 0.1, terms=(DriveTerm(1, 3, 0.05j, False),))
     for device in (plain, owned):
         device.configure()
         device.start()

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.messages.records import DriveCommand
+from nmt_core.messages.records import DriveCommand, DriveTerm
 from nmt_core.vocabulary import Quantity, Waveform
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_plant.oscillator import Oscillator
 from nmt_rig.rig import load_rig
 
 RATE = 10_000.0
-TERMS = ((1, 3, 0.1j), (2, 1, 0.8 * np.exp(0.7j)), (2, 5, -0.05 + 0.02j))
+TERMS = (DriveTerm(1, 3, 0.1j), DriveTerm(2, 1, 0.8 * np.exp(0.7j)), DriveTerm(2, 5, -0.05 + 0.02j))
 
 
 def sine(amplitude=1.0, ramp=0.0, terms=TERMS, frequency=50.0):
@@ -22,7 +22,7 @@ def sine(amplitude=1.0, ramp=0.0, terms=TERMS, frequency=50.0):
 
 def expected(amplitude, theta, terms=TERMS):
     own = {1: np.cos(theta), 2: np.zeros(theta.size)}
-    for exciter, order, ratio in terms:
+    for exciter, order, ratio, _ in terms:
         own[exciter] = own[exciter] + (ratio * np.exp(1j * order * theta)).real
     return amplitude * own[1], amplitude * own[2]
 
@@ -40,7 +40,7 @@ def test_ratios_change_without_a_step_and_ramps_take_all_outputs_along():
     oscillator = Oscillator(RATE, exciters=2)
     oscillator.apply(sine())
     before = oscillator.block(200)
-    oscillator.apply(sine(terms=((2, 1, -0.9),)))
+    oscillator.apply(sine(terms=(DriveTerm(2, 1, -0.9),)))
     change = oscillator.block(200)
     assert change.voltages[1][0] == pytest.approx(before.voltages[1][-1], abs=1e-12)
     assert np.abs(np.diff(change.voltages[1])).max() < 0.05
@@ -57,7 +57,7 @@ def test_ratios_change_without_a_step_and_ramps_take_all_outputs_along():
 def test_the_first_output_is_the_same_whatever_others_there_are():
     alone, first = Oscillator(RATE, seed=4), Oscillator(RATE, seed=4, exciters=3)
     for command in (
-        DriveCommand(Waveform.SINE, 41.0, 1.5, 0.1, harmonics=((3, 0.1 + 0.2j),)),
+        DriveCommand(Waveform.SINE, 41.0, 1.5, 0.1, terms=(DriveTerm(1, 3, 0.1 + 0.2j, False),)),
         DriveCommand(Waveform.RANDOM, amplitude=0.5, band_low_hz=20.0, band_high_hz=300.0),
     ):
         alone.apply(command)
@@ -71,7 +71,9 @@ def test_the_first_output_is_the_same_whatever_others_there_are():
 def test_random_outputs_are_uncorrelated():
     oscillator = Oscillator(RATE, seed=4, exciters=2)
     oscillator.apply(
-        DriveCommand(Waveform.RANDOM, amplitude=0.5, band_low_hz=50.0, band_high_hz=2000.0, terms=((2, 1, 0.6),))
+        DriveCommand(
+            Waveform.RANDOM, amplitude=0.5, band_low_hz=50.0, band_high_hz=2000.0, terms=(DriveTerm(2, 1, 0.6),)
+        )
     )
     blocks = [oscillator.block(1000) for _ in range(100)]
     one = np.concatenate([block.voltage[:-1] for block in blocks])
@@ -102,11 +104,11 @@ def test_what_is_put_out_is_measured_at_every_exciter():
 @pytest.mark.parametrize(
     ("terms", "words"),
     [
-        (((2, 1, 60.0),), "beyond the voltage limit"),
-        (((3, 1, 0.1),), "exciter 3, but there are 2"),
-        (((1, 1, 0.1),), "is no term"),
-        (((2, 150, 0.1),), "half the sample rate"),
-        (((2, 1, float("nan")),), "must be finite"),
+        ((DriveTerm(2, 1, 60.0),), "beyond the voltage limit"),
+        ((DriveTerm(3, 1, 0.1),), "exciter 3, but there are 2"),
+        ((DriveTerm(1, 1, 0.1),), "is no term"),
+        ((DriveTerm(2, 150, 0.1),), "half the sample rate"),
+        ((DriveTerm(2, 1, float("nan")),), "must be finite"),
     ],
 )
 def test_terms_beyond_what_can_be_are_refused(terms, words):
@@ -117,7 +119,7 @@ def test_terms_beyond_what_can_be_are_refused(terms, words):
 
 def test_a_limit_at_the_second_exciter_takes_all_outputs_to_zero():
     device = started("limits.force_n=1.0", "limits.rise_from_v=50")
-    device.write(sine(0.05, terms=((2, 1, 20.0),), frequency=180.0))
+    device.write(sine(0.05, terms=(DriveTerm(2, 1, 20.0),), frequency=180.0))
     seen = []
     for _ in range(80):
         seen.append(voltages(device.read()))
@@ -133,7 +135,7 @@ def test_a_limit_at_the_second_exciter_takes_all_outputs_to_zero():
 
 def test_quiet_takes_every_output_to_zero_along_one_ramp():
     device = started()
-    device.write(sine(0.5, terms=((2, 1, 1.0),)))
+    device.write(sine(0.5, terms=(DriveTerm(2, 1, 1.0),)))
     for _ in range(10):
         device.read()
     device.quiet("test")

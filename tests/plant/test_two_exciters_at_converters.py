@@ -9,7 +9,7 @@ from plant.test_converters import close, end_of_the_plant, hang, quiet, told_to_
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_core.messages.records import DriveCommand
+from nmt_core.messages.records import DriveCommand, DriveTerm
 from nmt_core.vocabulary import OutputState, StopCause, Waveform
 from nmt_plant.devices.device import DeviceFault
 from nmt_plant.devices.hardware_rig import HardwareRig, device_of
@@ -17,9 +17,9 @@ from nmt_plant.specimen import Specimen
 from nmt_rig.rig import load_rig
 
 RATIO = 0.6 * np.exp(1.1j)
-SINE = DriveCommand(Waveform.SINE, 22.0, 0.5, terms=((2, 1, RATIO), (2, 3, 0.2j)))
+SINE = DriveCommand(Waveform.SINE, 22.0, 0.5, terms=(DriveTerm(2, 1, RATIO), DriveTerm(2, 3, 0.2j)))
 NOISE = DriveCommand(
-    Waveform.RANDOM, amplitude=0.5, ramp=0.1, band_low_hz=20.0, band_high_hz=1000.0, terms=((2, 1, 0.6 + 0j),)
+    Waveform.RANDOM, amplitude=0.5, ramp=0.1, band_low_hz=20.0, band_high_hz=1000.0, terms=(DriveTerm(2, 1, 0.6 + 0j),)
 )
 RAMP = 0.1  # s, limits.ramp_s of the frame
 GAIN = 5.0  # V at the exciter per V at the port
@@ -138,7 +138,7 @@ def test_a_measured_limit_at_either_exciter_takes_both_to_zero(kind, row, ratio)
     with frame(kind, limit, "limits.rise_from_v=50") as made:
         device = made.start()
         amplitude = 2.0 if row == 0 else 0.05
-        drive(device, 100, DriveCommand(Waveform.SINE, 60.0, amplitude, 0.2, terms=((2, 1, ratio + 0j),)))
+        drive(device, 100, DriveCommand(Waveform.SINE, 60.0, amplitude, 0.2, terms=(DriveTerm(2, 1, ratio + 0j),)))
         assert device.stop_cause is StopCause.LIMIT
         assert channel in device.tripped
         check_ramps(made)
@@ -196,7 +196,7 @@ def test_a_drive_of_the_second_exciter_alone_is_a_drive(kind):
     """The state of the outputs is that of all: the first at zero says nothing."""
     with frame(kind) as made:
         device = made.start()
-        drive(device, 30, DriveCommand(Waveform.SINE, 22.0, 0.001, terms=((2, 1, 1000.0 + 0j),)))
+        drive(device, 30, DriveCommand(Waveform.SINE, 22.0, 0.001, terms=(DriveTerm(2, 1, 1000.0 + 0j),)))
         assert device.output_state is OutputState.FOLLOWING
         assert not device.is_quiet
         device.quiet("the operator")

@@ -12,9 +12,9 @@ from nmt_core.messages.blocks import Quantity, SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import LoopState
-from nmt_pll.lock import Transition
-from nmt_pll.loop import LockWindow, LoopOutput, PhaseLockedLoop
+from nmt_pll.detection.lock import Transition
 from nmt_pll.loop_settings import LoopSettings
+from nmt_pll.phase_loop.loop import LockWindow, LoopOutput, PhaseLockedLoop
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 

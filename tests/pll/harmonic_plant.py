@@ -7,8 +7,8 @@ from collections import deque
 
 import numpy as np
 
-from nmt_pll.harmonics_control import HarmonicsController, HarmonicSetup
-from nmt_pll.phase_detector import AdaptiveFourierFilter
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter
+from nmt_pll.harmonics.harmonics_control import HarmonicsController, HarmonicSetup
 
 RATE = 1e4
 FREQUENCY = 22.2  # Hz

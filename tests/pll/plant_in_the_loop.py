@@ -10,8 +10,8 @@ from pll.stepped_loop import SteppedLoop
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.records import LevelCommand
-from nmt_pll.paper_loop import PaperLoop
-from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.phase_loop.paper_loop import PaperLoop
+from nmt_pll.phase_loop.paper_settings import PaperSettings
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 

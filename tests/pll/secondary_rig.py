@@ -17,7 +17,7 @@ from nmt_core.messages.secondary_resonance import resonance_named
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
 from nmt_pll.level_loop import LockWindow, LoopOutput
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.secondary_loop import SecondaryResonanceLoop
+from nmt_pll.secondary.secondary_loop import SecondaryResonanceLoop
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 

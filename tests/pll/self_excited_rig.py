@@ -17,7 +17,7 @@ from nmt_extract.extractor import Extractor
 from nmt_pll.level_loop import LoopOutput
 from nmt_pll.loop_core import lock_event
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.self_excited_loop import SelfExcitedLoop
+from nmt_pll.self_excited.self_excited_loop import SelfExcitedLoop
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 

@@ -12,7 +12,7 @@ from nmt_core.messages.blocks import Quantity, SampleBlock
 from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
+from nmt_pll.open_loop.sweep_loop import SteppedSineLoop, SweepLoop
 from nmt_rig.rig import load_rig
 
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nmt_pll.controller import AmplitudeController, FrequencyController, GainSchedule
-from nmt_pll.gains import ControllerGains, LoopPlant, closed_form_gains
 from nmt_pll.loop_settings import LoopSettings
+from nmt_pll.phase_loop.controller import AmplitudeController, FrequencyController, GainSchedule
+from nmt_pll.phase_loop.gains import ControllerGains, LoopPlant, closed_form_gains
 
 GAINS = ControllerGains(2.0, 10.0)
 STEP = 0.02

@@ -11,7 +11,7 @@ import pytest
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.vocabulary import Quantity
-from nmt_pll.exciter_appropriation import (
+from nmt_pll.exciters.exciter_appropriation import (
     AppropriationSetup,
     ExciterAppropriation,
     generalised_pbmif,

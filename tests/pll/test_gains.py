@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_pll.gains import LoopPlant, closed_form_gains
+from nmt_pll.phase_loop.gains import LoopPlant, closed_form_gains
 
 TWO_PI = 2.0 * math.pi
 CUTOFF = 84.52533574

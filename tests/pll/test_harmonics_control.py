@@ -10,7 +10,7 @@ import pytest
 from pll.harmonic_plant import CUTOFF, DISTURBANCE, FREQUENCY, RATE, HarmonicPlant, gain
 
 from nmt_core.errors import BenchError
-from nmt_pll.harmonics_control import (
+from nmt_pll.harmonics.harmonics_control import (
     PHASE_MARGIN,
     HarmonicsController,
     HeldVoltages,
@@ -168,8 +168,8 @@ def test_voltages_are_held_between_levels_and_zero_after_rest():
     held = plant.controller.voltages.copy()
     plant.controller.start_level()
     assert (plant.controller.voltages == held).all()
-    assert plant.controller.commands() == tuple(zip(range(2, 10), held.tolist(), strict=True))
-    assert all(value == 0 for _, value in plant.controller.commands(off=True))
+    assert [term[1:3] for term in plant.controller.terms()] == list(zip(range(2, 10), held.tolist(), strict=True))
+    assert all(term.value == 0 for term in plant.controller.terms(off=True))
     plant.controller.clear()
     assert (plant.controller.voltages == 0).all()
 

@@ -8,7 +8,8 @@ import pytest
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_pll.harmonics_target import LARGEST_RATIO, ModalPowerRatio, check_modes
+from nmt_pll.harmonics.harmonics_target import ModalPowerRatio, check_modes
+from nmt_pll.thresholds import HARMONICS
 
 POINTS = (2, 4, 5, 6)
 SHAPES = np.array([[0.4, 1.6, 2.6], [1.3, 2.5, -0.6], [1.9, 0.9, -2.3], [2.5, -1.3, 0.4]])  # 1/√kg
@@ -68,7 +69,7 @@ def test_a_drive_point_that_does_not_move_gets_a_bounded_force():
     displacement[0, 2] = 1e-12
     force = np.array([0.7j, 0, 0, 0, 0]) * np.exp(1j * np.angle(displacement[0, 0]))
     target = ModalPowerRatio(description()).target(force, displacement, Quantity.DISPLACEMENT)
-    assert abs(target[1]) == pytest.approx(LARGEST_RATIO * 0.7)
+    assert abs(target[1]) == pytest.approx(HARMONICS.largest_target_ratio * 0.7)
     assert modal.size
 
 

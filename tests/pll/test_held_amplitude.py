@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from nmt_pll.held_amplitude import ExciterEstimate, ForceHolder, ResponseHolder, VoltageRecord
+from nmt_pll.amplitude.held_amplitude import ExciterEstimate, ForceHolder, ResponseHolder, VoltageRecord
 
 BLOCK = 0.02  # s
 CUTOFF = 350.0  # rad/s
@@ -91,7 +91,7 @@ def test_a_reckless_controller_is_found_out() -> None:
         return closed_loop_radius(2.4, 0.0, 0j)
 
     assert radius() < 1.0
-    import nmt_pll.held_amplitude as module
+    import nmt_pll.amplitude.held_amplitude as module
 
     share = module._FEEDBACK
     try:

@@ -13,7 +13,7 @@ from pll.plant_in_the_loop import LoopOnRig
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.phase_loop.paper_settings import PaperSettings
 from nmt_rig.rig_model import build_system
 
 CASES = [(0.1, 0.0), (-0.08, 0.0), (0.0, 6e-4), (0.05, -4e-4)]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from nmt_core.vocabulary import LoopState
-from nmt_pll.lock import Dwell, DwellStatistics, LockCriteria, LockStateMachine
+from nmt_pll.detection.lock import Dwell, DwellStatistics, LockCriteria, LockStateMachine
 
 CORRELATION = 4.0
 

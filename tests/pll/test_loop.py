@@ -13,8 +13,8 @@ from nmt_core.messages.blocks import UNKNOWN_PHASE, BlockFlag, OscillatorPhase, 
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState
-from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.loop_settings import LoopSettings
+from nmt_pll.phase_loop.loop import PhaseLockedLoop
 
 RATE = 1e4
 BLOCK = 200

@@ -15,8 +15,8 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand
 from nmt_core.settings import parameters_of, settings_of
 from nmt_core.vocabulary import LoopState
-from nmt_pll.paper_loop import PaperLoop
-from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.phase_loop.paper_loop import PaperLoop
+from nmt_pll.phase_loop.paper_settings import PaperSettings
 from nmt_pll.pll_settings import PllSettings
 
 RATE, BLOCK = 10_000.0, 200

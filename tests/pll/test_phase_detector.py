@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nmt_core.errors import BenchError
-from nmt_pll.phase_detector import AdaptiveFourierFilter, phase_error
+from nmt_pll.detection.phase_detector import AdaptiveFourierFilter, phase_error
 
 RATE = 1e4
 FREQUENCY = 22.0

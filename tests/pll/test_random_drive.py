@@ -10,7 +10,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
-from nmt_pll.random_drive import RandomDrive
+from nmt_pll.open_loop.random_drive import RandomDrive
 
 RATE, BLOCK = 1000.0, 100
 LEVEL = LevelCommand(

@@ -9,7 +9,7 @@ import pytest
 from pll.internal_resonance import at_amplitude, folds
 
 from nmt_core.vocabulary import PointStatus
-from nmt_pll.response_control import ResponseController
+from nmt_pll.amplitude.response_control import ResponseController
 from nmt_session import Session, plan_test
 
 NOISE = [

@@ -9,7 +9,8 @@ from dataclasses import replace
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_pll.self_excited_control import LARGEST_DAMPING, PROPORTIONAL, AmplitudeLaw, SelfExcitedPlant
+from nmt_pll.self_excited.self_excited_control import AmplitudeLaw, SelfExcitedPlant
+from nmt_pll.thresholds import SELF_EXCITED
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 
@@ -73,7 +74,7 @@ def test_damping_feedback_takes_the_motion_down_through_the_dead_time() -> None:
         late.append(a)
         a = max(a + STEP * (-van_der_pol(a) * a + PLANT.damping_rate * late.popleft()), 1e-9)
     assert a < 0.05
-    assert -LARGEST_DAMPING <= PLANT.damping_rate * PLANT.dead_time <= -PROPORTIONAL
+    assert -SELF_EXCITED.largest_damping_rate <= PLANT.damping_rate * PLANT.dead_time <= -SELF_EXCITED.amplitude_rate
 
 
 def test_the_plant_of_a_shaker_with_its_circuit() -> None:

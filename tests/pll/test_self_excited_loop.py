@@ -10,9 +10,10 @@ from pll.self_excited_rig import SelfExcitedBench
 
 from nmt_bench.commands.run_command import RunOptions
 from nmt_core.errors import BenchError
+from nmt_core.kinds import METHODS
 from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
-from nmt_pll.self_excited_loop import LIMIT_SHARE, METHODS
+from nmt_pll.thresholds import SELF_EXCITED
 
 
 def test_loss_of_control_is_damped_and_the_drive_then_goes_to_zero_by_a_ramp() -> None:
@@ -59,7 +60,7 @@ def test_damping_that_does_not_succeed_ends_with_its_time() -> None:
 def test_a_motion_near_its_limit_is_damped_before_the_guard_trips() -> None:
     bench = SelfExcitedBench("van_der_pol", overrides=["limits.displacement_m=0.0057"])
     bench.run_level(0.003)
-    assert LIMIT_SHARE * bench.limit < 0.005, "the limit cycle lies beyond what the loop allows"
+    assert SELF_EXCITED.response_limit_share * bench.limit < 0.005, "the limit cycle lies beyond what the loop allows"
     for _ in range(600):
         bench.advance()
     assert any("of its limit" in (item.transition.reason if item.transition else "") for item in bench.outputs)

@@ -30,6 +30,7 @@ from nmt_report.run_page import worst_deviation
 from nmt_report.run_report import list_files, read_reference, report_data_from_bag, report_html, write_report
 from nmt_report.run_verdict import run_verdict
 from nmt_report.stated_uncertainty import with_budgets
+from nmt_session import Session, plan_test
 
 FIGURES = (
     "backbone",
@@ -244,6 +245,26 @@ def test_the_verdict_counts_what_became_of_every_level() -> None:
     )
     assert run_verdict(lost) == ("0 of 2 levels locked and extracted; 2 not locked", "bad")
     assert run_verdict([]).tone == "bad"
+
+
+def test_levels_that_are_another_mode_are_named_at_the_head_and_in_the_verdict() -> None:
+    data = synthetic_run(levels=3, failed=None)
+    assert data.linear is not None
+    other = (data.linear.target_mode + 1) % data.linear.shape_matrix.shape[1]
+    shape = data.linear.shape_matrix[:, other] + 0j
+    points = [*data.points[:2], replace(data.points[2], normalised_shape=shape)]
+    assert run_verdict(points, 3, data.linear) == ("3 of 3 levels locked and extracted; 1 another mode", "partly")
+    text = words_of_page(replace(data, points=points), {})
+    assert '<p class="verdict partly">' in text
+    assert re.search(r'<p class="notice partly">1 of 3 levels with values are', text)
+
+
+def test_a_recording_without_modal_points_is_refused_before_its_samples_are_read(tmp_path: Path) -> None:
+    plan = plan_test("beam", [0.05], test="random", band_hz=(5.0, 50.0), duration=1.0)
+    with Session(plan, tmp_path / "run") as session:
+        session.run()
+    with pytest.raises(BenchError, match=r"A random test gives no modal points.*nmt linear"):
+        report_data_from_bag(tmp_path / "run/bag")
 
 
 def test_the_whole_budget_is_what_stands_behind_plus_minus() -> None:

@@ -25,7 +25,7 @@ def test_amplitude_and_damping_are_those_of_the_extraction():
     ]
     q, damping = amplitude_and_damping(points, PHI)
     drive = np.array([[0.0, shape[0]]])
-    expected = modal_quantities(np.array([omega]), force[None], drive, drive, shape[None], PHI, 0)
+    expected = modal_quantities(np.array([omega]), force[None, None], drive[:, None], drive, shape[None], PHI, 0)
     assert q == pytest.approx(expected.modal_amplitude)
     assert damping == pytest.approx(expected.damping_ratio)
     scaled_q, scaled_damping = amplitude_and_damping(points, 1.1 * PHI)

@@ -8,6 +8,11 @@ from nmt_core.messages.driven_test import Covers, DrivenTest
 
 CONSUMERS: dict[str, str] = {
     "run": "nmt_session.coverage",
+    "judgement": "nmt_record.windows.window_policy",
+    "extract": "nmt_extract.coverage",
+    "report": "nmt_report.coverage",
+    "figures": "nmt_report.coverage",
+    "page": "nmt_bench.page.coverage",
 }
 """Module with the function ``covers`` of each consumer; the first says what can be done at all."""
 

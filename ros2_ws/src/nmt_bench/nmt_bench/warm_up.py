@@ -13,8 +13,8 @@ import numpy as np
 from nmt_diagnose.prediction.warm_up import warm_up_predictions
 from nmt_extract.offline import extract_bag
 from nmt_plant.devices.simulated_rig import SimulatedRig
-from nmt_pll.paper_loop import PaperLoop
-from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.phase_loop.paper_loop import PaperLoop
+from nmt_pll.phase_loop.paper_settings import PaperSettings
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import assemble, displacement_output
 from nmt_rig.model.beam import euler_bernoulli_beam
@@ -51,11 +51,13 @@ def warm_up() -> None:
     PaperLoop(linear_description(rig), PaperSettings(), rig.sample_rate_hz, rig.block_samples)
     # Forces of two arguments have a time loop of their own, as have joints at several places; slow channels a filter.
     _slide_at_two_places()
-    further = SimulatedRig(load_rig("beam", ["exciter.force_factor_linear_per_m=1.0", "sensors.0.delay_s=1e-5"]))
-    further.configure()
-    further.start()
-    further.read()
-    further.close()
+    slow = load_rig("beam", ["exciter.force_factor_linear_per_m=1.0", "sensors.0.delay_s=1e-5"])
+    for other in (slow, load_rig("frame")):  # the loop is compiled for each number of exciters
+        device = SimulatedRig(other)
+        device.configure()
+        device.start()
+        device.read()
+        device.close()
     warm_up_predictions(rig)
 
 

@@ -1,4 +1,4 @@
-"""What the evaluations of recordings take of a test."""
+"""What the evaluation of windows takes of a test."""
 
 from __future__ import annotations
 
@@ -9,23 +9,20 @@ from nmt_core.kinds import kind_class
 from nmt_core.messages.driven_test import Covers, DrivenTest
 from nmt_core.vocabulary import TestKind
 
-_INSTEAD = {
-    TestKind.RING_DOWN: "'./nmt extract' writes its free decays to decay.csv (from Python nmt_extract.free_decay)",
-    TestKind.RANDOM: "'./nmt linear --bag' fits modes to it",
-    TestKind.SWEEP: "'./nmt sweep' writes the responses of one to frf.csv while it measures",
-    TestKind.STEPPED_SINE: "'./nmt sweep' writes the responses of one to frf.csv while it measures",
-    TestKind.RECORD: "'./nmt diagnose' takes it as it is",
-}
-
 
 def covers(test: DrivenTest) -> str:
-    """Why a test gives no modal points, and what to use instead; empty = it gives them."""
-    if kind_class(test.kind).gives_modal_points:
+    """What the judgement and evaluation of a window, live and from a bag, does not take of a test; empty = it takes it.
+
+    Windows of phase resonance with one exciter or several, of secondary resonances and of self-excited structures are
+    evaluated, whatever drives them and whether harmonics of the force are controlled.
+    """
+    kind = kind_class(test.kind)
+    if kind.gives_modal_points:
         return ""
-    return (
-        f"A {kind_class(test.kind).words()} test gives no modal points, which come from tests of phase resonance and "
-        f"their relatives; {_INSTEAD[test.kind]}."
-    )
+    if test.kind is TestKind.RING_DOWN:
+        return f"Windows of {test.words} give free decays and no modal points; './nmt extract' writes decay.csv."
+    instead = "evaluate it with './nmt linear'" if kind.is_noise else "compare it with a model by './nmt diagnose'"
+    return f"Windows of {test.words} give no modal points, which come from phase resonance tests; {instead}."
 
 
 def refuse_other_tests(bag: Any, asked: Covers) -> None:
@@ -36,11 +33,5 @@ def refuse_other_tests(bag: Any, asked: Covers) -> None:
     """
     run = bag.run_start or {}
     plan = run.get("plan")
-    if not isinstance(plan, dict) or "test" not in plan:
-        return
-    try:
-        test = DrivenTest.of_run(run, None)
-    except BenchError:  # a kind of a later release, whose windows are passed over
-        return
-    if refusal := asked(test):
+    if isinstance(plan, dict) and "test" in plan and (refusal := asked(DrivenTest.of_run(run, None))):
         raise BenchError(f"The bag {bag.path} cannot be evaluated so: {refusal}")

@@ -8,13 +8,11 @@ from typing import Any
 from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LockEvent
-from nmt_core.vocabulary import LoopState, TestKind
-from nmt_extract.channel_judge import ChannelHistory
+from nmt_core.vocabulary import LoopState
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_extract.free_motion import free_motion_point, is_free_motion
+from nmt_extract.judgement.channel_history import ChannelHistory
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
-from nmt_extract.secondary_point import secondary_point
 from nmt_extract.window import SpoiledWindow, WindowAssembler
 
 
@@ -106,10 +104,6 @@ class Extractor:
         for window in self._assembler.take():
             if isinstance(window, SpoiledWindow):
                 points.append(rejected_point(window.lock, window.sample_rate, window.reason))
-            elif window.lock.force_order:
-                points.append(secondary_point(window, self.linear, self.settings))
-            elif window.lock.test is TestKind.SELF_EXCITED and is_free_motion(window):
-                points.append(free_motion_point(window, self.linear, self.settings))
             else:
                 points.append(modal_point(window, self.linear, self.settings, self._history))
         for point in points:

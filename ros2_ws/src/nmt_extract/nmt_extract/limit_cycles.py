@@ -7,7 +7,7 @@ energy, one a little smaller gains it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -83,6 +83,10 @@ def limit_cycles(points: Iterable[ModalPoint]) -> list[LimitCycle]:
         way = high.modal_amplitude - low.modal_amplitude
         share = (at - low.modal_amplitude) / way
         measured = math.hypot((1.0 - share) * low.damping_ratio_std, share * high.damping_ratio_std) * way / abs(change)
+        for place, point in enumerate(good):
+            if point in (low, high) and abs(point.damping_ratio) < 2.0 * point.damping_ratio_std:
+                # Its sign is open: the cycle may be anywhere up to where the damping may be zero, beyond the level too.
+                measured = max(measured, _moved(q, damping(q), place, point.damping_ratio_std, at))
         straight = low.modal_amplitude - low.damping_ratio * way / change
         found.append(
             LimitCycle(
@@ -96,11 +100,24 @@ def limit_cycles(points: Iterable[ModalPoint]) -> list[LimitCycle]:
     return found
 
 
-def _curve(q: FloatArray, values: FloatArray) -> Callable[[float], Any]:
+def _moved(q: FloatArray, damping: FloatArray, place: int, std: float, at: float) -> float:
+    """How far a limit cycle at ``at`` moves with the damping ratio of one level by its standard uncertainty."""
+    farthest = 0.0
+    for change in (std, -std):
+        other = damping.copy()
+        other[place] += change
+        roots = _curve(q, other).roots(extrapolate=False)
+        roots = roots[np.isfinite(roots)]
+        ends = q[[max(place - 1, 0), min(place + 1, q.size - 1)]]
+        farthest = max(farthest, float(np.abs(roots - at).min() if roots.size else np.abs(ends - at).max()))
+    return farthest
+
+
+def _curve(q: FloatArray, values: FloatArray) -> Any:
     """Values over q (k,), ascending, k at least 2."""
     from scipy.interpolate import PchipInterpolator  # late: most tests have no limit cycle
 
-    return PchipInterpolator(q, values)  # type: ignore[no-any-return]
+    return PchipInterpolator(q, values)
 
 
 def write_limit_cycles(cycles: Sequence[LimitCycle], path: Path | str) -> None:

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.coverage import covers, refuse_other_tests
+from nmt_extract.coverage import covers
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
@@ -92,7 +93,7 @@ def extract_opened_bag(
     """As :func:`extract_bag`, for an opened bag."""
     _refuse_foreign(bag)
     run: dict[str, Any] = bag.run_start or {}
-    refuse_other_tests(bag, covers)
+    _refuse_other_kinds(run, bag)
     if linear is None:
         linear = _linear_of(run, bag)
     if settings is None:
@@ -122,6 +123,12 @@ def _refuse_foreign(bag: Any) -> None:
             f"The bag {bag.path} has none of the bench's topics: it has {there}. './nmt import --init {bag.path}' "
             "lists its numeric fields and writes a sidecar (a file that says what they are) to fill in."
         )
+
+
+def _refuse_other_kinds(run: dict[str, Any], bag: Any) -> None:
+    sentence = covers(DrivenTest.of_run(run, None))
+    if sentence:
+        raise BenchError(f"The bag {bag.path} cannot be extracted: {sentence}")
 
 
 def _linear_of(run: dict[str, Any], bag: Any) -> LinearDescription:

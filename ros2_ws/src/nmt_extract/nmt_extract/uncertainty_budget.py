@@ -24,9 +24,9 @@ from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
+from nmt_extract.judgement.window_judge import phase_part
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.student import two_sided_quantile
-from nmt_extract.window_judge import phase_part
 from nmt_record.exchange.channel_tolerances import Tolerances
 
 FORMAT = "nmt uncertainty budget 1"
@@ -185,19 +185,19 @@ def uncertainty_budget(points: Sequence[ModalPoint], inputs: BudgetInputs) -> li
 
 
 def _point_budgets(point: ModalPoint, inputs: BudgetInputs, repeats: Mapping[str, float]) -> dict[str, Budget]:
-    parts: dict[str, dict[UncertaintySource, float]] = {name: {} for name in UNITS}
-    for name in UNITS:
-        own = 2.0 * math.pi * point.frequency_hz_std if name == "omega_rad_s" else getattr(point, f"{name}_std")
-        parts[name][UncertaintySource.NOISE] = own
-    wrong = phase_part(point.phase_error) * point.damping_ratio
-    own = parts["damping_ratio"][UncertaintySource.NOISE]
-    if 0.0 < wrong < own:
-        parts["damping_ratio"] = {
-            UncertaintySource.NOISE: math.sqrt(own**2 - wrong**2),
-            UncertaintySource.PHASE: wrong,
-        }
-    turn = point.damping_ratio * point.omega_rad_s
-    parts["omega_rad_s"][UncertaintySource.PHASE] = turn * math.hypot(point.phase_error, point.phase_error_std)
+    parts = {name: {UncertaintySource.NOISE: float(getattr(point, f"{name}_std"))} for name in UNITS}
+    damping = abs(point.damping_ratio)
+    for name, phase in (
+        ("damping_ratio", phase_part(point.phase_error) * damping),
+        ("omega_rad_s", damping * point.omega_rad_s * math.hypot(point.phase_error, point.phase_error_std)),
+    ):
+        stated = parts[name][UncertaintySource.NOISE]
+        # A balance of power corrects the frequency for the phase: nothing of it is in its uncertainty.
+        if 0.0 < phase <= stated:
+            parts[name] = {
+                UncertaintySource.NOISE: math.sqrt(stated**2 - phase**2),
+                UncertaintySource.PHASE: phase,
+            }
     for source, changes in _changes(point, inputs):
         for name, change in changes.items():
             parts[name][source] = math.hypot(parts[name].get(source, 0.0), change)

@@ -1,8 +1,7 @@
 """Phase-continuous oscillator of the drive, with half-cosine amplitude ramps.
 
-The phase never jumps: a new frequency bends it at a block boundary. The drive is u = Re Σ A_n exp(i n θ) for
-SINE and SWEEP, band-limited Gaussian noise for RANDOM. Harmonics that change go to their new amplitudes along a
-half-cosine within one block, so that a controller of theirs does not make steps. A term of order 1 turns the
+The phase never jumps: a new frequency bends it at a block boundary. The drive is a sum of terms Re A_n exp(i n θ) for
+SINE and SWEEP (:mod:`nmt_plant.drive_terms`), band-limited Gaussian noise for RANDOM. A term in V of order 1 turns the
 fundamental: the drive of a feedback, whose size and phase follow the response.
 """
 
@@ -22,10 +21,10 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_core.numerics.ramp import half_cosine
 from nmt_core.vocabulary import Waveform
-from nmt_plant.exciter_terms import ExciterTerms
+from nmt_plant.drive_terms import DriveTerms
 
 _LONGEST_RAMP = 86_400.0  # s
-_MOST_HARMONICS = 200
+_MOST_TERMS = 400
 _NARROWEST_BAND = 2e-5  # of the sample rate, for the lower edge and the width
 
 
@@ -110,7 +109,7 @@ def check_command(command: DriveCommand, sample_rate: float) -> None:
 
     Raises:
         BenchError: a frequency, harmonic or band beyond half the sample rate; a band too low or too narrow for its
-            filter; a ramp of more than a day; more than 200 harmonics.
+            filter; a ramp of more than a day; more than 400 terms.
     """
     nyquist = 0.5 * sample_rate
     if command.waveform == Waveform.OFF:
@@ -119,10 +118,8 @@ def check_command(command: DriveCommand, sample_rate: float) -> None:
         raise BenchError(
             f"the drive's ramp of {command.ramp:g} s is longer than a day; use {_LONGEST_RAMP:g} s at most."
         )
-    if len(command.harmonics) > _MOST_HARMONICS:
-        raise BenchError(f"the drive has {len(command.harmonics)} harmonics; use {_MOST_HARMONICS} at most.")
-    if len(command.terms) > _MOST_HARMONICS:
-        raise BenchError(f"the drive has {len(command.terms)} terms; use {_MOST_HARMONICS} at most.")
+    if len(command.terms) > _MOST_TERMS:
+        raise BenchError(f"the drive has {len(command.terms)} harmonics and other terms; use {_MOST_TERMS} at most.")
     if command.waveform == Waveform.RANDOM:
         highest = command.band_high_hz
         least = _NARROWEST_BAND * sample_rate
@@ -133,9 +130,7 @@ def check_command(command: DriveCommand, sample_rate: float) -> None:
             )
     else:
         highest = max(command.frequency_hz, command.frequency_end_hz)
-        if command.harmonics or command.terms:
-            orders = [order for order, _ in command.harmonics] + [order for _, order, _ in command.terms]
-            highest *= max(orders)
+        highest *= max((term.order for term in command.terms), default=1)
     if highest >= nyquist:
         raise BenchError(f"the drive reaches {highest:g} Hz; it must stay below half the sample rate, {nyquist:g} Hz.")
 
@@ -213,7 +208,7 @@ class Oscillator:
     def __init__(self, sample_rate: float, seed: int = 0, exciters: int = 1) -> None:
         self.sample_rate = sample_rate
         self.exciters = exciters
-        self._terms = ExciterTerms(exciters)
+        self._terms = DriveTerms(exciters)
         self._seed = seed
         self.cycles = 0.0
         self.frequency_hz = 0.0
@@ -221,9 +216,7 @@ class Oscillator:
         self._frequency_end = 0.0
         self._waveform = Waveform.OFF
         self._amplitude = Envelope()
-        self._harmonic_weight = Envelope()
-        self._harmonics: tuple[tuple[int, complex], ...] = ()
-        self._harmonics_before: dict[int, complex] = {}
+        self._volts_weight = Envelope()
         self._noise: tuple[BandNoise, ...] = ()
         self._band = (0.0, 0.0)
 
@@ -235,13 +228,13 @@ class Oscillator:
     @property
     def is_quiet(self) -> bool:
         """Whether the output is zero and stays zero."""
-        main, harmonics = self._amplitude, self._harmonic_weight
+        main, harmonics = self._amplitude, self._volts_weight
         return main.target == 0.0 == harmonics.target and main.value == 0.0 == harmonics.value
 
     @property
     def is_stopping(self) -> bool:
         """Whether the amplitude is zero or on its way there."""
-        return self._amplitude.target == 0.0 == self._harmonic_weight.target
+        return self._amplitude.target == 0.0 == self._volts_weight.target
 
     @property
     def is_periodic(self) -> bool:
@@ -251,25 +244,22 @@ class Oscillator:
     @property
     def is_feedback(self) -> bool:
         """Whether the fundamental is turned: the drive follows the response, which then does not follow from it."""
-        return any(order == 1 for order, _ in self._harmonics)
+        return self._terms.turns_fundamental
 
     def bound(self, samples: int) -> float:
         """Largest amplitude in the next `samples`, V: harmonics added up, `PEAK_FACTOR` times a random rms."""
         largest = self._amplitude.largest(samples)
-        if self._waveform == Waveform.RANDOM:
-            return PEAK_FACTOR * largest * (1.0 if self.exciters == 1 else self._terms.largest)
-        if self._harmonics:
-            before = self._harmonics_before
-            weight = self._harmonic_weight.largest(samples)
-            for order, value in self._harmonics:
-                start = before.get(order, value)
-                if order == 1 and self._amplitude.reaches_target_in(samples):
-                    # Both parts of the fundamental move along one half-cosine: it is largest at an end.
-                    ends = self._amplitude.value + self._harmonic_weight.value * start, self._amplitude.target + value
-                    largest = max(map(abs, ends))
-                else:
-                    largest += weight * max(abs(value), abs(before.get(order, 0.0)))
-        return largest if self.exciters == 1 else largest * self._terms.largest
+        factor = PEAK_FACTOR if self._waveform == Waveform.RANDOM else 1.0
+        if not self._terms:
+            return factor * largest
+        fundamental = None
+        if self.is_feedback and self._amplitude.reaches_target_in(samples):
+            # Both parts of the fundamental move along one half-cosine: it is largest at an end.
+            before, after = self._terms.turning
+            weight = self._volts_weight
+            ends = self._amplitude.value + weight.value * before, self._amplitude.target + weight.target * after
+            fundamental = max(map(abs, ends))
+        return factor * self._terms.largest(largest, self._volts_weight.largest(samples), fundamental)
 
     def apply(self, command: DriveCommand) -> None:
         """Follow a command from the next block on.
@@ -292,26 +282,16 @@ class Oscillator:
                 self._band = band
         if random != (self._waveform == Waveform.RANDOM) and self._waveform != Waveform.OFF:
             self._amplitude.clear()
-            self._harmonic_weight.clear()
+            self._volts_weight.clear()
         if not random:
             self._noise = ()
             self.frequency_hz = command.frequency_hz
             self._rate = command.rate_hz_s if command.waveform == Waveform.SWEEP else 0.0
             self._frequency_end = command.frequency_end_hz
         self._waveform = command.waveform
-        harmonics = () if random else command.harmonics
-        if self._harmonics and harmonics:
-            for order, value in self._harmonics:
-                self._harmonics_before.setdefault(order, value)
-            asked = {order for order, _ in harmonics}
-            harmonics += tuple((order, 0j) for order in self._harmonics_before if order not in asked)
-        else:
-            self._harmonics_before.clear()
-        self._harmonics = harmonics
-        if self.exciters > 1 or command.terms:
-            self._terms.aim(command.terms, self._amplitude.value == 0.0)
+        self._terms.aim(command.terms, self._amplitude.value == 0.0, self._volts_weight.value == 0.0)
         self._amplitude.aim(command.amplitude, length)
-        self._harmonic_weight.aim(1.0 if self._harmonics else 0.0, length)
+        self._volts_weight.aim(1.0 if self._terms.in_volts else 0.0, length)
 
     def _band_noise(self, band: tuple[float, float], row: int) -> BandNoise:
         """Noise of an exciter, counted from 0; it is the same whatever others there are."""
@@ -322,7 +302,7 @@ class Oscillator:
         """Half-cosine to zero within `ramp` seconds, or sooner if it is on its way; phase and frequency go on."""
         length = round(min(ramp, _LONGEST_RAMP) * self.sample_rate)
         self._amplitude.aim(0.0, length)
-        self._harmonic_weight.aim(0.0, length)
+        self._volts_weight.aim(0.0, length)
         self._rate = 0.0
 
     def block(self, samples: int) -> OscillatorBlock:
@@ -338,9 +318,10 @@ class Oscillator:
         if self._waveform == Waveform.RANDOM:
             phase = OscillatorPhase(self.cycles, 0.0, 0.0)
             voltages = np.array([source.values(samples) for source in self._noise])
-            ratios = self._terms.signals(np.zeros(samples + 1))
-            ratios[0] += 1.0
-            voltages *= self._amplitude.values(samples + 1) * ratios
+            sizes = np.zeros_like(voltages)
+            sizes[0] = amplitude = self._amplitude.values(samples + 1)
+            self._terms.add_to(sizes, np.zeros(samples + 1), amplitude, np.zeros(samples + 1))
+            voltages *= sizes
         else:
             phase = OscillatorPhase(self.cycles, self.frequency_hz, rate)
             voltages = self._periodic(samples, phase)
@@ -348,10 +329,9 @@ class Oscillator:
             self.cycles = moved - math.floor(moved)
             self.frequency_hz = end
         self._amplitude.advance(samples)
-        self._harmonic_weight.advance(samples)
+        self._volts_weight.advance(samples)
         if self.is_quiet:
             self._waveform = Waveform.OFF
-            self._harmonics = ()
             self._terms.clear()
         return OscillatorBlock(voltages, phase)
 
@@ -359,17 +339,8 @@ class Oscillator:
         """Voltages (exciters, samples + 1) of a sine or sweep; also of a drive at rest."""
         voltages = np.zeros((self.exciters, samples + 1))
         self._amplitude.cosine(voltages[0], phase, self.sample_rate)
-        if self._harmonics:
-            theta = phase.phase(samples + 1, self.sample_rate)
-            weight = self._harmonic_weight.values(samples + 1)
-            before = self._harmonics_before
-            fade = half_cosine(np.arange(samples + 1) / samples) if before else np.ones(samples + 1)
-            for order, value in self._harmonics:
-                start = before.get(order, 0j)
-                amplitude = value if start == value or not before else start + (value - start) * fade
-                voltages[0] += weight * (amplitude * np.exp(1j * order * theta)).real
-            before.clear()
         if self._terms:
-            signals = self._terms.signals(phase.phase(samples + 1, self.sample_rate))
-            voltages += signals * self._amplitude.values(samples + 1)
+            theta = phase.phase(samples + 1, self.sample_rate)
+            amplitude, weight = self._amplitude.values(samples + 1), self._volts_weight.values(samples + 1)
+            self._terms.add_to(voltages, theta, amplitude, weight)
         return voltages

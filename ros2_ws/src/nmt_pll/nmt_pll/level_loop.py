@@ -11,10 +11,10 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, SampleBlock
-from nmt_core.messages.records import LevelCommand
+from nmt_core.messages.records import DriveTerm, LevelCommand
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState, TestKind, Waveform
-from nmt_pll.lock import LockStateMachine, Transition
+from nmt_pll.detection.lock import LockStateMachine, Transition
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,7 @@ class LoopOutput(NamedTuple):
         rate_hz_s: SWEEP: rate of the frequency from the next block on, Hz/s.
         frequency_end_hz: SWEEP: where it ends, Hz.
         band_low_hz, band_high_hz: RANDOM: band of the noise, Hz.
-        harmonics: order and complex amplitude (V) of the drive's harmonics.
-        terms: further terms of several exciters, as in `DriveCommand`.
+        terms: of the drive beside its fundamental at exciter 1, as in `DriveCommand`.
     """
 
     last_sample: int
@@ -70,8 +69,7 @@ class LoopOutput(NamedTuple):
     frequency_end_hz: float = 0.0
     band_low_hz: float = 0.0
     band_high_hz: float = 0.0
-    harmonics: tuple[tuple[int, complex], ...] = ()
-    terms: tuple[tuple[int, int, complex], ...] = ()
+    terms: tuple[DriveTerm, ...] = ()
 
 
 class LevelLoop(ABC):

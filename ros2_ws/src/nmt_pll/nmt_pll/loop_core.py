@@ -14,19 +14,19 @@ from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveCommand, LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import ControlKind, LoopState, Quantity, TestKind, Waveform
-from nmt_pll.appropriated_loop import AppropriatedLoop
 from nmt_pll.coverage import covers
-from nmt_pll.exciter_appropriation import matrix_table
-from nmt_pll.harmonics_control import table_from_json
+from nmt_pll.exciters.appropriated_loop import AppropriatedLoop
+from nmt_pll.exciters.exciter_appropriation import matrix_table
+from nmt_pll.harmonics.harmonics_control import table_from_json
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
-from nmt_pll.loop import PhaseLockedLoop
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.paper_loop import PaperLoop
+from nmt_pll.open_loop.random_drive import RandomDrive
+from nmt_pll.open_loop.sweep_loop import SteppedSineLoop, SweepLoop
+from nmt_pll.phase_loop.loop import PhaseLockedLoop
+from nmt_pll.phase_loop.paper_loop import PaperLoop
 from nmt_pll.pll_settings import PllSettings
-from nmt_pll.random_drive import RandomDrive
-from nmt_pll.secondary_loop import SecondaryResonanceLoop
-from nmt_pll.self_excited_loop import SelfExcitedLoop
-from nmt_pll.sweep_loop import SteppedSineLoop, SweepLoop
+from nmt_pll.secondary.secondary_loop import SecondaryResonanceLoop
+from nmt_pll.self_excited.self_excited_loop import SelfExcitedLoop
 
 
 def drive_command(output: LoopOutput, delay: int = 0) -> DriveCommand:
@@ -43,7 +43,6 @@ def drive_command(output: LoopOutput, delay: int = 0) -> DriveCommand:
         output.ramp,
         output.last_sample + 1 + delay,
         output.last_sample,
-        output.harmonics if output.amplitude > 0.0 else (),
         output.band_low_hz,
         output.band_high_hz,
         output.rate_hz_s,

@@ -18,8 +18,8 @@ from nmt_msgs import msg
 from nmt_pll.loop_core import LoopCore
 from nmt_pll.pll_settings import PllSettings
 
-_LONGEST_WAIT = 0.05  # s that a message waits for its bundle
-_LONGEST_END = 2.0  # s that the loop waits for the ramp to zero when it is told to end
+_BUNDLE_WAIT_S = 0.05  # that a message waits for its bundle
+_END_WAIT_S = 2.0  # that the loop waits for the ramp to zero when it is told to end
 
 
 class PllNode(BenchNode):
@@ -47,7 +47,7 @@ class PllNode(BenchNode):
         if blocks > 0:
             bundles = self.bench_publisher(msg.Bundle, PLL_BUNDLE, SAMPLES_QOS)
             self._bundle = BundleWriter(("drive", "frequency"), blocks, bundles.publish)
-            self.steady_timer(_LONGEST_WAIT, self._bundle.flush)
+            self.steady_timer(_BUNDLE_WAIT_S, self._bundle.flush)
         self.command_subscription(msg.Level, "level", self._on_level, SAMPLES_QOS)
         self._inputs = {topic: self._reading(BlockReader()) for topic in ("force", self.core.response.topic)}
         if self.settings.joined_input:
@@ -96,7 +96,7 @@ class PllNode(BenchNode):
 
     def may_end(self, since: float) -> bool:
         """When no level is at work any more, since the sequencer takes the drive to zero through this node."""
-        return not self.core.at_work or since > _LONGEST_END
+        return not self.core.at_work or since > _END_WAIT_S
 
     def publish_diagnostics(self, level: bytes = DiagnosticStatus.OK, message: str = "") -> None:
         """Publish the counters; a second publisher of levels makes an error of it."""

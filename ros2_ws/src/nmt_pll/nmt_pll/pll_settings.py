@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nmt_core.kinds import METHODS
 from nmt_core.messages.bundle import LOOP_INPUT, PLL_BUNDLE
 from nmt_core.nodes.node_settings import NodeSettings
 from nmt_core.settings import group, setting
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.paper_settings import PaperSettings
-from nmt_pll.self_excited_control import METHODS
+from nmt_pll.phase_loop.paper_settings import PaperSettings
 
 PAPER_PREFIX = "paper_"
 """Before the names of the settings of the paper's loop where they are parameters of the node."""

@@ -135,6 +135,8 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
         "γ<sub>A</sub>: fundamental content of force and drive-point acceleration; MAC: correlation with "
         "the linear mode. Bars: repeatability."
     )
+    if any(point.force_order for point in points):
+        caption += Markup(" In a secondary resonance the power enters in another order: PBMIF is small there.")
     label = "Power-based mode indicator, fundamental contents and modal assurance criterion over modal amplitude"
     return ReportFigure("indicators", "Quality of the isolation", caption, svg_text(figure, "indicators", label, tips))
 
@@ -187,10 +189,10 @@ def participation_figure(data: RunReportData) -> ReportFigure | None:
         )
         phase.plot(x, np.degrees(np.angle(gamma[:, mode])), look, color=colours[mode % 5], linewidth=1.0)
     magnitude.set_yscale("log")
-    low, high = magnitude.get_ylim()
-    if high < _LEAST_DECADE * low:  # one mode: |Γ| = 1 but for rounding
-        middle = math.sqrt(low * high * _LEAST_DECADE)
-        magnitude.set_ylim(middle / _LEAST_DECADE, middle)
+    low, high = float(np.nanmin(np.abs(gamma))), float(np.nanmax(np.abs(gamma)))
+    if low > 0.1 * high > 0.0:  # of one mode |Γ| is 1 but for rounding: a decade about it
+        middle = math.sqrt(low * high)
+        magnitude.set_ylim(middle / math.sqrt(10.0), middle * math.sqrt(10.0))
     magnitude.set_ylabel(r"$|\Gamma|$")
     magnitude.legend(loc="best")
     phase.set_ylabel(r"$\arg\Gamma$ / °")
@@ -277,7 +279,6 @@ def _points(
     return tips
 
 
-_LEAST_DECADE = 10.0  # ratio of the ends of an axis of participation, at least
 # The abscissa spans a factor of 2.56 at least: a bar of this relative size is shorter than a mark.
 _HIDDEN = 0.004
 _PLAIN_SYMBOLS = {quantity.name: quantity.symbol for quantity in QUANTITIES} | {"omega_rad_s": "f̃"}

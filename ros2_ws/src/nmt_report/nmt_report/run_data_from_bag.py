@@ -17,6 +17,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.wire import BlockReader
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState
+from nmt_report.coverage import covers
 from nmt_report.run_data import (
     Excerpt,
     LevelStart,
@@ -53,8 +54,9 @@ def report_data_from_bag(
         The data, without the list of files.
 
     Raises:
-        BenchError: the path is not a readable bag.
+        BenchError: the path is not a readable bag, or its test gives no modal points.
     """
+    from nmt_core.messages.driven_test import DrivenTest
     from nmt_core.messages.wire import MODAL_POINT
     from nmt_record.bag.bag_reader import Bag
 
@@ -66,6 +68,10 @@ def report_data_from_bag(
     levels: list[LevelStart] = []
     locks: list[LockMark] = []
     recorded: list[ModalPoint] = list(bag.records("modal_point", MODAL_POINT)) if "modal_point" in bag.topics else []
+    shown = recorded if points is None else points
+    refusal = "" if shown else covers(DrivenTest.of_run(run, _rig(bag.rig_yaml)))
+    if refusal:
+        raise BenchError(refusal)
     for topic, _, _, raw in bag.raw_messages(["frequency", "level", "lock"]):
         if topic == "frequency":
             row, level, reason = _status(bag, raw)
@@ -79,9 +85,9 @@ def report_data_from_bag(
         else:
             locks.append(_lock(message))
     envelopes, excerpts, windows, sample_rate, end_sample = _signals(bag, linear, locks)
-    excerpts = _with_frequency(excerpts, recorded if points is None else points)
+    excerpts = _with_frequency(excerpts, shown)
     return RunReportData(
-        points=recorded if points is None else points,
+        points=shown,
         sample_rate=sample_rate,
         run=run,
         rig=_rig(bag.rig_yaml),

@@ -15,6 +15,7 @@ from nmt_extract.backbone_jumps import direction_difference, find_jumps
 from nmt_extract.harmonics_indicators import any_control, indicators
 from nmt_extract.limit_cycles import feeds_its_motion, limit_cycles
 from nmt_extract.modal_point import ModalPoint, Status
+from nmt_extract.mode_identity import mode_verdict
 from nmt_extract.uncertainty_budget import UncertaintySource, channel_tolerances_used, left_out
 from nmt_plant.real_time import read_histogram
 from nmt_report.columns import shown_columns, status_text, unit_text
@@ -47,7 +48,7 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         title=f"{run_name(data)}: nonlinear modal test",
         name=run_name(data),
         description=str(description) if description else "",
-        result=run_verdict(data.points, len(data.run.get("plan", {}).get("levels", ()))),
+        result=run_verdict(data.points, len(data.run.get("plan", {}).get("levels", ())), data.linear),
         faults=_faults(data),
         remarks=_remarks(data),
         shown_cards=_cards(data),
@@ -120,7 +121,8 @@ def _faults(data: RunReportData) -> list[str]:
 
 def _remarks(data: RunReportData) -> list[str]:
     """Sentences on what is there and needs a second look."""
-    remarks = [jump.sentence for jump in find_jumps(data.points)]
+    modes = "" if data.linear is None else mode_verdict(data.points, data.linear)
+    remarks = [*filter(None, [modes]), *(jump.sentence for jump in find_jumps(data.points))]
     directions = direction_difference(data.points)
     if directions is not None and directions.different:
         remarks.append(directions.sentence)
@@ -173,7 +175,9 @@ def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
             for cycle in limit_cycles(points)
         ]
     else:
-        cards.append(("PBMIF, worst level", significant(min(point.pbmif for point in points), 4), ""))
+        # In a secondary resonance the power enters in another order than the one in resonance.
+        name = "mac" if any(point.force_order for point in points) else "pbmif"
+        cards.append((f"{name.upper()}, worst level", significant(min(getattr(p, name) for p in points), 4), ""))
     directions = direction_difference(data.points)
     if directions is not None:
         alike = directions.levels - len(directions.different)

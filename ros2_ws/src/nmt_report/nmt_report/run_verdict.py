@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from nmt_core.vocabulary import PointStatus
+from nmt_extract.mode_identity import other_mode
 
 if TYPE_CHECKING:
+    from nmt_core.messages.linear_description import LinearDescription
     from nmt_core.messages.modal_point import ModalPoint
 
 GOOD, PARTLY, BAD = "good", "partly", "bad"
@@ -26,20 +28,25 @@ class RunVerdict(NamedTuple):
     tone: str
 
 
-def run_verdict(points: Sequence[ModalPoint], planned: int = 0) -> RunVerdict:
+def run_verdict(points: Sequence[ModalPoint], planned: int = 0, linear: LinearDescription | None = None) -> RunVerdict:
     """The verdict on a run.
 
     Args:
         points: one a level, also of levels without values.
         planned: levels of the plan; 0 = as many as there are points.
+        linear: linear modes that they were extracted with; None = which mode a level is, is not looked at.
     """
     total = max(len(points), planned)
-    good = sum(point.status is PointStatus.OK for point in points)
+    measured = [point for point in points if point.status is PointStatus.OK]
+    good = len(measured)
     not_locked = sum(point.status is PointStatus.NOT_LOCKED for point in points)
     counts = {
         "not locked": not_locked,
         "rejected": len(points) - good - not_locked,
         "not reached": total - len(points),
+        "another mode": sum(
+            linear is not None and other_mode(p.normalised_shape, linear) is not None for p in measured
+        ),
     }
     parts = [f"{good} of {total} levels locked and extracted"]
     parts += [f"{count} {words}" for words, count in counts.items() if count]

@@ -60,6 +60,7 @@ def shape_figure(data: RunReportData) -> ReportFigure | None:
         phase.set_yticks((-180, -90, 0, 90, 180))
     else:
         phase.set_ylim(-max(1.3 * largest, 1.0), max(1.3 * largest, 1.0))
+    phase.set_xlim(numbers.min() - 0.5, numbers.max() + 0.5)
     phase.set_xlabel("measurement point")
     phase.xaxis.set_major_locator(MaxNLocator(integer=True))
     level_bar(figure, points, (0.88, 0.12, 0.022, 0.84))

@@ -10,9 +10,10 @@ from numpy.linalg import LinAlgError
 from nmt_core.errors import BenchError
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.propagator import StateSpace, state_space
-from nmt_rig.rig import BeamSection, Rig
 from nmt_rig.rig_file import KeyPath, RigDocument
 from nmt_rig.rig_model import build_elements, build_structure, build_system
+from nmt_rig.rig_sections import Rig
+from nmt_rig.structure_sections import BeamSection
 
 MOST_BEAM_ELEMENTS = 200
 MOST_SENSORS = 200

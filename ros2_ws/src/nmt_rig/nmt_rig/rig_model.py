@@ -17,16 +17,8 @@ from nmt_rig.model.modal_structure import Mode, modal_structure
 from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.shaking_table import ShakingTable, effective_mass
 from nmt_rig.model.structure import Structure
-from nmt_rig.rig import (
-    AnyExciter,
-    BeamSection,
-    ChainSection,
-    MatricesSection,
-    ModalSection,
-    Rig,
-    ShakerSection,
-    ShakingTableSection,
-)
+from nmt_rig.rig_sections import AnyExciter, Rig, ShakerSection, ShakingTableSection
+from nmt_rig.structure_sections import BeamSection, ChainSection, MatricesSection, ModalSection
 
 
 def build_structure(rig: Rig) -> Structure:

@@ -11,10 +11,9 @@ import math
 from dataclasses import dataclass
 
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_pll.controller import AMPLITUDE_SHARE
-from nmt_pll.gains import LoopPlant
-from nmt_pll.loop import DEAD_BLOCKS
 from nmt_pll.loop_settings import LoopSettings
+from nmt_pll.phase_loop.gains import LoopPlant
+from nmt_pll.thresholds import PHASE
 
 USUAL = 0.02  # s, the shortest that is chosen
 _STEP = 0.01  # s
@@ -86,7 +85,7 @@ def choose_block(
     bandwidth, allowed = wanted_bandwidth(linear, settings), allowed_bandwidth(settings, chosen)
     reason = (
         f"mode at {frequency:.4g} Hz; the loop's closed form asks for {bandwidth:.3g} rad/s, its dead time of "
-        f"{DEAD_BLOCKS:g} blocks allows {allowed:.3g} rad/s"
+        f"{PHASE.dead_time_blocks:g} blocks allows {allowed:.3g} rad/s"
     )
     if chosen > USUAL:
         reason += f"; settling takes {100.0 * cost:.1f} % of a level longer than with blocks of {1e3 * USUAL:g} ms"
@@ -107,7 +106,7 @@ def wanted_bandwidth(linear: LinearDescription, settings: LoopSettings) -> float
 
 def allowed_bandwidth(settings: LoopSettings, length: float) -> float:
     """Bandwidth that the dead time of blocks of ``length`` s allows, rad/s."""
-    return settings.delay_margin / ((DEAD_BLOCKS + settings.latency_blocks) * length)
+    return settings.delay_margin / ((PHASE.dead_time_blocks + settings.latency_blocks) * length)
 
 
 def settling_time(linear: LinearDescription, settings: LoopSettings, level: LevelTime, length: float) -> float:
@@ -119,5 +118,5 @@ def settling_time(linear: LinearDescription, settings: LoopSettings, level: Leve
     slowest = min(allowed, wanted_bandwidth(linear, settings), LoopPlant.from_description(linear).plant_decay)
     settled = _SETTLED / slowest
     if level.holds_amplitude:
-        settled += _SETTLED / (AMPLITUDE_SHARE * allowed)
+        settled += _SETTLED / (PHASE.amplitude_bandwidth_share * allowed)
     return settled + 1.5 * tick_blocks(length) * length

@@ -35,11 +35,11 @@ from nmt_plant.devices.hardware_rig import HARDWARE_LEAD
 from nmt_plant.plant_settings import PlantSettings
 from nmt_plant.safety.output_guard import default_slew
 from nmt_pll.coverage import covers_linear
-from nmt_pll.harmonics_control import MOST_HARMONICS
-from nmt_pll.harmonics_target import check_modes
+from nmt_pll.harmonics.harmonics_target import check_modes
 from nmt_pll.loop_settings import settings_from
-from nmt_pll.paper_settings import PaperSettings
+from nmt_pll.phase_loop.paper_settings import PaperSettings
 from nmt_pll.pll_settings import PAPER_PREFIX, PllSettings
+from nmt_pll.thresholds import HARMONICS
 from nmt_record.bag.bag_keys import SIMULATED_RIG, converter_name
 from nmt_record.bag.recorder_settings import RecorderSettings
 from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS, SPECIMEN
@@ -555,7 +555,7 @@ def _extracted_harmonics(test: TestPlan, linear: LinearDescription | None) -> in
     controlled = test.kind.controlled_harmonics
     if not controlled or linear is None:
         return harmonics
-    wanted = MOST_HARMONICS if controlled == AUTOMATIC else controlled
+    wanted = HARMONICS.automatic_highest if controlled == AUTOMATIC else controlled
     below_nyquist = int(0.45 * float(test.rig.sample_rate_hz) / linear.frequency_hz)
     return max(harmonics, min(wanted, below_nyquist))
 

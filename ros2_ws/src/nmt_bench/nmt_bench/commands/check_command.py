@@ -14,8 +14,8 @@ from nmt_core.errors import BenchError
 from nmt_core.options import argument, option
 
 if TYPE_CHECKING:
+    from nmt_plant.check.check_result import CheckResult
     from nmt_plant.check.converter_contract import ContractResult
-    from nmt_plant.check.hardware_check import CheckResult
     from nmt_plant.devices.hardware_rig import HardwareRig
     from nmt_rig.device_sections import AnyDevice
     from nmt_rig.rig import Rig
@@ -57,9 +57,10 @@ def run(options: CheckOptions) -> int:
     from nmt_bench.commands.linear_input import read_linear
     from nmt_bench.hardware.chosen_device import look_for_device, parsed_device
     from nmt_bench.hardware.hardware_checks import fingerprint, keep_check
+    from nmt_plant.check.check_record import record_check
     from nmt_plant.check.converter_contract import check_monitor, contract_mapping
     from nmt_plant.check.exciter_in_turn import check_in_turn
-    from nmt_plant.check.hardware_check import evaluate_check, record_check
+    from nmt_plant.check.hardware_check import evaluate_check
     from nmt_plant.devices.device import DeviceFault
     from nmt_plant.devices.hardware_rig import HardwareRig, device_of
     from nmt_plant.real_time import real_time_priority

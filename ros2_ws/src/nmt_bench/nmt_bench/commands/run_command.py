@@ -467,6 +467,7 @@ def _summarise(
     unwritten: str,
 ) -> RunVerdict:
     from nmt_bench.commands.terminal import print_modal_table, print_verdict
+    from nmt_core.messages.linear_description import LinearDescription
     from nmt_core.vocabulary import ResultCode
     from nmt_extract.backbone_jumps import backbone_sentences
 
@@ -486,4 +487,6 @@ def _summarise(
         console.print(unwritten, style="red", soft_wrap=True)
     if (folder / "report.html").exists():
         console.print(f"Report: {(folder / 'report.html').resolve()}", soft_wrap=True)
-    return print_verdict(result.points, console, len(bench.test.levels))
+    described = bench.plan.run.get("linear")
+    linear = LinearDescription.from_mapping(dict(described)) if described else None
+    return print_verdict(result.points, console, len(bench.test.levels), linear)

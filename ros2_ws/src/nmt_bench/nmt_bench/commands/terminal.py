@@ -13,12 +13,14 @@ from rich.text import Text
 
 from nmt_extract.limit_cycles import feeds_its_motion, limit_cycles
 from nmt_extract.modal_point import Status
+from nmt_extract.mode_identity import mode_verdict
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import concise, plain, significant, uncertain
 from nmt_report.run_verdict import BAD, GOOD, PARTLY, run_verdict
 from nmt_report.stated_uncertainty import std_note, with_budgets
 
 if TYPE_CHECKING:
+    from nmt_core.messages.linear_description import LinearDescription
     from nmt_extract.modal_point import ModalPoint
     from nmt_extract.uncertainty_budget import PointBudget
     from nmt_report.run_data import ReferenceCurve
@@ -127,18 +129,24 @@ def print_modal_table(
             )
 
 
-def print_verdict(points: Sequence[ModalPoint], console: Console, planned: int = 0) -> RunVerdict:
+def print_verdict(
+    points: Sequence[ModalPoint], console: Console, planned: int = 0, linear: LinearDescription | None = None
+) -> RunVerdict:
     """Print what a run gave in the colour of its tone.
 
     Args:
         points: one a level.
         console: where to.
         planned: levels of the plan; 0 = as many as there are points.
+        linear: linear modes that they were extracted with, by which it is told which mode a level is.
 
     Returns:
         The verdict.
     """
-    verdict = run_verdict(points, planned)
+    verdict = run_verdict(points, planned, linear)
+    modes = "" if linear is None else mode_verdict(points, linear)
+    if modes:
+        console.print(Text(modes, style=_TONES[PARTLY]), soft_wrap=True)
     console.print(Text(f"{verdict.sentence}.", style=_TONES[verdict.tone]), soft_wrap=True)
     return verdict
 

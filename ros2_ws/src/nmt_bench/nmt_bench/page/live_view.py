@@ -15,23 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from nmt_bench.page.channels import FLOOR_SHARE, LEAST, Levels, TopicSignals, channel_levels
-from nmt_bench.page.decimation import min_max
+from nmt_bench.page.channels import FLOOR_SHARE, LEAST
 from nmt_bench.page.frames import write_frame
+from nmt_bench.page.live_signals import LiveSignals
 from nmt_bench.page.loop_track import LoopTrack
-from nmt_bench.page.signal_views import (
-    HARMONICS,
-    PERIODS,
-    amplitude_spectrum,
-    deflection,
-    fundamental_amplitudes,
-    harmonic_amplitudes,
-    paired_periods,
-    velocity_of,
-    whole_periods,
-)
+from nmt_core.errors import BenchError
 from nmt_core.kinds import KINDS, KindOfTest, PhaseResonanceTest, kind_class
 from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.records import DriveStop, LevelCommand, LockEvent, LoopStatus, RunState, Steering
 from nmt_core.numerics.arrays import FloatArray
@@ -46,19 +37,12 @@ from nmt_core.vocabulary import (
     SteeringAct,
     StopCause,
 )
+from nmt_extract.mode_identity import mode_verdict
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import duration, engineering_exponent, plain, power_of_ten, significant
 from nmt_report.run_verdict import run_verdict
-from nmt_signals.frequency_responses import RunningFrf
 
-MOST_SHOWN = 8
-MOST_LISTED = 400
-_WAVE_BUCKETS = 200
-_ORBIT_POINTS = 400
-_SPECTRUM_SAMPLES, _LEAST_SPECTRUM = 8192, 256
-_FRF_SECONDS = 1.0
 _SILENT = 3.0  # s without a heartbeat
-_RESPONSES = (Quantity.ACCELERATION, Quantity.DISPLACEMENT, Quantity.VELOCITY)
 _LOOP_WORDS = {
     LoopState.UNKNOWN: "no state",
     LoopState.FIXED: "not controlled",
@@ -98,12 +82,12 @@ class LiveView:
         self._health: dict[str, tuple[float, int, str, dict[str, str]]] = {}
         self._run: Mapping[str, Any] = {}
         self._rig: Mapping[str, Any] = {}
+        self._linear: LinearDescription | None = None
         self._stop: DriveStop | None = None
         self._forget()
 
     def _forget(self) -> None:
-        self._topics: dict[Quantity, TopicSignals] = {}
-        self._limits: dict[Quantity, list[Levels]] = {}
+        self._signals = LiveSignals(self._run, self._rig)
         self._plan: list[float] = []
         self._levels: dict[int, LevelCommand] = {}
         self._locks: dict[int, LockEvent] = {}
@@ -114,10 +98,7 @@ class LiveView:
         self._status: LoopStatus | None = None
         self._track = LoopTrack()
         self._largest: dict[str, float] = {}
-        self._frf: RunningFrf | None = None
         self._began = math.nan
-        self._rate = math.nan
-        self._gaps = 0
         self.version += 1
 
     # -- what comes in -------------------------------------------------------------------------------------------
@@ -130,12 +111,12 @@ class LiveView:
         with self._lock:
             self._run = run if isinstance(run, Mapping) else {}
             self._rig = rig if isinstance(rig, Mapping) else {}
+            self._linear = _linear(self._run)
             plan = self._run.get("plan")
             levels = plan.get("levels") if isinstance(plan, Mapping) else None
             if isinstance(levels, list) and not any(act.taken for act in self._acts):
                 self._plan = [float(item) for item in levels if isinstance(item, int | float)]
-            for quantity, signals in self._topics.items():
-                self._limits[quantity] = self._levels_of(signals)
+            self._signals.describe(self._run, self._rig)
             self.version += 1
 
     def set_reference(self, modal_amplitude: FloatArray, frequency_hz: FloatArray, damping_ratio: FloatArray) -> None:
@@ -148,7 +129,7 @@ class LiveView:
         """Take a message of the bench as its record; others are passed over."""
         with self._lock:
             if isinstance(record, SampleBlock):
-                self._take_block(record)
+                self.version += self._signals.take(record)
             elif isinstance(record, LoopStatus):
                 self._take_status(record)
             elif isinstance(record, RunState):
@@ -156,7 +137,7 @@ class LiveView:
             elif isinstance(record, LevelCommand):
                 if record.amplitude > 0.0:
                     self._levels[record.index] = record
-                    self._frf = None
+                    self._signals.begin_level(record)
                     self.version += 1
             elif isinstance(record, LockEvent):
                 self._locks[record.level_index] = record
@@ -192,57 +173,17 @@ class LiveView:
                 ModalPoint: self._points,
             }
             known = stores[type(record)]
-            if index not in known:
-                newest = max(self._levels, default=-1)
-                frf = self._frf
+            if isinstance(record, LevelCommand) and index < max(self._levels, default=-1) and index not in known:
+                self._levels[index] = record  # an older level ends no average
+                self.version += 1
+            elif index not in known:
                 self.take(record)
-                if isinstance(record, LevelCommand) and index < newest:
-                    self._frf = frf  # an older level ends no average
 
     def take_health(self, name: str, level: int, message: str, values: Mapping[str, str]) -> None:
         """Take a node's heartbeat: its level (0 good, 1 warning, 2 error), words and counters."""
         with self._lock:
             if len(self._health) < 50 or name in self._health:
                 self._health[name] = (self._clock(), level, message[:300], dict(list(values.items())[:100]))
-
-    def _take_block(self, block: SampleBlock) -> None:
-        signals = self._topics.get(block.quantity)
-        if signals is None or not signals.fits(block):
-            if not block.samples or block.quantity is Quantity.UNKNOWN:
-                return
-            signals = self._topics[block.quantity] = TopicSignals(block)
-            self._limits[block.quantity] = self._levels_of(signals)
-            self._rate = block.sample_rate
-            self.version += 1
-        elif block.first_sample > signals.recent.end_sample:
-            self._gaps += 1
-        signals.add(block)
-        if block.quantity in _RESPONSES and self._test.is_noise:
-            self._average(signals)
-
-    def _average(self, response: TopicSignals) -> None:
-        """Average force and response while a random window is open; both must have come up to the same sample."""
-        force = self._topics.get(Quantity.FORCE)
-        status = self._status
-        if force is None or response is not self._response or status is None or status.state != LoopState.LOCKED:
-            return
-        if self._frf is None:
-            self._frf = RunningFrf(2 * round(0.5 * _FRF_SECONDS * response.sample_rate), response.sample_rate)
-            self._averaged = max(force.recent.end_sample, response.recent.end_sample)
-            return
-        end = min(force.recent.end_sample, response.recent.end_sample)
-        count = end - self._averaged
-        if count <= 0:
-            return
-        rows = self._row(force), self._row(response)
-        a, b = (
-            signals.recent.last(signals.recent.end_sample - self._averaged)[row]
-            for signals, row in zip((force, response), rows, strict=True)
-        )
-        length = min(a.size, b.size, count)
-        if length == count:
-            self._frf.add(self._averaged, np.array(a[:count]), np.array(b[:count]))
-        self._averaged = end
 
     def _take_status(self, status: LoopStatus) -> None:
         if self._status is not None and status.last_sample < self._status.last_sample:
@@ -252,15 +193,15 @@ class LiveView:
             self.version += 1
         if self._status is None or status.state != self._status.state:
             self.version += 1
-        self._status = status
-        if self._rate > 0.0:
-            self._track.add(status, self._rate)
+        self._status = self._signals.status = status
+        if self._signals.rate > 0.0:
+            self._track.add(status, self._signals.rate)
 
     def _take_state(self, state: RunState) -> None:
         before = self._state
         if before is not None and state.run_id != before.run_id and before.run_id:
             self._forget()
-            self._run, self._rig = {}, {}
+            self._run, self._rig, self._linear = {}, {}, None
             before = None
         self._state = state
         if state.phase == RunPhase.RUNNING and math.isnan(self._began):
@@ -317,53 +258,12 @@ class LiveView:
         for lock in self._locks.values():
             return lock.level_unit
         control = self._levels[max(self._levels)].control if self._levels else ControlKind.VOLTAGE
-        response = self._response
+        response = self._signals.response
         quantity = response.quantity if response is not None else Quantity.UNKNOWN
         try:
             return ControlKind(control).level_unit(quantity)
         except ValueError:
             return ""
-
-    @property
-    def _response(self) -> TopicSignals | None:
-        """Topic of the response that the loop controls, or the first there is."""
-        wanted = self._status.response_unit if self._status is not None else ""
-        present = [self._topics[quantity] for quantity in _RESPONSES if quantity in self._topics]
-        return next((signals for signals in present if signals.unit == wanted), present[0] if present else None)
-
-    @property
-    def _drive_point(self) -> int:
-        point = self._run.get("exciter_point")
-        if isinstance(point, int):
-            return point
-        force = self._topics.get(Quantity.FORCE)
-        return force.points[0] if force is not None and force.points else 0
-
-    def _row(self, signals: TopicSignals) -> int:
-        point = self._drive_point
-        return signals.points.index(point) if point in signals.points else 0
-
-    def _levels_of(self, signals: TopicSignals) -> list[Levels]:
-        limits = self._rig.get("limits")
-        section = limits if isinstance(limits, Mapping) else {}
-        return [channel_levels(section, signals.quantity, name) for name in signals.channels]
-
-    def _shown(self) -> list[tuple[TopicSignals, int]]:
-        """Channels whose signals are drawn: force, drive-point response, voltage, then the others in their order.
-
-        Forces and voltages of further exciters come before the other responses.
-        """
-        first = [self._topics.get(Quantity.FORCE), self._response, self._topics.get(Quantity.VOLTAGE)]
-        chosen = [(signals, self._row(signals)) for signals in first if signals is not None]
-        if first[2] is not None and len(first[2].channels) > 1:
-            for signals in (first[0], first[2]):
-                if signals is not None:
-                    chosen += [(signals, row) for row in range(len(signals.channels)) if (signals, row) not in chosen]
-        for quantity in Quantity:
-            signals = self._topics.get(quantity)
-            if signals is not None:
-                chosen += [(signals, row) for row in range(len(signals.channels)) if (signals, row) not in chosen]
-        return chosen[:MOST_SHOWN]
 
     def facts(self) -> bytes:
         """The frame of what stays."""
@@ -394,20 +294,17 @@ class LiveView:
                     "phase": self._state.phase.name.lower() if self._state else "idle",
                     "result": self._state.result_code.name if self._state and self._state.result_code else "",
                     "reason": self._state.reason if self._state else "",
-                    "verdict": run_verdict(points, len(self._plan)) if points else None,
+                    "verdict": run_verdict(points, len(self._plan), self._linear) if points else None,
+                    "modes": mode_verdict(points, self._linear) if self._linear is not None else "",
                     "stopped": self._stop_text(),
                     "stop_state": "" if self._stop is None else self._stop.cause.name.lower(),
-                    "response_unit": unit_text(self._response.unit) if self._response else "",
                     "level_unit": unit_text(self._level_unit),
                     "plan": self._plan_rows(),
                     "point_levels": [point.level_index + 1 for point in good],
                     "table_head": head,
                     "table": rows,
                     "acts": [self._act_text(act) for act in self._acts[-50:]],
-                    "channels": self._channel_rows(),
-                    "sample_rate": self._rate,
-                    "strip_seconds": self._topics[min(self._topics)].strip.length / self._rate if self._topics else 0.0,
-                    "strip_stretches": self._topics[min(self._topics)].strip.stretches if self._topics else 0,
+                    **self._signals.facts(),
                 },
                 arrays,
             )
@@ -476,34 +373,12 @@ class LiveView:
         refused = f"; not taken: {act.reason}" if not act.taken else ""
         return f"{when}, sample {act.apply_at_sample}: {words} by {act.source}{refused}"
 
-    def _channel_rows(self) -> list[dict[str, Any]]:
-        shown = self._shown()
-        rows = []
-        for quantity in sorted(self._topics):
-            signals = self._topics[quantity]
-            for row, name in enumerate(signals.channels):
-                levels = self._limits[quantity][row]
-                rows.append(
-                    {
-                        "name": name,
-                        "quantity": quantity.topic,
-                        "unit": unit_text(signals.unit),
-                        "point": signals.points[row] if row < len(signals.points) else 0,
-                        "shown": next((n for n, item in enumerate(shown) if item == (signals, row)), -1),
-                        "warning_peak": levels.warning_peak,
-                        "abort_peak": levels.abort_peak,
-                        "warning_rms": levels.warning_rms,
-                        "abort_rms": levels.abort_rms,
-                    }
-                )
-        return rows[:MOST_LISTED]
-
     # -- many times a second -------------------------------------------------------------------------------------
 
     def newest_stretch(self) -> int:
         """Number of the newest stretch of the strips."""
         with self._lock:
-            return max((signals.strip.newest for signals in self._topics.values()), default=-1)
+            return self._signals.newest_stretch()
 
     def live(self, since: int, spectrum: bool = True) -> bytes:
         """The frame of what moves.
@@ -515,18 +390,8 @@ class LiveView:
         with self._lock:
             head: dict[str, Any] = {"kind": "live", "version": self.version, **self._numbers()}
             arrays: dict[str, Any] = {}
-            quantities = sorted(self._topics)
-            if quantities:
-                arrays["peak"] = np.concatenate([self._topics[quantity].peak for quantity in quantities])[:MOST_LISTED]
-                arrays["floor"] = np.concatenate([self._topics[quantity].floor for quantity in quantities])[
-                    :MOST_LISTED
-                ]
-                arrays["rms"] = np.concatenate([self._topics[quantity].rms for quantity in quantities])[:MOST_LISTED]
-            self._add_strips(head, arrays, since)
-            self._add_waves(head, arrays)
+            self._signals.add_to(head, arrays, since, spectrum)
             if spectrum:
-                self._add_spectrum(head, arrays)
-                self._add_response(arrays)
                 arrays.update(self._track.arrays())
             return write_frame(head, arrays)
 
@@ -537,6 +402,7 @@ class LiveView:
         left = math.nan
         if state and state.phase in (RunPhase.RUNNING, RunPhase.PAUSED) and progress > 0.01:
             left = (now - self._began) * (1.0 - progress) / progress
+        sample = self._signals.newest_sample()
         drive = status.drive_amplitude if status else math.nan
         limit = self._drive_limit
         nodes = []
@@ -552,15 +418,15 @@ class LiveView:
             )
         plant = next((values for name, (*_, values) in self._health.items() if name.split("/")[-1] == "plant"), {})
         flags = 0
-        for signals in self._topics.values():
+        for signals in self._signals.topics.values():
             flags |= signals.flags
         return {
             "phase": state.phase.name.lower() if state else "idle",
             "level_index": state.level_index if state else -1,
             "level": self._with_unit(state.level if state else math.nan, unit_text(self._level_unit)),
             "progress": progress,
-            "sample": self._newest_sample(),
-            "bench_time": duration(self._newest_sample() / self._rate) if self._rate > 0 else "—",
+            "sample": sample,
+            "bench_time": duration(sample / self._signals.rate) if self._signals.rate > 0 else "—",
             "left": f"{duration(left)}" if math.isfinite(left) else "—",
             "loop": LoopState(status.state).name.lower() if status else "unknown",
             "loop_text": _LOOP_WORDS[LoopState(status.state)] if status else "no state",
@@ -580,7 +446,7 @@ class LiveView:
             ),
             "exciters": self._exciter_rows(),
             "flags": [flag.name.lower().replace("_", " ") for flag in BlockFlag if flag and flags & flag and flag.name],
-            "gaps": self._gaps,
+            "gaps": self._signals.gaps,
             "nodes": nodes,
             "tripped": plant.get("tripped", ""),
             "warnings": plant.get("warnings", ""),
@@ -589,33 +455,14 @@ class LiveView:
 
     def _exciter_rows(self) -> list[dict[str, Any]]:
         """Amplitudes of force and voltage of every exciter over the newest periods; empty where there is only one."""
-        force, voltage = self._topics.get(Quantity.FORCE), self._topics.get(Quantity.VOLTAGE)
-        if force is None or voltage is None or len(voltage.channels) < 2:
-            return []
-        forces, voltages = (fundamental_amplitudes(*whole_periods(signals)) for signals in (force, voltage))
-        points = self._exciter_points(force, len(voltage.channels))
-        rows = []
-        for number, point in enumerate(points):
-            row = force.points.index(point) if point in force.points else -1
-            channel = voltage.channels[number]
-            rows.append(
-                {
-                    "name": f"Exciter {number + 1}, point {point}" if point else f"Exciter {number + 1}",
-                    "drive": self._told(f"drive {channel}", voltages[number], "V"),
-                    "force": self._told(f"force {number}", forces[row] if row >= 0 else math.nan, "N"),
-                }
-            )
-        return rows
-
-    def _exciter_points(self, force: TopicSignals, count: int) -> list[int]:
-        """Points of the exciters in the order of their voltages, by the rig file or else by the forces; 0 = unknown."""
-        listed = self._rig.get("exciters")
-        sections = listed if isinstance(listed, list) else []
-        points = [section.get("point") if isinstance(section, Mapping) else None for section in sections]
-        known = [point for point in points if isinstance(point, int)]
-        if len(known) == len(points) == count:
-            return known
-        return list(force.points) if len(force.points) == count else [0] * count
+        return [
+            {
+                "name": f"Exciter {number}, point {point}" if point else f"Exciter {number}",
+                "drive": self._told(f"drive {channel}", voltage, "V"),
+                "force": self._told(f"force {number}", force, "N"),
+            }
+            for number, (point, channel, force, voltage) in enumerate(self._signals.exciter_amplitudes(), start=1)
+        ]
 
     def _told(self, name: str, value: float, unit: str) -> str:
         """An amplitude with its unit; below what is told from rounding only that."""
@@ -649,78 +496,14 @@ class LiveView:
                 return float(value)
         return math.nan
 
-    def _newest_sample(self) -> int:
-        return max((signals.recent.end_sample for signals in self._topics.values()), default=0)
 
-    def _add_strips(self, head: dict[str, Any], arrays: dict[str, Any], since: int) -> None:
-        shown = self._shown()
-        head["strips"] = []
-        for number, (signals, row) in enumerate(shown):
-            first, low, high = signals.strip.since(since)
-            head["strips"].append(first)
-            arrays[f"low{number}"], arrays[f"high{number}"] = low[row], high[row]
-
-    def _add_waves(self, head: dict[str, Any], arrays: dict[str, Any]) -> None:
-        cut: dict[int, tuple[FloatArray, float]] = {}
-        for number, (signals, row) in enumerate(self._shown()):
-            if id(signals) not in cut:
-                cut[id(signals)] = whole_periods(signals)
-            arrays[f"wave{number}"] = min_max(cut[id(signals)][0][row], _WAVE_BUCKETS)
-        force, response = self._topics.get(Quantity.FORCE), self._response
-        head["periods"] = PERIODS
-        head["wave_seconds"] = 0.1
-        if force is None or response is None:
-            return
-        frequency = (cut.get(id(response)) or whole_periods(response))[1]
-        if not math.isfinite(frequency):
-            head["periods"] = 0
-            return
-        head["wave_seconds"] = PERIODS / frequency
-        periods = cut[id(response)][0] if id(response) in cut else whole_periods(response)[0]
-        arrays["shape_points"] = np.array(response.points, dtype=np.float64)
-        arrays["shape"] = deflection(periods, response.points)
-        forces, responses, frequency = paired_periods(force, response)
-        if not math.isfinite(frequency):
-            return
-        stride = max(1, forces.shape[1] // _ORBIT_POINTS)
-        moved = responses[self._row(response)]
-        arrays["orbit_force"] = forces[self._row(force)][::stride]
-        arrays["orbit_response"] = moved[::stride]
-        arrays["orbit_velocity"] = velocity_of(moved, response.quantity, PERIODS, frequency)[::stride]
-
-    def _add_spectrum(self, head: dict[str, Any], arrays: dict[str, Any]) -> None:
-        status = self._status
-        fundamental = status.frequency_hz if status is not None and status.frequency_hz > 0 else math.nan
-        top = (HARMONICS + 1.5) * fundamental if math.isfinite(fundamental) else math.inf
-        if self._test.is_noise and self._levels:
-            top, fundamental = 1.2 * self._levels[max(self._levels)].band_high_hz, math.nan
-        shown = [("force", self._topics.get(Quantity.FORCE)), ("response", self._response)]
-        data = {
-            name: signals.recent.last(_SPECTRUM_SAMPLES)[self._row(signals)]
-            for name, signals in shown
-            if signals is not None
-        }
-        length = min(
-            (part.size for part in data.values()), default=0
-        )  # after a gap one topic may have more than another
-        for name, part in data.items() if length >= _LEAST_SPECTRUM else ():
-            frequency, amplitude = amplitude_spectrum(part[-length:], self._rate, min(top, 0.5 * self._rate))
-            arrays[f"spectrum_{name}_f"], arrays[f"spectrum_{name}"] = frequency, amplitude
-            arrays[f"harmonics_{name}"] = harmonic_amplitudes(frequency, amplitude, fundamental)
-        head["fundamental"] = fundamental
-
-    def _add_response(self, arrays: dict[str, Any]) -> None:
-        level = self._levels[max(self._levels)] if self._levels else None
-        if self._frf is None or level is None:
-            return
-        frequency, magnitude, coherence = self._frf.estimate(level.band_low_hz, level.band_high_hz)
-        stride = max(1, frequency.size // 1000)
-        arrays["frf_f"], arrays["frf"], arrays["coherence"] = (
-            frequency[::stride],
-            magnitude[::stride],
-            coherence[::stride],
-        )
-        arrays["averages"] = [self._frf.averages]
+def _linear(run: Mapping[str, Any]) -> LinearDescription | None:
+    """Linear modes that a run names; None where it names none that can be used."""
+    described = run.get("linear")
+    try:
+        return LinearDescription.from_mapping(dict(described)) if isinstance(described, Mapping) else None
+    except BenchError:
+        return None
 
 
 _HELD = "The drive is at zero and stays there until it is released"

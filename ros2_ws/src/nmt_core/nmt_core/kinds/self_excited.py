@@ -19,7 +19,7 @@ class SelfExcitedTest(KindOfTest):
 
     Attributes:
         duration: longest time that a free motion is waited for, and that damping lasts at the end, s.
-        method: how the amplitudes are reached, see :mod:`nmt_pll.self_excited_loop`.
+        method: how the amplitudes are reached, see :mod:`nmt_pll.self_excited.self_excited_loop`.
     """
 
     NUMBER: ClassVar[TestKind] = TestKind.SELF_EXCITED

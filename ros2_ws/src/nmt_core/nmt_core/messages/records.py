@@ -20,6 +20,22 @@ from nmt_core.vocabulary import (
 )
 
 
+class DriveTerm(NamedTuple):
+    """A term of a periodic drive beside its fundamental at exciter 1; ``nmt_msgs/Drive``.
+
+    Attributes:
+        exciter: which exciter, from 1.
+        order: harmonic number n, from 1.
+        value: complex amplitude of Re value exp(i n θ): over the drive's amplitude, or V.
+        relative: whether it is over the drive's amplitude, which it then follows; else V, of exciter 1 only.
+    """
+
+    exciter: int
+    order: int
+    value: complex
+    relative: bool = True
+
+
 class DriveCommand(NamedTuple):
     """What the oscillator shall do; ``nmt_msgs/Drive``.
 
@@ -31,12 +47,10 @@ class DriveCommand(NamedTuple):
             restart it.
         apply_at_sample: first block that starts at or after this sample; 0 = next block.
         based_on_sample: last sample the command was computed from.
-        harmonics: (harmonic number, complex amplitude in V) of additional terms Re A_n exp(i n θ); number 1 turns the
-            fundamental and changes its size.
         band_low_hz, band_high_hz: band edges of RANDOM.
         rate_hz_s, frequency_end_hz: rate of SWEEP and where it holds.
-        terms: (exciter from 1, harmonic number, ratio r) of further terms amplitude · Re r exp(i n θ); of RANDOM the
-            exciters besides the first, each with a noise of its own. Empty = one exciter.
+        terms: what every exciter gets beside the fundamental at exciter 1. An absolute term of order 1 turns the
+            fundamental and changes its size. Of RANDOM rms over the amplitude, each exciter with a noise of its own.
     """
 
     waveform: Waveform
@@ -45,12 +59,11 @@ class DriveCommand(NamedTuple):
     ramp: float = 0.0
     apply_at_sample: int = 0
     based_on_sample: int = 0
-    harmonics: tuple[tuple[int, complex], ...] = ()
     band_low_hz: float = 0.0
     band_high_hz: float = 0.0
     rate_hz_s: float = 0.0
     frequency_end_hz: float = 0.0
-    terms: tuple[tuple[int, int, complex], ...] = ()
+    terms: tuple[DriveTerm, ...] = ()
 
 
 class LoopStatus(NamedTuple):

@@ -41,6 +41,7 @@ from nmt_core.messages.modal_point import COMPLEX, ModalPoint
 from nmt_core.messages.records import (
     DriveCommand,
     DriveStop,
+    DriveTerm,
     LevelCommand,
     LockEvent,
     LoopStatus,
@@ -254,15 +255,17 @@ _DRIVE = struct.Struct("<4siIQQB7xdddIII4xddddIIII")
 
 def write_drive(drive: DriveCommand, sample_rate: float) -> bytes:
     """Serialise as ``nmt_msgs/Drive`` with the stamp of ``based_on_sample``."""
-    if drive.harmonics or drive.terms:
+    if drive.terms:
         values = {**drive._asdict(), "stamp": bench_time_ns(drive.based_on_sample, sample_rate)}
-        values["exciters"] = [exciter for exciter, _, _ in drive.terms]
-        values["exciter_orders"] = [order for _, order, _ in drive.terms]
-        values["exciter_ratio_real"] = [ratio.real for _, _, ratio in drive.terms]
-        values["exciter_ratio_imag"] = [ratio.imag for _, _, ratio in drive.terms]
-        values["harmonics"] = [order for order, _ in drive.harmonics]
-        values["harmonics_real"] = [value.real for _, value in drive.harmonics]
-        values["harmonics_imag"] = [value.imag for _, value in drive.harmonics]
+        ratios = [term for term in drive.terms if term.relative]
+        volts = [term for term in drive.terms if not term.relative]
+        values["exciters"] = [term.exciter for term in ratios]
+        values["exciter_orders"] = [term.order for term in ratios]
+        values["exciter_ratio_real"] = [term.value.real for term in ratios]
+        values["exciter_ratio_imag"] = [term.value.imag for term in ratios]
+        values["harmonics"] = [term.order for term in volts]
+        values["harmonics_real"] = [term.value.real for term in volts]
+        values["harmonics_imag"] = [term.value.imag for term in volts]
         return _HARMONIC_DRIVE.pack(values)
     return _DRIVE.pack(
         ENCAPSULATION, *bench_stamp(drive.based_on_sample, sample_rate), drive.apply_at_sample, drive.based_on_sample,
@@ -287,7 +290,7 @@ def read_drive(raw: bytes) -> DriveCommand:
     waveform = _WAVEFORMS.get(values[5])
     if waveform is None:
         raise _unknown_waveform(values[5])
-    return DriveCommand._make((waveform, *values[6:9], values[3], values[4], (), *values[12:16], ()))
+    return DriveCommand._make((waveform, *values[6:9], values[3], values[4], *values[12:16], ()))
 
 
 _WAVEFORMS = {int(waveform): waveform for waveform in Waveform if waveform is not Waveform.UNKNOWN}
@@ -298,7 +301,7 @@ def _unknown_waveform(value: int) -> BenchError:
 
 
 def _drive_record(values: dict[str, Any]) -> DriveCommand:
-    real, imag, orders = values.pop("harmonics_real"), values.pop("harmonics_imag"), values["harmonics"]
+    real, imag, orders = values.pop("harmonics_real"), values.pop("harmonics_imag"), values.pop("harmonics")
     if not len(orders) == len(real) == len(imag):
         raise BenchError("drive command: harmonics, harmonics_real and harmonics_imag must have equal lengths.")
     exciters, numbers = values.pop("exciters"), values.pop("exciter_orders")
@@ -308,10 +311,13 @@ def _drive_record(values: dict[str, Any]) -> DriveCommand:
     if values["waveform"] not in _WAVEFORMS:
         raise _unknown_waveform(values["waveform"])
     del values["time_ns"]
-    ratio = map(complex, ratios[0].tolist(), ratios[1].tolist())
-    values["terms"] = tuple(zip(exciters, numbers, ratio, strict=True))
     values["waveform"] = _WAVEFORMS[values["waveform"]]
-    values["harmonics"] = tuple(zip(orders, map(complex, real.tolist(), imag.tolist()), strict=True))
+    volts = zip(orders, map(complex, real.tolist(), imag.tolist()), strict=True)
+    ratio = map(complex, ratios[0].tolist(), ratios[1].tolist())
+    values["terms"] = (
+        *(DriveTerm(1, order, value, relative=False) for order, value in volts),
+        *(DriveTerm(*term) for term in zip(exciters, numbers, ratio, strict=True)),
+    )
     return DriveCommand(**values)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from nmt_plant.check.hardware_check import CheckResult
+from nmt_plant.check.check_result import CheckResult
 from nmt_rig.device_sections import AnyDevice
 from nmt_rig.rig import Rig
 

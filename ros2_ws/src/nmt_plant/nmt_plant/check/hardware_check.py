@@ -8,31 +8,23 @@ responses to the drive, by the same estimator, so that its errors are the same o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from nmt_core.files.plain_json import plain_json
 from nmt_core.messages.blocks import Quantity
-from nmt_core.messages.records import DriveCommand
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import Waveform
+from nmt_plant.check.check_record import DRIVE_SHARE, CheckRecord, drive_band, record_check
+from nmt_plant.check.check_result import ChannelFigures, CheckFinding, CheckResult, ModeFigures
 from nmt_plant.check.model_fit import ModelFit, MovedModes, fit_model, scan_modes
-from nmt_plant.devices.device import DeviceFault
 from nmt_plant.devices.hardware_rig import HardwareRig
 from nmt_plant.specimen import Specimen
 from nmt_rig.linear_description import linear_description
 from nmt_signals.channel_faults.mains_lines import MAINS_HZ, mains_line
 from nmt_signals.frequency_responses import averaged_spectra
 
-DRIVE_SHARE = 0.01
-"""Of the drive's limit: largest sample put out."""
-SILENCE, DRIVE = 4.0, 18.0
-"""s, of listening and of driving."""
-_RAMP = 0.5  # s
-_SURE_PEAK = 6.0  # of the rms: passed by one in 5e8 samples of a normal distribution
 _SEGMENT = 2.0  # s, of the frequency responses
 _MOST_NOISE, _MOST_MAINS, _MOST_OFFSET = 1e-4, 5e-4, 0.05  # of the range: rms, amplitude, mean
 _RAIL = 0.8  # of the range, from which an offset is that of a sensor without supply
@@ -71,210 +63,6 @@ _REMEDIES = {
     "headroom": "take a larger range, a less sensitive sensor, or lower levels",
 }
 """What fixes a finding, by its name."""
-
-
-class CheckFinding(NamedTuple):
-    """Something that is not right.
-
-    Attributes:
-        name: of the kind: noise, mains, offset, overload, open, short, icp, sign, force_response, permuted,
-            sensitivity, late, no_drive, headroom, rate, delay, resonance, losses, limit.
-        channels: that have it; empty = the whole bench.
-        sentence: what was found.
-        remedy: what fixes it.
-    """
-
-    name: str
-    channels: tuple[str, ...]
-    sentence: str
-    remedy: str
-
-
-@dataclass(frozen=True)
-class ChannelFigures:
-    """What was found of a channel, at its port.
-
-    Attributes:
-        channel, port, unit: as in the channel map.
-        noise_v: rms without mains and mean, V.
-        noise: the same in the sensor's unit.
-        mains_v: amplitude at the mains' frequency, V.
-        offset_v: mean, V.
-        coherence: with the drive, median over the band.
-        gain: measured over expected, 1; NaN where it does not follow the drive. Negative = wrong sign.
-        gain_std: its standard uncertainty; NaN where the channel was not fitted, as for those that follow.
-        delay, delay_std: later than the median of the channels, s.
-        damping_error, frequency_error: relative errors of δ̃ and ω̃ that this gain and this delay make in a test.
-        headroom: share of the range that the planned levels reach by linear reckoning; NaN as above.
-    """
-
-    channel: str
-    port: str
-    unit: str
-    noise_v: float
-    noise: float
-    mains_v: float
-    offset_v: float
-    coherence: float
-    gain: float
-    headroom: float
-    gain_std: float = math.nan
-    delay: float = math.nan
-    delay_std: float = math.nan
-    damping_error: float = math.nan
-    frequency_error: float = math.nan
-
-
-@dataclass(frozen=True)
-class ModeFigures:
-    """A mode of the model as the responses have it, with standard uncertainties.
-
-    Attributes:
-        number: in the model, from 1.
-        frequency_hz, frequency_std: Hz; model_hz: the model's.
-        damping_ratio, damping_std: 1; model_damping: the model's.
-    """
-
-    number: int
-    frequency_hz: float
-    frequency_std: float
-    model_hz: float
-    damping_ratio: float
-    damping_std: float
-    model_damping: float
-
-
-@dataclass(frozen=True)
-class CheckResult:
-    """Outcome of a check.
-
-    Attributes:
-        findings: what is not right; empty = passed.
-        channels: figures of every channel.
-        drive_peak_v: largest magnitude put out, V; drive_limit_v: what a hundredth of the limit is.
-        delay_samples, round_trip_samples, stated_samples: see `hardware_rig.ConverterFigures`.
-        clock_ppm: of the converter against the computer; NaN where it was not measured.
-        frequency_hz, expected_hz: of the target mode with exciter, found and expected, Hz.
-        lost_blocks: blocks with lost samples.
-        modes: of the model, in the band of the check.
-    """
-
-    findings: tuple[CheckFinding, ...]
-    channels: tuple[ChannelFigures, ...]
-    drive_peak_v: float
-    drive_limit_v: float
-    delay_samples: int
-    round_trip_samples: int
-    stated_samples: int
-    clock_ppm: float
-    frequency_hz: float
-    expected_hz: float
-    lost_blocks: int
-    modes: tuple[ModeFigures, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        """Whether nothing was found."""
-        return not self.findings
-
-    def to_mapping(self) -> dict[str, Any]:
-        """As JSON takes it; not-a-number becomes None."""
-        values = {**asdict(self), "findings": [each._asdict() for each in self.findings], "passed": self.passed}
-        cleaned: dict[str, Any] = plain_json(values)
-        return cleaned
-
-
-@dataclass
-class CheckRecord:
-    """What a check measured: volts at the ports, (inputs, samples), and what was put out, V at the first exciter."""
-
-    silent: FloatArray
-    driven: FloatArray
-    put_out: FloatArray
-    ended: str = ""
-    lost_blocks: int = 0
-    segments: list[int] = field(default_factory=list)
-
-
-def drive_level(limit: float) -> float:
-    """V rms of a noise whose peaks stay within the share of the limit that a check may use."""
-    return DRIVE_SHARE * limit / _SURE_PEAK
-
-
-def drive_band(device: HardwareRig) -> tuple[float, float]:
-    """Hz; about the target mode, with some of its neighbours."""
-    target = linear_description(device.rig).frequency_hz
-    return 0.4 * target, min(8.0 * target, 0.4 * device.sample_rate)
-
-
-def record_check(device: HardwareRig, on_progress: Callable[[float], None] | None = None) -> CheckRecord:
-    """Listen, then drive; the device is started and ends at zero.
-
-    Raises:
-        DeviceFault: the device failed.
-    """
-    limit = device.rig.limits.voltage_v or 0.0
-    low, high = drive_band(device)
-    noise = DriveCommand(Waveform.RANDOM, amplitude=drive_level(limit), ramp=_RAMP, band_low_hz=low, band_high_hz=high)
-    block = device.block_samples / device.sample_rate
-    silent: list[list[FloatArray]] = [[]]  # pieces between losses: across one the time axis is not known
-    driven, put_out = [], []
-    lost, ended = 0, ""
-    total = SILENCE + DRIVE + _RAMP
-    blocks = math.ceil(total / block)
-    begun = math.ceil(SILENCE / block)
-    lead = 0
-    for n in range(blocks + 200):
-        if n >= begun:
-            device.write(noise)
-        got = device.read()
-        lost += not got
-        on = bool(device.put_out.any())
-        if n < begun and not on:
-            if got:
-                silent[-1].append(device.measured.copy())
-            else:
-                silent.append([])
-        elif on:
-            lead += 1
-            if lead * block > _RAMP:
-                driven.append(device.measured.copy() if got else np.full_like(device.measured, math.nan))
-                put_out.append(device.put_out.copy() if got else np.zeros_like(device.put_out))
-        if device.tripped:
-            ended = device.tripped
-            break
-        if on_progress is not None:
-            on_progress(min((n + 1) / blocks, 1.0))
-        if len(driven) * block >= DRIVE:
-            break
-    _to_zero(device)
-    inputs, size = device.measured.shape
-    nothing = np.zeros((inputs, size))
-    return CheckRecord(
-        np.concatenate(max(silent, key=len) or [nothing], axis=1),
-        _without_losses(np.concatenate(driven or [nothing], axis=1)),
-        np.concatenate(put_out or [nothing[0]]),
-        ended,
-        lost,
-    )
-
-
-def _without_losses(driven: FloatArray) -> FloatArray:
-    """The same with the mean of each channel where samples were lost, so that an offset makes no steps there."""
-    lost = np.isnan(driven[0])
-    if not lost.any():
-        return driven
-    mean = driven[:, ~lost].mean(axis=1, keepdims=True) if not lost.all() else np.zeros((driven.shape[0], 1))
-    return np.where(lost, mean, driven)
-
-
-def _to_zero(device: HardwareRig) -> None:
-    if not device.tripped:
-        device.write(DriveCommand(Waveform.OFF, ramp=0.2))
-    for _ in range(math.ceil(2.0 * device.sample_rate / device.block_samples)):
-        if device.is_quiet:
-            return
-        device.read()
 
 
 def expected_response(device: HardwareRig, put_out: FloatArray) -> FloatArray:
@@ -774,17 +562,3 @@ def check(device: HardwareRig, levels: Sequence[float] = (), linear_hz: float = 
         DeviceFault: the device failed.
     """
     return evaluate_check(device, record_check(device), levels, linear_hz)
-
-
-__all__ = [
-    "ChannelFigures",
-    "CheckFinding",
-    "CheckRecord",
-    "CheckResult",
-    "DeviceFault",
-    "ModeFigures",
-    "check",
-    "drive_level",
-    "evaluate_check",
-    "record_check",
-]

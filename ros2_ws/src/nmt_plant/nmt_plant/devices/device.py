@@ -33,7 +33,6 @@ def check_drive(command: DriveCommand) -> None:
         and 0.0 < command.frequency_hz < math.inf
         and 0.0 <= command.amplitude < math.inf
         and 0.0 <= command.ramp < math.inf
-        and not command.harmonics
         and not command.terms
         and command.band_low_hz == command.band_high_hz == command.rate_hz_s == command.frequency_end_hz == 0.0
     ):
@@ -55,17 +54,16 @@ def check_drive(command: DriveCommand) -> None:
         way = command.frequency_end_hz - command.frequency_hz
         if command.frequency_end_hz <= 0 or way * command.rate_hz_s < 0 or (way != 0 and command.rate_hz_s == 0):
             raise BenchError("drive command: rate_hz_s must lead from frequency_hz to frequency_end_hz.")
-    for order, value in command.harmonics:
-        if order < 1 or not (math.isfinite(value.real) and math.isfinite(value.imag)):
-            raise BenchError("drive command: harmonics need an order of at least 1 and a finite amplitude.")
-    for exciter, order, ratio in command.terms:
-        if exciter < 1 or order < 1 or (exciter, order) == (1, 1):
+    for exciter, order, value, relative in command.terms:
+        if exciter < 1 or order < 1 or (relative and (exciter, order) == (1, 1)):
             raise BenchError(
                 f"drive command: harmonic {order} of exciter {exciter} is no term; exciters and orders count "
                 "from 1, and the fundamental of exciter 1 is the amplitude itself."
             )
-        if not (math.isfinite(ratio.real) and math.isfinite(ratio.imag)):
-            raise BenchError(f"drive command: the ratio of exciter {exciter} must be finite, got {ratio}.")
+        if not relative and exciter != 1:
+            raise BenchError(f"drive command: a term in V is one of exciter 1, not of {exciter}; give it as a ratio.")
+        if not (math.isfinite(value.real) and math.isfinite(value.imag)):
+            raise BenchError(f"drive command: the terms of exciter {exciter} must be finite, got {value}.")
 
 
 _WAVEFORMS = frozenset(waveform for waveform in Waveform if waveform is not Waveform.UNKNOWN)

@@ -165,16 +165,14 @@ def owned_output(
     return OutputLink(owner, **link)
 
 
-def _fundamental(command: DriveCommand) -> float:
-    """Amplitude of the fundamental of a periodic drive, V, which a term of order 1 turns."""
-    return abs(command.amplitude + sum(value for order, value in command.harmonics if order == 1))
-
-
-def _ratio_sums(command: DriveCommand, weight: Callable[[int], float] = lambda order: 1.0) -> dict[int, float]:
-    """Exciter -> sum of |r_jn| times a weight of the order, with the 1 of the first exciter's fundamental."""
-    sums = {1: weight(1)}
-    for exciter, order, ratio in command.terms:
-        sums[exciter] = sums.get(exciter, 0.0) + abs(ratio) * weight(order)
+def _sums(command: DriveCommand, weight: Callable[[int], float] = lambda order: 1.0) -> dict[int, float]:
+    """Exciter -> sum of the amplitudes of its terms times a weight of the order, V, with the fundamental's."""
+    turned = sum(term.value for term in command.terms if term.order == 1 and not term.relative)
+    sums = {1: abs(command.amplitude + turned) * weight(1)}
+    for exciter, order, value, relative in command.terms:
+        if relative or order > 1:
+            size = abs(value) * weight(order) * (command.amplitude if relative else 1.0)
+            sums[exciter] = sums.get(exciter, 0.0) + size
     return sums
 
 
@@ -587,7 +585,7 @@ class GuardedDevice(Device):
             BenchError: a command beyond what the device can do, or beyond a limit of its output.
         """
         check_command(command, self._sample_rate)
-        beyond = [exciter for exciter, _, _ in command.terms if exciter > self._exciters]
+        beyond = [term.exciter for term in command.terms if term.exciter > self._exciters]
         if beyond:
             raise BenchError(f"the drive names exciter {max(beyond)}, but there are {self._exciters}.")
         if self._voltage_limit is not None:
@@ -597,30 +595,21 @@ class GuardedDevice(Device):
 
     def _check_peak(self, command: DriveCommand, limit: float) -> None:
         """Refuse a command whose samples would pass the voltage limit, V."""
-        ratios = _ratio_sums(command)
+        largest = max(_sums(command).values())
         if command.waveform == Waveform.RANDOM:
-            if PEAK_FACTOR * command.amplitude * max(ratios.values()) > limit:
+            if PEAK_FACTOR * largest > limit:
                 raise BenchError(
                     f"peaks of a random drive of {command.amplitude:g} V rms reach {PEAK_FACTOR:g} times as much, "
                     f"beyond the voltage limit of {limit:g} V; lower the level."
                 )
-            return
-        together = _fundamental(command)
-        together += sum(abs(value) for order, value in command.harmonics if order > 1)
-        together = max(together, command.amplitude * max(ratios.values()))
-        if together > limit:
-            what = "drive amplitude with its harmonics" if command.harmonics else "drive amplitude"
-            raise BenchError(f"{what} {together:g} V is beyond the voltage limit of {limit:g} V; lower the level.")
+        elif largest > limit:
+            what = "drive amplitude with its harmonics" if command.terms else "drive amplitude"
+            raise BenchError(f"{what} {largest:g} V is beyond the voltage limit of {limit:g} V; lower the level.")
 
     def _check_slew(self, command: DriveCommand, slew: float) -> None:
         """Refuse a periodic command that changes faster than the slew limit, V/s, between its samples."""
         angle = math.pi * max(command.frequency_hz, command.frequency_end_hz) / self._sample_rate
-        fastest = _fundamental(command) * math.sin(angle)
-        if command.harmonics:
-            fastest += sum(abs(value) * math.sin(order * angle) for order, value in command.harmonics if order > 1)
-        if command.terms:
-            weighted = _ratio_sums(command, lambda order: math.sin(min(order * angle, 0.5 * math.pi)))
-            fastest = max(fastest, command.amplitude * max(weighted.values()))
+        fastest = max(_sums(command, lambda order: math.sin(min(order * angle, 0.5 * math.pi))).values())
         fastest *= 2.0 * self._sample_rate
         if fastest > slew * (1.0 + 1e-9):
             raise BenchError(

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import BlockFlag, SampleBlock
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.wire import BlockHead
 from nmt_core.vocabulary import LoopState, TestKind
 
@@ -31,6 +32,11 @@ PHASE_JUMP_CYCLES = 1e-6
 
 AnyBlock = SampleBlock | BlockHead
 """What faults are looked for in: the samples themselves do not matter for most of them."""
+
+
+def covers(test: DrivenTest) -> str:
+    """What the judgement of windows does not take of a test: nothing, every kind has its column of faults."""
+    return ""
 
 
 class WindowFault(Enum):

@@ -487,6 +487,8 @@
     if (live && live.warnings) { sentences.push("Warning: " + live.warnings + "."); }
     text("alarm", sentences.join(" "));
     get("alarm").hidden = !sentences.length;
+    text("modes", facts ? facts.modes : "");
+    get("modes").hidden = !(facts && facts.modes);
   }
 
   function showStop() {

@@ -1,0 +1,1 @@
+"""Amplitudes that are held: of force, response or voltage."""

@@ -1,0 +1,1 @@
+"""Phase and amplitude out of samples, and when a lock counts."""

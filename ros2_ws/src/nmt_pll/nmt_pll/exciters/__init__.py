@@ -1,0 +1,1 @@
+"""Amplitude, phase and harmonics of several exciters."""

@@ -1,0 +1,1 @@
+"""Harmonics of the force, brought to their targets by harmonics of the drive."""

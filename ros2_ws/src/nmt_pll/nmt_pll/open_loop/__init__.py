@@ -1,0 +1,1 @@
+"""Drives whose frequency is given: sweeps, stepped sines, noise."""

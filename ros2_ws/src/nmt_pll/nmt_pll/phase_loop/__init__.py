@@ -1,0 +1,1 @@
+"""Phase resonance: the frequency follows the phase; the paper's loop beside it."""

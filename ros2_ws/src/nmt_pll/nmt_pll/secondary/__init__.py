@@ -1,0 +1,1 @@
+"""Secondary resonances: the lag of a resonant order is held."""

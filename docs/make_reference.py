@@ -9,7 +9,8 @@ written by hand. KIND is ``message`` (a .msg, .srv or .action file), ``parameter
 (a section of the rig file), ``elements`` (a file of local elements), ``devices`` (the sections of the
 converters), ``keys`` (attributes of a class by its
 docstring), ``options`` (a command), ``python`` (the public names of a package), ``effects`` (a place of the
-diagnosis), ``matrix`` (tests and consumers), ``priors`` or ``quantities`` (of a modal point). The tables of parameters stand in the node modules, so
+diagnosis), ``matrix`` (tests and consumers), ``priors`` or ``quantities`` (of a modal point).
+The tables of parameters stand in the node modules, so
 they need ROS 2.
 """
 

@@ -71,7 +71,7 @@ def rows_of(m, levels=None, test=0, part=Part.REAL):
 
 def observations_of(values, std, levels=None, part=Part.REAL, tests=("run",)):
     m = len(values)
-    kinds = tuple(PhaseResonanceTest(name, 1, "a1", (), 1, "voltage", ()) for name in tests)
+    kinds = tuple(PhaseResonanceTest(name, (1,), "a1", (), 1, "voltage", ()) for name in tests)
     return Observations(
         kinds,
         rows_of(m, levels, part=part),

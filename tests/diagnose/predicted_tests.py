@@ -75,7 +75,7 @@ def locked(
     """A test of locked windows with all observables of all channels."""
     channels = channels_of(rig)
     conditions = PhaseResonanceTest(
-        f"locked {test}", rig.drive_point, response, channels, harmonics, held, tuple(levels)
+        f"locked {test}", rig.exciter_points, response, channels, harmonics, held, tuple(levels)
     )
     table: list[tuple[int, int, int, int, Part]] = []
     for position in range(len(levels)):

@@ -119,7 +119,7 @@ def read(cubic: float) -> Observations:
     velocity += 0.003 * np.std(velocity) * np.random.default_rng(5).standard_normal(velocity.size)
     laser = MeasuredChannel("v1", Quantity.VELOCITY, 1)
     stretch = SampleStretch(0, 2000.0, (laser,), velocity[np.newaxis], None, {}, math.nan)
-    view = ModelView.of(two_masses(LIGHT, 0.0), 1)
+    view = ModelView.of(two_masses(LIGHT, 0.0), (1,))
     return ring_down_observations.ring_down_observations(
         "tap", stretch, math.nan, view, {"v1": laser}, ObservationSettings()
     )

@@ -39,7 +39,7 @@ def wrapped(values: FloatArray) -> FloatArray:
 
 def linear_responses(rig: Rig, channels: tuple, frequency_hz: FloatArray) -> np.ndarray:
     """Responses to 1 V by solving the assembled equations one frequency at a time."""
-    system = ModelView.of(rig, rig.drive_point).system
+    system = ModelView.of(rig, rig.exciter_points).system
     result = np.empty((len(channels), frequency_hz.size), dtype=complex)
     for index, frequency in enumerate(frequency_hz):
         s = 2j * np.pi * frequency
@@ -326,7 +326,7 @@ def test_ring_down_of_a_linear_rig(tmp_path: Path) -> None:
     assert test.channel.name == "x2"
     assert (np.diff(test.amplitudes) < 0.0).all()
     assert test.amplitudes.size >= 4
-    value = damped_modes(ModelView.of(rig, 2).system).eigenvalues[0]
+    value = damped_modes(ModelView.of(rig, (2,)).system).eigenvalues[0]
     frequency = observations.rows.part == Part.LOG_FREQUENCY
     damping = observations.rows.part == Part.DAMPING
     prediction = Forward(observations.tests, observations.rows).predict(rig)
@@ -343,7 +343,7 @@ def test_ring_down_of_friction_ends_at_the_sticking_rig(tmp_path: Path) -> None:
     observations = read_observations([record(tmp_path / "run", rig, TestKind.RING_DOWN, (4.0,), duration=3.0)], rig)
     damping = observations.values[observations.rows.part == Part.DAMPING]
     std = observations.std[observations.rows.part == Part.DAMPING]
-    sticking = damped_modes(ModelView.of(rig, 2).system).damping_ratios[0]
+    sticking = damped_modes(ModelView.of(rig, (2,)).system).damping_ratios[0]
     assert damping[0] > sticking + 2.0 * std[0]
     assert damping[2] == pytest.approx(sticking, rel=0.02)
 
@@ -366,7 +366,7 @@ def test_sweeps_are_passed_over_with_a_sentence(noisy: tuple[Rig, Path], tmp_pat
         return dataclasses.replace(message, test=int(kind))  # type: ignore[type-var]
 
     observations = read_observations([altered(bag, tmp_path / "sweep", events=events)], rig)
-    assert any("sweep" in note and "passed over" in note for note in observations.notes)
+    assert any("a sweep test" in note and "no steady state" in note for note in observations.notes)
     assert [level.index for level in observations.tests[0].levels] == [1, 2, 3]  # type: ignore[union-attr]
 
 
@@ -417,7 +417,7 @@ def test_moderation_leaves_single_rows_alone() -> None:
 
 def test_the_shipped_rigs_make_views() -> None:
     for name, point in (("beam", 6), ("joint_resonator", 1)):
-        view = ModelView.of(load_rig(name), point)
+        view = ModelView.of(load_rig(name), (point,))
         exact = linear_responses(view.rig, view.channels[:-1], np.array([30.0, 400.0]))
         np.testing.assert_allclose(view.responses(view.channels[:-1], np.array([30.0, 400.0])), exact, rtol=1e-10)
 
@@ -498,7 +498,8 @@ def test_a_window_without_its_transient_is_that_of_the_settled_rig() -> None:
     channels = tuple(MeasuredChannel(f"c{k}", quantity, 1) for k, quantity in enumerate(quantities))
     stretch = SampleStretch(0, rate, channels, data, cycles, {}, math.nan)
     segment = SimpleNamespace(level_index=0, level_unit="V", level=1.0, frequency_hz=frequency)
-    found = [analyse_window(segment, stretch, ObservationSettings(), settled) for settled in (True, False)]
+    view = ModelView.of(load_rig("beam"), (2,))
+    found = [analyse_window(segment, stretch, ObservationSettings(), view, settled) for settled in (True, False)]
     errors = [np.abs(window.amplitudes[:, 1:3] / harmonics[:, :1] - harmonics / harmonics[:, :1]) for window in found]
     assert errors[0][1, 0] > 2e-3
     assert errors[0][2, 1] > 1e-5

@@ -620,7 +620,7 @@ def test_what_a_moved_rig_shares_with_another_is_what_it_has_itself(path):
     def made() -> Rig:
         return with_element(load_rig("beam"), LinearSpringSection(kind="linear_spring", point=4, stiffness_n_m=200.0))
 
-    setup = Setup(2, False, channels_of(made()), FourierBasis.up_to(3))
+    setup = Setup((2,), False, channels_of(made()), FourierBasis.up_to(3))
     base = PartsCache(PLAIN)
     for seconds in (0.0, 50.0):
         base.parts(made(), setup, seconds)
@@ -654,7 +654,7 @@ def test_what_a_moved_rig_shares_with_another_is_what_it_has_itself(path):
 
 def test_slip_forces_that_drift_take_nothing_else_along():
     rig = with_value(load_rig("beam"), ("drift", "slip_force_per_s"), -1e-3)
-    setup = Setup(2, False, channels_of(rig), FourierBasis.up_to(3))
+    setup = Setup((2,), False, channels_of(rig), FourierBasis.up_to(3))
     cache = PartsCache(PLAIN)
     first, later = (cache.parts(rig, setup, seconds) for seconds in (10.0, 200.0))
     assert later.linear is first.linear

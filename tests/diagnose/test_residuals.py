@@ -33,7 +33,7 @@ def run_observations(levels=10, harmonics=4, down=False):
         LockedLevel(int(i), float(drive[level == i][0]), 0.0, 1e-3, 22.0, 0.0, 1.0, 0.0, 1 if i < levels else -1)
         for i in np.unique(level)
     )
-    test = PhaseResonanceTest("run", 1, "a1", CHANNELS, harmonics, "voltage", plan)
+    test = PhaseResonanceTest("run", (1,), "a1", CHANNELS, harmonics, "voltage", plan)
     return Observations((test,), rows, np.zeros(m), np.full(m, 0.01), np.zeros(m))
 
 

@@ -73,7 +73,7 @@ def observations_of(samples: FloatArray, rate: float, model: Rig, **others: Floa
     channels = [LASER]
     channels += [MeasuredChannel(name, Quantity.ACCELERATION, int(name[1:])) for name in others]
     stretch = SampleStretch(0, rate, tuple(channels), np.stack([samples, *others.values()]), None, {}, math.nan)
-    view = ModelView.of(model, 1)
+    view = ModelView.of(model, (1,))
     return ring_down_observations(
         "decay", stretch, math.nan, view, {c.name: c for c in channels}, ObservationSettings()
     )

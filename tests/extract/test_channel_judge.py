@@ -13,7 +13,7 @@ import pytest
 from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.channel_judge import unrepeated_rms
+from nmt_extract.judgement.channel_noise import unrepeated_rms
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_session import Session, plan_test
 from nmt_signals.channel_faults.clipping import flat_top

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.channel_judge import ChannelHistory, DriveState, force_gain
 from nmt_extract.extractor import Extractor
+from nmt_extract.judgement.channel_history import ChannelHistory
+from nmt_extract.judgement.force_judge import DriveState, force_gain
 from nmt_session import Session, plan_test
 from nmt_signals.channel_faults import clipping
 

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.stamped_samples import interpolated
-from nmt_extract.free_decay import free_decays
+from nmt_extract.decays.free_decay import free_decays
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.imported_run import read_import, write_import

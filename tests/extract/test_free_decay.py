@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from nmt_core.vocabulary import Quantity
-from nmt_extract.free_decay import FreeDecay, channel_decay
+from nmt_extract.decays.free_decay import FreeDecay, channel_decay
 
 RATE = 10_000.0
 OMEGA = 2.0 * math.pi * 150.0

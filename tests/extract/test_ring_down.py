@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.ring_down import DecaySettings, average_decays, decay_of, fit_phasors
+from nmt_extract.decays.ring_down import DecaySettings, average_decays, decay_of, fit_phasors
 
 RATE = 10_000.0
 OMEGA = 2.0 * math.pi * 150.0

@@ -15,7 +15,7 @@ import yaml
 
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
-from nmt_extract.free_decay import free_decays
+from nmt_extract.decays.free_decay import free_decays
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag

@@ -11,10 +11,11 @@ from extract.synthetic import linear_description, lock_event
 
 from nmt_core.messages.blocks import Quantity
 from nmt_extract.extraction_settings import ExtractionSettings
+from nmt_extract.judgement.signal_faults import drifting, without_drift
+from nmt_extract.judgement.window_judge import silent_stretch
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import Status
 from nmt_extract.window import Channel, Window
-from nmt_extract.window_judge import drifting, silent_stretch, without_drift
 from nmt_signals.channel_faults.converter_faults import resolution
 
 RATE, SECONDS, F0, DAMPING = 2000.0, 2.0, 50.0, 0.005

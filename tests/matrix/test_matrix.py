@@ -23,6 +23,7 @@ from nmt_bench.page.live_view import LiveView
 from nmt_bench.page.message_records import WATCHED_TOPICS, RecordReader
 from nmt_core.errors import BenchError
 from nmt_core.kinds import KINDS
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.vocabulary import ControlKind, PointStatus, TestKind
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward

@@ -23,7 +23,7 @@ from node.converter_bench import KINDS, RATES, ConverterBench, converter_bench, 
 from nmt_bench.harness import Bench
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import ResultCode
-from nmt_extract.ring_down import ring_down
+from nmt_extract.decays.ring_down import ring_down
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import read_signals, segments
 from nmt_rig.linear_description import linear_description

@@ -11,7 +11,7 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_core.processes.steady_clock import SteadyClock
-from nmt_plant.check.converter_contract import ContractResult, check_converter, check_driver
+from nmt_plant.check.converter_contract import ContractResult, check_converter, check_driver, check_monitor
 from nmt_plant.converters.converter import Converter, LoopbackConverter, Taken
 from nmt_plant.converters.custom_converter import find_rig_driver
 from nmt_plant.devices.device import DeviceFault
@@ -286,6 +286,17 @@ def test_what_fails_in_a_driver_is_said(laboratory: Path) -> None:
             stream()
     finally:
         device.close()
+
+
+@pytest.mark.parametrize("broken", [False, True])
+def test_a_check_of_the_converter_alone_asks_for_the_monitor_as_a_run_does(broken: bool, laboratory: Path) -> None:
+    driver = laboratory.parent / "laboratory_driver.py"
+    if broken:
+        driver.write_text(driver.read_text().replace("return measured", "return 0.0 * measured"))
+    rig = load_rig(laboratory, ["device.settling_s=0.05"])
+    found = check_monitor(rig, device_of(rig))
+    assert [finding.name for finding in found] == (["monitor"] if broken else [])
+    assert not broken or "is not seen at the drive's monitor input" in found[0].sentence
 
 
 def test_arguments_are_those_of_the_rig_file(laboratory: Path) -> None:

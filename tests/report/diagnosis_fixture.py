@@ -55,7 +55,7 @@ def phase_resonance() -> Observations:
             for order in (2, 3):
                 table.add(Part.REAL, 0.003 * order, 1e-4, 0.0, place, channel, order)
                 table.add(Part.IMAG, -0.004 * order, 1e-4, 0.0, place, channel, order)
-    test = PhaseResonanceTest("backbone", 2, "x5", (FORCE, DISPLACEMENT), 3, "voltage", tuple(levels))
+    test = PhaseResonanceTest("backbone", (2,), "x5", (FORCE, DISPLACEMENT), 3, "voltage", tuple(levels))
     return table.observations(test)
 
 

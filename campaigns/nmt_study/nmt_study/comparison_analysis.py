@@ -15,8 +15,8 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_extract.constant_amplitude import SolvedPoints, fit_at_amplitudes, half_power, solve_points
+from nmt_extract.decays.ring_down import Decay, average_decays, ring_down
 from nmt_extract.modal_point import Status
-from nmt_extract.ring_down import Decay, average_decays, ring_down
 from nmt_extract.swept_response import FrequencyResponseTable, stepped_point, stepped_table, sweep_table
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Segment, Signals, read_signals, segments

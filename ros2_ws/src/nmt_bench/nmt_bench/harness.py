@@ -21,51 +21,39 @@ import os
 import shutil
 import tempfile
 import time
-import uuid
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Unpack
 
 import rclpy
-from action_msgs.msg import GoalStatusArray
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.action import ActionClient
-from rclpy.action.client import ClientGoalHandle
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.qos import qos_profile_action_status_default
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from unique_identifier_msgs.msg import UUID
 
 from nmt_bench.orchestration.bench_domain import BenchDomain, bench_environment
 from nmt_bench.orchestration.interrupts import deferred_interrupts, unbroken
 from nmt_bench.orchestration.node_processes import NodeProcesses
 from nmt_bench.orchestration.prepared_nodes import NodeLoader, take_loader
+from nmt_bench.orchestration.run_client_node import RunClient
 from nmt_bench.orchestration.surroundings import check_surroundings
-from nmt_core.base_node import STATE_QOS
 from nmt_core.dds_profile import PROFILE_VARIABLE, lockstep_profile
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
 from nmt_core.messages.modal_point import ModalPoint
-from nmt_core.messages.run_announcement import BAG_TOPIC, BagState
-from nmt_core.messages.wire import MODAL_POINT, RUN_STATE, read_diagnostics
+from nmt_core.messages.wire import MODAL_POINT
 from nmt_core.nodes.link import Link, serve
-from nmt_core.nodes.liveness import HANG_LIMIT, Liveness
+from nmt_core.nodes.liveness import HANG_LIMIT
 from nmt_core.nodes.shared_memory import remove_dead_segments
 from nmt_core.nodes.transport import LINK_PERIOD
 from nmt_core.processes.memory import calm_collector
 from nmt_core.processes.output_record import drive_sentence
 from nmt_core.text.number_words import level_list
-from nmt_core.vocabulary import ResultCode, RunPhase
-from nmt_msgs.action import RunLevels
-from nmt_msgs.msg import RunState
+from nmt_core.vocabulary import ResultCode
 from nmt_msgs.srv import Steer
 from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import Rig
@@ -77,7 +65,6 @@ from nmt_session.run_result import Progress, RunResult
 START_TIMEOUT = 120.0  # s; on a busy computer the plant compiles and loads for a minute
 _POLL = 0.02
 _RESEND = 1.5  # s without an answer after which the goal, or the wish for its result, is sent again
-_SILENCE = 3.0  # s without a heartbeat after which a node that runs as a process is lost in real time
 _STILL = HANG_LIMIT + 15.0  # s without progress of the recorder after which its bag stays open
 _NOTE_AFTER = 5.0  # s that a run is held up, or the recorder writes on, before it is said, and between two notes
 _LAST_WRITES = 0.5  # s that the recorder gets for what is on its way to it
@@ -193,7 +180,7 @@ class Bench:
                 kind = getattr(importlib.import_module(module), attribute)
                 node = kind(self.plan.settings[name], context=self.context)
                 self._add(name, node)
-        self.client = _RunClient(self.context, tuple(self.plan.settings), self.test.pacing == "lockstep")
+        self.client = RunClient(self.context, tuple(self.plan.settings), self.test.pacing == "lockstep")
         self._add("client", self.client)
         thresholds = gc.get_threshold()
         # A collection would look at all that the program around the bench holds, a fifth of a second in a large one.
@@ -586,139 +573,6 @@ def _extracted_later(missing: Sequence[int], found: Collection[int], trouble: st
     text = f"The points of {level_list(found)} were extracted from the bag." if found else ""
     more = f"The bag gives none for {level_list(lacking)}." if lacking else ""
     return " ".join(filter(None, (text, more)))
-
-
-class _RunClient(Node):  # type: ignore[misc]
-    """Action client and listener of the harness."""
-
-    def __init__(self, context: Context, nodes: Sequence[str], lockstep: bool) -> None:
-        super().__init__("bench_client", context=context, enable_rosout=False, start_parameter_services=False)
-        self._client = ActionClient(self, RunLevels, "run_levels")
-        self.steer = self.create_client(Steer, "steer")
-        self.liveness = Liveness(nodes, _SILENCE, lockstep=lockstep)
-        self.bag = BagState("", "open")
-        self.run_is_over = False
-        self.started: float | None = None
-        self.last_progress: float | None = None
-        self.newest_sample = -1
-        self._known_goals: set[bytes] = set()
-        self._counters: dict[str, dict[str, str]] = {}
-        self.create_subscription(String, BAG_TOPIC, self._on_bag, STATE_QOS)
-        self.create_subscription(RunState, "run_state", self._on_state, STATE_QOS, raw=True)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50, raw=True)
-        self.create_subscription(
-            GoalStatusArray, "run_levels/_action/status", self._on_goals, qos_profile_action_status_default
-        )
-
-    def destroy_node(self) -> None:
-        """Release the node; with a client of an action left, its participant would stay."""
-        self._client.destroy()
-        super().destroy_node()
-
-    def server_is_ready(self) -> bool:
-        """Whether the services and topics of the action are there, those of its answers included."""
-        return bool(self._client.server_is_ready()) and self.count_publishers("run_levels/_action/status") > 0
-
-    @staticmethod
-    def new_goal_id() -> UUID:
-        return UUID(uuid=list(uuid.uuid4().bytes))
-
-    def send_goal(
-        self, goal: Mapping[str, Any], on_progress: Callable[[Progress], None] | None, goal_id: UUID | None = None
-    ) -> Any:
-        def on_feedback(message: Any) -> None:
-            if on_progress is not None:
-                feedback = message.feedback
-                on_progress(Progress(*(getattr(feedback, item.name) for item in fields(Progress))))
-
-        return self._client.send_goal_async(
-            RunLevels.Goal(**goal), feedback_callback=on_feedback, goal_uuid=goal_id or self.new_goal_id()
-        )
-
-    def is_known(self, goal_id: UUID) -> bool:
-        """Whether the server lists a goal, which it does from its acceptance on."""
-        return bytes(goal_id.uuid) in self._known_goals
-
-    def handle_of(self, goal_id: UUID) -> ClientGoalHandle:
-        """Handle of a goal whose answer was lost."""
-        return ClientGoalHandle(self._client, goal_id, RunLevels.Impl.SendGoalService.Response(accepted=True))
-
-    def _on_goals(self, message: GoalStatusArray) -> None:
-        self._known_goals.update(bytes(status.goal_info.goal_id.uuid) for status in message.status_list)
-
-    def _on_bag(self, message: String) -> None:
-        with contextlib.suppress(ValueError):
-            self.bag = BagState.from_json(message.data)
-
-    def _on_state(self, raw: bytes) -> None:
-        try:
-            state = RUN_STATE.read(raw)
-        except ValueError:
-            return
-        now = time.monotonic()
-        self.run_is_over = state.phase == RunPhase.DONE
-        if state.phase == RunPhase.RUNNING:
-            self.started = self.started or now
-        if state.sample > self.newest_sample:
-            self.newest_sample = state.sample
-            self.last_progress = now
-
-    def _on_diagnostics(self, raw: bytes) -> None:
-        now = time.monotonic()
-        with contextlib.suppress(ValueError):
-            for status in read_diagnostics(raw):
-                failed = status.level == DiagnosticStatus.ERROR
-                self.liveness.hear(status.name, status.hardware_id, status.message, failed, now)
-                self._counters[status.name] = {key: str(value) for key, value in status.values.items()}
-
-    @property
-    def recorded(self) -> tuple[str, str]:
-        """Messages and bench time (s) in the bag, as the recorder says."""
-        said = self._counters.get("recorder", {})
-        return said.get("messages", ""), said.get("recorded_s", "0")
-
-    @property
-    def taken(self) -> int:
-        """Samples that extraction has taken, as it says."""
-        return int(self._counters.get("extract", {}).get("taken", "0"))
-
-    @property
-    def plant_said(self) -> dict[str, str]:
-        return self._counters.get("plant", {})
-
-    @property
-    def drive_is_at_zero(self) -> bool:
-        return self.plant_said.get("drive_at_zero") == "1"
-
-    def remarks(self, pacing: str) -> list[str]:
-        """Sentences on what the nodes counted."""
-        plant, recorder = self.plant_said, self._counters.get("recorder", {})
-        lines = []
-        if recorder:
-            lines.append(
-                f"Recorded {recorder.get('messages', '?')} messages; gaps {recorder.get('gaps', '?')}, missing samples "
-                f"{recorder.get('missing_samples', '?')}."
-            )
-        if pacing == "realtime" and "jitter_p50_ms" in plant:
-            lines.append(
-                f"Real time: blocks late by {plant['jitter_p50_ms']} ms (median), {plant['jitter_p99_ms']} ms (99 %), "
-                f"{plant['jitter_max_ms']} ms (worst); {plant['overruns']} by more than a block and a turn of the "
-                f"converter; margin {100 * float(plant['real_time_margin']):.1f} % of the block time is left."
-            )
-        if "converter_delay" in plant:
-            stated = plant.get("converter_stated", "-1")
-            said = "" if stated.startswith("-") else f" (the driver says {stated})"
-            lines.append(
-                f"Converter: round trip {plant['converter_round_trip']} samples{said}, moved by "
-                f"{plant['converter_drift']}; clock {plant['converter_clock_ppm']} ppm; samples lost in "
-                f"{plant['converter_lost_turns']} turns; priority: converter {plant['converter_priority']}, plant "
-                f"{plant['plant_priority']}; lateness {plant.get('lateness_histogram', 'not counted')}."
-            )
-        if plant.get("warnings"):
-            lines.append(f"Warnings: {plant['warnings']}.")
-        if plant.get("tripped"):
-            lines.append(f"Plant: {plant['tripped']}.")
-        return lines
 
 
 def _restore_environment(values: Mapping[str, str | None]) -> None:

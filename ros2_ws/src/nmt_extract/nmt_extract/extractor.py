@@ -9,8 +9,8 @@ from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LockEvent
 from nmt_core.vocabulary import LoopState
-from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
+from nmt_extract.judgement.channel_history import ChannelHistory
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
 from nmt_extract.window import SpoiledWindow, WindowAssembler

@@ -14,7 +14,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.channel_judge import mode_words, near_modes
+from nmt_extract.judgement.moving_shape import mode_words, near_modes
 
 _PART = 0.1  # participation of a near mode from which on it is named: MAC 0.99
 

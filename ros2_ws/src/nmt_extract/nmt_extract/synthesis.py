@@ -31,11 +31,27 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from nmt_core.errors import BenchError
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import TestKind
 from nmt_extract.modal_point import ModalPoint, Status
 
 _SAME = 2.0e-3  # relative distance of modal amplitudes below which two points of a backbone are averaged
+
+
+def covers(test: DrivenTest) -> str:
+    """What no response can be synthesised of, and what to use instead; empty = one can be."""
+    if test.kind in (TestKind.PHASE_RESONANCE, TestKind.RING_DOWN, TestKind.UNKNOWN):
+        return ""
+    if test.kind is TestKind.SELF_EXCITED:
+        return (
+            f"A synthesis needs a backbone with damping above zero, and {test.words} measures motions that feed "
+            "themselves; use a test at phase resonance."
+        )
+    return (
+        f"A synthesis needs a backbone, and {test.words} measures none; use a test at phase resonance or a ring-down."
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,9 +24,9 @@ from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
+from nmt_extract.judgement.window_judge import phase_part
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.student import two_sided_quantile
-from nmt_extract.window_judge import phase_part
 from nmt_record.exchange.channel_tolerances import Tolerances
 
 FORMAT = "nmt uncertainty budget 1"
@@ -191,11 +191,11 @@ def _point_budgets(point: ModalPoint, inputs: BudgetInputs, repeats: Mapping[str
         ("damping_ratio", phase_part(point.phase_error) * damping),
         ("omega_rad_s", damping * point.omega_rad_s * math.hypot(point.phase_error, point.phase_error_std)),
     ):
-        own = parts[name][UncertaintySource.NOISE]
+        stated = parts[name][UncertaintySource.NOISE]
         # A balance of power corrects the frequency for the phase: nothing of it is in its uncertainty.
-        if 0.0 < phase <= own:
+        if 0.0 < phase <= stated:
             parts[name] = {
-                UncertaintySource.NOISE: math.sqrt(own**2 - phase**2),
+                UncertaintySource.NOISE: math.sqrt(stated**2 - phase**2),
                 UncertaintySource.PHASE: phase,
             }
     for source, changes in _changes(point, inputs):

@@ -11,6 +11,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.linear_modes import damped_modes, sticking_modes
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import (
@@ -67,11 +68,10 @@ def _several_exciters(rig: Rig, frequency_hz: float, shapes: FloatArray) -> dict
     """
     if len(rig.all_exciters) == 1:
         return {}
-    motions, forces = build_system(rig).responses(2.0 * np.pi * frequency_hz)
-    volts = np.array(inputs_per_volt(rig))
-    wanted = np.linalg.pinv(shapes.T)[:, rig.test.mode - 1]
-    voltages = np.linalg.solve(forces * volts, wanted.astype(complex))
-    motion = build_system(rig).motion(rig.drive_point, motions @ (volts * voltages))
+    system = build_system(rig)
+    inputs, wanted = isolating_inputs(system, 2.0 * np.pi * frequency_hz, shapes, rig.test.mode - 1)
+    motion = system.motion(rig.drive_point, system.responses(2.0 * np.pi * frequency_hz)[0] @ inputs)
+    voltages = inputs / np.array(inputs_per_volt(rig))
     near = frequency_hz * np.linspace(0.8, 1.2, _NEAR_ROWS)
     wide = np.geomspace(0.5 * frequency_hz, 0.5 * float(rig.sample_rate_hz), _WIDE_ROWS)
     wide = wide[(wide < near[0]) | (wide > near[-1])]
@@ -82,6 +82,22 @@ def _several_exciters(rig: Rig, frequency_hz: float, shapes: FloatArray) -> dict
         "exciter_points": rig.exciter_points,
         "exciter_force_rows": exciter_force_rows(rig, sorted([*near.tolist(), *wide.tolist()])),
     }
+
+
+def isolating_inputs(
+    system: ElectromechanicalSystem, frequency: float, shapes: FloatArray, mode: int
+) -> tuple[ComplexArray, FloatArray]:
+    """Inputs of all exciters whose forces drive one of the modes alone, and these forces (exciters,), N.
+
+    Args:
+        system: at rest.
+        frequency: ω, rad/s.
+        shapes: at the exciters' points, 1/√kg, shape (exciters, modes).
+        mode: number of the mode, from 0.
+    """
+    wanted = np.linalg.pinv(shapes.T)[:, mode]
+    forces = system.responses(frequency)[1]
+    return np.asarray(np.linalg.solve(forces, wanted.astype(complex)), dtype=np.complex128), np.asarray(wanted)
 
 
 def linear_description(rig: Rig) -> LinearDescription:

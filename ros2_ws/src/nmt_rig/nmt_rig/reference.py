@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
 from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import MOTIONS
+from nmt_core.vocabulary import MOTIONS, TestKind
+from nmt_rig.linear_description import isolating_inputs
 from nmt_rig.model.epmc import EpmcBackbone, epmc_backbone
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -106,6 +108,21 @@ class SinglePointReference:
     single_valued: bool
 
 
+def covers(test: DrivenTest) -> str:
+    """What the backbone of a mode cannot be compared with, and what to use instead; empty = it can be."""
+    if test.kind is TestKind.SECONDARY_RESONANCE:
+        return (
+            f"The reference is the backbone of a mode, and {test.words} is off it by what the force drives beside the "
+            "resonant order; use --reference none, or a test at phase resonance."
+        )
+    if test.kind in (TestKind.RANDOM, TestKind.SWEEP, TestKind.STEPPED_SINE, TestKind.RECORD):
+        return (
+            f"The reference is the backbone of a mode, and {test.words} measures responses; use a test at phase "
+            "resonance, a ring-down or a self-excited test."
+        )
+    return ""
+
+
 def compute_reference(
     rig: Rig,
     harmonics: int = 7,
@@ -167,8 +184,8 @@ def default_amplitudes(rig: Rig, points: int = 100) -> FloatArray:
     """Modal amplitudes (points,) that cover the rig's default levels generously, in geometric steps, m√kg.
 
     From a third of what the lowest level gives to ten times what the highest gives on the sticking structure
-    or with the phase-resonant single-point drive. With levels of the response, as of a self-excited rig, from a
-    third of the lowest to the highest.
+    or with the phase-resonant single-point drive; of several exciters from a third of the lowest to twice the
+    highest at rest. With levels of the response, as of a self-excited rig, from a third of the lowest to the highest.
 
     Raises:
         BenchError: fewer than two points, or levels that are no numbers.
@@ -184,12 +201,27 @@ def default_amplitudes(rig: Rig, points: int = 100) -> FloatArray:
         scale = drive * float(modes.frequencies[rig.test.mode - 1]) ** order
         return np.geomspace(low / scale / 3.0, high / scale, points)
     levels = _level_range(rig.test.levels)
+    if len(rig.all_exciters) > 1:
+        low, high = np.array([levels[0] / 3.0, 2.0 * levels[-1]]) * _resting_amplitude_per_volt(rig)
+        return np.geomspace(low, high, points)
     # A range in whole decades: the fundamental alone tells it, at a quarter of the work.
     found = single_point_reference(without_exciter_effects(rig), None, levels, _RANGE_HARMONICS)
     reached = found.mode.full_modal_amplitude
     low = 10.0 ** np.floor(np.log10(reached.min() / 3.0))
     high = 10.0 ** np.ceil(np.log10(reached.max() * 10.0))
     return np.geomspace(low, high, points)
+
+
+def _resting_amplitude_per_volt(rig: Rig) -> float:
+    """Modal amplitude (m√kg) per volt of exciter 1, at rest and at resonance, all driving the target mode alone."""
+    structure, mode = build_structure(rig), rig.test.mode - 1
+    count = max(rig.extraction.linear_modes, rig.test.mode)
+    modes = sticking_modes(structure, build_resting_elements(rig, structure), count)
+    shapes = modes.shapes[[modes.points.index(point) for point in rig.exciter_points]]
+    frequency, system = float(modes.frequencies[mode]), build_system(rig, structure)
+    inputs, _ = isolating_inputs(system, frequency, shapes, mode)
+    motion = (system.responses(frequency)[0] @ inputs)[: structure.size]
+    return float(abs(modes.full_shapes[:, mode] @ structure.mass @ motion) * input_per_volt(rig) / abs(inputs[0]))
 
 
 def _level_range(levels: str) -> list[float]:

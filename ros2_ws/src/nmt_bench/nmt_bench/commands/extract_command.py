@@ -125,7 +125,7 @@ def run(options: ExtractOptions) -> int:
 
 
 def _holds_decays_only(bag: Bag) -> bool:
-    from nmt_extract.free_decay import holds_decays_only
+    from nmt_extract.decays.free_decay import holds_decays_only
 
     return holds_decays_only(bag)
 
@@ -136,7 +136,7 @@ def _decays(bag: Bag, options: ExtractOptions, console: Console) -> int:
     from rich.table import Table
 
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_extract.free_decay import free_decays, write_decays
+    from nmt_extract.decays.free_decay import free_decays, write_decays
     from nmt_report.quantity_format import uncertain
 
     with WorkDisplay(console, ("extracting",)):

@@ -68,17 +68,17 @@ class KindOfTest:
         return cls.label().replace("_", " ")
 
     @classmethod
-    def spelled(cls, **given: Any) -> KindOfTest:
+    def spelled(cls, **settings: Any) -> KindOfTest:
         """The kind with settings in the words of commands and of Python.
 
         Raises:
             BenchError: it has no such setting, or the words are not understood.
         """
         known = {item.name for item in fields(cls)}
-        for name in given:
+        for name in settings:
             if name not in known:
                 raise BenchError(_lacks(cls, name))
-        return cls(**given)
+        return cls(**settings)
 
     @classmethod
     def travelling(cls, *ways: str) -> tuple[str, ...]:

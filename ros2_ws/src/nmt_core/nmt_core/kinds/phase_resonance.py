@@ -32,11 +32,11 @@ class _PhaseLocked(KindOfTest):
     harmonics_target: int = 0
 
     @classmethod
-    def spelled(cls, **given: Any) -> KindOfTest:
+    def spelled(cls, **settings: Any) -> KindOfTest:
         """``harmonics_control`` is a number or ``auto``, ``harmonics_target`` is ``force`` or ``modal``."""
-        control = _highest(given.pop("harmonics_control", 0))
-        target = HarmonicsTarget.named(str(given.pop("harmonics_target", "force")))
-        return super().spelled(**given, harmonics_control=control, harmonics_target=int(target) if control else 0)
+        control = _highest(settings.pop("harmonics_control", 0))
+        target = HarmonicsTarget.named(str(settings.pop("harmonics_target", "force")))
+        return super().spelled(**settings, harmonics_control=control, harmonics_target=int(target) if control else 0)
 
     @property
     def controlled_harmonics(self) -> int:
@@ -60,13 +60,13 @@ def _not_so_many(highest: int) -> str:
     )
 
 
-def _highest(given: Any) -> int:
-    if given == "auto":
+def _highest(asked: Any) -> int:
+    if asked == "auto":
         return AUTOMATIC
     try:
-        highest = int(given)
+        highest = int(asked)
     except ValueError:
-        raise BenchError(f"Harmonics to be controlled: '{given}' is no number; give a number or auto.") from None
+        raise BenchError(f"Harmonics to be controlled: '{asked}' is no number; give a number or auto.") from None
     if highest == AUTOMATIC:  # the message's number for auto, and no harmonic of a person
         raise BenchError(_not_so_many(highest))
     return highest

@@ -31,14 +31,14 @@ class RandomTest(KindOfTest):
     duration: float = 0.0
 
     @classmethod
-    def spelled(cls, **given: Any) -> KindOfTest:
+    def spelled(cls, **settings: Any) -> KindOfTest:
         """``band_hz`` has both edges of the band."""
-        band = given.pop("band_hz", None)
+        band = settings.pop("band_hz", None)
         if band is not None:
             if len(band) != 2:
                 raise BenchError(f"band_hz needs a lower and an upper edge, got {len(band)} values.")
-            given |= {"band_low_hz": float(band[0]), "band_high_hz": float(band[1])}
-        return super().spelled(**given)
+            settings |= {"band_low_hz": float(band[0]), "band_high_hz": float(band[1])}
+        return super().spelled(**settings)
 
     @property
     def window_s(self) -> float:

@@ -31,14 +31,14 @@ class SecondaryResonanceTest(KindOfTest):
     release: float = 0.0
 
     @classmethod
-    def spelled(cls, **given: Any) -> KindOfTest:
+    def spelled(cls, **settings: Any) -> KindOfTest:
         """``resonance`` is a text as ``3:1``."""
-        name = given.pop("resonance", "")
+        name = settings.pop("resonance", "")
         if not name:
             known = " or ".join(item.label for item in RESONANCES)
             raise BenchError(f"A secondary resonance test needs the resonance, {known}; other tests have none.")
         orders = resonance_named(name)
-        return super().spelled(**given, response_order=orders.response_order, force_order=orders.force_order)
+        return super().spelled(**settings, response_order=orders.response_order, force_order=orders.force_order)
 
     def check(self, frequencies_hz: Sequence[float], levels: int, control: int, sample_rate: float) -> None:
         """Refuse (BenchError) levels of the response, and a release that is not needed or missing."""

@@ -363,7 +363,7 @@ class _Builder:
                 if not selected.size or not math.isfinite(rate):
                     continue
                 channel = self.tests.channels[name]
-                view = ModelView.of(self.rig, test.drive_point)
+                view = ModelView.of(self.rig, test.drive_points)
                 frequency = self.rows.frequency_hz[selected]
                 high = view.responses([channel], rate * np.array([0.9, 1.1, 1.9, 2.1]))
                 size = float(np.max(np.abs(high)))
@@ -468,9 +468,12 @@ class _Builder:
 
 
 def _distorted(level: LockedLevel, order: int, share: complex) -> LockedLevel:
-    harmonics = list(level.drive_harmonics) + [0j] * max(0, order - 1 - len(level.drive_harmonics))
-    harmonics[order - 2] += TOLERANCES.drive_harmonic * share
-    return replace(level, drive_harmonics=tuple(harmonics))
+    terms = []
+    for exciter in level.terms:
+        several = [*exciter, *[0j] * max(0, order - len(exciter))]
+        several[order - 1] += TOLERANCES.drive_harmonic * share * exciter[0]
+        terms.append(tuple(several))
+    return replace(level, terms=tuple(terms))
 
 
 def _louder(sensor: SensorSection) -> SensorSection:

@@ -154,7 +154,7 @@ class ChainTests:
 
     def resonance(self) -> float:
         """First frequency of the model, Hz."""
-        return ModelView.of(self.rig, self.tests[0].drive_point).frequencies_hz[0]
+        return ModelView.of(self.rig, self.tests[0].drive_points).frequencies_hz[0]
 
 
 def edited(rig: Rig, channel: MeasuredChannel, change: Callable[[SensorSection], SensorSection]) -> Rig:

@@ -279,7 +279,7 @@ def _run(
             for harmonic in range(2, harmonics + 1):
                 table.add(Part.REAL, 0.0, sigma(Part.REAL, harmonic), 0.0, place, number, harmonic)
                 table.add(Part.IMAG, 0.0, sigma(Part.IMAG, harmonic), 0.0, place, number, harmonic)
-    test = PhaseResonanceTest("proposed", point, response.name, channels, harmonics, "voltage", levels)
+    test = PhaseResonanceTest("proposed", (point,), response.name, channels, harmonics, "voltage", levels)
     return table.observations(test)
 
 

@@ -72,7 +72,7 @@ class ModesLeftOut:
 
         Over the V of the drive where the test refers to the voltage, or the model has no force at the drive point.
         """
-        view = ModelView.of(self.rig, test.drive_point)
+        view = ModelView.of(self.rig, test.drive_points)
         frequency = THRESHOLDS.misfit.static_frequency_ratio * self.chain.resonance()
         force = MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point, ideal=True)
         response, reference = view.responses((channel, force), np.array([frequency]))[:, 0]

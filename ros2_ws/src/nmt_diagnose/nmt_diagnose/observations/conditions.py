@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -28,13 +29,32 @@ class MeasuredChannel:
     ideal: bool = False
 
 
+class OneExciter:
+    """A test with one exciter."""
+
+    drive_point: int
+
+    @property
+    def drive_points(self) -> tuple[int, ...]:
+        """Measurement point of each exciter."""
+        return (self.drive_point,)
+
+
+Terms: TypeAlias = tuple[tuple[complex, ...], ...]
+"""Orders 1, 2, … of the drive of each exciter over the fundamental of the first."""
+
+PURE_TONE: Terms = ((1.0 + 0.0j,),)
+"""Terms of a sine at one exciter."""
+
+
 @dataclass(frozen=True)
 class LockedLevel:
     """One locked window.
 
     Attributes:
         index: level number in its plan.
-        drive: commanded drive voltage, V peak; its phase is the zero of all phases. NaN where it is not known.
+        drive: fundamental of the drive voltage at the first exciter, V peak; its phase is the zero of all phases. NaN
+            where it is not known.
         phase_error: measured arg F₁ − arg(iωψ_k,1) at the drive point, rad: where the loop stood; an input of the
             model.
         phase_error_std: its standard uncertainty, rad.
@@ -44,8 +64,7 @@ class LockedLevel:
         direction: +1 while the level rises, −1 while it falls.
         force_n: measured |F₁|, N: the given amplitude where the force is held.
         phase_lean: how far the loop may still have been off because it had not settled, rad.
-        drive_harmonics: orders 2, 3, … of the recorded drive, or of the force where that is held, over its fundamental,
-            whose phase is zero; empty = pure.
+        terms: what drove the structure, voltage of each exciter, or its force where that is held.
         amplitude_leans: of each channel of the test, how far its amplitude may still be from where it would have
             settled, its transient taken out, relative; empty = nowhere.
     """
@@ -61,7 +80,7 @@ class LockedLevel:
     direction: int
     force_n: float = math.nan
     phase_lean: float = 0.0
-    drive_harmonics: tuple[complex, ...] = ()
+    terms: Terms = PURE_TONE
     amplitude_leans: tuple[float, ...] = ()
 
 
@@ -71,7 +90,7 @@ class PhaseResonanceTest:
 
     Attributes:
         name: unique name of the test.
-        drive_point: measurement point of the exciter.
+        drive_points: measurement point of each exciter; phase and amplitude of all refer to the first.
         response_channel: channel whose phase the loop controlled.
         channels: all recorded channels with harmonics.
         harmonics: highest order among the observables.
@@ -82,7 +101,7 @@ class PhaseResonanceTest:
     """
 
     name: str
-    drive_point: int
+    drive_points: tuple[int, ...]
     response_channel: str
     channels: tuple[MeasuredChannel, ...]
     harmonics: int
@@ -90,9 +109,14 @@ class PhaseResonanceTest:
     levels: tuple[LockedLevel, ...]
     commanded: bool = False
 
+    @property
+    def drive_point(self) -> int:
+        """Point at which the loop holds its phase."""
+        return self.drive_points[0]
+
 
 @dataclass(frozen=True)
-class RandomTest:
+class RandomTest(OneExciter):
     """Frequency responses of a low-level random test, referred to the voltage (or, without one, to the force).
 
     Attributes:
@@ -126,7 +150,7 @@ class RandomTest:
 
 
 @dataclass(frozen=True)
-class SteppedSineTest:
+class SteppedSineTest(OneExciter):
     """Frequency responses at an amplitude that was held while the frequency was stepped.
 
     Attributes:
@@ -178,7 +202,7 @@ class SteppedSineTest:
 
 
 @dataclass(frozen=True)
-class RingDownTest:
+class RingDownTest(OneExciter):
     """Free decay after switch-off or impact: frequency and decay rate of a response over its amplitude.
 
     Attributes:
@@ -204,7 +228,7 @@ class RingDownTest:
 
 
 @dataclass(frozen=True)
-class RecordTest:
+class RecordTest(OneExciter):
     """Any excitation: the model is driven by the measured input.
 
     Attributes:
@@ -231,7 +255,7 @@ class RecordTest:
 
 
 @dataclass(frozen=True)
-class BackboneTable:
+class BackboneTable(OneExciter):
     """A backbone reduced by someone else: frequency (and damping ratio) over response amplitude at the drive point.
 
     Attributes:

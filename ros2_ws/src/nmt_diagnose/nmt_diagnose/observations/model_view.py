@@ -11,19 +11,20 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
+from nmt_diagnose.effects.rig_edit import with_exciters_at
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.rig import Rig
-from nmt_rig.rig_model import build_system, input_per_volt
+from nmt_rig.rig_model import build_system, inputs_per_volt
 
 
 @dataclass(frozen=True)
 class ModelView:
-    """Channels and linear behaviour of a rig with the exciter at one point.
+    """Channels and linear behaviour of a rig with its exciters where a test had them.
 
     Attributes:
-        rig: the model, its exciter at the drive point of the test.
+        rig: the model with the exciters of the test.
         system: its equations.
         shape: target mode at the drive point, 1/√kg.
         frequencies_hz: linear frequencies of structure alone and with exciter.
@@ -35,10 +36,9 @@ class ModelView:
     frequencies_hz: tuple[float, ...]
 
     @classmethod
-    def of(cls, rig: Rig, drive_point: int) -> ModelView:
-        """View of a rig driven at a point of its own, or at another one."""
-        if drive_point != rig.drive_point:
-            rig = rig.model_copy(update={"exciter": rig.exciter.model_copy(update={"point": drive_point})})
+    def of(cls, rig: Rig, drive_points: Sequence[int]) -> ModelView:
+        """View of a rig driven at points of its own, or at another one."""
+        rig = with_exciters_at(rig, drive_points)
         linear = linear_description(rig)
         hertz = [value / (2.0 * math.pi) for value in (*linear.frequencies_rad_s, linear.plant_frequency_rad_s)]
         return cls(rig, build_system(rig), linear.drive_point_shape, tuple(sorted(hertz)))
@@ -52,31 +52,58 @@ class ModelView:
             for sensor in rig.sensors
         )
 
-    def responses(self, channels: Sequence[MeasuredChannel], frequency_hz: FloatArray) -> ComplexArray:
-        """Linear responses to 1 V of drive, sensors ideal, shape (channels, frequencies); NaN where there is none."""
+    def voltages(self, recorded: Sequence[MeasuredChannel]) -> tuple[str, ...]:
+        """Names of the recorded voltage of each exciter, in their order; empty text where there is none."""
+        names = [channel.name for channel in recorded if channel.quantity is Quantity.VOLTAGE]
+        exciters = range(1, len(self.rig.all_exciters) + 1)
+        by_exciter = {s.exciter or 1: self.rig.sensor_channel(s) for s in self.rig.sensors if s.quantity == "voltage"}
+        found = tuple(by_exciter.get(exciter, "") for exciter in exciters)
+        if not set(found) <= set(names) and len(names) >= len(found):
+            return tuple(names[: len(found)])
+        return tuple(name if name in names else "" for name in found)
+
+    def responses(
+        self, channels: Sequence[MeasuredChannel], frequency_hz: FloatArray, terms: Sequence[complex] = (1.0,)
+    ) -> ComplexArray:
+        """Linear responses to a drive, sensors ideal, shape (channels, frequencies); NaN where there is none.
+
+        Args:
+            channels: of the responses.
+            frequency_hz: Hz.
+            terms: drive of each exciter, V; those left out have none.
+        """
         system = self.system
+        volts = inputs_per_volt(self.rig)
+        ports = system.exciters[: len(terms)]
+        shares = [term * gain / volts[0] for term, gain in zip(terms, volts, strict=False)]
         s = 2j * math.pi * np.asarray(frequency_hz, dtype=np.float64)[:, np.newaxis, np.newaxis]
         stiffness, damping = system.sticking_stiffness(), system.resting_damping()
         impedance = stiffness + s * damping + s * s * system.mass
-        unit = np.broadcast_to(system.input_vector.astype(complex)[:, np.newaxis], (*impedance.shape[:2], 1))
+        loads = sum(share * port.input_vector for share, port in zip(shares, ports, strict=True))
+        unit = np.broadcast_to(np.asarray(loads, dtype=complex)[:, np.newaxis], (*impedance.shape[:2], 1))
         motion = np.linalg.solve(impedance, unit)[:, :, 0].T
         s = s[:, 0, 0]
-        row = system.force
-        force = (s * s * (row.acceleration @ motion) + s * (row.velocity @ motion) + row.displacement @ motion) + (
-            row.feedthrough
-        )
+        shares += [0.0] * (len(volts) - len(shares))
         values = np.full((len(channels), s.size), complex(math.nan))
-        scale = input_per_volt(self.rig)
+        scale = volts[0]
         for index, channel in enumerate(channels):
             if channel.quantity is Quantity.VOLTAGE:
-                values[index] = 1.0
+                values[index] = terms[min(self._exciter_of(channel), len(terms) - 1)]
             elif channel.quantity is Quantity.FORCE:
-                values[index] = scale * force
+                at = self.rig.exciter_points.index(channel.point) if channel.point in self.rig.exciter_points else 0
+                row = system.exciters[at].force
+                force = s * s * (row.acceleration @ motion) + s * (row.velocity @ motion) + row.displacement @ motion
+                values[index] = scale * (force + row.feedthrough * shares[at])
             elif channel.quantity is Quantity.CURRENT and system.current is not None:
-                values[index] = scale * motion[system.current]
+                values[index] = scale * motion[system.exciters[self._exciter_of(channel)].current]
             elif channel.quantity in MOTIONS and channel.point in system.point_numbers:
                 values[index] = scale * system.motion(channel.point, motion) * s ** MOTIONS[channel.quantity]
         return values
+
+    def _exciter_of(self, channel: MeasuredChannel) -> int:
+        """Number of the exciter, from 0, that a voltage or current of the model belongs to."""
+        sensors = (s for s in self.rig.sensors if self.rig.sensor_channel(s) == channel.name)
+        return next(((sensor.exciter or 1) - 1 for sensor in sensors), 0)
 
 
 def matched(

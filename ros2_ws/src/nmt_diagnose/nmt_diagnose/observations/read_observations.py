@@ -14,6 +14,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import MOTIONS, TestKind
+from nmt_diagnose.coverage import NotCoveredError, covers
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch, read_windows
 from nmt_diagnose.observations.channels.measuring_chain import measuring_chain, table_chain
 from nmt_diagnose.observations.channels.plausibility import check_frequency, clipping_notes, out_of_scale, repeats_notes
@@ -34,6 +35,7 @@ from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, s
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.observables import observable_tables
+from nmt_record.windows.recorded_tests import recorded_tests
 from nmt_record.windows.segments import Segment, segments
 from nmt_rig.rig import Rig
 
@@ -52,8 +54,8 @@ def read_observations(
 
     Locked windows, random tests, ring-downs, records and reduced tables become tests; imported stepped sines become
     frequency responses at their measured force, those of the bench's own runs near resonance count as locked windows
-    whose phase nobody controlled; sweeps are passed over with a note, because no steady state
-    of the model says what they must look like. What cannot be used is left out, with a sentence in ``notes``.
+    whose phase nobody controlled. What :func:`~nmt_diagnose.coverage.covers` does not take and what cannot be used is
+    left out, with a sentence in ``notes``.
 
     Args:
         bags: bags of one rig: recorded runs or imports.
@@ -108,7 +110,12 @@ def _read_all(
             continue
         path_by_digest[digest] = str(path)
         name = _unique(_name(path), names)
-        part = read_bag(bag, name, model, settings)
+        try:
+            part = read_bag(bag, name, model, settings)
+        except NotCoveredError as refusal:
+            if len(bags) == 1:
+                raise
+            part = empty((str(refusal),))
         origin = origin_of(bag, path, [test.name for test in part.tests])
         parts.append(replace(part, inputs=((str(path), digest),), origins=(origin,)))
     return joined(parts)
@@ -133,7 +140,14 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
         notes.append(f"{name} was recorded on rig '{rig}', the model is '{model.name}'.")
     parts: list[Observations] = []
     found = segments(bag)
-    usable = [segment for segment in found if segment.usable_samples and segment.kind is not TestKind.SWEEP]
+    tests = recorded_tests(bag, found)
+    refused = {test.kind: sentence for test in tests if (sentence := covers(test))}
+    tables = observable_tables(bag) if "observables" in bag.topics else []
+    if len(refused) == len(tests) and not tables:
+        raise NotCoveredError(f"{name}: {next(iter(refused.values()))}")
+    notes += [f"{name}: {sentence}" for sentence in refused.values()]
+    found = [segment for segment in found if segment.kind not in refused]
+    usable = [segment for segment in found if segment.usable_samples]
     for segment in found:
         level = f"{name}: level {segment.level_index} ({segment.kind.label})"
         if segment in usable and segment.fault:
@@ -141,15 +155,9 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
             notes.append(f"{level} is used in part, {share} from {segment.usable_first_sample} on: {segment.fault}.")
         elif segment.fault:
             notes.append(f"{level} is left out: {segment.fault}.")
-    sweeps = sum(segment.kind is TestKind.SWEEP for segment in found)
-    if sweeps:
-        notes.append(
-            f"{name}: {sweeps} sweep{'s are' if sweeps > 1 else ' is'} passed over; a swept response is no steady "
-            "state that the model could be compared with: use phase resonance or stepped sines near resonance."
-        )
     if usable:
-        parts += _signals(bag, name, usable, run, model, settings, notes)
-    tables = observable_tables(bag) if "observables" in bag.topics else []
+        sine = not any(test.has_several_exciters or test.controlled_harmonics for test in tests)
+        parts += _signals(bag, name, usable, run, model, settings, sine, notes)
     for numbers in measured_together(tables, model.drive_point):
         first = tables[numbers[0]].name or f"table {numbers[0] + 1}"
         count = len(numbers) - 1
@@ -179,6 +187,7 @@ def _signals(
     run: dict[str, Any],
     model: Rig,
     settings: ObservationSettings,
+    sine: bool,
     notes: list[str],
 ) -> list[Observations]:
     """Observations of the windows of one bag."""
@@ -193,13 +202,14 @@ def _signals(
     if not windows:
         return []
     recorded = tuple({c.name: c for window in windows for c in window.stretch.channels}.values())
-    drive_point = _drive_point(run, recorded, model)
-    if drive_point not in model.structure.points:
+    points = _drive_points(run, recorded, model)
+    lacking = [point for point in points if point not in model.structure.points]
+    if lacking:
         raise BenchError(
-            f"{name} was driven at point {drive_point}, but the model {model.name} has points 1 to "
+            f"{name} was driven at point {lacking[0]}, but the model {model.name} has points 1 to "
             f"{model.structure.points[-1]}; name the rig file of the rig that was tested."
         )
-    view = ModelView.of(model, drive_point)
+    view = ModelView.of(model, points)
     channels, more = matched(recorded, view)
     # A decay needs no sensor in the rig file: where it lacks one, an ideal one is meant.
     of_decays = {c.name: c for c in recorded if c.quantity in MOTIONS and c.point in model.structure.points} | channels
@@ -227,9 +237,7 @@ def _signals(
                     parts.append(stepped_sine_observations(test_name, selected, view, channels, settings))
                     continue
                 parts.append(
-                    phase_resonance_observations(
-                        test_name, selected, view, channels, settings, response, rate, "imported" in run
-                    )
+                    phase_resonance_observations(test_name, selected, view, channels, settings, response, rate, sine)
                 )
                 levels = len(getattr(parts[-1].tests[0], "levels", ())) if parts[-1].tests else 0
                 if 0 < levels < THRESHOLDS.reading.few_levels:
@@ -287,15 +295,18 @@ def _frequency(window: _Window) -> float:
     return window.segment.frequency_hz if window.segment.frequency_hz > 0.0 else math.nan
 
 
-def _drive_point(run: dict[str, Any], recorded: tuple[MeasuredChannel, ...], model: Rig) -> int:
-    force = next((c.point for c in recorded if c.quantity is Quantity.FORCE and c.point > 0), None)
-    if force is not None:
-        return force
+def _drive_points(run: dict[str, Any], recorded: tuple[MeasuredChannel, ...], model: Rig) -> tuple[int, ...]:
+    forces = [c.point for c in recorded if c.quantity is Quantity.FORCE and c.point > 0]
+    driven = run.get("exciter_points", list(model.exciter_points))
+    if isinstance(driven, list) and len(driven) > 1 and set(driven) <= set(forces):
+        return tuple(driven)
+    if forces:
+        return (forces[0],)
     linear = run.get("linear")
     for value in (run.get("exciter_point"), linear.get("drive_point") if isinstance(linear, dict) else None):
         if isinstance(value, int) and not isinstance(value, bool) and value > 0:
-            return value
-    return model.drive_point
+            return (value,)
+    return (model.drive_point,)
 
 
 def _response_quantity(run: dict[str, Any]) -> Quantity | None:

@@ -39,7 +39,7 @@ class BackbonePredictor(PeriodicLevels):
         force = MeasuredChannel("force", Quantity.FORCE, test.drive_point, ideal=True)
         channels = tuple(dict.fromkeys((test.channel, force, probe)))
         inner = PhaseResonanceTest(
-            test.name, test.drive_point, probe.name, channels, settings.harmonics, "response", tuple(levels)
+            test.name, test.drive_points, probe.name, channels, settings.harmonics, "response", tuple(levels)
         )
         super().__init__(inner, rows, settings)
 

@@ -94,7 +94,7 @@ def evaluate_decay(
                 column[local] -= t[o, j] * phasor(g_omega, j, offset, order)
                 column[local + 1] -= slope[o, j] * by_ratio * amount
             add_force_slopes(column, t, o, dg, offset, order)
-            set_residual(residual, z, o * size + offset, output_of(t, o, h, g, offset, order), order)
+            set_residual(residual, z, o * size + offset, output_of(t, o, t[o, r] * h, g, offset, order), order)
             set_jacobian(jacobian, o * size + offset, column, order)
     return residual, jacobian
 
@@ -267,7 +267,8 @@ def decay_shapes(
         true = amplitudes[level] / abs(sensor_gain(1j * omega, channels[channel])[0]) + 0j
         drive = _drive(true, r + channel, t, g, offset)
         for k in range(places.size):
-            motion = output_of(t, r + places[k], drive, g, offset, 1)
+            row = r + places[k]
+            motion = output_of(t, row, t[row, r] * drive, g, offset, 1)
             result[level, k] = motion * sensor_gain(s, channels[places[k]])[0]
         first = result[level, 0]
         for k in range(places.size):

@@ -117,7 +117,7 @@ def balance(
     for n in range(orders.size):
         first = orders[n] == 1
         for o in range(r + c if first else r):
-            value = output_of(transfer[n], o, a if first else 0j, g, offsets[n], orders[n])
+            value = output_of(transfer[n], o, transfer[n, o, r] * a if first else 0j, g, offsets[n], orders[n])
             if o < r:
                 set_residual(residual, z, o * size + offsets[n], value, orders[n])
             else:

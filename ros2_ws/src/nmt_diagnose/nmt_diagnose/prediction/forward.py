@@ -82,9 +82,9 @@ class Forward:
         self._lines = self._unexcited(Part.LINE, PhaseResonanceTest, RandomTest, RecordTest)
 
         # Tests with one drive point share one linear model.
-        groups: dict[tuple[int, bool], list[Any]] = {}
+        groups: dict[tuple[tuple[int, ...], bool], list[Any]] = {}
         for predictor in self._twins:
-            groups.setdefault((predictor.setup.drive_point, predictor.setup.ideal_force), []).append(predictor)
+            groups.setdefault((predictor.setup.drive_points, predictor.setup.ideal_force), []).append(predictor)
         for group in groups.values():
             shared = joint_setup(predictor.setup for predictor in group)
             for predictor in group:

@@ -65,20 +65,21 @@ class SourceColumn:
     unexcited: Part | None = None
 
 
-def source_vectors(rig: Rig, parts: RigParts, source: Source) -> tuple[FloatArray, FloatArray]:
-    """Generalised forces (n, k) of a mechanical source, and whether each is part of the measured force (k,)."""
+def source_vectors(rig: Rig, parts: RigParts, source: Source) -> tuple[FloatArray, tuple[int, ...]]:
+    """Generalised forces (n, k) of a mechanical source, and point of the force that each is part of (0 = none)."""
     system = parts.system
     if source.kind == "structure":
         vectors = [system.selector(source.index)]
     elif source.kind == "joint":
         if source.index >= parts.coordinates:
-            return np.zeros((system.size, 0)), np.zeros(0)
+            return np.zeros((system.size, 0)), ()
         vectors = [parts.inputs[:, source.index]]
     elif source.kind == "exciter":
-        return system.selector(system.drive_point)[:, None], np.ones(1)
+        points = parts.rig.exciter_points
+        return np.column_stack([system.selector(point) for point in points]), points
     else:
         vectors = _clamp_vectors(rig, system.size)
-    return np.array(vectors).reshape(-1, system.size).T, np.zeros(len(vectors))
+    return np.array(vectors).reshape(-1, system.size).T, (0,) * len(vectors)
 
 
 def _clamp_vectors(rig: Rig, size: int) -> list[FloatArray]:
@@ -97,15 +98,15 @@ def _clamp_vectors(rig: Rig, size: int) -> list[FloatArray]:
 
 
 def with_sources(
-    parts: RigParts, vectors: FloatArray, measured: FloatArray, settings: PredictionSettings
+    parts: RigParts, vectors: FloatArray, measured: tuple[int, ...], settings: PredictionSettings
 ) -> LinearModel:
-    """Linear model with the sources as further inputs behind the drive."""
+    """Linear model with the sources as further inputs behind the exciters."""
     feed = np.zeros((parts.rows.feedthrough.shape[0], vectors.shape[1]))
     r = parts.coordinates
     for row, section in enumerate(parts.sections):
         # A force from behind the sensor passes through it.
         if section is not None and section.quantity == "force":
-            feed[r + row] = measured
+            feed[r + row] = [point == parts.rig.sensor_point(section) for point in measured]
     rows = OutputRows(
         parts.rows.displacement, parts.rows.velocity, parts.rows.acceleration,
         np.column_stack((parts.rows.feedthrough, feed)),
@@ -201,17 +202,18 @@ def _level_sources(
             * turn
             * np.exp(1j * np.angle(channels[predictor.force_row, 1]))
         )
-        size = float(np.max(np.abs(t[: r + parts.channels.shape[0], r + 1 + k]))) or 1.0
+        column = t[:, parts.inputs.shape[1] + k]
+        size = float(np.max(np.abs(column[: r + parts.channels.shape[0]]))) or 1.0
         residual = np.zeros(nz)
         for i in range(r):
-            direct_change = -t[i, r + 1 + k] * amount
+            direct_change = -column[i] * amount
             offset = i * basis.size + basis.offsets[order]
             residual[offset] = direct_change.real
             if order:
                 residual[offset + 1] = -direct_change.imag
         direct = np.zeros_like(channels)
         gains = predictor.gains(parts, 1j * order * state.omega)
-        direct[:, order] = gains * t[r:, r + 1 + k] * amount
+        direct[:, order] = gains * column[r:] * amount
         if order == 1:
             residual[-2] = float(
                 (direct[predictor.force_row, 1] / channels[predictor.force_row, 1]).imag

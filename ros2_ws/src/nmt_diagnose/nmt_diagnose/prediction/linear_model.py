@@ -220,28 +220,27 @@ def linear_model(
     # A body without suspension has a double pole at zero, which has no residues: a spring too soft to be seen.
     softest = max(1e-16 * squares[-1], 1e-12)
     stiffness = np.diag(np.maximum(squares, softest))
-    electric = 0 if system.current is None else 1
+    currents = range(mechanical, system.size)
+    electric = len(currents)
     a = np.zeros((2 * size + electric, 2 * size + electric))
     a[:size, size : 2 * size] = np.eye(size)
     a[size : 2 * size, :size] = -stiffness
     a[size : 2 * size, size : 2 * size] = -damping
     b = np.zeros((2 * size + electric, inputs.shape[1]))
     b[size : 2 * size] = shapes.T @ inputs[:mechanical]
-    current = system.current
-    if current is not None:
+    for row, current in enumerate(currents, start=2 * size):
         inductance = system.damping[current, current]
-        a[size : 2 * size, -1] = -(shapes.T @ system.stiffness[:mechanical, current])
-        a[-1, :size] = -(system.stiffness[current, :mechanical] @ shapes) / inductance
-        a[-1, size : 2 * size] = -(system.damping[current, :mechanical] @ shapes) / inductance
-        a[-1, -1] = -system.stiffness[current, current] / inductance
-        b[-1] = inputs[current] / inductance
+        a[size : 2 * size, row] = -(shapes.T @ system.stiffness[:mechanical, current])
+        a[row, :size] = -(system.stiffness[current, :mechanical] @ shapes) / inductance
+        a[row, size : 2 * size] = -(system.damping[current, :mechanical] @ shapes) / inductance
+        a[row, row] = -system.stiffness[current, current] / inductance
+        b[row] = inputs[current] / inductance
     poles, right = np.linalg.eig(a)
     left: ComplexArray = np.asarray(np.linalg.inv(right), dtype=np.complex128)
     # Rows of full unknowns [q, i] for each pole.
     full = np.zeros((system.size, poles.size), dtype=np.complex128)
     full[:mechanical] = shapes @ right[:size]
-    if current is not None:
-        full[current] = right[-1]
+    full[mechanical:] = right[2 * size :]
     exact = basis is None and squares[0] > softest
     frame = ModalFrame(shapes, squares, right.astype(np.complex128), left, full) if exact else None
     shares: ComplexArray = left @ b.astype(np.complex128)
@@ -267,11 +266,9 @@ def moved_model(
         The model; None where poles lie too close together for it, or the other model says nothing of its poles.
     """
     frame = model.frame
-    if frame is None or (before.size, before.mechanical_size, before.current) != (
-        system.size, system.mechanical_size, system.current,
-    ):  # fmt: skip
+    if frame is None or (before.size, before.mechanical_size) != (system.size, system.mechanical_size):
         return None
-    mechanical, current, shapes = system.mechanical_size, system.current, frame.shapes
+    mechanical, shapes = system.mechanical_size, frame.shapes
     size = shapes.shape[1]
     mechanical_part = slice(None, mechanical)
     # Differences first: the lowest modes are many digits below the highest.
@@ -291,9 +288,9 @@ def moved_model(
     b = np.zeros((change.shape[0], inputs.shape[1]))
     driven = shapes.T @ inputs[mechanical_part]
     b[size : 2 * size] = driven - dm @ driven
-    if current is not None:
+    for row, current in enumerate(range(mechanical, system.size), start=2 * size):
         pull, more = (shapes.T @ item.stiffness[mechanical_part, current] for item in (before, system))
-        change[size : 2 * size, -1] = dm @ pull - (more - pull)
+        change[size : 2 * size, row] = dm @ pull - (more - pull)
         rates = []
         for item in (before, system):
             circuit = np.concatenate(
@@ -301,8 +298,9 @@ def moved_model(
                  [item.stiffness[current, current]])
             )  # fmt: skip
             rates.append(circuit / item.damping[current, current])
-        change[-1] = rates[0] - rates[1]
-        b[-1] = inputs[current] / system.damping[current, current]
+        change[row, : 2 * size] = (rates[0] - rates[1])[:-1]
+        change[row, row] = (rates[0] - rates[1])[-1]
+        b[row] = inputs[current] / system.damping[current, current]
     moved = frame.left @ change @ frame.right
     gaps = model.poles[None, :] - model.poles[:, None]
     np.fill_diagonal(gaps, 1.0)
@@ -338,8 +336,8 @@ def _reduction(
         return None
     squares, vectors = eigh(system.stiffness[:n, :n], system.mass[:n, :n])
     places = np.column_stack((inputs[:n], rows.displacement[:, :n].T, rows.acceleration[:, :n].T))
-    if system.coil is not None:
-        places = np.column_stack((places, system.selector(system.drive_point)[:n]))
+    coils = [system.selector(port.point)[:n] for port in system.exciters if port.coil is not None]
+    places = np.column_stack((places, *coils))
     sizes = np.linalg.norm(places, axis=0)
     places = places[:, sizes > 0.0] / sizes[sizes > 0.0]
     # Independent places only: sensors sit where forces act.

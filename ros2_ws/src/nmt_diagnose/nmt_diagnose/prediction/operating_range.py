@@ -185,7 +185,7 @@ def _resonant(
     rig: Rig, test: PhaseResonanceTest, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings
 ) -> list[Motion]:
     wider = PhaseResonanceTest(
-        test.name, test.drive_point, test.response_channel,
+        test.name, test.drive_points, test.response_channel,
         (*(c for c in channels), *(c for c in test.channels if c.name not in {k.name for k in channels})),
         test.harmonics, test.held, test.levels,
     )  # fmt: skip
@@ -214,7 +214,7 @@ def _unknowns(
     system = parts.system
     tangent = np.abs(resting_tangent(parts, 1j * omega))
     impedance = system.stiffness + 1j * omega * system.damping - omega**2 * system.mass
-    for value, direction in zip(tangent, parts.inputs.T[:-1], strict=True):
+    for value, direction in zip(tangent, parts.inputs.T[: parts.coordinates], strict=True):
         impedance = impedance + value * np.outer(direction, direction)
     q = np.linalg.solve(impedance, system.input_vector.astype(complex))
     probe = max(
@@ -235,7 +235,7 @@ def _noise(
 ) -> list[Motion]:
     """Rms of flat noise over the lines through the system linearised at rest."""
     cache = PartsCache(settings)
-    parts = cache.parts(rig, Setup(drive_point, ideal_force, channels, FourierBasis.up_to(1)))
+    parts = cache.parts(rig, Setup((drive_point,), ideal_force, channels, FourierBasis.up_to(1)))
     system = parts.system
     squares = np.zeros(len(channels))
     q_squares = np.zeros(system.size)
@@ -249,7 +249,7 @@ def _noise(
         largest = float(np.max(np.abs(q[: system.structure_size])))
         if largest > top:
             top, peak = largest, w
-    scale = rms * parts.input_per_volt
+    scale = rms * parts.input_per_volt[0]
     amplitudes = np.sqrt(squares).astype(complex) * scale
     return [(parts, float(peak), rms, amplitudes, np.sqrt(q_squares) * scale)]
 
@@ -264,7 +264,7 @@ def _stepped(
     if not np.any(np.isfinite(motion)):
         return []
     every = (*channels, lead)
-    parts = PartsCache(settings).parts(rig, Setup(test.drive_point, False, every, FourierBasis.up_to(1)))
+    parts = PartsCache(settings).parts(rig, Setup(test.drive_points, False, every, FourierBasis.up_to(1)))
     resting = _resting_frequencies(rig)
     found: list[Motion] = []
     for line in (int(np.nanargmax(motion)), int(np.nanargmin(motion))):
@@ -272,7 +272,7 @@ def _stepped(
         omega = 2.0 * np.pi * float(resting[nearest])
         q, y = _resting_response(parts, omega)
         scale = float(motion[line]) * omega**order / max(abs(y[-1]), 1e-300)
-        drive = float(test.levels[line]) if test.held == "voltage" else scale / parts.input_per_volt
+        drive = float(test.levels[line]) if test.held == "voltage" else scale / parts.input_per_volt[0]
         found.append((parts, omega, drive, y[: len(channels)] * scale, q * scale))
     return found
 
@@ -288,7 +288,7 @@ def _given(
     cache = PartsCache(settings)
     channel = next((c for c in channels if c.name == test.channel.name), None)
     every = channels if channel is not None else (*channels, test.channel)
-    parts = cache.parts(rig, Setup(test.drive_point, False, every, FourierBasis.up_to(1)))
+    parts = cache.parts(rig, Setup(test.drive_points, False, every, FourierBasis.up_to(1)))
     resting = _resting_frequencies(rig)
     omega = 2.0 * np.pi * float(resting[np.argmin(np.abs(np.log(resting / frequency_hz)))])
     q, y = _resting_response(parts, omega)
@@ -296,7 +296,7 @@ def _given(
     found: list[Motion] = []
     for amplitude in (float(np.max(test.amplitudes)), float(np.min(test.amplitudes))):
         scale = amplitude / max(size, 1e-300)
-        found.append((parts, omega, scale / parts.input_per_volt, y[: len(channels)] * scale, q * scale))
+        found.append((parts, omega, scale / parts.input_per_volt[0], y[: len(channels)] * scale, q * scale))
     return found
 
 
@@ -305,11 +305,12 @@ def _resting_response(parts: RigParts, omega: float) -> tuple[np.ndarray, np.nda
     system, rows, r = parts.system, parts.rows, parts.coordinates
     tangent = resting_tangent(parts, 0j).real
     stiffness = system.stiffness + sum(
-        value * np.outer(direction, direction) for value, direction in zip(tangent, parts.inputs.T[:-1], strict=True)
+        value * np.outer(direction, direction)
+        for value, direction in zip(tangent, parts.inputs.T[: parts.coordinates], strict=True)
     )
     q = np.linalg.solve(stiffness + 1j * omega * system.damping - omega**2 * system.mass, system.input_vector + 0j)
     s = 1j * omega
-    y = (rows.displacement + s * rows.velocity + s * s * rows.acceleration)[r:] @ q + rows.feedthrough[r:, -1]
+    y = (rows.displacement + s * rows.velocity + s * s * rows.acceleration)[r:] @ q + rows.feedthrough[r:, r]
     return q, y * parts.channels[:, GAIN]
 
 

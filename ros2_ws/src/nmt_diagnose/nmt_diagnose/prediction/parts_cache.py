@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from nmt_diagnose.effects.rig_edit import with_exciters_at
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import (
@@ -15,7 +16,6 @@ from nmt_diagnose.prediction.rig_parts import (
     limit_table,
     rig_parts,
     with_elements_of,
-    with_exciter_at,
 )
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
@@ -26,13 +26,13 @@ class Setup:
     """What tests have in common that can share one linear model.
 
     Attributes:
-        drive_point: point of the exciter.
+        drive_points: point of each exciter.
         ideal_force: the exciter is left out.
         channels: all channels of these tests.
         basis: harmonic orders.
     """
 
-    drive_point: int
+    drive_points: tuple[int, ...]
     ideal_force: bool
     channels: tuple[MeasuredChannel, ...]
     basis: FourierBasis
@@ -43,11 +43,11 @@ class Setup:
 
 
 def joint_setup(setups: Iterable[Setup]) -> Setup:
-    """One setup for several with the same drive point."""
+    """One setup for several with the same drive points."""
     every = list(setups)
     channels = tuple(dict.fromkeys(channel for setup in every for channel in setup.channels))
     basis = max((setup.basis for setup in every), key=lambda basis: basis.size)
-    return Setup(every[0].drive_point, every[0].ideal_force, channels, basis)
+    return Setup(every[0].drive_points, every[0].ideal_force, channels, basis)
 
 
 class PartsCache:
@@ -83,7 +83,7 @@ class PartsCache:
                 parts = None if wider is None else self._shared(rig, setup, key, *wider)
             if parts is None:
                 parts = rig_parts(
-                    with_exciter_at(rig, setup.drive_point), setup.channels, setup.basis, self.settings, seconds,
+                    with_exciters_at(rig, setup.drive_points), setup.channels, setup.basis, self.settings, seconds,
                     cycles, setup.ideal_force, None if near is None else near[1],
                 )  # fmt: skip
                 if (
@@ -104,7 +104,7 @@ class PartsCache:
         earlier = next(known, None)
         if earlier is None:
             return None
-        return with_elements_of(earlier, with_exciter_at(rig, setup.drive_point), self.settings, key[1], key[2])
+        return with_elements_of(earlier, with_exciters_at(rig, setup.drive_points), self.settings, key[1], key[2])
 
     def _near(self, key: tuple[int, float, float]) -> tuple[Rig, RigParts] | None:
         """The base's rig and parts, at the same moment or without drift."""
@@ -121,7 +121,7 @@ class PartsCache:
         """
         same = (
             _equal(rig.structure, other.structure)
-            and _equal(rig.exciter, other.exciter)
+            and _equal(rig.all_exciters, other.all_exciters)
             and (_equal(rig.drift, other.drift) or rig.drift.stiffness_per_s == other.drift.stiffness_per_s == 0.0)
             and (
                 rig.sensors is other.sensors
@@ -133,7 +133,7 @@ class PartsCache:
         )
         if not same:
             return None
-        moved = with_exciter_at(rig, setup.drive_point)
+        moved = with_exciters_at(rig, setup.drive_points)
         if not (_equal(rig.local_elements, other.local_elements) and _equal(rig.drift, other.drift)):
             # A shaking table's effective mass is that of the rig with its elements at rest.
             if not _alike(rig, other, isinstance(rig.exciter, ShakingTableSection)):

@@ -196,11 +196,19 @@ def phasor(coefficients: FloatArray, row: int, offset: int, order: int) -> compl
 
 
 @njit(cache=True, forceinline=True)
-def output_of(transfer: ComplexArray, o: int, u: complex, g: FloatArray, offset: int, order: int) -> complex:
-    """Output o at one order for the drive u and the local forces g (r, size)."""
-    r = transfer.shape[1] - 1
-    value = transfer[o, r] * u
-    for j in range(r):
+def driven_by(transfer: ComplexArray, o: int, r: int, u: ComplexArray) -> complex:
+    """What the inputs u (exciters,), behind r local forces, make of output o."""
+    value = transfer[o, r] * u[0]
+    for k in range(1, u.size):
+        value += transfer[o, r + k] * u[k]
+    return complex(value)
+
+
+@njit(cache=True, forceinline=True)
+def output_of(transfer: ComplexArray, o: int, driven: complex, g: FloatArray, offset: int, order: int) -> complex:
+    """Output o at one order, of which the drive makes ``driven``, with the local forces g (r, size)."""
+    value = driven
+    for j in range(g.shape[0]):
         value -= transfer[o, j] * phasor(g, j, offset, order)
     return complex(value)
 
@@ -288,12 +296,13 @@ def evaluate(
         control: what is held.
         given_log: ln of the given amplitude.
         phase: measured arg F₁ − arg(velocity₁), rad.
-        drive: (n_orders,) harmonics of the input for unit drive amplitude.
+        drive: (n_orders, exciters) harmonics of the inputs for unit drive amplitude.
     """
     model, channels, factor, tables = rig
     orders, offsets = tables.orders, tables.offsets
     count = orders.size
-    r = model.inputs.shape[1] - 1
+    exciters = drive.shape[1]
+    r = model.inputs.shape[1] - exciters
     c = channels.shape[0]
     size = offsets[count - 1] + 2
     local = r * size
@@ -314,7 +323,8 @@ def evaluate(
         offset = offsets[n]
         s = 1j * order * omega
         u = amplitude * drive[n]
-        if linear and u == 0.0:
+        quiet = not np.any(u)
+        if linear and quiet:
             # Nothing acts at this order, and nothing responds.
             for o in range(r):
                 for row in range(o * size + offset, o * size + offset + (2 if order > 0 else 1)):
@@ -322,12 +332,13 @@ def evaluate(
                     jacobian[row, row] = 1.0
             continue
         # Most orders are not driven, and the response to the drive is not wanted.
-        transfer, transfer_slope = transfer_at(s, model, r if u == 0.0 else r + 1)
+        transfer, transfer_slope = transfer_at(s, model, r if quiet else r + exciters)
         for o in range(r + c):
-            value = output_of(transfer, o, u, g, offset, order)
+            driven = driven_by(transfer, o, r, u)
+            value = output_of(transfer, o, driven, g, offset, order)
             column[:] = 0.0
-            column[local] = transfer_slope[o, r] * u * 1j * order
-            column[local + 1] = transfer[o, r] * u
+            column[local] = driven_by(transfer_slope, o, r, u) * 1j * order
+            column[local + 1] = driven
             for j in range(r):
                 amount, faster = phasor(g, j, offset, order), phasor(g_omega, j, offset, order)
                 column[local] -= 1j * order * transfer_slope[o, j] * amount + transfer[o, j] * faster
@@ -423,7 +434,8 @@ def residuals(
     model, channels, factor, tables = rig
     orders, offsets = tables.orders, tables.offsets
     count = orders.size
-    r = model.inputs.shape[1] - 1
+    exciters = drive.shape[2]
+    r = model.inputs.shape[1] - exciters
     c = channels.shape[0]
     size = offsets[count - 1] + 2
     local = r * size
@@ -441,14 +453,15 @@ def residuals(
             offset = offsets[n]
             s = 1j * order * omega
             u = amplitude * drive[level, n]
-            if u == 0.0 and not np.any(g[:, offset]) and (order == 0 or not np.any(g[:, offset + 1])):
+            quiet = not np.any(u)
+            if quiet and not np.any(g[:, offset]) and (order == 0 or not np.any(g[:, offset + 1])):
                 # Nothing acts at this order, and nothing responds.
                 for o in range(r):
                     set_residual(left, unknowns, o * size + offset, 0j, order)
                 continue
-            transfer = response_at(s, model, r + c, r if u == 0.0 else r + 1)
+            transfer = response_at(s, model, r + c, r if quiet else r + exciters)
             for o in range(r + c):
-                value = output_of(transfer, o, u, g, offset, order)
+                value = output_of(transfer, o, driven_by(transfer, o, r, u), g, offset, order)
                 if o < r:
                     set_residual(left, unknowns, o * size + offset, value, order)
                 else:

@@ -14,7 +14,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.observations.conditions import PURE_TONE, MeasuredChannel, PhaseResonanceTest, Terms
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.converter import recorded_harmonics
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
@@ -29,7 +29,7 @@ from nmt_diagnose.prediction.periodic_kernel import (
     sensor_gain,
 )
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent, shared_unknowns
+from nmt_diagnose.prediction.rig_parts import RigParts, exciter_of, resting_tangent, shared_unknowns
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
@@ -87,7 +87,7 @@ class LevelProblem:
         phase: measured arg F₁ − arg(velocity₁), rad.
         frequency_hz: start of the solution (nominal clock), Hz.
         seconds, cycles: bench time of the window.
-        harmonics: orders 2, 3, … of the drive over its fundamental.
+        terms: orders 1, 2, … of the drive of each exciter over the fundamental of the first.
     """
 
     held_channel: int
@@ -96,7 +96,7 @@ class LevelProblem:
     frequency_hz: float
     seconds: float
     cycles: float
-    harmonics: tuple[complex, ...] = ()
+    terms: Terms = PURE_TONE
 
 
 class PeriodicLevels:
@@ -113,7 +113,8 @@ class PeriodicLevels:
 
     def __init__(self, test: PhaseResonanceTest, rows: Rows, settings: PredictionSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
-        self.basis = FourierBasis.up_to(max(settings.harmonics, test.harmonics))
+        driven = max((len(term) for level in test.levels for term in level.terms), default=1)
+        self.basis = FourierBasis.up_to(max(settings.harmonics, test.harmonics, driven))
         self.ideal_force = test.held == "force"
         self.measured_count = len(test.channels)
         # Channels that the phase condition needs come behind those of the test, if they were not recorded.
@@ -136,7 +137,7 @@ class PeriodicLevels:
                 f"test {test.name}: the loop controlled the phase of {test.response_channel}, which is no motion."
             )
         self.power = 1 - MOTIONS[quantity]
-        self.use(Setup(test.drive_point, self.ideal_force, self.channels, self.basis))
+        self.use(Setup(test.drive_points, self.ideal_force, self.channels, self.basis))
         self.levels = tuple(self._problem(position) for position in range(len(test.levels)))
         # Of a backbone: the range of frequencies over which its resonance moves, Hz.
         frequencies = [level.frequency_hz for level in test.levels if level.frequency_hz > 0.0]
@@ -162,7 +163,7 @@ class PeriodicLevels:
             frequency = min(self.test.levels, key=lambda item: item.drive).frequency_hz
         middle = 0.5 * (level.start_s + level.stop_s)
         return LevelProblem(
-            held_channel, amplitude, level.phase_error, frequency, middle, level.cycles_before, level.drive_harmonics
+            held_channel, amplitude, level.phase_error, frequency, middle, level.cycles_before, level.terms
         )  # fmt: skip
 
     def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
@@ -253,12 +254,9 @@ class PeriodicLevels:
         return control, math.log(amplitude), level.phase, drive, parts.kernel_tables
 
     def _drive(self, parts: RigParts, level: LevelProblem, amplitude: float) -> ComplexArray:
-        """Harmonics (n_orders,) of the input per unit of the drive, with those that were recorded."""
+        """Harmonics (n_orders, exciters) of the inputs per unit of the drive."""
         # Saturation is followed where the drive is what is given.
-        drive = unit_drive(parts, amplitude if level.held_channel == DRIVE_HELD else 0.0, self.ideal_force)
-        if level.harmonics:
-            drive += recorded_shares(level.harmonics, parts.basis) * (1.0 if self.ideal_force else parts.input_per_volt)
-        return drive
+        return unit_drive(parts, amplitude if level.held_channel == DRIVE_HELD else 0.0, self.ideal_force, level.terms)
 
     def _newton(self, parts: RigParts, level: LevelProblem, amplitude: float, z: FloatArray) -> PeriodicState | None:
         scale = self._scale(parts, z)
@@ -298,7 +296,7 @@ class PeriodicLevels:
         """Unknowns of the system linearised at rest, at its phase resonance nearest to the measured frequency."""
         measured = 2.0 * np.pi * level.frequency_hz * parts.clock
         held_channel = level.held_channel == DRIVE_HELD
-        drive = complex(unit_drive(parts, amplitude if held_channel else 0.0, self.ideal_force)[self.basis.fundamental])
+        drive = self._drive(parts, level, amplitude)[self.basis.fundamental]
         grid = measured * np.linspace(
             1.0 - THRESHOLDS.prediction.resonance_search_share, 1.0 + THRESHOLDS.prediction.resonance_search_share, 161
         )
@@ -324,7 +322,7 @@ class PeriodicLevels:
         return z
 
     def _linear(
-        self, parts: RigParts, level: LevelProblem, omega: float, drive: complex
+        self, parts: RigParts, level: LevelProblem, omega: float, drive: ComplexArray
     ) -> tuple[ComplexArray, float, ComplexArray]:
         """Local displacements (r,) of the linearised system, angle of the phase condition (rad), channels (c,)."""
         r = parts.coordinates
@@ -332,9 +330,9 @@ class PeriodicLevels:
         transfer, _ = parts.linear.at(s)
         tangent = resting_tangent(parts, s)
         closed = np.eye(r) + transfer[:r, :r] * tangent
-        w = np.asarray(np.linalg.solve(closed, transfer[:r, r] * drive), dtype=np.complex128)
+        w = np.asarray(np.linalg.solve(closed, _driven(transfer[:r, r:], drive)), dtype=np.complex128)
         gains = channel_gains(s, parts.channels)
-        channels = gains * (transfer[r:, r] * drive - transfer[r:, :r] @ (tangent * w))
+        channels = gains * (_driven(transfer[r:, r:], drive) - transfer[r:, :r] @ (tangent * w))
         turn = np.exp(-1j * (0.5 * np.pi * self.power + level.phase))
         return w, float(np.angle(channels[self._force] * np.conj(channels[self._response]) * turn)), channels
 
@@ -378,12 +376,15 @@ class PeriodicLevels:
     def fundamental_unknowns(
         self, parts: RigParts, states: Sequence[PeriodicState]
     ) -> tuple[ComplexArray, ComplexArray]:
-        """Fundamentals of all unknowns (states, n) and of the force at the drive point (states,)."""
+        """Fundamentals of all unknowns (states, n) and of the force at the drive point (states,), driven by sines."""
         one, system = self.basis.fundamental, parts.system
-        unit = unit_drive(parts, 0.0, self.ideal_force)[one]
+        units = [unit_drive(parts, 0.0, self.ideal_force, PURE_TONE)[one]] * len(states)
         omega = np.array([state.omega for state in states])
         amplitudes = np.array(
-            [np.append(-self.local_amplitudes(parts, state)[:, one], unit * math.exp(state.z[-1])) for state in states]
+            [
+                np.append(-self.local_amplitudes(parts, state)[:, one], unit * math.exp(state.z[-1]))
+                for state, unit in zip(states, units, strict=True)
+            ]
         )
         s = 1j * omega[:, None, None]
         impedance = system.stiffness + s * system.damping + s**2 * system.mass
@@ -542,12 +543,13 @@ class PhaseResonancePredictor(PeriodicLevels):
             positions = [position for position, _ in solved]
             omega[positions] = [state.omega for _, state in solved]
             channels = np.array([state.channels for _, state in solved])
-            if math.isfinite(parts.saturation) and self._voltages:
+            if np.any(np.isfinite(parts.saturation)) and self._voltages:
                 # The voltage is recorded before the amplifier.
                 channels[:, self._voltages] = 0.0
                 drives = np.array([state.drive for _, state in solved])
-                gains = parts.channels[self._voltages, 0]
-                channels[:, self._voltages, self.basis.fundamental] = np.outer(drives, gains)
+                for row in self._voltages:
+                    terms = np.array([self._terms(position, exciter_of(parts.sections[row])) for position in positions])
+                    channels[:, row] = drives[:, None] * parts.channels[row, 0] * terms
             before_converter = channels[:, self._own]
             recorded[positions] = recorded_harmonics(before_converter, parts.limits[self._own], self.basis)
         if self.ideal_force:
@@ -555,6 +557,10 @@ class PhaseResonancePredictor(PeriodicLevels):
             turn = np.angle(recorded[:, self.force, self.basis.fundamental])
             recorded = recorded * np.exp(-1j * np.outer(turn, self.basis.orders))[:, None, :]
         return self._rows_of(omega, recorded, rig, 1.0 if parts is None else parts.clock)
+
+    def _terms(self, position: int, exciter: int) -> ComplexArray:
+        """Orders (n_orders,) of an exciter's drive at a level over the fundamental of the first."""
+        return on_orders(self.levels[position].terms[exciter], self.basis)
 
     def _rows_of(self, omega: FloatArray, recorded: ComplexArray, rig: Rig, clock: float) -> FloatArray:
         result = np.full(len(self.rows), np.nan)
@@ -578,11 +584,17 @@ class PhaseResonancePredictor(PeriodicLevels):
         return result
 
 
-def recorded_shares(harmonics: tuple[complex, ...], basis: FourierBasis) -> ComplexArray:
-    """Recorded harmonics of a drive, orders 2, 3, … over the fundamental, on the orders of a basis, (n_orders,)."""
+def on_orders(terms: tuple[complex, ...], basis: FourierBasis) -> ComplexArray:
+    """Orders 1, 2, … of a drive on the orders of a basis, (n_orders,)."""
     result = np.zeros(basis.orders.size, dtype=np.complex128)
-    here = (basis.orders >= 2) & (basis.orders < 2 + len(harmonics))
-    result[here] = np.asarray(harmonics)[basis.orders[here] - 2]
+    here = (basis.orders >= 1) & (basis.orders <= len(terms))
+    result[here] = np.asarray(terms)[basis.orders[here] - 1]
+    return result
+
+
+def _driven(transfer: ComplexArray, drive: ComplexArray) -> ComplexArray:
+    """What inputs (exciters,) make of outputs, (outputs,), for their transfer (outputs, exciters)."""
+    result: ComplexArray = (transfer * drive).sum(axis=1)
     return result
 
 
@@ -612,19 +624,42 @@ def _aim(rig: Rig, omega: FloatArray) -> FloatArray:
     return offset + omega * latency
 
 
-def unit_drive(parts: RigParts, amplitude: float, ideal_force: bool) -> ComplexArray:
-    """Harmonics (n_orders,) of the system's input per volt of a commanded tone of ``amplitude`` volts."""
-    orders = parts.basis.orders
-    result = np.zeros(orders.size, dtype=np.complex128)
+def unit_drive(parts: RigParts, amplitude: float, ideal_force: bool, terms: Terms) -> ComplexArray:
+    """Harmonics (n_orders, exciters) of the system's inputs per volt of drive.
+
+    Args:
+        parts: the rig.
+        amplitude: fundamental of the first exciter's drive, V; 0 = amplifiers do not saturate.
+        ideal_force: the drive is the force, N.
+        terms: orders 1, 2, … of the drive of each exciter over the fundamental of the first.
+    """
+    basis = parts.basis
+    result: ComplexArray = np.array([on_orders(each, basis) for each in terms]).T
     if ideal_force:
-        result[parts.basis.fundamental] = 1.0
         return result
-    if math.isinf(parts.saturation) or amplitude == 0.0:
-        result[parts.basis.fundamental] = parts.input_per_volt
-        return result
+    for exciter, saturation in enumerate(parts.saturation):
+        if math.isfinite(saturation) and amplitude != 0.0:
+            result[:, exciter] = _saturated(terms[exciter], float(saturation), amplitude, basis)
+    return np.asarray(result * parts.input_per_volt)
+
+
+def _saturated(terms: tuple[complex, ...], saturation: float, amplitude: float, basis: FourierBasis) -> ComplexArray:
+    """Harmonics (n_orders,) of a drive behind an amplifier that saturates, per volt of ``amplitude``."""
     angles = 2.0 * np.pi * np.arange(256) / 256
-    values = parts.saturation * np.tanh(amplitude * np.cos(angles) / parts.saturation)
-    for position, order in enumerate(orders):
-        if order % 2:
-            result[position] = 2.0 / 256 * float(np.cos(order * angles) @ values) / amplitude
-    return result * parts.input_per_volt
+    wave = np.zeros(angles.size)
+    for order, term in enumerate(terms, start=1):
+        wave += complex(term).real * np.cos(order * angles) - complex(term).imag * np.sin(order * angles)
+    values = saturation * np.tanh(amplitude * wave / saturation)
+    result = np.array(
+        [
+            (2.0 if order else 1.0)
+            / 256
+            * complex(np.cos(order * angles) @ values, -(np.sin(order * angles) @ values))
+            / amplitude
+            for order in basis.orders
+        ]
+    )
+    # What only rounding makes is nothing: orders that are not driven cost nothing.
+    result.real[np.abs(result.real) < 1e-12] = 0.0
+    result.imag[np.abs(result.imag) < 1e-12] = 0.0
+    return result

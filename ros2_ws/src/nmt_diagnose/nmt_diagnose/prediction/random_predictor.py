@@ -99,7 +99,7 @@ class RandomPredictor:
         _, first, inverse = np.unique(quanta.ravel(), return_index=True, return_inverse=True)
         self.frequencies = np.ascontiguousarray(frequencies.ravel()[first])
         self.index = inverse.reshape(frequencies.shape)
-        self.use(Setup(test.drive_point, False, self.channels, FourierBasis.up_to(1)))
+        self.use(Setup(test.drive_points, False, self.channels, FourierBasis.up_to(1)))
         self.seconds = 0.5 * (test.start_s + test.stop_s)
         self._parts = {
             part: (which, rows.level[which], rows.channel[which])
@@ -217,10 +217,10 @@ class RandomPredictor:
             tuple(fractions),
             parts.channels[self._own] if chains is None else chains,
         )
-        h *= parts.input_per_volt
-        if math.isfinite(parts.saturation) and self.test.reference == "voltage":
+        h *= parts.input_per_volt[0]
+        if math.isfinite(float(parts.saturation[0])) and self.test.reference == "voltage":
             # The reference is the command: the amplifier comes after it.
-            h[:, :-1] *= amplifier_gain(self.test.drive_rms, parts.saturation)
+            h[:, :-1] *= amplifier_gain(self.test.drive_rms, float(parts.saturation[0]))
         return np.asarray(h)
 
     def values(self, rig: Rig, cache: PartsCache) -> FloatArray:

@@ -45,7 +45,7 @@ class RecordPredictor:
         self.ideal_force = test.input_channel.quantity == Quantity.FORCE
         self.channels = tuple(test.channels)
         self._known: OrderedDict[bytes, FloatArray] = OrderedDict()
-        self.use(Setup(test.drive_point, self.ideal_force, self.channels, FourierBasis.up_to(1)))
+        self.use(Setup(test.drive_points, self.ideal_force, self.channels, FourierBasis.up_to(1)))
         self._sample = np.clip(
             np.round((rows.time_s - test.start_s) * test.sample_rate).astype(np.int64), 0, test.input.size - 1
         )
@@ -86,8 +86,8 @@ class RecordPredictor:
 
     def _raw(self, parts: RigParts, rate: float, substeps: int) -> FloatArray:
         """What the channels would record without their sensors; rigs that differ in sensors only share it."""
-        saturation = math.inf if self.ideal_force else parts.saturation
-        gain = 1.0 if self.ideal_force else parts.input_per_volt
+        saturation = math.inf if self.ideal_force else float(parts.saturation[0])
+        gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
         rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
         model = stepped_model(parts, rows, 1.0 / (rate * substeps))
         digest = hashlib.sha256(repr((substeps, saturation, gain)).encode())

@@ -15,6 +15,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.modal_calibration import with_stiffness
+from nmt_diagnose.effects.rig_edit import with_exciters
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model, moved_model
 from nmt_diagnose.prediction.local_tables import local_tables
@@ -35,6 +36,7 @@ from nmt_rig.model.assembly import (
     displacement_output,
     velocity_output,
 )
+from nmt_rig.model.exciter import Exciter
 from nmt_rig.model.forced_response import force_rows
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import ELEMENTS
@@ -57,7 +59,7 @@ from nmt_rig.rig_model import (
     build_structure,
     build_system,
     build_table,
-    input_per_volt,
+    inputs_per_volt,
 )
 
 _OUTPUTS = {
@@ -75,7 +77,7 @@ class RigParts:
     """What one test needs of a rig, at one moment.
 
     The inputs of ``linear`` are the ``coordinates`` local forces (as forces on the structure along their directions),
-    then the drive; its outputs are the local displacements, then the channels before their sensors.
+    then the exciters; its outputs are the local displacements, then the channels before their sensors.
 
     Attributes:
         linear: poles and residues.
@@ -86,12 +88,12 @@ class RigParts:
         channels: sensor chains (c, 4): gain, delay (s), 1/(2π f_low) (s), 2π f_high (rad/s).
         limits: (c, 3) clipping level, quantisation step, noise deviation before the converter (infinity, 0, 0 = none).
         sections: sensor of each channel in the rig (None where the rig lacks it: an ideal one is assumed).
-        input_per_volt: N per V of an ideal exciter, 1 with a shaker.
-        saturation: V, infinity where the amplifier does not saturate.
+        input_per_volt: of each exciter (m,): N per V of an ideal one, 1 with a shaker.
+        saturation: of each exciter's amplifier (m,), V; infinity where it does not saturate.
         clock: 1 + clock error.
         basis: harmonic orders.
         system: the linear system that ``linear`` was made of.
-        inputs: (n, r + 1) input vectors.
+        inputs: (n, r + m) input vectors.
         rows: outputs.
         keys: identity of each coordinate, to carry solutions over to another rig.
         structure: the structure alone.
@@ -106,8 +108,8 @@ class RigParts:
     channels: FloatArray
     limits: FloatArray
     sections: tuple[SensorSection | None, ...]
-    input_per_volt: float
-    saturation: float
+    input_per_volt: FloatArray
+    saturation: FloatArray
     clock: float
     basis: FourierBasis
     system: ElectromechanicalSystem
@@ -172,26 +174,6 @@ def resting_tangent(parts: RigParts, s: complex) -> ComplexArray:
     return stiffness + complex(s) * damping
 
 
-def with_exciter_at(rig: Rig, point: int) -> Rig:
-    """The rig with its exciter, and what sits on the exciter's side, at another point.
-
-    Raises:
-        BenchError: the structure has no such point.
-    """
-    if point == rig.drive_point:
-        return rig
-    if point not in rig.structure.points:
-        raise BenchError(
-            f"a test was driven at point {point}, but the structure of rig {rig.name} has points 1 to "
-            f"{rig.structure.points[-1]}; give the model of this rig."
-        )
-    moved = [
-        element.model_copy(update={"point": point}) if element.side == "exciter" else element
-        for element in rig.local_elements
-    ]
-    return rig.model_copy(update={"exciter": rig.exciter.model_copy(update={"point": point}), "local_elements": moved})
-
-
 def rig_parts(
     rig: Rig,
     channels: Sequence[MeasuredChannel],
@@ -219,7 +201,7 @@ def rig_parts(
     rig = _prepared(rig, settings, seconds, ideal_force, channels)
     forced = ideal_force and isinstance(rig.exciter, ShakingTableSection)
     kept = near is not None and same_structure(rig, near.rig)
-    if near is not None and kept and rig.exciter == near.rig.exciter:
+    if near is not None and kept and rig.all_exciters == near.rig.all_exciters:
         structure, bare = near.structure, near.bare
     else:
         without = rig.model_copy(update={"local_elements": []})
@@ -230,15 +212,17 @@ def rig_parts(
     system, size = bare, bare.size
 
     stiffness, damping = system.stiffness, system.damping
-    force_displacement, force_velocity, force_acceleration = force_rows(system)
+    ports = system.exciters
+    forces = [list(force_rows(system, port)) for port in ports]
     local = _local_elements(rig, structure, size, seconds, cycles)
     for element, measured in local.linear:
         outer = np.outer(element.direction, element.direction)
         stiffness = stiffness + element.linear_stiffness * outer
         damping = damping + element.linear_damping * outer
         if measured:
-            force_displacement = force_displacement - element.linear_stiffness * element.direction
-            force_velocity = force_velocity - element.linear_damping * element.direction
+            # What is on the side of an exciter is on that of the first.
+            forces[0][0] = forces[0][0] - element.linear_stiffness * element.direction
+            forces[0][1] = forces[0][1] - element.linear_damping * element.direction
     system = replace(system, stiffness=stiffness, damping=damping)
 
     groups, first_outside = local.groups, local.first_outside
@@ -247,37 +231,34 @@ def rig_parts(
     directions = np.array([group[0].direction if group else drive for group in groups.values()])
     keys = list(groups)
     elements = directions.shape[0]
-    exciter = rig.exciter
-    factor = np.zeros(3)
-    if isinstance(exciter, ShakerSection):
-        g = exciter.force_factor_n_a
-        factor[:] = g, g * exciter.force_factor_linear_per_m, g * exciter.force_factor_quadratic_per_m2
-    if factor[FACTOR_LINEAR] != 0.0 or factor[FACTOR_QUADRATIC] != 0.0:
+    factor, varying = _force_factor(rig)
+    if varying:
         extra = np.zeros((2, size))
-        extra[0, cast(int, system.coil)] = 1.0
-        extra[1, cast(int, system.current)] = 1.0
+        extra[0, cast(int, ports[0].coil)] = 1.0
+        extra[1, cast(int, ports[0].current)] = 1.0
         directions = np.vstack((directions, extra))
         keys += ["coil", "current"]
     r = directions.shape[0]
-    inputs = np.column_stack((directions.T, system.input_vector))
+    inputs = np.column_stack((directions.T, *(port.input_vector for port in ports)))
 
-    force_feed = np.zeros(r + 1)
-    force_feed[r] = system.force.feedthrough
-    force_feed[first_outside:elements] = 1.0
-    if factor[FACTOR_LINEAR] != 0.0 or factor[FACTOR_QUADRATIC] != 0.0:
-        force_feed[r - 2] = 1.0
+    feeds = np.zeros((len(ports), r + len(ports)))
+    for number, port in enumerate(ports):
+        feeds[number, r + number] = port.force.feedthrough
+    feeds[0, first_outside:elements] = 1.0
+    if varying:
+        feeds[0, r - 2] = 1.0
     zero = np.zeros(size)
     sections = channel_sections(rig, channels)
     outputs: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = [
-        (direction, zero, zero, np.zeros(r + 1)) for direction in directions
+        (direction, zero, zero, np.zeros(r + len(ports))) for direction in directions
     ]
-    volts = 1.0 if forced else input_per_volt(rig)
+    volts = np.array([1.0] if forced else inputs_per_volt(rig))
+    exciters = [
+        _Exciter(port, (rows[0], rows[1], rows[2], feed), float(gain))
+        for port, rows, feed, gain in zip(ports, forces, feeds, volts, strict=True)
+    ]
     for channel, sensor in zip(channels, sections, strict=True):
-        outputs.append(
-            _channel_rows(
-                system, channel, sensor, (force_displacement, force_velocity, force_acceleration, force_feed), volts
-            )
-        )
+        outputs.append(_channel_rows(system, channel, sensor, exciters))
     rows = OutputRows(*(np.array([row[i] for row in outputs]) for i in range(4)))
     linear = None if near is None else moved_model(near.linear, near.system, system, inputs, rows)
     return RigParts(
@@ -289,7 +270,7 @@ def rig_parts(
         limits=limit_table(sections, rig.sample_rate_hz),
         sections=sections,
         input_per_volt=volts,
-        saturation=_saturation(exciter),
+        saturation=np.array([_saturation(exciter) for exciter in rig.all_exciters]),
         clock=1.0 + rig.clock_error,
         basis=basis,
         system=system,
@@ -304,7 +285,7 @@ def rig_parts(
 
 def same_structure(rig: Rig, other: Rig) -> bool:
     """Whether two rigs have equal structures, with equal masses of sensors on them."""
-    if rig.drive_point != other.drive_point or not (
+    if rig.exciter_points != other.exciter_points or not (
         rig.structure is other.structure or rig.structure == other.structure
     ):
         return False
@@ -384,8 +365,8 @@ def _prepared(
         change.update(_scaled_stiffness(rig, factor))
     if change:
         update["structure"] = structure.model_copy(update=change)
-    if ideal_force and isinstance(rig.exciter, ShakerSection):
-        update["exciter"] = ForceSection(kind="force", point=rig.drive_point)
+    if ideal_force and any(isinstance(exciter, ShakerSection) for exciter in rig.all_exciters):
+        rig = with_exciters(rig, [ForceSection(kind="force", point=point) for point in rig.exciter_points])
     if isinstance(rig.exciter, ShakingTableSection):
         table = build_table(rig, build_structure(rig))
         assert table is not None
@@ -426,6 +407,35 @@ def _scaled_stiffness(rig: Rig, factor: float) -> dict[str, object]:
     return change
 
 
+def exciter_of(sensor: SensorSection | None) -> int:
+    """Number of the exciter that a voltage or current belongs to, from 0."""
+    return 0 if sensor is None or sensor.exciter is None else sensor.exciter - 1
+
+
+@dataclass(frozen=True)
+class _Exciter:
+    """An exciter among inputs and outputs: rows and feedthrough of its force, input for 1 V."""
+
+    port: Exciter
+    force: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+    volts: float
+
+
+def _force_factor(rig: Rig) -> tuple[FloatArray, bool]:
+    """G, G b₁, G b₂ of the shaker, and whether it varies."""
+    factor = np.zeros(3)
+    for exciter in rig.all_exciters:
+        if isinstance(exciter, ShakerSection):
+            g = exciter.force_factor_n_a
+            factor[:] = g, g * exciter.force_factor_linear_per_m, g * exciter.force_factor_quadratic_per_m2
+            if np.any(factor[[FACTOR_LINEAR, FACTOR_QUADRATIC]]) and len(rig.all_exciters) > 1:
+                raise BenchError(
+                    "the diagnosis' model covers a force factor that varies with one exciter only; leave "
+                    "force_factor_linear_per_m and force_factor_quadratic_per_m2 out of the model."
+                )
+    return factor, bool(factor[FACTOR_LINEAR] != 0.0 or factor[FACTOR_QUADRATIC] != 0.0)
+
+
 def _saturation(exciter: AnyExciter) -> float:
     value = exciter.amplifier_saturation_v if isinstance(exciter, ShakerSection) else None
     return math.inf if value is None else float(value)
@@ -439,7 +449,8 @@ def _sensor(rig: Rig, channel: MeasuredChannel, named: dict[str, SensorSection])
         return named[channel.name]
     for sensor in rig.sensors:
         if Quantity[sensor.quantity.upper()] == channel.quantity and (
-            channel.quantity == Quantity.FORCE or rig.sensor_point(sensor) == channel.point
+            rig.sensor_point(sensor) == channel.point
+            or (channel.quantity == Quantity.FORCE and len(rig.all_exciters) == 1)
         ):
             return sensor
     return None
@@ -491,24 +502,29 @@ def _channel_rows(
     system: ElectromechanicalSystem,
     channel: MeasuredChannel,
     sensor: SensorSection | None,
-    force: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    volts: float,
+    exciters: Sequence[_Exciter],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Displacement, velocity, acceleration rows and feedthrough of a channel before its sensor's electronics."""
     zero = np.zeros(system.size)
-    feed = np.zeros_like(force[3])
+    feed = np.zeros_like(exciters[0].force[3])
+    inputs = feed.size - len(exciters)
     quantity = channel.quantity
     if quantity == Quantity.FORCE:
         mass = 0.0 if sensor is None else sensor.mass_kg
-        return force[0], force[1], force[2] + mass * system.selector(system.drive_point), force[3]
+        # One exciter has one force, whatever point its channel names.
+        at = next((exciter for exciter in exciters if exciter.port.point == channel.point), exciters[0])
+        displacement, velocity, acceleration, through = at.force
+        return displacement, velocity, acceleration + mass * system.selector(at.port.point), through
+    number = exciter_of(sensor)
     if quantity == Quantity.VOLTAGE:
-        feed[-1] += 1.0 / volts
+        feed[inputs + number] += 1.0 / exciters[number].volts
         return zero, zero, zero, feed
     if quantity == Quantity.CURRENT:
-        if system.current is None:
+        current = exciters[number].port.current
+        if current is None:
             raise BenchError(f"channel {channel.name} is a current, but the model has no electrodynamic_shaker.")
         row = zero.copy()
-        row[system.current] = 1.0
+        row[current] = 1.0
         return row, zero, zero, feed
     if channel.point not in system.point_numbers:
         raise BenchError(
@@ -524,5 +540,5 @@ def _channel_rows(
             motion = motion.plus(output(system, sensor.transverse.point), sensor.transverse.fraction)
     except ValueError as error:
         raise BenchError(f"the diagnosis' model does not cover channel {channel.name}: {error}.") from error
-    feed[-1] += motion.feedthrough
+    feed[inputs] += motion.feedthrough
     return motion.displacement, motion.velocity, motion.acceleration, feed

@@ -43,7 +43,7 @@ class RingDownPredictor:
     def __init__(self, test: RingDownTest, rows: Rows, settings: PredictionSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
         self.channels = test.channels
-        self.use(Setup(test.drive_point, False, self.channels, FourierBasis.up_to(settings.harmonics)))
+        self.use(Setup(test.drive_points, False, self.channels, FourierBasis.up_to(settings.harmonics)))
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""
@@ -168,7 +168,7 @@ class RingDownPredictor:
         system = parts.system
         n, mechanical = system.size, system.mechanical_size
         stiffness, damping = system.stiffness.copy(), system.damping.copy()
-        for k, c, direction in zip(*parts.resting, parts.inputs.T[:-1], strict=True):
+        for k, c, direction in zip(*parts.resting, parts.inputs.T[: parts.coordinates], strict=True):
             outer = np.outer(direction, direction)
             stiffness += k * outer
             damping += c * outer

@@ -99,7 +99,7 @@ class SteppedSinePredictor:
         self.moved = moved_of(test)
         self.amplitudes = test.amplitudes * test.scale * np.exp(self.moved)
         self.growth = growth_of(test)
-        self.use(Setup(test.drive_point, test.reference == "force", self.channels, FourierBasis.up_to(HARMONICS)))
+        self.use(Setup(test.drive_points, test.reference == "force", self.channels, FourierBasis.up_to(HARMONICS)))
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""
@@ -150,7 +150,7 @@ class SteppedSinePredictor:
         if self.test.reference == "force":
             change = np.einsum("lk,lk->l", slopes[:, self._own[-1], :], along)
         elif self.test.reference == "voltage":
-            change = change / parts.input_per_volt
+            change = change / parts.input_per_volt[0]
         with np.errstate(divide="ignore", invalid="ignore"):
             growth = change / reference
         growth = np.asarray(growth)
@@ -215,7 +215,7 @@ class SteppedSinePredictor:
         else:
             reference = z[:, -2] + 1j * z[:, -1]
             if self.test.reference == "voltage":
-                reference = reference / parts.input_per_volt
+                reference = reference / parts.input_per_volt[0]
         with np.errstate(divide="ignore", invalid="ignore"):
             return values[:, self._own[: len(self.test.channels)]] / reference[:, None], reference
 

@@ -32,7 +32,7 @@ def warm_up_predictions(rig: Rig) -> None:
     both = (force, response)
     level = LockedLevel(0, 0.1, 0.0, 0.0, 22.0, 0.0, 1.0, 0.0, 1)
     tests: tuple[Test, ...] = (
-        PhaseResonanceTest("locked", point, "x", both, 3, "voltage", (level,)),
+        PhaseResonanceTest("locked", (point,), "x", both, 3, "voltage", (level,)),
         RandomTest("noise", point, both, "voltage", np.array([20.0, 21.0]), 1.0, "none", 0.1, 0.0, 1.0, 1000.0),
         RingDownTest("decay", point, response, np.array([1e-6]), 22.0),
         RecordTest(

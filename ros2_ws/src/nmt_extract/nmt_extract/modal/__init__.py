@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
+from nmt_extract.judgement.channel_history import ChannelHistory
 from nmt_extract.modal.evaluation import WindowEvaluation
 from nmt_extract.modal.free_motion import FreeMotion, is_free_motion
 from nmt_extract.modal.quantities import ModalQuantities, estimated_mass, modal_quantities
@@ -33,21 +33,20 @@ def modal_point(
     velocity sensors, else from accelerometers. If the window's excitation phase is not known, the frequency
     is fitted to the force.
 
-    Uncertainties: delete-one jackknife over sub-windows of whole periods (see
-        :mod:`nmt_extract.uncertainty`).
+    Uncertainties: delete-one jackknife over sub-windows of whole periods (see :mod:`nmt_extract.uncertainty`).
     That of the frequency is the scatter of the oscillator's mean frequency over the sub-windows or, for a
     fitted frequency, the uncertainty of the slope of the force's phase over them; ``omega_rad_s_std`` adds
     that phase resonance is met to the phase error only: Δω ≈ δ̃ ω̃ Δφ, and ``frequency_hz_std`` is the same in Hz. The
     uncertainty of the linear shapes is not included.
 
-    Every channel is judged, see :mod:`nmt_extract.channel_judge`. One that is faulty is left out: what its point does
-    is taken from the shape of the last level without a fault, fitted to the other channels. How badly it fits them, and
+    Every channel is judged, see :mod:`nmt_extract.judgement`. One that is faulty is left out: what its point does is
+    taken from the shape of the last level without a fault, fitted to the other channels. How badly it fits them, and
     how much the result differs with the linear modes in its place, is part of each uncertainty. Without such a level,
     without a force or without a response at the drive point the window is rejected.
 
-    The window as a whole is judged, see :mod:`nmt_extract.window_judge`: phase, sign of the power, harmonics, drift (a
-    slow polynomial is taken out), steadiness, clocks that run apart, drop-outs. No standard uncertainty is below what
-    the resolution of the channels allows.
+    The window as a whole is judged, see :mod:`nmt_extract.judgement.window_judge`: phase, sign of the power, harmonics,
+    drift (a slow polynomial is taken out), steadiness, clocks that run apart, drop-outs. No standard uncertainty is
+    below what the resolution of the channels allows.
 
     Args:
         window: from :class:`nmt_extract.window.WindowAssembler`.

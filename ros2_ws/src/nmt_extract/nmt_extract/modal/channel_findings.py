@@ -12,8 +12,9 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_extract import channel_judge
-from nmt_extract.channel_judge import ChannelHistory, DriveState
+from nmt_extract.judgement import channel_noise, force_judge, moving_shape, shape_judge
+from nmt_extract.judgement.channel_history import ChannelHistory
+from nmt_extract.judgement.force_judge import DriveState
 from nmt_extract.modal.channels import WindowRows, derived
 from nmt_extract.modal.periodic_motion import PeriodicMotion
 from nmt_extract.mode_identity import other_mode
@@ -82,41 +83,41 @@ class ChannelFindings:
         shape = motion.amplitudes[:, list(rows.shape), order]
         sound = [k for k, row in enumerate(rows.shape) if row not in faults]
         omega = order * float(motion.omega[0])
-        near = channel_judge.near_modes(linear, omega)
-        found = channel_judge.off_its_shape(
+        near = moving_shape.near_modes(linear, omega)
+        found = shape_judge.off_its_shape(
             shape[0],
             shape_std(shape, motion.parts),
-            channel_judge.linear_basis(linear.shape_matrix, linear.target_mode, len(sound) - 1),
+            shape_judge.linear_basis(linear.shape_matrix, linear.target_mode, len(sound) - 1),
             None if history is None else history.shape,
             sound,
             [k for k in sound if history is not None and rows.shape[k] in history.faulty],
             linear.shape_matrix[:, near].astype(np.complex128) if near else None,
-            None if history is None else channel_judge.shape_trend(history.shapes),
+            None if history is None else moving_shape.shape_trend(history.shapes),
         )
         for index, (words, by_neighbour) in found.off.items():
             of = f"of level {self.history.level_index + 1}" if by_neighbour else "that the linear modes have"
             faults[rows.shape[index]] = f"{words}, by the shape {of}"
         metres = shape[0] / (1j * omega) ** MOTIONS[rows.shape_quantity]
-        course = channel_judge.course_of(metres, near, linear, omega)
+        course = moving_shape.course_of(metres, near, linear, omega)
         if near and not faults:
             doubtful = {rows.shape[index]: each for index, each in found.doubtful.items()}
             self._note(self.history.doubt(doubtful, course), near)
         if history is not None:
             judged = [row for row in rows.used if row not in faults]
             rms = window.data.std(axis=1)
-            faults.update(channel_judge.noise_jumps(motion.noise, rms, history.noise, judged, self._unrepeated))
+            faults.update(channel_noise.noise_jumps(motion.noise, rms, history.noise, judged, self._unrepeated))
         drive = self._drive_state()
         # What the exciter is expected to do at resonance holds for the target mode.
         right_mode = motion.orders == (1, 1) and other_mode(shape[0], linear) is None
         if history is not None and right_mode and rows.force not in faults and rows.drive not in faults:
-            gain = channel_judge.force_gain(drive, history.drives, linear, rows.force in history.faulty)
+            gain = force_judge.force_gain(drive, history.drives, linear, rows.force in history.faulty)
             if gain is not None:
                 faults[rows.force] = (
                     f"measures {gain:.2f} times what voltage and response say by the levels up to level "
                     f"{history.level_index + 1}: its gain, or that of the amplifier, has changed"
                 )
         if not faults:
-            if channel_judge.strange_shape(shape[0], linear.shape_matrix):
+            if shape_judge.strange_shape(shape[0], linear.shape_matrix):
                 raise BenchError(
                     "The shape is not one that the linear modes can have: look at the channels, at the points of the "
                     "linear description, and at which mode was locked."
@@ -143,7 +144,7 @@ class ChannelFindings:
             if not (is_held and row == self.rows.force)
         }
 
-    def _note(self, doubts: Mapping[int, channel_judge.Doubt], near: Sequence[int]) -> None:
+    def _note(self, doubts: Mapping[int, moving_shape.Doubt], near: Sequence[int]) -> None:
         """Put channels that may be off into words, and what follows without their deviation into the uncertainty."""
         if not doubts:
             return
@@ -151,7 +152,7 @@ class ChannelFindings:
         names = " or ".join(
             f"{motion.window.channels[row].name} measures {abs(doubt.ratio):.2f} times" for row, doubt in doubts.items()
         )
-        modes = " and ".join(channel_judge.mode_words(self.linear, mode) for mode in near)
+        modes = " and ".join(moving_shape.mode_words(self.linear, mode) for mode in near)
         self.doubt = (
             f"{names} what the other channels say, or {modes} takes part: {len(rows.shape)} points do not tell "
             "which, and nothing is left out. Look at the gain, or measure at more points."
@@ -167,7 +168,7 @@ class ChannelFindings:
         residual = np.concatenate(
             [motion.window.data[row, first:end] - motion.model(parts[row], first, end) for first, end, parts in bounds]
         )
-        return channel_judge.unrepeated_rms(residual, motion.samples_per_period)
+        return channel_noise.unrepeated_rms(residual, motion.samples_per_period)
 
     def _drive_state(self) -> DriveState:
         motion, rows = self.motion, self.rows
@@ -200,16 +201,16 @@ class ChannelFindings:
             return
         shape = motion.amplitudes[:, list(rows.shape), 1]
         neighbour = history.shape[:, np.newaxis]
-        filled = channel_judge.predicted(neighbour, shape, kept)
+        filled = shape_judge.predicted(neighbour, shape, kept)
         # As badly as the others predict one of the channels that are left, they may predict the one that is not.
         others = [[other for other in kept if other != k] for k in kept]
         guesses = [
-            channel_judge.predicted(neighbour, shape[0], fitted)[k] for k, fitted in zip(kept, others, strict=True)
+            shape_judge.predicted(neighbour, shape[0], fitted)[k] for k, fitted in zip(kept, others, strict=True)
         ]
         misfit = float(np.abs(shape[0, kept] - guesses).max())
         away = filled * (1.0 + misfit / np.maximum(np.abs(filled), 1e-300))
-        modes = channel_judge.linear_basis(linear.shape_matrix, linear.target_mode, len(kept))
-        for guess in (away, channel_judge.predicted(modes, shape, kept)):
+        modes = shape_judge.linear_basis(linear.shape_matrix, linear.target_mode, len(kept))
+        for guess in (away, shape_judge.predicted(modes, shape, kept)):
             other = shape.copy()
             other[:, gone] = guess[:, gone]
             self.other_shapes.append(other)

@@ -11,10 +11,11 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.secondary_resonance import resonance_of
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_extract import window_judge
-from nmt_extract.channel_judge import ChannelHistory
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
+from nmt_extract.judgement import window_judge
+from nmt_extract.judgement.channel_history import ChannelHistory
+from nmt_extract.judgement.window_judge import Remark
 from nmt_extract.modal.channel_findings import ChannelFindings
 from nmt_extract.modal.channels import WindowRows, derived, row_of
 from nmt_extract.modal.periodic_motion import PeriodicMotion
@@ -26,7 +27,6 @@ from nmt_extract.mode_identity import mode_sentence
 from nmt_extract.power_balance import BalancedMode, balance, part_count
 from nmt_extract.uncertainty import jackknife
 from nmt_extract.window import Window
-from nmt_extract.window_judge import Remark
 from nmt_signals.harmonics import segment_moments, solve_moments, whole_period_bounds
 
 

@@ -1,8 +1,9 @@
 """Modal properties as a free motion of a self-excited structure passes an amplitude.
 
 The motion grows or decays by itself through the level's amplitude within the window. Short windows are fitted along it
-(:mod:`nmt_extract.ring_down`); each gives ω̃ and δ̃ of the structure at its amplitude, the force of the exciter's circuit
-taken into account. A polynomial in ln q through the windows about the level's amplitude gives the values there.
+(:mod:`nmt_extract.decays.ring_down`); each gives ω̃ and δ̃ of the structure at its amplitude, the force of the
+exciter's circuit taken into account. A polynomial in ln q through the windows about the level's amplitude gives the
+values there.
 
 A motion that grows with the rate g is not the periodic motion of the nonlinear mode. To first order ω̃ differs by the
 share (dδ̃/d ln q) (g/ω) where damping depends on the displacement, as in van der Pol's equation, and not at all where
@@ -23,14 +24,14 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_extract import window_judge
+from nmt_extract.decays.ring_down import Phasors, modal_row, window_fit
+from nmt_extract.judgement import window_judge
+from nmt_extract.judgement.window_judge import Remark
 from nmt_extract.modal.channel_findings import still_or_cut
 from nmt_extract.modal.channels import WindowRows
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns
 from nmt_extract.mode_identity import mode_macs, mode_sentence
-from nmt_extract.ring_down import Phasors, modal_row, window_fit
 from nmt_extract.window import Window
-from nmt_extract.window_judge import Remark
 
 SHORTEST_PERIODS = 3.0
 """Periods of the shortest fitted window; less cannot tell growth from harmonics."""
@@ -240,14 +241,14 @@ def _at_level(
     x = np.log(q[near] / wanted)
     values, stds, slope = {}, {}, 0.0
     for name, column in (("omega_rad_s", 1), ("damping_ratio", 3)):
-        own = rows[near, column]
+        found = rows[near, column]
         # Windows of small uncertainty differ by how well a polynomial holds, not by their noise.
-        typical = _LEVELLING * float(np.median(np.abs(own - np.median(own)))) + 1e-12 * float(np.abs(own).max())
+        typical = _LEVELLING * float(np.median(np.abs(found - np.median(found)))) + 1e-12 * float(np.abs(found).max())
         doubt = np.hypot(rows[near, column + 1], typical + 1e-300)
         weights = doubt.min() / doubt
         powers = np.polynomial.polynomial.polyvander(x, degree)
-        coefficients = np.polynomial.polynomial.polyfit(x, own, degree, w=weights)
-        scatter = own - powers @ coefficients
+        coefficients = np.polynomial.polynomial.polyfit(x, found, degree, w=weights)
+        scatter = found - powers @ coefficients
         squares = weights**2 / float((weights**2).sum())
         spread = np.linalg.pinv(powers * weights[:, np.newaxis])[0] * weights * rows[near, column + 1]
         values[name] = float(coefficients[0])

@@ -9,8 +9,8 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
-from nmt_extract import channel_judge, window_judge
 from nmt_extract.extraction_settings import ExtractionSettings
+from nmt_extract.judgement import channel_noise, signal_faults, window_judge
 from nmt_extract.modal.channels import WindowRows
 from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
 from nmt_extract.window import Window
@@ -55,7 +55,7 @@ class PeriodicMotion:
         self.other_amplitudes: ComplexArray | None = None
         self._find_phase()
         self._find_harmonics()
-        self.noise = channel_judge.noise_rms(self.window.data, self.part_moments, self.part_amplitudes)
+        self.noise = channel_noise.noise_rms(self.window.data, self.part_moments, self.part_amplitudes)
         self._take_out_drift()
 
     @property
@@ -132,23 +132,23 @@ class PeriodicMotion:
         if not self.parts:
             return
         rows = self.rows.used
-        found = window_judge.drifting(
+        found = signal_faults.drifting(
             parts[:, rows, 0].real, self.size_of(rows), self.noise[rows], window.samples, self.periods
         )
         if not found:
             return
         self.drifted = {rows[k]: float(np.ptp(parts[:, rows[k], 0].real)) for k in found}
         chosen = list(self.drifted)
-        for order in window_judge.drift_orders(self.periods)[::-1]:  # the one that stays last
+        for order in signal_faults.drift_orders(self.periods)[::-1]:  # the one that stays last
             data = window.data.copy()
-            data[chosen] = window_judge.without_drift(self.cycles, window.data[chosen], self.harmonics, order)
+            data[chosen] = signal_faults.without_drift(self.cycles, window.data[chosen], self.harmonics, order)
             self.window = replace(window, data=data)
             if self.fitted and self.rows.force in chosen:
                 self._find_phase()
             self._find_harmonics()
             if self.other_amplitudes is None:
                 self.other_amplitudes = self.amplitudes
-        self.noise = channel_judge.noise_rms(self.window.data, self.part_moments, self.part_amplitudes)
+        self.noise = channel_noise.noise_rms(self.window.data, self.part_moments, self.part_amplitudes)
 
     def _find_harmonics(self) -> None:
         window = self.window

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nmt_extract import window_judge
-from nmt_extract.window_judge import Remark
+from nmt_extract.judgement import signal_faults, window_judge
+from nmt_extract.judgement.window_judge import Remark
 
 if TYPE_CHECKING:
     from nmt_extract.modal.evaluation import WindowEvaluation
@@ -30,7 +30,7 @@ def remarks_on_drift(evaluation: WindowEvaluation, fields: dict[str, float], mov
         f"{channels[row].name} drifts by {height:.2g} {channels[row].quantity.unit}"
         for row, height in motion.drifted.items()
     )
-    order = window_judge.drift_orders(motion.periods)[0]
+    order = signal_faults.drift_orders(motion.periods)[0]
     what = (
         "Level or frequency of the loop still move, and the mean of the motion too; wait longer before the window."
         if moving
@@ -76,12 +76,12 @@ def remarks_on_bursts(evaluation: WindowEvaluation, fields: dict[str, float]) ->
 def least_uncertainties(evaluation: WindowEvaluation, fields: dict[str, float]) -> dict[str, float]:
     """What the resolution of the channels leaves open, by quantity of the point."""
     motion, rows, data = evaluation.motion, evaluation.rows, evaluation.motion.window.data
-    places = window_judge.places_of_period(motion.cycles)
+    places = signal_faults.places_of_period(motion.cycles)
     sound = [row for row in rows.shape if row not in evaluation.channels.faults]
     least = {
-        row: window_judge.resolution_floor(data[row], places, float(motion.noise[row]))
+        row: signal_faults.resolution_floor(data[row], places, float(motion.noise[row]))
         for row in {rows.force, rows.drive, *sound}
     }
     shape = math.hypot(*(least[row] for row in sound)) / math.hypot(*motion.size_of(sound))
     force, drive = (least[row] / float(motion.size_of([row])[0]) for row in (rows.force, rows.drive))
-    return window_judge.floors(force, drive, shape, fields, motion.periods, motion.fitted)
+    return signal_faults.floors(force, drive, shape, fields, motion.periods, motion.fitted)

@@ -17,6 +17,7 @@ from nmt_core.numerics.kernels import njit
 from nmt_rig.model.aft import LocalForces, LocalTables, scaled_local_forces
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.continuation import Branch, StepControl, follow_branch, solve_at_parameter
+from nmt_rig.model.exciter import Exciter
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.harmonic_balance import (
     ModalImpedance,
@@ -160,19 +161,22 @@ class ForcedProblem:
         return PeriodicResponse(float(angular_frequency), drive, self.basis.orders, unknowns, stinger, displacement)
 
 
-def force_rows(system: ElectromechanicalSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Displacement, velocity and acceleration rows (n,) of the drive-point force.
+def force_rows(
+    system: ElectromechanicalSystem, exciter: Exciter | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement, velocity and acceleration rows (n,) of an exciter's force, of the first unless one is given.
 
     With a shaker the coil's equation of motion is subtracted: the force then follows from current and
     inertia instead of the tiny deformation of the coil's stiff suspension, which would cost six digits.
     """
-    output = system.force
-    if system.coil is None:
+    port = exciter or system.exciters[0]
+    output, coil = port.force, port.coil
+    if coil is None:
         return output.displacement, output.velocity, output.acceleration
     return (
-        output.displacement - system.stiffness[system.coil],
-        output.velocity - system.damping[system.coil],
-        output.acceleration - system.mass[system.coil],
+        output.displacement - system.stiffness[coil],
+        output.velocity - system.damping[coil],
+        output.acceleration - system.mass[coil],
     )
 
 

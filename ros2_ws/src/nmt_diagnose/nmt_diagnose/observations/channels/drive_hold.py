@@ -9,8 +9,7 @@ response up there, where they matter only for accelerations and forces (up to 1e
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,25 +29,25 @@ def hold_factor(frequency_hz: FloatArray | float, rate_hz: float) -> FloatArray:
 
 
 def image_responses(
-    view: ModelView, channels: Sequence[MeasuredChannel], frequency_hz: FloatArray, rate_hz: float
-) -> NDArray[np.complex128]:
-    """What images add to the response to 1 V at each frequency, shape (channels, frequencies)."""
-    return _images(view, channels, frequency_hz, rate_hz, _IMAGES, lambda share: np.sinc(share) ** 2)
-
-
-def _images(
     view: ModelView,
     channels: Sequence[MeasuredChannel],
     frequency_hz: FloatArray,
     rate_hz: float,
-    orders: Sequence[int],
-    shape: Callable[[FloatArray], NDArray[Any]],
+    terms: Sequence[complex] = (1.0,),
 ) -> NDArray[np.complex128]:
+    """What images add to the response to a drive at each frequency, shape (channels, frequencies).
+
+    ``terms`` are the samples' complex amplitudes at each exciter, V.
+    """
     result = np.zeros((len(channels), frequency_hz.size), dtype=np.complex128)
     if math.isinf(rate_hz):
         return result
-    for order in orders:
+    conjugate = [complex(term).conjugate() for term in terms]
+    for order in _IMAGES:
         place = frequency_hz + order * rate_hz
-        values = view.responses(channels, np.abs(place)) * shape(np.abs(place) / rate_hz)
-        result += np.where(place > 0.0, values, np.conj(values))
+        # An image below zero is the conjugate drive above it.
+        shape = np.sinc(np.abs(place) / rate_hz) ** 2
+        above = view.responses(channels, np.abs(place), terms) * shape
+        below = np.conj(view.responses(channels, np.abs(place), conjugate) * shape)
+        result += np.where(place > 0.0, above, below)
     return np.nan_to_num(result)

@@ -63,11 +63,17 @@ def out_of_scale(
         steady = np.asarray(frequency * np.arange(stretch.samples) / stretch.sample_rate, dtype=np.float64)
         cycles = steady if stretch.cycles is None else stretch.cycles
         try:
-            measured = np.abs(harmonic_amplitudes(cycles, np.stack([stretch.row(n) for n in names]), 1)[:, 1])
+            found = harmonic_amplitudes(cycles, np.stack([stretch.row(n) for n in names]), 1)[:, 1]
         except BenchError:
             continue
+        measured, amplitudes = np.abs(found), dict(zip(names, map(complex, found), strict=True))
         model_channels = [channels[n] for n in names]
-        expected = np.abs(view.responses(model_channels, np.array([frequency]))[:, 0])
+        # Each exciter drives as its voltage says; without those of several exciters nothing can be expected.
+        terms = [amplitudes.get(name, math.nan) for name in view.voltages(stretch.channels)]
+        terms = [1.0] if len(terms) == 1 else [term / terms[0] for term in terms]
+        if not np.all(np.isfinite(terms)):
+            continue
+        expected = np.abs(view.responses(model_channels, np.array([frequency]), terms)[:, 0])
         largest: dict[Quantity, float] = {}
         for channel, value in zip(model_channels, expected, strict=True):
             largest[channel.quantity] = max(largest.get(channel.quantity, 0.0), float(value))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, VELOCITY_LEAD, TestKind
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.channels.drive_hold import hold_factor, image_responses
-from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.observations.conditions import PURE_TONE, LockedLevel, MeasuredChannel, PhaseResonanceTest, Terms
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.floors import Floors
 from nmt_diagnose.observations.noise.scatter import moderated
@@ -28,6 +29,7 @@ from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.channel_faults.converter_faults import converter_step, repeated_share
 from nmt_signals.channel_faults.mains_lines import MAINS_HZ, Line, mains_line
 from nmt_signals.harmonics import (
+    Moments,
     resolvable_harmonics,
     segment_moments,
     solve_moments,
@@ -38,6 +40,9 @@ from nmt_signals.sine_fit import fit_frequency
 _RESPONSES = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
 # The line of the mains that is observed in any case; the other one only where it stands out by so many deviations.
 _COMMON_MAINS = MAINS_HZ[0]
+# What is recorded of a drive takes the place of what its oscillator made where it differs by more than both.
+_EXACT = 1e-6
+_SURE_DEVIATIONS = 4.0
 
 
 def wrapped(angle: FloatArray) -> FloatArray:
@@ -54,11 +59,15 @@ class LockedWindow:
         segment: what named the window.
         stretch: its samples.
         rows: name in the bag of each channel.
-        amplitudes: harmonics over the whole window, shape (channels, H + 1), in the frame of the drive.
+        amplitudes: harmonics over the whole window, shape (channels, H + 1), in the frame of the drive; H is above what
+            is observed, as far as harmonics of the drive are known.
         without: the same without one sub-window, shape (K, channels, H + 1).
         single: the same of each sub-window, shape (K, channels, H + 1).
         frequency_hz: mean excitation frequency, Hz.
-        drive: drive voltage, V peak; NaN where it is not known.
+        drive: drive voltage of the first exciter, V peak; NaN where it is not known.
+        terms: orders 1, 2, … of the drive of each exciter over that.
+        forces: channel of each exciter's force.
+        moved: of each exciter whose voltage a loop moved, the row of that voltage.
         referenced: whether phases refer to the drive; else to the force.
         mains: lines of the mains by frequency, Hz, their channels as in ``rows``; those that the window can tell.
         commanded: whether ``drive`` is what was commanded; else it is the recorded voltage.
@@ -75,6 +84,9 @@ class LockedWindow:
     single: ComplexArray
     frequency_hz: float
     drive: float
+    terms: Terms
+    forces: tuple[str, ...]
+    moved: tuple[int, ...]
     referenced: bool
     mains: Mapping[float, Line]
     commanded: bool
@@ -92,7 +104,12 @@ class LockedWindow:
 
 
 def analyse_window(
-    segment: Segment, stretch: SampleStretch, settings: ObservationSettings, settled: bool = True
+    segment: Segment,
+    stretch: SampleStretch,
+    settings: ObservationSettings,
+    view: ModelView,
+    settled: bool = True,
+    sine: bool = True,
 ) -> LockedWindow:
     """Harmonics of a locked window with those of its sub-windows.
 
@@ -100,21 +117,24 @@ def analyse_window(
         segment: what names the window.
         stretch: its samples.
         settings: of the reading.
+        view: the model, driven at the test's drive points.
         settled: whether amplitudes are taken as they are; else a transient of theirs is taken out.
+        sine: whether a drive that nobody recorded was a sine at one exciter.
 
     Raises:
         BenchError: why the window cannot be used, one sentence.
     """
     where = f"Level {segment.level_index}"
-    force = stretch.find(Quantity.FORCE)
-    if force is None:
+    forces = _forces(stretch, view)
+    if not forces:
         raise BenchError(f"{where}: there is no force channel; the window is left out.")
-    if force.name in stretch.faults:
-        raise BenchError(f"{where}: the force cannot be used ({stretch.faults[force.name]}); the window is left out.")
+    faults = [stretch.faults[name] for name in forces if name in stretch.faults]
+    if faults:
+        raise BenchError(f"{where}: the force cannot be used ({faults[0]}); the window is left out.")
     usable = [c for c in stretch.channels if c.name not in stretch.faults]
     data = np.stack([stretch.row(channel.name) for channel in usable])
-    known = stretch.cycles is not None
-    cycles = _cycles(segment, stretch, force.name)
+    known, names_voltage = stretch.cycles is not None, segment.level_unit == "V"
+    cycles = _cycles(segment, stretch, forces[0])
     # The window ends where its whole periods end.
     step = float(cycles[-1] - cycles[0]) / (cycles.size - 1)
     periods = math.floor(cycles[-1] + step - cycles[0] + 0.02)
@@ -134,49 +154,99 @@ def analyse_window(
     bounds = whole_period_bounds(cycles, periods, count)
     moments = segment_moments(cycles, data, fitted, bounds)
     transient = Settling(np.zeros(len(usable)))
-    if not settled:
-        transient = _settling(solve_moments(moments)[..., 1], usable)
+    # Where the loop moves voltages the responses follow them, and the means belong together.
+    moved = known and (len(forces) > 1 or not names_voltage)
+    parts = _parts(moments)
+    if not settled and moved:
+        # What moves would leak into the harmonics and the lines of the mains.
+        data = _without_drift(data, cycles, parts[2][..., 1])
+        cleared = _parts(segment_moments(cycles, data, fitted, bounds))
+        for part, before in zip(cleared, parts, strict=True):
+            part[..., 1] = before[..., 1]
+        parts = cleared
+    elif not settled:
+        transient = _settling(parts[2][..., 1], usable)
         if transient.sizes.any():
             # It would leak into the harmonics, too.
-            amplitudes = solve_moments(moments.total())[0, :, 1] * np.exp(-transient.leans)
+            amplitudes = parts[0][:, 1] * np.exp(-transient.leans)
             data = data - (np.outer(amplitudes, np.exp(2j * np.pi * cycles)) * transient.excess(used)).real
-            moments = segment_moments(cycles, data, fitted, bounds)
-    over_window = solve_moments(moments.total())[0, :, : harmonics + 1]
-    without = solve_moments(moments.leave_one_out())[..., : harmonics + 1]
-    single = solve_moments(moments)[..., : harmonics + 1]
+            parts = _parts(segment_moments(cycles, data, fitted, bounds))
+    over_window, without, single = parts
     rows = tuple(channel.name for channel in usable)
-    names_voltage = segment.level_unit == "V"
-    voltage = next((c for c in usable if c.quantity is Quantity.VOLTAGE), None)
-    # A voltage channel that holds nothing is no reference.
-    if voltage is not None and not abs(over_window[rows.index(voltage.name), 1]) > 0.0:
-        voltage = None
-    drive, referenced = math.nan, known
-    commanded = names_voltage and known
-    if commanded:
-        drive = segment.level
-    elif voltage is not None:
-        drive = float(abs(over_window[rows.index(voltage.name), 1]))
-    if voltage is not None:
-        reference: int | None = rows.index(voltage.name)
+    voltages = [rows.index(name) for name in view.voltages(usable) if name in rows]
+    # Voltage channels that hold nothing are no reference, and no drive if one of several exciters has none.
+    if len(voltages) < len(view.rig.all_exciters) or not abs(over_window[voltages[0], 1]) > 0.0:
+        voltages = []
+    referenced = known
+    recorded = float(abs(over_window[voltages[0], 1])) if voltages else math.nan
+    commanded = names_voltage and known and (sine or bool(voltages))
+    drive = segment.level if commanded else recorded
+    if voltages:
+        reference: int | None = voltages[0]
         referenced = True
         if known:
             # The oscillator's own phase is exact: the voltage takes its place only where it says something else.
             scatter = float(np.std(np.angle(single[:, reference, 1]))) / math.sqrt(count)
-            if abs(np.angle(over_window[reference, 1])) < max(1e-6, 4.0 * scatter):
+            if abs(np.angle(over_window[reference, 1])) < max(_EXACT, _SURE_DEVIATIONS * scatter):
                 reference = None
     else:
-        reference = None if known else rows.index(force.name)
-    recorded = math.nan if voltage is None else float(abs(over_window[rows.index(voltage.name), 1]))
-    turned = reference is not None and voltage is not None
+        reference = None if known else rows.index(forces[0])
+    turned = reference is not None and bool(voltages)
     if reference is not None:
         over_window, without, single = (_turned(part, reference) for part in (over_window, without, single))
+    # An oscillator made a sine unless something else stands out.
+    certain = 1 if known else harmonics
+    terms = _terms(over_window, single, voltages, certain) if voltages else PURE_TONE
     frequency = float(cycles[-1] - cycles[0]) / (used - 1) * stretch.sample_rate
     lines = {hz: mains_line(cycles, data, stretch.sample_rate, fitted, hz) for hz in MAINS_HZ}
     mains = {hz: line for hz, line in lines.items() if line is not None}
     return LockedWindow(
-        segment, stretch, rows, over_window, without, single, frequency, drive, referenced, mains, commanded, recorded,
-        turned, tuple((transient.doubt * transient.leans).tolist()),
+        segment, stretch, rows, over_window, without, single, frequency, drive, terms, forces,
+        tuple(voltages) if moved else (), referenced, mains,
+        commanded, recorded, turned, tuple((transient.doubt * transient.leans).tolist()),
     )  # fmt: skip
+
+
+def _forces(stretch: SampleStretch, view: ModelView) -> tuple[str, ...]:
+    """Channel of each exciter's force; none where one is missing. That of one exciter is the first force there is."""
+    points = view.rig.exciter_points
+    found = [stretch.find(Quantity.FORCE, point if len(points) > 1 else None) for point in points]
+    return tuple(channel.name for channel in found if channel is not None) if None not in found else ()
+
+
+def _terms(over_window: ComplexArray, single: ComplexArray, rows: Sequence[int], certain: int) -> Terms:
+    """Orders 1, 2, … of what was recorded of each exciter's drive over the fundamental of the first.
+
+    Args:
+        over_window: harmonics (channels, H + 1).
+        single: those of each sub-window, (K, channels, H + 1).
+        rows: of the drives.
+        certain: orders up to this one are taken as recorded; higher ones where they stand out of their scatter.
+    """
+    terms = over_window[rows, 1:] / over_window[rows[0], 1]
+    shares = single[:, rows, 1:] / single[:, rows[:1], 1:2]
+    scatter = np.sqrt(np.var(shares.real, axis=0) + np.var(shares.imag, axis=0)) / math.sqrt(single.shape[0])
+    stands_out = np.abs(terms) > np.maximum(_EXACT, _SURE_DEVIATIONS * scatter)
+    terms = np.where(stands_out | (np.arange(1, over_window.shape[1]) <= certain), terms, 0.0)
+    terms[0, 0] = 1.0
+    return tuple(tuple(complex(term) for term in np.trim_zeros(row, "b")) or (0j,) for row in terms)
+
+
+def _parts(moments: Moments) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Harmonics over the whole window, without each sub-window, and of each sub-window."""
+    return solve_moments(moments.total())[0], solve_moments(moments.leave_one_out()), solve_moments(moments)
+
+
+def _without_drift(data: FloatArray, cycles: FloatArray, fundamentals: ComplexArray) -> FloatArray:
+    """Samples (channels, n) with fundamentals that stay at their means; those of sub-windows are (K, channels)."""
+
+    def powers(count: int) -> FloatArray:
+        found = np.vander((np.arange(count) + 0.5) / count - 0.5, 4)[:, :-1]
+        return np.asarray(found - found.mean(axis=0))
+
+    slopes = np.linalg.lstsq(powers(len(fundamentals)), fundamentals - fundamentals.mean(axis=0), rcond=None)[0]
+    moves = (powers(data.shape[1]) @ slopes).T * np.exp(2j * np.pi * cycles)
+    return np.asarray(data - moves.real)
 
 
 def _settling(fundamentals: ComplexArray, channels: Sequence[MeasuredChannel]) -> Settling:
@@ -209,27 +279,34 @@ def _without_hold(
         return window
     model_channels = [channels[name] for name in window.rows if name in channels]
     where = [row for row, name in enumerate(window.rows) if name in channels]
-    frequency = np.array([window.frequency_hz])
-    images = np.zeros(len(window.rows), dtype=np.complex128)
-    images[where] = window.drive * image_responses(view, model_channels, frequency, rate_hz)[:, 0]
     parts = [part.copy() for part in (window.amplitudes, window.without, window.single)]
-    for part in parts:
-        part[..., 1] -= images
-    drive = window.drive * float(hold_factor(window.frequency_hz, rate_hz))
-    return replace(window, amplitudes=parts[0], without=parts[1], single=parts[2], drive=drive)
-
-
-def _force_framed(window: LockedWindow) -> LockedWindow:
-    """Phases referred to the force."""
-    force = window.stretch.find(Quantity.FORCE)
-    assert force is not None
-    row = window.row(force.name)
-    return replace(
-        window,
-        amplitudes=_turned(window.amplitudes, row),
-        without=_turned(window.without, row),
-        single=_turned(window.single, row),
+    terms = np.array(list(zip_longest(*window.terms, fillvalue=0j)))
+    orders = np.arange(1, len(terms) + 1, dtype=np.float64)
+    factors = hold_factor(window.frequency_hz * orders, rate_hz)
+    for order, of_order in enumerate(terms, start=1):
+        if np.any(of_order) and order < parts[0].shape[-1]:
+            frequency = np.array([order * window.frequency_hz])
+            images = np.zeros(len(window.rows), dtype=np.complex128)
+            images[where] = window.drive * image_responses(view, model_channels, frequency, rate_hz, of_order)[:, 0]
+            for part in parts:
+                part[..., order] -= images
+    held = tuple(
+        tuple(term * float(factor) for term, factor in zip(each, factors / factors[0], strict=False))
+        for each in window.terms
     )
+    drive = window.drive * float(factors[0])
+    return replace(window, amplitudes=parts[0], without=parts[1], single=parts[2], drive=drive, terms=held)
+
+
+def _force_framed(window: LockedWindow, harmonics: int) -> LockedWindow:
+    """Phases referred to the force, which is what drives."""
+    rows = [window.row(name) for name in window.forces]
+    amplitudes, without, single = (
+        _turned(part, rows[0]) for part in (window.amplitudes, window.without, window.single)
+    )
+    # Shaker and structure act on each other: what drives the structure is the force as it was, not a pure tone.
+    terms = _terms(amplitudes, single, rows, harmonics)
+    return replace(window, amplitudes=amplitudes, without=without, single=single, terms=terms)
 
 
 def _turned(amplitudes: ComplexArray, reference: int) -> ComplexArray:
@@ -293,7 +370,7 @@ def phase_resonance_observations(
     settings: ObservationSettings,
     response_quantity: Quantity | None = None,
     hold_rate_hz: float = math.inf,
-    drive_as_recorded: bool = False,
+    sine: bool = True,
 ) -> Observations:
     """Observables of the locked windows of one bag.
 
@@ -303,24 +380,21 @@ def phase_resonance_observations(
     Args:
         name: name of the test.
         windows: the windows and their samples, in time.
-        view: the model, driven at the test's drive point.
+        view: the model, driven at the test's drive points.
         channels: the model's channel for each recorded one.
         settings: settings.
         response_quantity: quantity whose phase the loop controlled; None = the first that there is at the drive point.
         hold_rate_hz: rate at which the drive is interpolated linearly, see drive_hold.py.
-        drive_as_recorded: the drive is the recorded voltage where phases refer to that, and its harmonics, or those of
-            the force where no voltage is known, are an input of the model; else the drive is as it was commanded.
+        sine: whether a drive that nobody recorded was a sine at one exciter; else the forces are what is known.
     """
     notes: list[str] = []
     analysed: list[LockedWindow] = []
     for segment, stretch in windows:
         try:
-            window = analyse_window(segment, stretch, settings, settled=False)
-            analysed.append(_without_hold(window, view, channels, hold_rate_hz))
+            analysed.append(analyse_window(segment, stretch, settings, view, settled=False, sine=sine))
         except BenchError as error:
             notes.append(f"{name}: {error}")
-    if drive_as_recorded:
-        analysed = _driven_as_recorded(analysed)
+    analysed = [_without_hold(window, view, channels, hold_rate_hz) for window in _driven_as_recorded(analysed)]
     drive_point = view.rig.drive_point
     levels: list[LockedLevel] = []
     kept: list[LockedWindow] = []
@@ -329,8 +403,6 @@ def phase_resonance_observations(
         if isinstance(outcome, str):
             notes.append(f"{name}: {outcome}")
             continue
-        if drive_as_recorded:
-            outcome = replace(outcome, drive_harmonics=_harmonics_of(window, Quantity.VOLTAGE))
         levels.append(outcome)
         kept.append(window)
     if not kept:
@@ -338,13 +410,8 @@ def phase_resonance_observations(
     notes += _dropped_channels(name, kept, channels)
     held = "voltage" if all(math.isfinite(level.drive) for level in levels) else "force"
     if held == "force":
-        kept = [_force_framed(window) for window in kept]
-        if drive_as_recorded:
-            # Shaker and structure act on each other: what drives the structure is the force as it was, not a pure tone.
-            levels = [
-                replace(level, drive_harmonics=_harmonics_of(window, Quantity.FORCE))
-                for level, window in zip(levels, kept, strict=True)
-            ]
+        kept = [_force_framed(window, settings.harmonics) for window in kept]
+        levels = [replace(level, terms=window.terms) for level, window in zip(levels, kept, strict=True)]
     levels = _with_direction(levels, held)
     present = [c for c in channels.values() if c.quantity not in (Quantity.VOLTAGE, Quantity.CURRENT)]
     recorded = {model_channel.name: theirs for theirs, model_channel in channels.items()}
@@ -355,7 +422,7 @@ def phase_resonance_observations(
     ]
     test = PhaseResonanceTest(
         name=name,
-        drive_point=drive_point,
+        drive_points=view.rig.exciter_points,
         response_channel=channels[response.name].name if response and response.name in channels else "",
         channels=tuple(present),
         harmonics=settings.harmonics,
@@ -368,10 +435,9 @@ def phase_resonance_observations(
     for index, window in enumerate(kept):
         for channel in present:
             theirs = recorded[channel.name]
-            if theirs in window.rows:
-                is_held = held == "force" and channel.quantity is Quantity.FORCE
-                if not (is_held and levels[index].drive_harmonics):
-                    cells += _cells(index, channel, window, window.row(theirs), is_held)
+            # A force that is held is an input.
+            if theirs in window.rows and not (held == "force" and theirs in window.forces):
+                cells += _cells(index, channel, window, window.row(theirs), settings.harmonics)
     _moderate(cells)
     index_of = {channel.name: number for number, channel in enumerate(present)}
     floors = settings.floors
@@ -448,7 +514,11 @@ def _mains(run: _Run, floors: Floors, table: RowTable) -> list[str]:
             found = []
             for index, window in enumerate(run.windows):
                 line = window.mains.get(hz)
-                if line is not None and theirs in window.rows:
+                # What the steps of a loop put into a voltage is no hum.
+                stepped = line is not None and any(
+                    line.amplitudes[k] > _SURE_DEVIATIONS * line.std[k] for k in window.moved
+                )
+                if line is not None and not stepped and theirs in window.rows:
                     row = window.row(theirs)
                     floor = floors.harmonic * float(abs(window.amplitudes[row, 1]))
                     found.append((index, float(line.amplitudes[row]), float(line.std[row]), floor))
@@ -557,10 +627,8 @@ def _level(window: LockedWindow, drive_point: int, wanted: Quantity | None, leve
     response = _response(stretch, drive_point, wanted)
     if response is None:
         return f"{where}: no usable response at the drive point {drive_point}, so the phase is unknown; it is left out."
-    force = stretch.find(Quantity.FORCE)
-    assert force is not None
     lead = VELOCITY_LEAD[response.quantity]
-    rows = window.row(force.name), window.row(response.name)
+    rows = window.row(window.forces[0]), window.row(response.name)
 
     def error(amplitudes: ComplexArray) -> FloatArray:
         ratio = amplitudes[..., rows[0], 1] * np.conj(amplitudes[..., rows[1], 1])
@@ -596,6 +664,7 @@ def _level(window: LockedWindow, drive_point: int, wanted: Quantity | None, leve
         ),
         direction=1,
         force_n=float(abs(window.amplitudes[rows[0], 1])),
+        terms=window.terms,
     )
 
 
@@ -621,17 +690,8 @@ def _dropped_channels(name: str, windows: list[LockedWindow], channels: dict[str
     ]
 
 
-def _harmonics_of(window: LockedWindow, quantity: Quantity) -> tuple[complex, ...]:
-    """Orders 2, 3, … of the recorded voltage or force over its fundamental; none where it is not the reference."""
-    name = next((c.name for c in window.stretch.channels if c.quantity is quantity), None)
-    if name not in window.rows or (quantity is Quantity.VOLTAGE and not window.referenced):
-        return ()
-    amplitudes = window.amplitudes[window.row(name)]
-    return tuple(complex(value) for value in amplitudes[2:] / amplitudes[1]) if abs(amplitudes[1]) > 0.0 else ()
-
-
-def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int, is_held: bool) -> list[_Cell]:
-    """Observables of one channel at one level."""
+def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int, harmonics: int) -> list[_Cell]:
+    """Observables of one channel at one level, up to a harmonic."""
     over_window, without, single = window.amplitudes[row], window.without[:, row], window.single[:, row]
     size = float(abs(over_window[1]))
     degrees_of_freedom = without.shape[0] - 1
@@ -644,17 +704,16 @@ def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int,
         variance, drift = float(_jackknife(varied)) * size**2, float(_drift(parts)) * size
         cells.append(_Cell(level, channel.name, harmonic, part, value, size, variance, drift, degrees_of_freedom))
 
-    if not is_held:
-        turned = over_window[1] / size
-        add(1, Part.LOG_MAGNITUDE, math.log(size), np.log(np.abs(without[:, 1])), np.log(np.abs(single[:, 1])))
-        add(
-            1,
-            Part.PHASE,
-            float(np.angle(over_window[1])),
-            np.angle(without[:, 1] / turned),
-            np.angle(single[:, 1] / turned),
-        )
-    for harmonic in range(over_window.shape[0]):
+    turned = over_window[1] / size
+    add(1, Part.LOG_MAGNITUDE, math.log(size), np.log(np.abs(without[:, 1])), np.log(np.abs(single[:, 1])))
+    add(
+        1,
+        Part.PHASE,
+        float(np.angle(over_window[1])),
+        np.angle(without[:, 1] / turned),
+        np.angle(single[:, 1] / turned),
+    )
+    for harmonic in range(min(over_window.shape[0], harmonics + 1)):
         if harmonic == 1 or (harmonic == 0 and channel.quantity is not Quantity.DISPLACEMENT):
             continue
         for part in (Part.REAL, Part.IMAG) if harmonic else (Part.REAL,):
@@ -683,10 +742,9 @@ def _moderate(cells: list[_Cell]) -> None:
 
 def _frequency_per_phase(window: LockedWindow, view: ModelView, response: MeasuredChannel | None) -> float:
     """|d ln ω / d phase| of the resonance, about its damping ratio: noise of the phase at lock is noise of ω for it."""
-    force = window.stretch.find(Quantity.FORCE)
-    if force is None or response is None or response.name not in window.rows:
+    if response is None or response.name not in window.rows:
         return 0.05
     omega = 2.0 * math.pi * window.frequency_hz
     displacement = abs(window.amplitudes[window.row(response.name), 1]) / omega ** MOTIONS[response.quantity]
-    amplitude = abs(window.amplitudes[window.row(force.name), 1])
+    amplitude = abs(window.amplitudes[window.row(window.forces[0]), 1])
     return float(np.clip(amplitude * view.shape**2 / (2.0 * omega**2 * displacement), 1e-4, 0.5))

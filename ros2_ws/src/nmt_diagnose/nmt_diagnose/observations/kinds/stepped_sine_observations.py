@@ -51,7 +51,7 @@ def stepped_sine_observations(
     analysed: list[LockedWindow] = []
     for segment, stretch in windows:
         try:
-            analysed.append(analyse_window(segment, stretch, settings))
+            analysed.append(analyse_window(segment, stretch, settings, view))
         except BenchError as error:
             notes.append(f"{name}: {error}")
     parts = []

@@ -40,7 +40,7 @@ def table_observations(
     if drive_point not in points or not tables:
         return empty(notes)
     table = tables[0]
-    view = ModelView.of(model, drive_point)
+    view = ModelView.of(model, (drive_point,))
     if any(each.quantity not in MOTIONS for each in tables):
         return empty(
             (

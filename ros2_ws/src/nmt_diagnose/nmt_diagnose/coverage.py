@@ -1,0 +1,33 @@
+"""What the diagnosis takes of recorded tests: what its model can predict."""
+
+from __future__ import annotations
+
+from nmt_core.errors import BenchError
+from nmt_core.messages.driven_test import DrivenTest
+from nmt_core.vocabulary import TestKind
+
+_NOT_PREDICTED = {
+    TestKind.SWEEP: "a swept response is no steady state",
+    TestKind.SECONDARY_RESONANCE: "its model follows resonances at the frequency of the drive",
+    TestKind.SELF_EXCITED: "its model follows motions that a drive holds or that decay",
+}
+_SEVERAL_EXCITERS = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE, TestKind.UNKNOWN)
+
+
+class NotCoveredError(BenchError):
+    """A recording holds no test that the diagnosis takes."""
+
+
+def covers(test: DrivenTest) -> str:
+    """What the diagnosis does not take of a test, and what to use instead; empty = it takes it."""
+    if test.kind in _NOT_PREDICTED:
+        return (
+            f"The diagnosis takes no part of {test.words}, as {_NOT_PREDICTED[test.kind]}; use windows at phase "
+            "resonance or stepped sines near resonance."
+        )
+    if test.has_several_exciters and test.kind not in _SEVERAL_EXCITERS:
+        return (
+            f"The diagnosis takes no part of {test.words}, as its model drives such a test by one exciter; use windows "
+            "at phase resonance, or the same test with --exciter N."
+        )
+    return ""

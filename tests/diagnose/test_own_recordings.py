@@ -1,0 +1,133 @@
+"""What a model records of itself has no gap, whatever drove it; what another rig records has one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matrix.small_rigs import EXCITERS, rig_text
+
+from nmt_core.errors import BenchError
+from nmt_core.messages.driven_test import DrivenTest
+from nmt_core.vocabulary import TestKind
+from nmt_diagnose.coverage import covers
+from nmt_diagnose.observations.conditions import PhaseResonanceTest
+from nmt_diagnose.observations.kinds.phase_resonance_observations import _terms
+from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.prediction.forward import Forward
+from nmt_rig.rig import Rig, load_rig
+from nmt_session import Session, plan_test
+
+DRIVES: dict[str, dict[str, Any]] = {
+    "sine": {},
+    "harmonics": {"harmonics_control": 5},
+    "modal harmonics": {"harmonics_control": 5, "harmonics_target": "modal"},
+    "force": {"control": "force"},
+    "force, harmonics": {"control": "force", "harmonics_control": 5},
+    "response": {"control": "response", "levels": [0.0005, 0.001]},
+    "response, harmonics": {"control": "response", "levels": [0.0005, 0.001], "harmonics_control": 5},
+}
+ONE_EXCITER = ("electrodynamic_shaker", "force", "shaking_table")
+
+
+def rig_file(folder: Path, exciters: str, *changes: tuple[str, str]) -> Path:
+    """File of a small rig; ``changes`` replace text in it."""
+    text = rig_text(exciters, TestKind.PHASE_RESONANCE)
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "small.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def recorded(folder: Path, file: Path, **settings: Any) -> Path:
+    """Bag of a test of a rig."""
+    plan = plan_test(file, settings.pop("levels", [0.3, 0.6]), **settings)
+    with Session(plan, folder / "run") as session:
+        result = session.run()
+    assert result.message.startswith("2 of 2"), result.message
+    assert result.bag is not None
+    return result.bag
+
+
+def distance(observations: Observations, rig: Rig) -> float:
+    """Rms of what a rig predicts beside what was observed, over σ."""
+    forward = Forward(observations.tests, observations.rows)
+    prediction = forward.predict(rig)
+    assert not prediction.reasons
+    return float(
+        np.sqrt(np.mean((forward.difference(observations.values, prediction.values) / observations.sigma) ** 2))
+    )
+
+
+@pytest.mark.parametrize("exciters", EXCITERS)
+@pytest.mark.parametrize("drive", DRIVES)
+def test_a_recording_of_the_model_itself_is_what_it_predicts(exciters: str, drive: str, tmp_path: Path) -> None:
+    if exciters not in ONE_EXCITER and "control" in DRIVES[drive]:
+        pytest.skip("several exciters have levels of voltage")
+    file = rig_file(tmp_path, exciters)
+    rig = load_rig(file)
+    bag = recorded(tmp_path, file, **DRIVES[drive])
+    assert distance(read_observations([bag], rig), rig) < 1.5
+
+
+@pytest.mark.parametrize("exciters", ["electrodynamic_shaker", "2 electrodynamic_shaker"])
+def test_without_recorded_voltages_the_forces_are_what_drives(exciters: str, tmp_path: Path) -> None:
+    """Of one exciter and of two; what was commanded is no sine where harmonics are controlled."""
+    changes = [("- quantity: voltage\n  exciter: 2\n", "")] if exciters.startswith("2") else []
+    file = rig_file(tmp_path, exciters, *changes, ("- quantity: voltage\n", ""))
+    rig = load_rig(file)
+    observations = read_observations([recorded(tmp_path, file, harmonics_control=5)], rig)
+    test = observations.tests[0]
+    assert isinstance(test, PhaseResonanceTest)
+    assert test.held == "force"
+    assert test.drive_points == rig.exciter_points
+    assert distance(observations, rig) < 1.5
+
+
+def test_a_rig_with_two_exciters_and_another_spring_is_told_from_the_model(tmp_path: Path) -> None:
+    file = rig_file(tmp_path, "2 electrodynamic_shaker", ("stiffness_n_m3: 200000000.0", "stiffness_n_m3: 260000000.0"))
+    bag = recorded(tmp_path, file)
+    model = load_rig(rig_file(tmp_path, "2 electrodynamic_shaker"))
+    observations = read_observations([bag], model)
+    assert distance(observations, model) > 10.0
+    assert distance(observations, load_rig(file, ["local_elements.0.stiffness_n_m3=2.6e8"])) < 1.5
+
+
+def test_what_an_oscillator_did_not_make_is_no_drive() -> None:
+    """A harmonic counts where it stands out of its scatter, and all do where nobody knows what was commanded."""
+    rng = np.random.default_rng(1)
+    shares = np.zeros((10, 1, 4), dtype=complex)
+    shares[:, 0] = [0.0, 1.0, 1e-5, 1e-3]
+    shares[:, 0, 2:] += 1e-4 * rng.normal(size=(10, 2))
+    assert _terms(shares.mean(axis=0), shares, [0], 1)[0][1] == 0.0
+    assert _terms(shares.mean(axis=0), shares, [0], 1)[0][2] == pytest.approx(1e-3, rel=0.2)
+    assert _terms(shares.mean(axis=0), shares, [0], 3)[0][1] != 0.0
+
+
+KINDS = [kind for kind in TestKind if kind not in (TestKind.UNKNOWN, TestKind.RECORD)]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.label)
+def test_a_kind_is_taken_or_refused_in_one_sentence(kind: TestKind) -> None:
+    resonance = "3:1" if kind is TestKind.SECONDARY_RESONANCE else ""
+    one = DrivenTest(kind=kind, resonance=resonance)
+    for test in (one, replace(one, exciters=("force", "force"))):
+        sentence = covers(test)
+        assert not sentence or (sentence.endswith(".") and sentence.count(". ") == 0 and "use " in sentence)
+    assert bool(covers(one)) == (kind in (TestKind.SWEEP, TestKind.SECONDARY_RESONANCE, TestKind.SELF_EXCITED))
+
+
+def test_a_recording_without_a_covered_test_is_refused_by_its_kind(tmp_path: Path) -> None:
+    file = rig_file(tmp_path, "force")
+    settings: dict[str, Any] = {"frequencies_hz": (18.0,), "frequency_end_hz": 20.0, "rate_hz_s": 1.0}
+    with Session(plan_test(file, [0.3], test="sweep", **settings), tmp_path / "run") as session:
+        bag = session.run().bag
+    assert bag is not None
+    with pytest.raises(BenchError, match=r"The diagnosis takes no part of a sweep test, as .*; use windows"):
+        read_observations([bag], load_rig(file))

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ENTRIES = {path: (getattr(record, entry.name), entry) for path, record, entry in thresholds_of(THRESHOLDS)}
 WITNESSED = [path for path, (_, entry) in ENTRIES.items() if entry.metadata.get("test")]
 # How many have no such test yet. The number is put down when a test is written, and never up.
-WITHOUT_TEST = 205
+WITHOUT_TEST = 195
 # Moved in every run of the tests; the rest in the second tier.
 SAMPLE = ("verdict.alarm_log_odds",)
 

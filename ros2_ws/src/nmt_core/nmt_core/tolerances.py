@@ -52,7 +52,7 @@ class ChainTolerances:
     drive_harmonic: float = threshold(
         1e-3, "1",
         "Harmonics 2 and 3 of a drive that was not recorded, over its fundamental: distortion of a power amplifier.",
-        "",
+        "tests/diagnose/test_threshold_numbers.py::test_a_drive_is_distorted_by_a_thousandth",
     )  # fmt: skip
     loop_phase_deg: float = threshold(
         1.0, "°",
@@ -120,6 +120,11 @@ MODEL_PRIORS: dict[str, Prior] = {
     "damping_ns_m": Prior(0.2, "damping"),
     "drag_ns2_m2": Prior(0.2, "drag coefficient"),
     "damping_ns_m3": Prior(0.2, "fit of decays"),
+    "damping_ns_m5": Prior(0.2, "fit of decays"),
+    "kinetic_force_n": Prior(0.1, "friction coefficient and preload"),
+    "static_force_n": Prior(0.1, "friction coefficient and preload"),
+    "decay_velocity_m_s": Prior(0.3, "fit of a friction curve"),
+    "belt_velocity_m_s": Prior(0.02, "tachometer of the belt"),
     "coefficient_n_sp_mp": Prior(0.2, "fit of decays"),
     "reference_velocity_m_s": Prior(0.3, "fit of a friction curve"),
     "table_mass_kg": Prior(0.05, "data sheet, plus fixture and stinger"),

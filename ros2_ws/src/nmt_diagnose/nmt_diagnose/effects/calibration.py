@@ -76,7 +76,7 @@ class ModeDamping(CalibrationParameter):
 
 # Coil suspension: so stiff that no test of the bench sees it.
 _UNITS = {"_pa": "Pa", "_kg_m3": "kg/m³", "_kg": "kg", "_ns_m": "N s/m", "_ns2_m2": "N s²/m²",
-          "_ns_m3": "N s/m³", "_n_sp_mp": "N sᵖ/mᵖ", "_nm_rad": "N m/rad",
+          "_ns_m3": "N s/m³", "_ns_m5": "N s/m⁵", "_ns_m2": "N s/m²", "_n_sp_mp": "N sᵖ/mᵖ", "_nm_rad": "N m/rad",
           "_n_m": "N/m", "_n_m2": "N/m²", "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_a": "N/A", "_ohm": "Ω", "_n": "N",
           "_m_s": "m/s", "_m": "m", "_h": "H", "_s": "s", "newton_per_volt": "N/V",
           "_hz": "Hz", "_m_s2": "m/s²"}  # fmt: skip
@@ -125,7 +125,7 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
     for index, element in enumerate(rig.local_elements):
         place: LocationKind = "exciter" if element.side == "exciter" else "joint" if element.friction else "structure"
         for key in element.own_keys() if element.harmonic_balance else ():
-            if key in MODEL_PRIORS and key not in element.not_calibrated:
+            if key not in element.not_calibrated:
                 add(("local_elements", index, key), place)
     if isinstance(rig.exciter, ShakerSection):
         for key in _SHAKER_KEYS:

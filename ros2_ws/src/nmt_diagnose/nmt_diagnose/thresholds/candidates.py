@@ -14,7 +14,7 @@ class CandidateThresholds:
     mode_band_ratio: float = threshold(
         1.3, "1",
         "Frequency over a band's ends up to which a mode's own damping shows there.",
-        "",
+        "tests/diagnose/test_threshold_numbers.py::test_modes_near_the_band_of_the_tests_have_dampings_of_their_own",
     )  # fmt: skip
     large_delay_phase_rad: float = threshold(
         0.3, "rad",

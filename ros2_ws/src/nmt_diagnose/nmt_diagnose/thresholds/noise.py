@@ -20,7 +20,7 @@ class NoiseThresholds:
         2.0, "1",
         "Mean over the window of a transient over its change from begin to end: measured 1.8 on the joint "
         "resonator.",
-        "",
+        "tests/diagnose/test_threshold_numbers.py::test_a_phase_that_drifts_leans_by_twice_its_change",
     )  # fmt: skip
     stepped_default_std: float = threshold(
         0.02, "1",
@@ -82,5 +82,5 @@ class NoiseThresholds:
     settling_inexact: float = threshold(
         0.02, "1",
         "What a transient differs from an exponential by: the loop moves, and damping depends on the amplitude.",
-        "",
+        "tests/diagnose/test_threshold_numbers.py::test_the_form_of_a_transient_is_known_to_two_per_cent",
     )  # fmt: skip

@@ -15,22 +15,22 @@ class ReadingThresholds:
     wrong_unit_ratio: float = threshold(
         5.0, "1",
         "No sensor's error makes a channel this many times too large beside the others; a wrong unit does.",
-        "",
+        "tests/diagnose/test_threshold_numbers.py::test_a_channel_that_is_far_too_large_has_a_wrong_unit",
     )  # fmt: skip
     wrong_unit_ratio_force: float = threshold(
         30.0, "1",
         "The same of a force, which follows the model less closely near a resonance.",
-        "",
+        "tests/diagnose/test_threshold_numbers.py::test_a_force_may_be_further_from_the_model",
     )  # fmt: skip
     wrong_frequency_ratio: float = threshold(
         1.6, "1",
         "Frequency over the nearest of the model from which the model is of another structure.",
-        "",
+        "tests/diagnose/test_threshold_numbers.py::test_a_frequency_that_is_far_from_all_modes_is_of_another_structure",
     )  # fmt: skip
     near_node_share: float = threshold(
         0.1, "1",
         "Response over the largest of its quantity below which a channel is near a node of the model.",
-        "",
+        "tests/diagnose/test_threshold_numbers.py::test_a_channel_near_a_node_says_nothing_of_its_unit",
     )  # fmt: skip
     furthest_phase_rad: float = threshold(
         math.radians(60.0), "rad",
@@ -113,11 +113,6 @@ class ReadingThresholds:
         "Quantile of the spectrum that is its noise.",
         "",
     )  # fmt: skip
-    decay_wrong_frequency_ratio: float = threshold(
-        1.6, "1",
-        "Frequency of a decay over that of the model's mode from which it is of another mode.",
-        "",
-    )  # fmt: skip
     decay_slow_share: float = threshold(
         0.01, "1",
         "Part of the damping for each d ln ω / d ln A that a model of a slow decay is wrong by.",
@@ -181,10 +176,5 @@ class ReadingThresholds:
     stretch_fewest_samples: int = threshold(
         16, "samples",
         "Shorter stretches are left out.",
-        "",
-    )  # fmt: skip
-    table_wrong_frequency_ratio: float = threshold(
-        1.6, "1",
-        "Frequency of a table over that of the model's mode from which it is of another mode.",
         "",
     )  # fmt: skip

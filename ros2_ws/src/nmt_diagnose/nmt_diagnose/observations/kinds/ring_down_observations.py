@@ -196,11 +196,7 @@ def _chosen(found: Sequence[Ridge], frequency_hz: float, view: ModelView, second
         return min(found, key=lambda ridge: abs(math.log(ridge.frequency_hz[0] / frequency_hz)))
     for ridge in found:
         ratio = nearest_ratio(ridge.late_hz, view.frequencies_hz)
-        if (
-            1.0 / THRESHOLDS.reading.decay_wrong_frequency_ratio
-            < ratio
-            < THRESHOLDS.reading.decay_wrong_frequency_ratio
-        ):
+        if 1.0 / THRESHOLDS.reading.wrong_frequency_ratio < ratio < THRESHOLDS.reading.wrong_frequency_ratio:
             return ridge
     frequencies = ", ".join(f"{ridge.late_hz:.4g}" for ridge in found)
     lowest = float(min(view.frequencies_hz))

@@ -76,7 +76,7 @@ def _backbone(
     if not good.any():
         return empty((f"{name}: left out: it has no row with frequency and amplitude.",))
     ratios = [nearest_ratio(float(value), view.frequencies_hz) for value in frequency[good]]
-    if all(max(ratio, 1.0 / ratio) > THRESHOLDS.reading.table_wrong_frequency_ratio for ratio in ratios):
+    if all(max(ratio, 1.0 / ratio) > THRESHOLDS.reading.wrong_frequency_ratio for ratio in ratios):
         return empty((f"{name}: left out: its frequencies lie at no mode of the model {view.rig.name}.",))
     damping, damping_std = _column(table, "damping_ratio"), _column(table, "damping_ratio_std")
     frequency_std = _column(table, "frequency_hz_std")

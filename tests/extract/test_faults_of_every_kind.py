@@ -133,3 +133,15 @@ def verdict(kind: str, fault: str, point: int) -> str:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_fault_is_named_or_inside_twice_the_stated_uncertainty(kind: str, fault: str, point: int) -> None:
     assert verdict(kind, fault, point) in ("named", "covered")
+
+
+@pytest.mark.parametrize(
+    ("growth", "cause"), [(0.0, "Let the sensor warm up"), (0.05, "Level or frequency of the loop")]
+)
+def test_a_drift_has_the_cause_that_the_window_shows(growth: float, cause: str) -> None:
+    window = periodic(0.012, growth=growth)
+    row = [channel.name for channel in window.channels].index("x5")
+    window.data[row] += 0.05 * np.abs(window.data[row]).max() * TIME / TIME[-1]
+    reason = modal_point(window, linear_description(), SETTINGS).reason
+    assert "x5 drifts by" in reason
+    assert cause in reason

@@ -230,3 +230,11 @@ def test_refused(tmp_path: Path, text: str, said: str) -> None:
 def test_sheet_is_a_model() -> None:
     sheet = CalibrationSheet.model_validate({"channels": [{"quantity": "force"}]})
     assert sheet.shapes_with_same_sensors
+
+
+def test_a_negative_damping_ratio_has_no_negative_part() -> None:
+    point = one_point(damping_ratio=-0.01, phase_error=0.02, phase_error_std=0.01, omega_rad_s_std=0.5)
+    budget = uncertainty_budget([point], BudgetInputs(linear("model"), known(), A))[0].budgets["omega_rad_s"]
+    assert min(budget.parts.values()) >= 0.0
+    assert budget.parts[UncertaintySource.PHASE] == pytest.approx(0.01 * point.omega_rad_s * math.hypot(0.02, 0.01))
+    assert budget.repeatability == pytest.approx(0.5)

@@ -236,7 +236,7 @@ def _description(run: ImportedRun, rig: str, versions: dict[str, str]) -> dict[s
     return {
         "run_id": run.sidecar.run_id or run.path.stem,
         "rig": rig,
-        "plan": {"levels": levels, **(run.sidecar.plan or {}), "pacing": "imported"},
+        "plan": {**(run.sidecar.plan or {"levels": levels}), "pacing": "imported"},
         **({"exciter_points": points, "exciter_point": points[0]} if (points := run.sidecar.exciter_points) else {}),
         "linear": None if run.linear is None else json.loads(run.linear.to_json()),
         "extraction": run.sidecar.extraction or {},

@@ -175,8 +175,8 @@ MUTATIONS = [
         ),
         (
             "nmt_extract/nmt_extract/linear_identification.py",
-            "slopes[row, 0] += shapes[row] * (0.5 - powers[row] + 0.5 * powers[drive]) / eigenvalue",
-            "slopes[row, 0] -= shapes[row] * (0.5 - powers[row] + 0.5 * powers[drive]) / eigenvalue",
+            "slopes[row, 0] += shapes[row] * (0.5 - powers[row] + 0.5 * powers[drives[strongest]]) / eigenvalue",
+            "slopes[row, 0] -= shapes[row] * (0.5 - powers[row] + 0.5 * powers[drives[strongest]]) / eigenvalue",
             "the sign of the slope in the uncertainty of the shapes",
         ),
         (

@@ -53,11 +53,18 @@ def a_diagnosis(folder: Path) -> None:
     diagnosis_fixture.report(Verdict.EFFECT).diagnosis.write(folder / "diagnosis.json")
 
 
+def a_table_of_decays(folder: Path) -> None:
+    head = "segment,channel,time_s,amplitude,unit,frequency_hz,frequency_hz_std,damping_ratio,damping_ratio_std"
+    lines = ["1,a2,0.1,2.0,m/s^2,22.1,0.01,0.005,0.0001", "1,a2,0.2,1.0,m/s^2,22.2,0.01,0.004,"]
+    (folder / "decay.csv").write_text("\n".join([head, *lines]) + "\n")
+
+
 KINDS: dict[str, Callable[[Path], None]] = {
     "run": a_run,
     "linear": a_linear_test,
     "sweep": a_sweep,
     "reference": a_reference,
     "diagnosis": a_diagnosis,
+    "decays": a_table_of_decays,
 }
 """Writes a folder of the kind."""

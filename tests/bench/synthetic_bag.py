@@ -51,7 +51,7 @@ def write_bag(
         "run_id": "made-up",
         "rig": "beam",
         "seed": 7,
-        "plan": {"control": "voltage", "levels": list(levels), "window_periods": window_periods},
+        "plan": {"control": 1, "levels": list(levels), "window_periods": window_periods},
         "linear": json.loads(LINEAR.to_json()),
         "extraction": {"harmonics": 5, "topics": ["force", "displacement"]},
         "versions": {"nmt": "0.1.0"},

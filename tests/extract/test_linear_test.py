@@ -66,7 +66,7 @@ def record(rig: Rig, rms: float, seconds: float, settle: float = 2.0) -> Signals
 
 def settings(rig: Rig) -> LinearTestSettings:
     return LinearTestSettings(
-        rig.drive_point,
+        rig.exciter_points,
         Quantity[rig.extraction.quantity.upper()],
         BAND,
         rig.extraction.linear_modes,
@@ -294,11 +294,11 @@ def test_frf_table_holds_what_was_estimated(resonator):
     head = lines[0].split(",")
     values = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
     column = {name: values[:, index] for index, name in enumerate(head)}
-    row = test.force_frf.outputs.index("a2")
+    row = test.force_frfs[0].outputs.index("a2")
     for label in ("h1", "h2", "hv", "hc"):
         complex_column = column[f"a2_f1_{label}_real"] + 1j * column[f"a2_f1_{label}_imag"]
-        np.testing.assert_allclose(complex_column, getattr(test.force_frf, label)[row], rtol=1e-7)
-    np.testing.assert_allclose(column["a2_f1_coherence"], test.force_frf.coherence[row], rtol=1e-7)
+        np.testing.assert_allclose(complex_column, getattr(test.force_frfs[0], label)[row], rtol=1e-7)
+    np.testing.assert_allclose(column["a2_f1_coherence"], test.force_frfs[0].coherence[row], rtol=1e-7)
     assert {"f1_u_h1_real", "a3_u_h1_imag", "f1_u_coherence"} <= set(head)
 
 

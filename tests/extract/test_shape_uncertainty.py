@@ -28,7 +28,7 @@ def test_the_stated_scatter_is_that_of_draws(drive: Quantity, response: Quantity
     draw, names = np.random.default_rng(5), ["d", "a", "b"]
     quantities = dict(zip(names, (drive, response, response), strict=True))
     record = SimpleNamespace(
-        outputs=names, force_row=None, quantities=quantities, channels=SimpleNamespace(drive="d", responses=names)
+        quantities=quantities, channels=SimpleNamespace(outputs=names, drives=("d",), responses=names)
     )
     omega, ratio = 2.0 * np.pi * 40.0, 0.004
     eigenvalue = omega * complex(-ratio, np.sqrt(1.0 - ratio**2))
@@ -41,13 +41,15 @@ def test_the_stated_scatter_is_that_of_draws(drive: Quantity, response: Quantity
         np.column_stack([common, np.diag([0.0, *(0.1 * size * np.ones(3))])])
         * np.array([eigenvalue, *residues])[:, None]
     )
-    mode = StructureMode(eigenvalue, residues, factor @ factor.conj().T)
+    mode = StructureMode(eigenvalue, residues[:, None], factor @ factor.conj().T)
     stated = shape_of(record, mode)
     assert stated.shape == pytest.approx(SHAPE, rel=1e-6)
     count = 1500
     normal = (draw.standard_normal((count, 5)) + 1j * draw.standard_normal((count, 5))) / np.sqrt(2.0)
     shapes = [
-        shape_of(record, replace(mode, eigenvalue=eigenvalue + error[0], residues=residues + error[1:])).shape
+        shape_of(
+            record, replace(mode, eigenvalue=eigenvalue + error[0], residues=(residues + error[1:])[:, None])
+        ).shape
         for error in normal @ factor.T
     ]
     assert np.std(shapes, axis=0) == pytest.approx(stated.shape_std, rel=0.08)

@@ -16,6 +16,7 @@ import sys
 import traceback
 import zipfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +31,14 @@ from record import foreign_data
 
 from nmt_bench.commands.linear_input import read_linear
 from nmt_core.errors import BenchError
+from nmt_core.messages.records import LoopStatus
 from nmt_extract.modal_table import read_csv, read_json
 from nmt_extract.response_table import read_response_csv
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.exchange.frf_table import read_frf_table
 from nmt_record.exchange.imported_run import read_import
-from nmt_record.exchange.side_tables import read_block_table, read_loop_table
+from nmt_record.exchange.side_tables import read_block_table, read_records
 from nmt_record.exchange.uff import TIME_RESPONSE, Axis, UffFunction, write_uff
 from nmt_report.run_data import read_reference
 from nmt_rig.rig import find_rig, load_rig
@@ -164,7 +166,7 @@ def inputs(folder: Path, generator: random.Random) -> Iterator[tuple[str, Callab
     for number in range(30):
         yield f"bag {number}", lambda: bag(mutated(generator, bag_bytes))
     readers: tuple[Callable[[Path], object], ...] = (
-        read_linear, read_json, read_csv, read_response_csv, read_frf_table, read_loop_table,
+        read_linear, read_json, read_csv, read_response_csv, read_frf_table, partial(read_records, kind=LoopStatus),
         read_reference, lambda path: read_block_table(path, 0, 100), read_import, load_rig, Bag.open,
     )  # fmt: skip
     for number, reader in enumerate(readers):

@@ -28,7 +28,9 @@ from nmt_core.public_names import loaded
 
 if TYPE_CHECKING:
     from nmt.opening import open
-    from nmt.results import DiagnosisResult, FrequencyResponses, LinearResult, ReferenceResult, Results, RunResults
+    from nmt.reference_result import ReferenceResult
+    from nmt.results import DiagnosisResult, FrequencyResponses, LinearResult, Results, RunResults
+    from nmt.table_result import TableResult
     from nmt_bench.data_import import import_data
     from nmt_core.errors import BenchError
     from nmt_diagnose.inference.diagnose import diagnose_bags as diagnose
@@ -49,6 +51,7 @@ __all__ = [
     "ReferenceResult",
     "Results",
     "RunResults",
+    "TableResult",
     "diagnose",
     "extract",
     "import_data",

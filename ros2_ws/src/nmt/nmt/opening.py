@@ -5,25 +5,52 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from nmt.results import DiagnosisResult, FrequencyResponses, LinearResult, ReferenceResult, Results, RunResults
+from nmt.reference_result import ReferenceResult
+from nmt.results import DiagnosisResult, FrequencyResponses, LinearResult, Results, RunResults
+from nmt.table_result import TABLES, TableResult
 from nmt_core.errors import BenchError
+from nmt_core.kinds import kind_class
+from nmt_core.messages.driven_test import DrivenTest
+from nmt_core.vocabulary import TestKind
 
 _KINDS: tuple[tuple[str, Callable[[Path], Results]], ...] = (
     ("modal.json", RunResults.read),
     ("linear.json", LinearResult.read),
     ("diagnosis.json", DiagnosisResult.read),
     ("reference.csv", ReferenceResult.read),
+    *((name, TableResult.read) for name in TABLES),
     ("frf.csv", FrequencyResponses.read),
 )
 """What a folder is, by the first of these files that it has. A linear test has frf.csv too."""
+_WITHOUT_TABLE = (
+    ("sidecar.yaml", "holds an export; nmt.import_data reads its sidecar.yaml back into a bag"),
+    ("check.json", "holds a check, whose findings are sentences; read check.json or report.html"),
+    ("bag", "holds a recording without results; nmt.Bag.open reads it, nmt.extract or nmt.linear evaluates it"),
+)
+"""What folders of other commands hold, and what reads it."""
+
+
+_WRITERS = {
+    TestKind.RING_DOWN: "'./nmt extract' writes decay.csv",
+    TestKind.RANDOM: "'./nmt linear --bag' writes linear.json and frf.csv",
+}
+
+
+def covers(test: DrivenTest) -> str:
+    """Why the folder of a test that was run has no results to open, and what writes some; empty = it has."""
+    if kind_class(test.kind).gives_modal_points:
+        return ""
+    words = kind_class(test.kind).words()
+    writer = _WRITERS.get(test.kind, "'./nmt sweep' writes frf.csv where it measures")
+    return f"The folder of a {words} test holds its recording alone; {writer}, which nmt.open reads."
 
 
 def open(folder: Path | str) -> Results:
     """The results of a command as an object.
 
     Args:
-        folder: what a command was given as ``--out``: of a run, an extraction, a linear test, a sweep, a reference or
-            a diagnosis. A file in it does as well.
+        folder: what a command was given as ``--out``: of a run, an extraction, a linear test, a sweep, a reference, a
+            synthesis, a study or a diagnosis. A file in it does as well.
 
     Returns:
         One of the classes of :mod:`nmt.results`; frozen, with ``to_dataframe``, ``to_xarray`` and ``plot``.
@@ -47,5 +74,14 @@ def open(folder: Path | str) -> Results:
     for name, read in _KINDS:
         if (path / name).is_file():
             return read(path)
+    if (path / "bag").exists():
+        from nmt_record.bag.bag_reader import Bag
+
+        refusal = covers(DrivenTest.of_run(Bag.open(path / "bag").run_start, None))
+        if refusal:
+            raise BenchError(f"{folder}: {refusal}")
+    for name, sentence in _WITHOUT_TABLE:
+        if (path / name).exists():
+            raise BenchError(f"{folder} {sentence}.")
     known = ", ".join(name for name, _ in _KINDS)
     raise BenchError(f"{folder} holds no results that can be opened; it needs one of {known}.")

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from nmt_core.errors import BenchError
 from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.wire import LEVEL
 from nmt_core.processes.work_progress import tell
+from nmt_extract.coverage import refuse_other_tests
 from nmt_extract.linear_file import Linearity, linear_mapping, linearity
 from nmt_extract.linear_identification import LinearTest, LinearTestSettings, linear_test
 from nmt_record.bag.bag_reader import Bag
@@ -54,7 +56,7 @@ def evaluate_linear_test(
     mode: int | None = None,
     near_hz: float | None = None,
     rig_mode: int = 1,
-    drive_point: int | None = None,
+    exciter_points: Sequence[int] | None = None,
     quantity: Quantity | None = None,
     segment_s: float | None = None,
 ) -> LinearTestResult:
@@ -70,12 +72,13 @@ def evaluate_linear_test(
         mode: the target's number among the fitted modes, from 1; None = see ``rig_mode``.
         near_hz: the target is the fitted mode nearest to this frequency, Hz; goes before ``mode``.
         rig_mode: the target's number among all modes of the rig, one of the suspension below the band included.
-        drive_point: point of the exciter; None = what the recording says, else the point of its first force channel.
+        exciter_points: points of the exciters, in the order of their voltages; None = what the recording says, else
+            the point of its first force channel.
         quantity: responses that give the shapes; None = acceleration where it is recorded, else displacement.
         segment_s: length of an averaged segment, s; None = a tenth of the record.
 
     Returns:
-        Modes with their standard uncertainties (Hz, 1, 1/√kg), residuals, and the plant with its exciter.
+        Modes with their standard uncertainties (Hz, 1, 1/√kg), residuals, and the plant with its exciters.
 
     Raises:
         BenchError: a setting out of its range, no whole window of random excitation, or a record that cannot be
@@ -89,7 +92,7 @@ def evaluate_linear_test(
         0.5
         >>> nmt.linear(nmt.Bag.open("out/demo"))
         Traceback (most recent call last):
-        nmt_core.errors.BenchError: The bag out/demo has no whole window of random excitation; record one with ...
+        nmt_core.errors.BenchError: The bag out/demo cannot be evaluated so: The linear test needs random ...
     """
     if modes < 1:
         raise BenchError(f"The number of modes to keep must be at least 1, got {modes}.")
@@ -98,6 +101,7 @@ def evaluate_linear_test(
             raise BenchError(f"The {name} must be positive, got {value:g}.")
     if band_hz is not None and not 0.0 < band_hz[0] < band_hz[1] < math.inf:
         raise BenchError(f"The band must be two rising frequencies in Hz, got {band_hz[0]:g} and {band_hz[1]:g}.")
+    refuse_other_tests(bag, covers)
     windows = [segment for segment in segments(bag) if kind_class(segment.kind).is_noise]
     whole = [segment for segment in windows if not segment.fault]
     if not whole:
@@ -108,7 +112,7 @@ def evaluate_linear_test(
     run = bag.run_start or {}
     main = max(whole, key=lambda segment: segment.level)
     settings = LinearTestSettings(
-        drive_point=_drive_point(bag, run) if drive_point is None else drive_point,
+        exciter_points=_exciter_points(bag, run) if exciter_points is None else tuple(exciter_points),
         quantity=quantity or (Quantity.ACCELERATION if "acceleration" in bag.topics else Quantity.DISPLACEMENT),
         band_hz=_band(bag, run, main) if band_hz is None else band_hz,
         modes=modes,
@@ -147,9 +151,19 @@ def _band(bag: Bag, run: Mapping[str, Any], main: Segment) -> tuple[float, float
     return DEFAULT_BAND_HZ
 
 
-def _drive_point(bag: Bag, run: Mapping[str, Any]) -> int:
-    known = run.get("exciter_point")
+def covers(test: DrivenTest) -> str:
+    """What the linear modal test does not take of a test, and what to use instead; empty = it takes it."""
+    if kind_class(test.kind).is_noise:
+        return ""
+    return (
+        f"The linear test needs random excitation, and this is a {kind_class(test.kind).words()} test; record one with "
+        "'./nmt linear'."
+    )
+
+
+def _exciter_points(bag: Bag, run: Mapping[str, Any]) -> tuple[int, ...]:
+    known = run.get("exciter_points") or run.get("exciter_point")
     if known is not None:
-        return int(known)
+        return tuple(map(int, known)) if isinstance(known, list) else (int(known),)
     block = next(iter(bag.blocks("force")), None)
-    return block.points[0] if block is not None else 0
+    return (block.points[0] if block is not None else 0,)

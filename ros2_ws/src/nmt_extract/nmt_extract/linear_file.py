@@ -27,6 +27,7 @@ LINEAR_DAMPING_CHANGE = 0.02
 
 _COHERENT = 0.9  # of voltage and force, from which on their ratio is kept
 _MOST_ROWS = 500
+_NEAR_TARGET = 0.1  # of its frequency
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def linearity(test: LinearTest, lower: LinearTest, level: float, lower_level: fl
 def description(test: LinearTest) -> LinearDescription:
     """What loop and extraction need, from measured figures only.
 
-    Without a voltage channel the exciter's share is not known: the plant is then the structure itself.
+    Without voltage channels the exciters' share is not known: the plant is then the structure itself.
     """
     target, plant = test.target_mode, test.plant
     known = {
@@ -97,6 +98,8 @@ def description(test: LinearTest) -> LinearDescription:
         "force_per_volt": math.nan if plant is None else plant.force_per_volt,
         "displacement_per_volt": math.nan if plant is None else plant.displacement_per_volt,
     }
+    points = test.settings.exciter_points
+    rows = _force_rows(test)
     return LinearDescription(
         source="test",
         drive_point=test.settings.drive_point,
@@ -109,38 +112,49 @@ def description(test: LinearTest) -> LinearDescription:
         shape_stds=tuple(
             tuple(float(value) for value in row) for row in np.column_stack([mode.shape_std for mode in test.modes])
         ),
-        force_per_volt_rows=_force_per_volt(test),
-        exciter_points=(),
-        exciter_force_rows=(),
+        force_per_volt_rows=tuple((f, re, im) for f, re, im in rows) if len(points) == 1 else (),
+        exciter_points=points if len(points) > 1 and rows else (),
+        exciter_force_rows=rows if len(points) > 1 else (),
         **known,
     )
 
 
-def _force_per_volt(test: LinearTest) -> tuple[tuple[float, float, float], ...]:
-    """Force over voltage in the band, as far as the coherence is high, rows of Hz and N/V (real, imaginary)."""
-    frf = test.voltage_frf
-    name = test.force_frf.input
-    if frf is None or name not in frf.outputs:
+def _force_rows(test: LinearTest) -> tuple[tuple[float, ...], ...]:
+    """Forces over voltages in the band, as far as the coherence is high: Hz, then N/V as real and imaginary parts.
+
+    Of several exciters all lines around the target: there each force depends on what the others do.
+    """
+    if not test.voltage_frfs:
         return ()
-    row = frf.outputs.index(name)
+    frequency = test.frequency_hz
+    values, coherence = test.force_per_volt()
     low, high = test.settings.band_hz
-    use = (frf.frequency_hz >= low) & (frf.frequency_hz <= high) & (frf.coherence[row] >= _COHERENT)
+    use = (frequency >= low) & (frequency <= high)
+    use &= np.diagonal(coherence, axis1=1, axis2=2).min(axis=1) >= _COHERENT
     lines = np.flatnonzero(use)
     step = max(1, -(-lines.size // _MOST_ROWS))
     chosen = lines[::step]
+    if len(test.voltage_frfs) > 1:
+        near = np.abs(frequency / test.target_mode.frequency_hz - 1.0) < _NEAR_TARGET
+        chosen = np.union1d(chosen, np.flatnonzero(near))
     return tuple(
-        (float(f"{frf.frequency_hz[k]:.8g}"), float(f"{frf.h1[row, k].real:.6g}"), float(f"{frf.h1[row, k].imag:.6g}"))
+        (
+            float(f"{frequency[k]:.8g}"),
+            *(float(f"{part:.6g}") for value in values[k].ravel() for part in (value.real, value.imag)),
+        )
         for k in chosen
     )
 
 
 def synthesis_correlation(test: LinearTest) -> FloatArray:
-    """|Σ conj(H_s) H|² / (Σ|H_s|² Σ|H|²) of synthesised and measured receptance for every response, in their band."""
-    frequency = test.force_frf.frequency_hz
+    """|Σ conj(H_s) H|² / (Σ|H_s|² Σ|H|²) of synthesised and measured receptance of every response to every force.
+
+    Lines of the band of the residuals count; the responses to the first force come first.
+    """
     low, high = test.residuals.band_hz
-    use = (frequency >= low) & (frequency <= high)
-    measured = test.receptance()[: len(test.points), use]
-    synthesised = test.synthesis()[:, use]
+    use = (test.frequency_hz >= low) & (test.frequency_hz <= high)
+    rows = len(test.points) * len(test.force_frfs)
+    measured, synthesised = (values.reshape(rows, -1)[:, use] for values in (test.receptance(), test.synthesis()))
     cross = np.abs(np.sum(synthesised.conj() * measured, axis=1)) ** 2
     power = np.sum(np.abs(synthesised) ** 2, axis=1) * np.sum(np.abs(measured) ** 2, axis=1)
     return np.asarray(cross / power)
@@ -171,9 +185,9 @@ def linear_mapping(test: LinearTest, check: Linearity | None = None, level: floa
     values["estimator"] = {
         "record_s": test.duration_s,
         "level_v_rms": level,
-        "segment_s": 1.0 / float(np.diff(test.force_frf.frequency_hz[:2])[0]),
+        "segment_s": 1.0 / float(np.diff(test.frequency_hz[:2])[0]),
         "window": "hann",
-        "independent_averages": test.force_frf.independent_averages,
+        "independent_averages": test.force_frfs[0].independent_averages,
         "input_of_the_fit": test.reference,
     }
     values["fit"] = {
@@ -221,8 +235,10 @@ def _residuals(residuals: Residuals) -> dict[str, Any]:
 
 
 def frf_table(test: LinearTest) -> str:
-    """``frf.csv``: frequency, then for every response over the force, and for every channel over the voltage, the
+    """``frf.csv``: frequency, then for every response over every force, and for every channel over every voltage, the
     estimates (real and imaginary part, SI units of the channels) and the coherence.
+
+    With several exciters each input stands for itself, the other inputs at zero, and the coherence is the partial one.
 
     Columns are named ``<output>_<input>_<estimate>_real``, ``…_imag`` and ``<output>_<input>_coherence``.
 
@@ -234,17 +250,14 @@ def frf_table(test: LinearTest) -> str:
         >>> len(rows) > 100
         True
     """
-    frequency = test.force_frf.frequency_hz
     head: list[str] = ["frequency_hz"]
-    columns: list[FloatArray] = [frequency]
-    for frf in (test.force_frf, test.voltage_frf):
-        if frf is None:
-            continue
+    columns: list[FloatArray] = [test.frequency_hz]
+    for frf in (*test.force_frfs, *test.voltage_frfs):
         for row, output in enumerate(frf.outputs):
             name = f"{output}_{frf.input}"
             # The voltage carries no noise: its H1 says all.
             estimates: Sequence[tuple[str, ComplexArray | None]] = [("h1", frf.h1)]
-            if frf is test.force_frf:
+            if frf in test.force_frfs:
                 estimates = [("h1", frf.h1), ("h2", frf.h2), ("hv", frf.hv), ("hc", frf.hc)]
             for label, values in estimates:
                 if values is not None:

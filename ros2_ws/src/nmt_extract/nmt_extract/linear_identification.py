@@ -1,8 +1,9 @@
-"""Linear modal test: from one record of random excitation to modes, residuals and the plant with its exciter.
+"""Linear modal test: from one record of random excitation to modes, residuals and the plant with its exciters.
 
 Averaged spectra (:mod:`nmt_signals.frequency_responses`) give the frequency responses, the coherence and, through the
 stabilisation diagram (:mod:`nmt_extract.stabilisation`), the modes to look for. Every mode is then fitted to the whole
-record without window (:mod:`nmt_signals.rational_fit`) and scaled by the drive point. No model of the structure enters.
+record without window (:mod:`nmt_signals.rational_fit`) and scaled by the drive points. No model of the structure
+enters. Exciters that drive at once, each with a noise of its own, are as many inputs.
 """
 
 from __future__ import annotations
@@ -17,7 +18,14 @@ from nmt_core.messages.blocks import BlockFlag, Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_extract.linear_residuals import Residuals, fit_residuals, modal_receptance
-from nmt_extract.stabilisation import OrderPoles, StablePole, order_poles, stable_poles
+from nmt_extract.stabilisation import (
+    HIGHEST_DAMPING,
+    SAME_POLE,
+    OrderPoles,
+    StablePole,
+    order_poles,
+    stable_poles,
+)
 from nmt_record.windows.segments import Signals
 from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.frequency_responses import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate
@@ -31,6 +39,7 @@ LINES_PER_HALF_POWER = 3.0
 DAMPING_SCATTER = 0.3
 """Relative standard uncertainty of damping above which a mode is dropped."""
 _ORDER = 3  # degree of the polynomials beside the poles
+_INVERTED = 0.1  # of the largest driving-point residue, from which on a negative one is no noise
 SEGMENTS = 10
 """Segments without overlap into which the record is cut for the averages, where nothing else is asked for."""
 
@@ -40,7 +49,7 @@ class LinearTestSettings:
     """What to look for.
 
     Attributes:
-        drive_point: point of the exciter.
+        exciter_points: points of the exciters, in the order of their voltages.
         quantity: response quantity of the shapes.
         band_hz: band of the excitation.
         modes: most modes to keep (never more than response points).
@@ -50,7 +59,7 @@ class LinearTestSettings:
         segment_s: length of an averaged segment, s; None = a tenth of the record.
     """
 
-    drive_point: int
+    exciter_points: tuple[int, ...]
     quantity: Quantity
     band_hz: tuple[float, float]
     modes: int = 2
@@ -59,10 +68,15 @@ class LinearTestSettings:
     rig_mode: int = 1
     segment_s: float | None = None
 
+    @property
+    def drive_point(self) -> int:
+        """Point of the first exciter."""
+        return self.exciter_points[0]
+
 
 @dataclass(frozen=True, eq=False)
 class LinearMode:
-    """One mode of the structure without exciter.
+    """One mode of the structure without exciters.
 
     Attributes:
         frequency_hz, damping_ratio: undamped frequency |λ|/2π and damping ratio.
@@ -70,10 +84,10 @@ class LinearMode:
         complex_shape: mass-normalised at the response points, 1/√kg.
         shape: its real part, 1/√kg.
         shape_std: standard uncertainty of ``shape``.
-        drive_shape, drive_shape_std: at the drive point.
+        drive_shapes, drive_shape_stds: at the exciters' points, shape ``(exciters,)``.
         averaged: the stable pole it was found by, from the averaged spectra.
         coherence: share of the best response's power around the mode that the fit explains; free of leakage.
-        averaged_coherence: median γ² of force and best response around the mode, from the averaged spectra.
+        averaged_coherence: median γ² of the best force and response around the mode, from the averaged spectra.
         fit: the fit of the whole record.
     """
 
@@ -84,8 +98,8 @@ class LinearMode:
     complex_shape: ComplexArray
     shape: FloatArray
     shape_std: FloatArray
-    drive_shape: float
-    drive_shape_std: float
+    drive_shapes: FloatArray
+    drive_shape_stds: FloatArray
     averaged: StablePole
     coherence: float
     averaged_coherence: float
@@ -97,6 +111,16 @@ class LinearMode:
         return 2.0 * math.pi * self.frequency_hz
 
     @property
+    def drive_shape(self) -> float:
+        """At the first exciter's point, 1/√kg."""
+        return float(self.drive_shapes[0])
+
+    @property
+    def drive_shape_std(self) -> float:
+        """Standard uncertainty of ``drive_shape``."""
+        return float(self.drive_shape_stds[0])
+
+    @property
     def complexity(self) -> float:
         """Share of the shape that is not in phase, ‖Im ψ‖ / ‖ψ‖."""
         return float(np.linalg.norm(self.complex_shape.imag) / np.linalg.norm(self.complex_shape))
@@ -104,14 +128,15 @@ class LinearMode:
 
 @dataclass(frozen=True)
 class PlantEstimate:
-    """The target mode with the exciter attached, as the phase-locked loop needs it.
+    """The target mode with the exciters attached, as the phase-locked loop needs it.
 
     Attributes:
         frequency_hz, damping_ratio: pole of voltage to response nearest to the target mode.
         frequency_std, damping_std: their standard uncertainties.
-        force_per_volt: N/V at the target mode's frequency.
-        displacement_per_volt: m/V at the drive point there.
-        moving_mass_kg: moving mass of the exciter.
+        force_per_volt: N/V of the first exciter at the target mode's frequency, with all exciters in the ratio that
+            isolates the mode.
+        displacement_per_volt: m/V at its point there.
+        moving_mass_kg: moving mass of the first exciter.
     """
 
     frequency_hz: float
@@ -132,11 +157,11 @@ class LinearTest:
         modes: kept modes, ascending frequency.
         further_modes: modes found in the band that were not kept.
         target: index of the target mode among ``modes``.
-        plant: the target with exciter; None without a voltage channel.
-        residuals: of everything but the kept modes.
+        plant: the target with exciters; None without a voltage channel.
+        residuals: of everything but the kept modes; rows are the responses to the first force, then the next.
         target_residuals: of everything but the target mode.
-        force_frf: force to responses.
-        voltage_frf: voltage to force and responses; None without a voltage channel.
+        force_frfs: each force to responses, the other forces at zero.
+        voltage_frfs: each voltage to forces and responses; empty without voltage channels.
         diagrams: stabilisation diagrams, that of the whole band first.
         stable: poles that the diagrams give.
         remarks: sentences on what was left out or noticed.
@@ -154,8 +179,8 @@ class LinearTest:
     plant: PlantEstimate | None
     residuals: Residuals
     target_residuals: Residuals
-    force_frf: FrfEstimate
-    voltage_frf: FrfEstimate | None
+    force_frfs: tuple[FrfEstimate, ...]
+    voltage_frfs: tuple[FrfEstimate, ...]
     diagrams: tuple[tuple[OrderPoles, ...], ...]
     stable: tuple[StablePole, ...]
     remarks: tuple[str, ...]
@@ -175,26 +200,47 @@ class LinearTest:
         """The mode under test."""
         return self.modes[self.target]
 
+    @property
+    def frequency_hz(self) -> FloatArray:
+        """Lines of the averaged responses, Hz."""
+        return self.force_frfs[0].frequency_hz
+
     def receptance(self) -> ComplexArray:
-        """Measured receptance of the responses, m/N, at the lines of ``force_frf``, shape ``(points, lines)``."""
-        return _receptance(self.force_frf, self.quantity)
+        """Measured receptance of the responses, m/N, shape ``(exciters, points, lines)``."""
+        return np.array([_receptance(frf, self.quantity)[: len(self.points)] for frf in self.force_frfs])
 
     def synthesis(self) -> ComplexArray:
-        """Receptance of kept modes and residuals, m/N, shape ``(points, lines)``."""
-        frequency = self.force_frf.frequency_hz
-        total = self.residuals.receptance(frequency)
+        """Receptance of kept modes and residuals, m/N, shape ``(exciters, points, lines)``."""
+        total = self.residuals.receptance(self.frequency_hz)
         for mode in self.modes:
-            total = total + modal_receptance(*_term(mode), frequency)
-        return total
+            total = total + modal_receptance(*_term(mode), self.frequency_hz)
+        return total.reshape(len(self.force_frfs), len(self.points), -1)
+
+    def force_per_volt(self) -> tuple[ComplexArray, FloatArray]:
+        """Forces per volt of every exciter, N/V, shape ``(lines, forces, voltages)``, and their partial coherence."""
+        names = [frf.input for frf in self.force_frfs]
+        rows = [[frf.outputs.index(name) for name in names] for frf in self.voltage_frfs]
+        pairs = list(zip(self.voltage_frfs, rows, strict=True))
+        values = np.array([frf.h1[row] for frf, row in pairs]).transpose(2, 1, 0)
+        return values, np.array([frf.coherence[row] for frf, row in pairs]).transpose(2, 1, 0)
 
 
 @dataclass(frozen=True)
 class _Channels:
-    force: str
+    forces: tuple[str, ...]
     responses: tuple[str, ...]
     points: tuple[int, ...]
-    drive: str
-    voltage: str | None
+    drives: tuple[str, ...]
+    voltages: tuple[str, ...]
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Responses and what is measured at the exciters beside them."""
+        return _unique(*self.responses, *self.drives)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return _unique(*self.forces, *self.outputs, *self.voltages)
 
 
 def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
@@ -212,22 +258,21 @@ def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
     _check_samples(signals, channels)
     duration = signals.samples / signals.sample_rate
     spectra = _averages(signals, channels, settings)
-    force_frf = frf_estimate(spectra, channels.force, _unique(*channels.responses, channels.drive), channels.voltage)
-    voltage_frf = None
-    if channels.voltage is not None:
-        outputs = _unique(channels.force, *channels.responses, channels.drive)
-        voltage_frf = frf_estimate(spectra, channels.voltage, outputs)
+    force_frfs = _responses(spectra, channels.forces, channels.outputs, channels.voltages)
+    voltage_frfs = _responses(spectra, channels.voltages, (*channels.forces, *channels.outputs))
     rows = slice(0, len(channels.responses))
-    diagrams = _diagrams(force_frf, settings, rows)
+    diagrams = _diagrams(force_frfs, settings, rows)
     stable = stable_poles(*diagrams)
     if not stable:
         raise BenchError(
             f"No stable mode was found between {settings.band_hz[0]:g} and {settings.band_hz[1]:g} Hz"
-            f"{_coherence_hint(force_frf, rows)}; raise the level, record longer or change the band."
+            f"{_coherence_hint(force_frfs, rows)}; raise the level, record longer or change the band."
         )
     whole = _Record(signals, channels, settings)
-    found, remarks = _refine(whole, stable, force_frf, rows)
-    suspension = _has_mass_line(force_frf, channels.drive, MOTIONS[signals.quantities[channels.drive]], found)
+    stable = _apart(whole, stable)
+    found, remarks = _refine(whole, stable, force_frfs, rows)
+    drive = channels.drives[0]
+    suspension = _has_mass_line(force_frfs[0], drive, MOTIONS[signals.quantities[drive]], found)
     target = _target_of(found, settings, suspension)
     kept = _kept(found, target, min(settings.modes, len(channels.points)))
     further = tuple(mode for mode in found if mode not in kept)
@@ -239,23 +284,24 @@ def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
             f"half-power bandwidth is {half_power:.2g} Hz; record at least {LINES_PER_HALF_POWER / half_power:.0f} s."
         )
     index = kept.index(target)
-    receptance = _receptance(force_frf, settings.quantity)[rows]
-    variance = _variance(force_frf, settings.quantity)[rows]
-    frequency = force_frf.frequency_hz
+    receptance = np.vstack([_receptance(frf, settings.quantity)[rows] for frf in force_frfs])
+    variance = np.vstack([_variance(frf, settings.quantity)[rows] for frf in force_frfs])
+    frequency = force_frfs[0].frequency_hz
     terms = [_term(mode) for mode in kept]
     lumped = fit_residuals(frequency, receptance, variance, terms, _overall_band(kept, settings))
     neighbours = [mode for mode in found if mode is not target]
-    alone = fit_residuals(frequency, receptance, variance, [_term(target)], _target_band(target, neighbours, settings))
+    band = _target_band(target, neighbours, settings, float(frequency[1] - frequency[0]))
+    alone = fit_residuals(frequency, receptance, variance, [_term(target)], band)
     return LinearTest(
         points=channels.points,
         modes=kept,
         further_modes=further,
         target=index,
-        plant=_plant(whole, target, voltage_frf),
+        plant=_plant(whole, kept, index, voltage_frfs),
         residuals=lumped,
         target_residuals=alone,
-        force_frf=force_frf,
-        voltage_frf=voltage_frf,
+        force_frfs=force_frfs,
+        voltage_frfs=voltage_frfs,
         diagrams=tuple(tuple(diagram) for diagram in diagrams),
         stable=tuple(stable),
         remarks=tuple(remarks),
@@ -263,7 +309,7 @@ def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
         settings=settings,
         duration_s=duration,
         quantity=settings.quantity,
-        reference="force" if channels.voltage is None else "voltage",
+        reference="voltage" if channels.voltages else "force",
     )
 
 
@@ -271,31 +317,29 @@ def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
 
 
 def _channels(signals: Signals, settings: LinearTestSettings) -> _Channels:
-    forces = signals.named(Quantity.FORCE)
-    at_drive = [name for name in forces if signals.points[name] in (0, settings.drive_point)]
-    if len(at_drive) != 1:
-        raise BenchError(
-            f"The record has {len(at_drive)} force channels at drive point {settings.drive_point}; one is needed."
-        )
     responses = signals.named(settings.quantity)
-    if not responses:
-        name = settings.quantity.name.lower()
-        raise BenchError(f"The record has no {name} channel; choose another response quantity.")
-    drive = signals.named(settings.quantity, settings.drive_point)
-    for quantity in (Quantity.ACCELERATION, Quantity.DISPLACEMENT, Quantity.VELOCITY):
-        drive = drive or signals.named(quantity, settings.drive_point)
-    if not drive:
-        raise BenchError(
-            f"No response is measured at drive point {settings.drive_point}; without it shapes cannot be scaled."
-        )
+    forces, drives = [], []
+    for point in settings.exciter_points:
+        at_point = [name for name in signals.named(Quantity.FORCE) if signals.points[name] in (0, point)]
+        if len(at_point) != 1:
+            raise BenchError(f"The record has {len(at_point)} force channels at drive point {point}; one is needed.")
+        if not responses:
+            name = settings.quantity.name.lower()
+            raise BenchError(f"The record has no {name} channel; choose another response quantity.")
+        drive = signals.named(settings.quantity, point)
+        for quantity in (Quantity.ACCELERATION, Quantity.DISPLACEMENT, Quantity.VELOCITY):
+            drive = drive or signals.named(quantity, point)
+        if not drive:
+            raise BenchError(f"No response is measured at drive point {point}; without it shapes cannot be scaled.")
+        forces.append(at_point[0])
+        drives.append(drive[0])
     voltages = signals.named(Quantity.VOLTAGE)
-    return _Channels(
-        at_drive[0],
-        tuple(responses),
-        tuple(signals.points[name] for name in responses),
-        drive[0],
-        voltages[0] if voltages else None,
-    )
+    if voltages and len(voltages) < len(forces):
+        raise BenchError(
+            f"The record has {len(voltages)} voltages for {len(forces)} exciters; record that of every exciter."
+        )
+    points = tuple(signals.points[name] for name in responses)
+    return _Channels(tuple(forces), tuple(responses), points, tuple(drives), tuple(voltages[: len(forces)]))
 
 
 def _unique(*names: str) -> tuple[str, ...]:
@@ -312,7 +356,7 @@ def _check_samples(signals: Signals, channels: _Channels) -> None:
         raise BenchError("A limit or the watchdog took the drive to zero within the record; lower the level.")
     if signals.flags & BlockFlag.STOP:
         raise BenchError("The drive was stopped within the record; record again.")
-    for name in _unique(channels.force, *channels.responses, channels.drive, *filter(None, [channels.voltage])):
+    for name in channels.names:
         values = signals.channels[name]
         if not np.all(np.isfinite(values)):
             raise BenchError(f"Channel {name} has values that are not numbers; record again.")
@@ -329,14 +373,26 @@ def _check_samples(signals: Signals, channels: _Channels) -> None:
 def _averages(signals: Signals, channels: _Channels, settings: LinearTestSettings) -> AveragedSpectra:
     length = signals.samples
     segment = length // SEGMENTS if settings.segment_s is None else round(settings.segment_s * signals.sample_rate)
-    names = _unique(channels.force, *channels.responses, channels.drive, *filter(None, [channels.voltage]))
     low, high = settings.band_hz
     if not 0.0 < low < high < 0.5 * signals.sample_rate:
         raise BenchError(
             f"The band {low:g} to {high:g} Hz must lie between 0 and half the sample rate, "
             f"{signals.sample_rate / 2:g} Hz."
         )
-    return averaged_spectra({name: signals.channels[name] for name in names}, signals.sample_rate, segment, (low, high))
+    recorded = {name: signals.channels[name] for name in channels.names}
+    return averaged_spectra(recorded, signals.sample_rate, segment, (low, high))
+
+
+def _responses(
+    spectra: AveragedSpectra, inputs: tuple[str, ...], outputs: tuple[str, ...], voltages: tuple[str, ...] = ()
+) -> tuple[FrfEstimate, ...]:
+    """Every input to the outputs, the other inputs at zero."""
+    found = []
+    for number, name in enumerate(inputs):
+        others, others_voltages = ((*names[:number], *names[number + 1 :]) for names in (inputs, voltages))
+        voltage = voltages[number] if voltages else None
+        found.append(frf_estimate(spectra, name, outputs, voltage, others, others_voltages))
+    return tuple(found)
 
 
 def _s(frequency_hz: FloatArray | float) -> ComplexArray:
@@ -354,23 +410,24 @@ def _variance(frf: FrfEstimate, quantity: Quantity) -> FloatArray:
     return np.asarray(np.abs(_receptance(frf, quantity)) ** 2 * relative)
 
 
-def _diagrams(frf: FrfEstimate, settings: LinearTestSettings, rows: slice) -> list[list[OrderPoles]]:
+def _diagrams(frfs: tuple[FrfEstimate, ...], settings: LinearTestSettings, rows: slice) -> list[list[OrderPoles]]:
     """Of the whole band and of its lower parts, where few lines hold low modes."""
-    factor = _s(frf.frequency_hz) ** (2 - MOTIONS[settings.quantity])
-    accelerance = frf.best[rows] * factor
+    frequency = frfs[0].frequency_hz
+    factor = _s(frequency) ** (2 - MOTIONS[settings.quantity])
+    accelerance = np.vstack([frf.best[rows] * factor for frf in frfs])
     low, high = settings.band_hz
-    diagrams = [order_poles(accelerance, frf.frequency_hz, settings.band_hz)]
+    diagrams = [order_poles(accelerance, frequency, settings.band_hz)]
     for part in (4.0, 16.0):
         if high / part > 2.0 * low:
             try:
-                diagrams.append(order_poles(accelerance, frf.frequency_hz, (low, high / part)))
+                diagrams.append(order_poles(accelerance, frequency, (low, high / part)))
             except BenchError:  # too few lines there; the whole band stands
                 break
     return diagrams
 
 
-def _coherence_hint(frf: FrfEstimate, rows: slice) -> str:
-    median = float(np.median(np.max(frf.coherence[rows], axis=0)))
+def _coherence_hint(frfs: tuple[FrfEstimate, ...], rows: slice) -> str:
+    median = float(np.median(np.max([frf.coherence[rows].max(axis=0) for frf in frfs], axis=0)))
     return f" (median coherence {median:.2f})" if median < LOWEST_COHERENCE else ""
 
 
@@ -389,51 +446,96 @@ class _Record:
         low, high = settings.band_hz
         use = np.flatnonzero((self.frequency >= low) & (self.frequency <= high))
         self.frequency = np.asarray(self.frequency[use], dtype=np.float64)
-        responses = _unique(*channels.responses, channels.drive)
-        self.outputs = responses if channels.voltage is None else (channels.force, *responses)
-        reference = channels.force if channels.voltage is None else channels.voltage
+        self.force_rows = range(len(channels.forces) if channels.voltages else 0)
+        self.outputs = (*(channels.forces[row] for row in self.force_rows), *channels.outputs)
+        self.drive_rows = [self.outputs.index(name) for name in channels.drives]
 
         def spectrum(name: str) -> ComplexArray:
             values = signals.channels[name]
             return np.asarray(np.fft.rfft(values - values.mean())[use])
 
-        self.reference = spectrum(reference)
+        self.references = np.array([spectrum(name) for name in channels.voltages or channels.forces])
         self.spectra = np.array([spectrum(name) for name in self.outputs])
-        self.force_row = None if channels.voltage is None else 0
-        self.response_rows = slice(0 if self.force_row is None else 1, None)
+        self.forces = self.spectra[list(self.force_rows)] if channels.voltages else self.references
+        self.response_rows = slice(len(self.force_rows), None)
 
     def fit(
         self, pole: StablePole, others: list[StablePole], order: int = _ORDER, start: RationalFit | None = None
     ) -> RationalFit:
-        """Around one pole: wide beside the resonance and the plant's, narrow beside the next mode."""
+        """Around one pole, with those others that lie in its band."""
+        width = self.half_width(pole, others)
+        within = sum(abs(other.frequency_hz - pole.frequency_hz) < width for other in others)
+        count = 1 + min(within, max(2, len(self.references) - 1))
+        return fit_rational(
+            self.references, self.spectra, self.frequency, pole.frequency_hz, width, count, order, start
+        )
+
+    def structure_poles(self, pole: StablePole, others: list[StablePole]) -> ComplexArray:
+        """As many poles as inputs around one pole, with the forces as inputs, Hz (f + i ζ f)."""
+        responses, width = self.spectra[self.response_rows], self.half_width(pole, others)
+        fit = fit_rational(
+            self.forces, responses, self.frequency, pole.frequency_hz, width, len(self.references), _ORDER
+        )
+        magnitude = np.abs(fit.eigenvalues)
+        return np.asarray((magnitude - 1j * fit.eigenvalues.real) / (2.0 * np.pi))
+
+    def half_width(self, pole: StablePole, others: list[StablePole]) -> float:
+        """Of the band of a fit, Hz: wide beside the resonance and the plant's, narrow beside the next mode.
+
+        So many inputs tell as many close modes apart, which are then fitted together.
+        """
         low, high = self.settings.band_hz
         frequency = pole.frequency_hz
-        own = 8.0 * pole.damping_ratio * frequency
-        width = max(0.1 * frequency, own, 40.0 * (self.frequency[1] - self.frequency[0]))
+        spacing = float(self.frequency[1] - self.frequency[0])
+        resonance = 8.0 * pole.damping_ratio * frequency
+        width = max(0.1 * frequency, resonance, 40.0 * (self.frequency[1] - self.frequency[0]))
         gaps = [abs(other.frequency_hz - frequency) for other in others]
-        room = min([0.7 * gap for gap in gaps if gap > 0.0], default=math.inf)
+        room = min(sorted(0.7 * gap for gap in gaps if gap > 0.0)[len(self.references) - 1 :], default=math.inf)
         width = min(width, max(room, 3.0 * pole.damping_ratio * frequency))
         width = min(width, max(frequency - low, 0.02 * frequency), max(high - frequency, 0.02 * frequency))
-        spacing = float(self.frequency[1] - self.frequency[0])
-        width = min(width, max(own, 0.5 * SIGNAL_FITS.rational_most_lines * spacing))
-        within = sum(gap < width for gap in gaps)
-        count = 1 + min(within, 2)
-        return fit_rational(self.reference, self.spectra, self.frequency, frequency, width, count, order, start)
+        return float(min(width, max(resonance, 0.5 * SIGNAL_FITS.rational_most_lines * spacing)))
+
+
+def _apart(record: _Record, stable: list[StablePole]) -> list[StablePole]:
+    """With several inputs the poles of modes so close that the averages show them as one."""
+    if len(record.references) == 1:
+        return stable
+    result: list[StablePole] = []
+    for pole in stable:
+        others = [other for other in stable if other is not pole]
+        near = min(
+            [2.0 * SAME_POLE * pole.frequency_hz, *(0.5 * abs(o.frequency_hz - pole.frequency_hz) for o in others)]
+        )
+        try:
+            poles = record.structure_poles(pole, others)
+        except (BenchError, np.linalg.LinAlgError):  # the fit of the mode itself says what is wrong
+            poles = np.empty(0, dtype=np.complex128)
+        damping = poles.imag / poles.real
+        use = (np.abs(poles.real - pole.frequency_hz) < near) & (damping > 0.0) & (damping < HIGHEST_DAMPING)
+        if np.count_nonzero(use) > 1:
+            result += [
+                replace(pole, frequency_hz=float(found.real), damping_ratio=float(found.imag / found.real))
+                for found in poles[use]
+            ]
+        else:
+            result.append(pole)
+    return sorted(result, key=lambda pole: pole.frequency_hz)
 
 
 def _refine(
-    record: _Record, stable: list[StablePole], frf: FrfEstimate, rows: slice
+    record: _Record, stable: list[StablePole], frfs: tuple[FrfEstimate, ...], rows: slice
 ) -> tuple[list[LinearMode], list[str]]:
     modes: list[LinearMode] = []
     remarks: list[str] = []
     reasons: list[str] = []
+    lines = frfs[0].frequency_hz
     for pole in stable:
         others = [other for other in stable if other is not pole]
         name = f"The pole at {pole.frequency_hz:.5g} Hz"
-        near = np.abs(frf.frequency_hz - pole.frequency_hz) <= max(
-            4.0 * pole.damping_ratio * pole.frequency_hz, 3.0 * (frf.frequency_hz[1] - frf.frequency_hz[0])
+        near = np.abs(lines - pole.frequency_hz) <= max(
+            4.0 * pole.damping_ratio * pole.frequency_hz, 3.0 * (lines[1] - lines[0])
         )
-        averaged = float(np.max(np.median(frf.coherence[rows][:, near], axis=1)))
+        averaged = float(np.max([np.median(frf.coherence[rows][:, near], axis=1) for frf in frfs]))
         try:
             fit = record.fit(pole, others)
             coherence = float(np.max(1.0 - fit.misfit[record.response_rows] ** 2))
@@ -441,7 +543,7 @@ def _refine(
                 reasons.append(f"{name} is left out: coherence there is {coherence:.2f}, below {LOWEST_COHERENCE}")
                 continue
             start = pole.frequency_hz * (1.0 + 1j * pole.damping_ratio)
-            mode = _scaled(record, structure_mode(fit, start, record.force_row), pole, (coherence, averaged), fit)
+            mode = _scaled(record, structure_mode(fit, start, record.force_rows), pole, (coherence, averaged), fit)
             mode = _with_model_error(record, mode, others)
         except (BenchError, np.linalg.LinAlgError) as error:
             reasons.append(f"{name} is left out: {str(error).rstrip('.')}")
@@ -462,33 +564,46 @@ def _refine(
 def _scaled(
     record: _Record, mode: StructureMode, pole: StablePole, coherence: tuple[float, float], fit: RationalFit
 ) -> LinearMode:
-    """Mass-normalised shape from the residues: φ_p φ_d = 2 i ω_d A_p, displacement from any quantity by powers of λ."""
-    outputs = record.outputs if record.force_row is None else record.outputs[1:]
+    """Mass-normalised shape from the residues: φ_p φ_d = 2 i ω_d A_pd, displacement from any quantity by powers of λ.
+
+    Residues of a mode have rank one: with the inputs weighted by their part in the mode, w_d, the columns become one,
+    φ_p Σ w_d φ_d, which the drive points scale by (Σ w_d φ_d)².
+    """
+    outputs = record.channels.outputs
     eigenvalue = mode.eigenvalue
     omega = abs(eigenvalue)
     damped = eigenvalue.imag
     powers = np.array([MOTIONS[record.quantities[name]] for name in outputs])
     factor = 2j * damped / eigenvalue**powers
-    products = factor * mode.residues
-    drive = outputs.index(record.channels.drive)
-    if products[drive].real <= 0.0 or damped <= 0.0:
+    products = factor[:, np.newaxis] * mode.residues
+    drives = [outputs.index(name) for name in record.channels.drives]
+    driving = np.diagonal(products[drives]).real
+    strongest = int(np.argmax(np.abs(driving)))
+    part = products[drives][strongest].real / driving[strongest]
+    weights = part / (part @ part)
+    column = products @ weights
+    square = weights @ column[drives]
+    if square.real <= 0.0 or damped <= 0.0 or driving.min() < -_INVERTED * driving.max():
         raise BenchError(
             "its drive-point residue has the wrong sign: the force or the response at the drive point is inverted, or "
             "it is no mode"
         )
-    drive_shape = np.sqrt(products[drive])
-    shapes = products / drive_shape
+    scale = np.sqrt(square)
+    shapes = column / scale
     count = len(record.channels.responses)
     # Signs as of models: the largest entry is positive.
     sign = 1.0 if shapes[:count].real[np.argmax(np.abs(shapes[:count].real))] > 0.0 else -1.0
     # First-order propagation: the real parts have half the variance of the complex circular quantities.
     covariance = mode.covariance
     lambda_std = math.sqrt(max(covariance[0, 0].real, 0.0) / 2.0)
-    slopes = np.zeros((len(outputs), 1 + len(outputs)), dtype=np.complex128)
+    slopes = np.zeros((len(outputs), len(covariance)), dtype=np.complex128)
     for row in range(len(outputs)):
-        slopes[row, 1 + row] += factor[row] / drive_shape
-        slopes[row, 1 + drive] -= 0.5 * shapes[row] / products[drive] * factor[drive]
-        slopes[row, 0] += shapes[row] * (0.5 - powers[row] + 0.5 * powers[drive]) / eigenvalue
+        for number, weight in enumerate(weights):
+            slopes[row, 1 + row * weights.size + number] += factor[row] * weight / scale
+            for drive, other in zip(drives, weights, strict=True):
+                by_residue = 0.5 * shapes[row] / square * factor[drive] * weight * other
+                slopes[row, 1 + drive * weights.size + number] -= by_residue
+        slopes[row, 0] += shapes[row] * (0.5 - powers[row] + 0.5 * powers[drives[strongest]]) / eigenvalue
     shape_std = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", slopes, covariance, slopes.conj()).real, 0.0) / 2.0)
     return LinearMode(
         frequency_hz=omega / (2.0 * math.pi),
@@ -498,8 +613,8 @@ def _scaled(
         complex_shape=sign * shapes[:count],
         shape=sign * shapes[:count].real,
         shape_std=shape_std[:count],
-        drive_shape=sign * float(shapes[drive].real),
-        drive_shape_std=float(shape_std[drive]),
+        drive_shapes=sign * shapes[drives].real,
+        drive_shape_stds=shape_std[drives],
         averaged=pole,
         coherence=coherence[0],
         averaged_coherence=coherence[1],
@@ -511,14 +626,14 @@ def _with_model_error(record: _Record, mode: LinearMode, others: list[StablePole
     """Uncertainties widened by what a polynomial of one degree more changes: the model's own error."""
     fit = record.fit(mode.averaged, others, _ORDER + 1, mode.fit)
     start = mode.frequency_hz * (1.0 + 1j * mode.damping_ratio)
-    found = structure_mode(fit, start, record.force_row)
+    found = structure_mode(fit, start, record.force_rows)
     other = _scaled(record, found, mode.averaged, (mode.coherence, mode.averaged_coherence), fit)
     return replace(
         mode,
         frequency_std=math.hypot(mode.frequency_std, other.frequency_hz - mode.frequency_hz),
         damping_std=math.hypot(mode.damping_std, other.damping_ratio - mode.damping_ratio),
         shape_std=np.hypot(mode.shape_std, other.shape - mode.shape),
-        drive_shape_std=math.hypot(mode.drive_shape_std, other.drive_shape - mode.drive_shape),
+        drive_shape_stds=np.hypot(mode.drive_shape_stds, other.drive_shapes - mode.drive_shapes),
     )
 
 
@@ -566,44 +681,64 @@ def _kept(modes: list[LinearMode], target: LinearMode, count: int) -> tuple[Line
 
 
 def _term(mode: LinearMode) -> tuple[FloatArray, float, float]:
-    return mode.shape * mode.drive_shape, mode.omega, mode.damping_ratio
+    return np.outer(mode.drive_shapes, mode.shape).ravel(), mode.omega, mode.damping_ratio
 
 
 def _overall_band(modes: tuple[LinearMode, ...], settings: LinearTestSettings) -> tuple[float, float]:
     return max(settings.band_hz[0], 0.6 * modes[0].frequency_hz), min(settings.band_hz[1], 1.2 * modes[-1].frequency_hz)
 
 
-def _target_band(target: LinearMode, others: list[LinearMode], settings: LinearTestSettings) -> tuple[float, float]:
-    """A quarter below and above the target, at most halfway to the next mode."""
+def _target_band(
+    target: LinearMode, others: list[LinearMode], settings: LinearTestSettings, spacing: float
+) -> tuple[float, float]:
+    """A quarter below and above the target, at most halfway to the next mode, but some lines."""
     frequency = target.frequency_hz
     width = min([0.25 * frequency, *(0.5 * abs(mode.frequency_hz - frequency) for mode in others)])
+    width = max(width, 3.0 * spacing)
     return max(settings.band_hz[0], frequency - width), min(settings.band_hz[1], frequency + width)
 
 
-def _plant(record: _Record, target: LinearMode, voltage_frf: FrfEstimate | None) -> PlantEstimate | None:
-    if record.force_row is None or voltage_frf is None:
+def _plant(
+    record: _Record, modes: tuple[LinearMode, ...], target: int, voltage_frfs: tuple[FrfEstimate, ...]
+) -> PlantEstimate | None:
+    if not voltage_frfs:
         return None
-    fit = target.fit
-    drive = record.outputs.index(record.channels.drive)
-    at = fit.response(np.array([target.frequency_hz]))[:, 0]
+    mode = modes[target]
+    fit, drives = mode.fit, record.drive_rows
+    at = fit.response(np.array([mode.frequency_hz]))[:, :, 0]
+    forces = at[list(record.force_rows)]
+    ratio = _isolating_voltages(forces, np.array([other.drive_shapes for other in modes]), target)
     eigenvalues = fit.eigenvalues
-    chosen = int(np.argmax(np.abs(fit.residues[drive]) / np.abs(eigenvalues)))
+    driven = np.einsum("djp,j->dp", fit.residues[drives], ratio)
+    chosen = int(np.argmax(np.linalg.norm(driven, axis=0) / np.abs(eigenvalues)))
     eigenvalue = complex(eigenvalues[chosen])
     scale = 2.0 * math.pi * fit.half_width_hz
     std = scale * math.sqrt(max(fit.covariance[chosen, chosen].real, 0.0) / 2.0)
     omega = abs(eigenvalue)
-    power = MOTIONS[record.quantities[record.channels.drive]]
+    drive = record.outputs[drives[0]]
+    power = MOTIONS[record.quantities[drive]]
     return PlantEstimate(
         frequency_hz=omega / (2.0 * math.pi),
         damping_ratio=-eigenvalue.real / omega,
         frequency_std=std / (2.0 * math.pi),
         damping_std=std / omega,
-        force_per_volt=float(abs(at[0])),
-        displacement_per_volt=float(abs(at[drive])) / target.omega**power,
-        moving_mass_kg=moving_mass(
-            voltage_frf, record.channels.force, record.channels.drive, power, record.sample_rate / 16.0
-        ),
+        force_per_volt=float(abs(forces[0] @ ratio)),
+        displacement_per_volt=float(abs(at[drives[0]] @ ratio)) / mode.omega**power,
+        moving_mass_kg=moving_mass(voltage_frfs[0], record.outputs[0], drive, power, record.sample_rate / 16.0),
     )
+
+
+def _isolating_voltages(forces: ComplexArray, excited: FloatArray, target: int) -> ComplexArray:
+    """Voltages over the first one that drive the target mode and, as far as they can, none of the others.
+
+    Args:
+        forces: per volt, shape ``(exciters, exciters)``.
+        excited: modes at the exciters' points, shape ``(modes, exciters)``.
+        target: index of the target mode.
+    """
+    wanted = np.linalg.pinv(excited)[:, target]
+    answer, *_ = np.linalg.lstsq(np.column_stack([forces[:, 1:], -wanted]), -forces[:, 0], rcond=None)
+    return np.concatenate([np.ones(1), answer[:-1]])
 
 
 def moving_mass(frf: FrfEstimate, force: str, drive: str, power: int, highest_hz: float) -> float:

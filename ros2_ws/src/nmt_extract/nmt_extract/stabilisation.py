@@ -1,6 +1,7 @@
 """Stabilisation diagram (poly-reference LSCF of sdypy-EMA) and the automatic choice of stable poles.
 
-With one reference (one exciter) the poly-reference method is the common-denominator LSCF that the library implements.
+With one reference (one exciter) the poly-reference method is the common-denominator LSCF that the library implements;
+responses to several exciters are so many rows more.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ HIGHEST_DAMPING = 0.3
 """Damping ratio above which a pole is not taken for a mode."""
 DEFAULT_ORDER = 40
 """Highest number of modes of the diagram."""
+SAME_POLE = 4.0 * FREQUENCY_TOLERANCE
+"""Relative distance of frequencies below which poles of several diagrams are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +70,8 @@ def order_poles(
     """Poles of all orders by the library's LSCF.
 
     Args:
-        accelerance: acceleration over force, m/s²/N, shape ``(responses, lines)``; accelerance weighs the modes of a
-            wide band more evenly than receptance.
+        accelerance: acceleration over force, m/s²/N, of every response to every force, shape ``(rows, lines)``;
+            accelerance weighs the modes of a wide band more evenly than receptance.
         frequency_hz: lines, Hz, evenly spaced from below the band to above it.
         band_hz: where poles are sought.
         highest_order: highest number of modes.
@@ -133,7 +136,7 @@ def stable_poles(*diagrams: list[OrderPoles]) -> list[StablePole]:
     for diagram in diagrams:
         for pole in _stable(diagram):
             distances = (abs(other.frequency_hz / pole.frequency_hz - 1.0) for other in found)
-            if all(distance >= 4.0 * FREQUENCY_TOLERANCE for distance in distances):
+            if all(distance >= SAME_POLE for distance in distances):
                 found.append(pole)
     return sorted(found, key=lambda pole: pole.frequency_hz)
 

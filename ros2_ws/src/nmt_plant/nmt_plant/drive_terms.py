@@ -39,6 +39,8 @@ class DriveTerms:
             terms: the new ones.
             amplitude_rests, weight_rests: whether A, W is zero: what follows it is then there at once.
         """
+        if not terms and not self._now:
+            return
         wanted = {(exciter - 1, order, relative): value for exciter, order, value, relative in terms}
         rests = {True: amplitude_rests, False: weight_rests}
         for key in {**self._now, **wanted}:

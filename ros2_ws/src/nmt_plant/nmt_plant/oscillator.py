@@ -130,7 +130,8 @@ def check_command(command: DriveCommand, sample_rate: float) -> None:
             )
     else:
         highest = max(command.frequency_hz, command.frequency_end_hz)
-        highest *= max((term.order for term in command.terms), default=1)
+        if command.terms:
+            highest *= max(1, *(term.order for term in command.terms))
     if highest >= nyquist:
         raise BenchError(f"the drive reaches {highest:g} Hz; it must stay below half the sample rate, {nyquist:g} Hz.")
 

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from nmt_rig.rig import Rig
 
 _CURVE_POINTS = 700
+_LOW_COHERENCE = 0.9  # mean partial coherence below which the page names response and input
+_COLOURS = (BLUE, GREEN, RED, INK)  # of the inputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,11 +112,11 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
     facts = [
         ("Run", str(result.run.get("run_id") or "")),
         ("Started", str(result.run.get("started") or "").replace("T", " ")),
-        ("Exciter", f"at point {test.settings.drive_point}"),
+        ("Exciter", f"at {_points(test)}"),
         ("Level", "" if result.level is None else f"{significant(result.level)} V rms"),
         ("Band", f"{test.settings.band_hz[0]:g} to {test.settings.band_hz[1]:g} Hz"),
         ("Record", duration(test.duration_s)),
-        ("Averages", f"{test.force_frf.independent_averages:.1f} independent, Hann window"),
+        ("Averages", f"{test.force_frfs[0].independent_averages:.1f} independent, Hann window"),
         ("Input of the fit", test.reference),
     ]
     page = ResponsePage(
@@ -124,7 +126,7 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
         verdict=(text, kind),
         cards=cards,
         facts=facts,
-        notices=result.remarks,
+        notices=[*result.remarks, *coherence_remarks(test)],
         footer=Markup(
             "Receptance: displacement over force. Convention: x(t) = Re X e<sup>iωt</sup>. ± standard uncertainty. SI "
             "units."
@@ -136,9 +138,27 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
         linearity=check.sentence if check is not None else "",
         responses=responses,
         details=details,
-        mac=_mac_table(test),
+        mac=[_input_table(test), _mac_table(test)],
         residual_tables=[_residual_table(test), _mass_table(test)],
     )
+
+
+def coherence_remarks(test: LinearTest) -> list[str]:
+    """Of several exciters a sentence for every response and force whose mean partial coherence is low."""
+    if len(test.force_frfs) == 1:
+        return []
+    return [
+        f"The partial coherence of point {point} with the exciter at point {exciter} is {mean:.2f} in the mean: noise, "
+        "or little of that force in the response."
+        for exciter, frf in zip(test.settings.exciter_points, test.force_frfs, strict=True)
+        for point, mean in zip(test.points, frf.coherence.mean(axis=1), strict=False)
+        if mean < _LOW_COHERENCE
+    ]
+
+
+def _points(test: LinearTest) -> str:
+    points = test.settings.exciter_points
+    return f"point{'s' if len(points) > 1 else ''} {', '.join(map(str, points))}"
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
@@ -218,14 +238,38 @@ def _plant_tables(test: LinearTest) -> list[Table]:
     plant = test.plant
     if plant is None:
         return []
+    ratio = "" if len(test.force_frfs) == 1 else ", all exciters in the ratio that isolates it"
     rows = [
         ["Frequency with exciter", f"{uncertain(plant.frequency_hz, plant.frequency_std)} Hz"],
         ["Damping ratio with exciter", f"{uncertain(100 * plant.damping_ratio, 100 * plant.damping_std)} %"],
-        ["Force at the target’s frequency", f"{significant(plant.force_per_volt, 5)} N/V"],
+        [f"Force at the target’s frequency{ratio}", f"{significant(plant.force_per_volt, 5)} N/V"],
         ["Drive-point displacement there", f"{significant(plant.displacement_per_volt, 5)} m/V"],
         ["Moving mass of the exciter", f"{significant(plant.moving_mass_kg, 3)} kg"],
     ]
     return [text_table([("Plant: structure and exciter", ""), ("", "")], rows)]
+
+
+def _input_table(test: LinearTest) -> Table:
+    """Force per volt at the target, and the mean coherence of every response."""
+    exciters = test.settings.exciter_points
+    line = int(np.argmin(np.abs(test.frequency_hz - test.target_mode.frequency_hz)))
+    volts = exciters if test.voltage_frfs else ()
+    head = [
+        ("Force at", ""),
+        *((f"force per volt of exciter {point}", "N/V") for point in volts),
+        *((f"γ², point {point}", "mean") for point in test.points),
+    ]
+    per_volt = test.force_per_volt()[0][line] if volts else np.empty((len(exciters), 0))
+    rows = [
+        [
+            f"point {exciter}",
+            *(significant(abs(value), 4) for value in per_volt[row]),
+            *(plain(float(value), 4) for value in frf.coherence[: len(test.points)].mean(axis=1)),
+        ]
+        for row, (exciter, frf) in enumerate(zip(exciters, test.force_frfs, strict=True))
+    ]
+    note = f"Forces at {test.frequency_hz[line]:.5g} Hz; coherence over the band, of several forces the partial one."
+    return text_table(head, rows, note)
 
 
 def _mac_table(test: LinearTest) -> Table:
@@ -248,13 +292,19 @@ def _residual_table(test: LinearTest) -> Table:
     ]
     correlation = synthesis_correlation(test)
     whole, alone = test.residuals, test.target_residuals
+    exciters = test.settings.exciter_points
+    names = [
+        f"point {point}" + (f", force at {exciter}" if len(exciters) > 1 else "")
+        for exciter in exciters
+        for point in test.points
+    ]
     rows = [
         [
-            f"point {point}",
+            name,
             *(_complex(values[row]) for values in (whole.lower, whole.upper, alone.lower, alone.upper)),
             plain(float(correlation[row]), 6),
         ]
-        for row, point in enumerate(test.points)
+        for row, name in enumerate(names)
     ]
     note = (
         f"x/F = modes + lower/(−ω²) + upper. All kept modes: {whole.band_hz[0]:.4g} to {whole.band_hz[1]:.4g} Hz; "
@@ -312,21 +362,24 @@ def phase_degrees(values: ComplexArray, lowest: float = -225.0) -> FloatArray:
 def _response_figure(test: LinearTest, row: int) -> ReportFigure:
     point = test.points[row]
     figure, top, bottom = _two_axes()
-    frequency = test.force_frf.frequency_hz
-    measured = test.receptance()[row]
-    synthesis = test.synthesis()[row]
+    frequency = test.frequency_hz
     low, high = test.residuals.band_hz
     inside = (frequency >= low) & (frequency <= high)
-    for lines, values, colour, label, width in (
-        (frequency, measured, BLUE, "measured", 1.6),
-        (frequency[inside], synthesis[inside], ORANGE, "modes and residuals", 1.0),
-    ):
-        f, h = thinned(lines, values)
-        top.loglog(f, np.abs(h), color=colour, linewidth=width, label=label)
-        bottom.semilogx(f, phase_degrees(h), color=colour, linewidth=width)
+    exciters = test.settings.exciter_points
+    measured, synthesis = test.receptance(), test.synthesis()
+    for number, exciter in enumerate(exciters):
+        label = f", force at point {exciter}" if len(exciters) > 1 else ""
+        style = "-" if number == 0 else "--"
+        for lines, values, colour, name, width in (
+            (frequency, measured[number, row], _COLOURS[number % len(_COLOURS)], "measured" + label, 1.6),
+            (frequency[inside], synthesis[number, row, inside], ORANGE, "modes and residuals" + label, 1.0),
+        ):
+            f, h = thinned(lines, values)
+            top.loglog(f, np.abs(h), color=colour, linewidth=width, linestyle=style, label=name)
+            bottom.semilogx(f, phase_degrees(h), color=colour, linewidth=width, linestyle=style)
     top.set_ylabel("receptance (m/N)")
     top.legend(loc="lower left")
-    caption = f"Displacement at point {point} over force at point {test.settings.drive_point}."
+    caption = f"Displacement at point {point} over force at {_points(test)}."
     title = f"Receptance of point {point}"
     return report_figure(figure, f"frf-{point}", title, caption, label=f"{title} over frequency")
 
@@ -335,14 +388,15 @@ def _target_figure(test: LinearTest) -> ReportFigure:
     """Estimators around the target, where the force drops out, and the fit."""
     target = test.target_mode
     figure, top, bottom = _two_axes()
-    frf = test.force_frf
+    strongest = int(np.argmax(np.abs(target.drive_shapes)))
+    frf, drive_shape = test.force_frfs[strongest], float(target.drive_shapes[strongest])
     spacing = float(frf.frequency_hz[1] - frf.frequency_hz[0])
     width = max(8.0 * target.damping_ratio * target.frequency_hz, 12.0 * spacing)
     use = np.abs(frf.frequency_hz - target.frequency_hz) <= width
     powers = {"DISPLACEMENT": 0, "VELOCITY": 1, "ACCELERATION": 2}
     row = int(np.argmax(np.abs(target.shape)))
     # At resonance the phase is −90° or 90°; the cut lies opposite.
-    lowest = -270.0 if target.shape[row] * target.drive_shape > 0 else -90.0
+    lowest = -270.0 if target.shape[row] * drive_shape > 0 else -90.0
     factor = (2j * np.pi * frf.frequency_hz[use]) ** -powers[test.quantity.name]
     for values, colour, label, style in (
         (frf.h1, BLUE, "H1", "-"),
@@ -355,8 +409,8 @@ def _target_figure(test: LinearTest) -> ReportFigure:
             top.semilogy(frf.frequency_hz[use], np.abs(h), color=colour, linestyle=style, label=label)
             bottom.plot(frf.frequency_hz[use], phase_degrees(h, lowest), color=colour, linestyle=style)
     fine = np.linspace(target.frequency_hz - width, target.frequency_hz + width, 400)
-    fitted = modal_receptance(target.shape * target.drive_shape, target.omega, target.damping_ratio, fine)[row]
-    fitted = fitted + test.target_residuals.receptance(fine)[row]
+    fitted = modal_receptance(target.shape * drive_shape, target.omega, target.damping_ratio, fine)[row]
+    fitted = fitted + test.target_residuals.receptance(fine)[strongest * len(test.points) + row]
     top.semilogy(fine, np.abs(fitted), color=ORANGE, linewidth=1.0, label="fit of the whole record")
     bottom.plot(fine, phase_degrees(fitted, lowest), color=ORANGE, linewidth=1.0)
     bottom.set_yticks([lowest + 90.0, lowest + 180.0, lowest + 270.0])
@@ -371,22 +425,27 @@ def _target_figure(test: LinearTest) -> ReportFigure:
 
 
 def _coherence_figure(test: LinearTest) -> ReportFigure:
-    figure, axes = plot_panels((6.3, 3.4), left=0.13, right=0.97, bottom=0.15, top=0.96)
-    frf = test.force_frf
+    count = len(test.force_frfs)
+    figure, panels = plot_panels(
+        (6.3, 3.4 * count), count, 1, {"squeeze": False}, left=0.13, right=0.97, bottom=0.15 / count, top=0.96
+    )
     colours = [BLUE, ORANGE, GREEN, RED, INK, MUTED]
-    for row, point in enumerate(test.points):
-        # Of every stretch the lowest value: 1 − γ² is what matters.
-        f, rest = thinned(frf.frequency_hz, (1.0 - frf.coherence[row]).astype(np.complex128))
-        axes.semilogx(f, 1.0 - rest.real, color=colours[row % len(colours)], label=f"point {point}", linewidth=1.0)
-    axes.set_ylim(-0.02, 1.05)
-    axes.set_xlabel("frequency (Hz)")
-    axes.set_ylabel("coherence γ²")
-    axes.legend(loc="lower left", ncols=3)
+    partial = "" if count == 1 else "partial "
+    for axes, frf, exciter in zip(panels[:, 0], test.force_frfs, test.settings.exciter_points, strict=True):
+        for row, point in enumerate(test.points):
+            # Of every stretch the lowest value: 1 − γ² is what matters.
+            f, lost = thinned(frf.frequency_hz, (1.0 - frf.coherence[row]).astype(np.complex128))
+            label = f"point {point}" + (f", force at {exciter}" if count > 1 else "")
+            axes.semilogx(f, 1.0 - lost.real, color=colours[row % len(colours)], label=label, linewidth=1.0)
+        axes.set(ylim=(-0.02, 1.05), xlabel="frequency (Hz)", ylabel=f"{partial}coherence γ²")
+        axes.legend(loc="lower left", ncols=3)
     caption = (
         "Lowest value of every stretch of frequency. Dips at narrow resonances are leakage of the window, which the "
         "fit avoids; dips at antiresonances are noise."
     )
-    title = "Coherence of force and responses"
+    title = (
+        f"{partial}coherence of forces and responses".capitalize() if partial else "Coherence of force and responses"
+    )
     return report_figure(figure, "coherence", title, caption, label="Coherence over frequency")
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_signals.thresholds import SIGNAL_FITS
+
+_DEPENDENT = 1e6  # condition of the inputs' normalised spectra from which they are one
+_ROUNDING = 1e-12  # of a response's power
+_NOT_INDEPENDENT = "The inputs are not independent of each other; drive every exciter with a noise of its own."
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +40,37 @@ class AveragedSpectra:
         """S of two channels, shape ``(lines,)``."""
         return np.asarray(self.matrix[self.channels.index(row), self.channels.index(column)])
 
+    def without(self, inputs: Sequence[str], instruments: Sequence[str]) -> AveragedSpectra:
+        """Spectra of what other inputs do not explain, as least squares over the instruments find it.
+
+        With the inputs as their own instruments these are the partial spectra of Bendat and Piersol, and their H1 of
+        one more input is that of S_xf S_ff⁻¹ of all inputs at once. With the voltages as instruments it is that of
+        S_xu S_fu⁻¹, free of the bias by noise of the inputs.
+
+        Args:
+            inputs: channels to take out.
+            instruments: as many channels; what is found is uncorrelated with them.
+
+        Raises:
+            BenchError: the inputs are not independent of each other at a line.
+        """
+        rows = [self.channels.index(name) for name in inputs]
+        columns = [self.channels.index(name) for name in instruments]
+        taken = self.matrix[rows].transpose(2, 0, 1)
+        pivot = taken[:, :, columns]
+        scale = np.sqrt(
+            np.einsum("ii...->...i", self.matrix).real[:, rows, None]
+            * np.einsum("ii...->...i", self.matrix).real[:, None, columns]
+        )
+        if rows and not np.linalg.cond(pivot / scale).max() < _DEPENDENT:
+            raise BenchError(_NOT_INDEPENDENT)
+        explained = self.matrix[:, columns].transpose(2, 0, 1) @ np.linalg.solve(pivot, taken)
+        return replace(self, matrix=self.matrix - explained.transpose(1, 2, 0))
+
 
 @dataclass(frozen=True, eq=False)
 class FrfEstimate:
-    """Frequency responses of one input to several outputs.
+    """Frequency responses of one input to several outputs, other inputs at zero.
 
     Attributes:
         frequency_hz: lines, Hz, shape ``(lines,)``.
@@ -145,7 +176,12 @@ def _independent(window: FloatArray, step: int, averages: int) -> float:
 
 
 def frf_estimate(
-    spectra: AveragedSpectra, input_channel: str, outputs: tuple[str, ...], voltage: str | None = None
+    spectra: AveragedSpectra,
+    input_channel: str,
+    outputs: tuple[str, ...],
+    voltage: str | None = None,
+    others: Sequence[str] = (),
+    other_voltages: Sequence[str] = (),
 ) -> FrfEstimate:
     """Frequency responses from averaged spectra.
 
@@ -154,28 +190,39 @@ def frf_estimate(
         input_channel: name of the input.
         outputs: names of the outputs.
         voltage: name of the drive voltage, for ``hc``.
+        others: further inputs that act at the same time; coherence and estimates are then the partial ones.
+        other_voltages: their drive voltages, for ``hc``.
 
     Raises:
-        BenchError: the input or an output vanishes at a line.
+        BenchError: the input or an output vanishes at a line, or the inputs are not independent.
     """
-    force = spectra.cross(input_channel, input_channel).real
+    by_voltage = spectra.without(others, other_voltages) if voltage is not None else spectra
+    partial = spectra.without(others, others)
+    force = partial.cross(input_channel, input_channel).real
+    if others and not np.all(force * _DEPENDENT > spectra.cross(input_channel, input_channel).real):
+        raise BenchError(_NOT_INDEPENDENT)
     shape = (len(outputs), force.size)
     h1, h2, hv, hc = (np.empty(shape, dtype=np.complex128) for _ in range(4))
     coherence = np.empty(shape)
     for row, output in enumerate(outputs):
-        cross = spectra.cross(output, input_channel)
-        response = spectra.cross(output, output).real
-        if not (np.all(force > 0.0) and np.all(response > 0.0) and np.all(np.abs(cross) > 0.0)):
+        cross = partial.cross(output, input_channel)
+        power = spectra.cross(output, output).real
+        # What the other inputs explain to the last digit leaves rounding alone.
+        response = np.maximum(partial.cross(output, output).real, _ROUNDING * power)
+        if not (
+            np.all(force > 0.0) and np.all(power > 0.0) and np.all(np.abs(spectra.cross(output, input_channel)) > 0.0)
+        ):
             raise BenchError(
                 f"Channel {input_channel} or {output} is zero within the band; check the sensor and the drive."
             )
         h1[row] = cross / force
-        h2[row] = response / cross.conj()
         coherence[row] = np.minimum(np.abs(cross) ** 2 / (force * response), 1.0)
-        # Smallest eigenvector of the spectral matrix of signals of equal power: |Hv| = sqrt(|H1| |H2|).
-        hv[row] = np.sqrt(response / force) * cross / np.abs(cross)
+        with np.errstate(divide="ignore", invalid="ignore"):  # of several inputs one may not reach an output
+            h2[row] = response / cross.conj()
+            # Smallest eigenvector of the spectral matrix of signals of equal power: |Hv| = sqrt(|H1| |H2|).
+            hv[row] = np.sqrt(response / force) * cross / np.abs(cross)
         if voltage is not None:
-            hc[row] = spectra.cross(output, voltage) / spectra.cross(input_channel, voltage)
+            hc[row] = by_voltage.cross(output, voltage) / by_voltage.cross(input_channel, voltage)
     return FrfEstimate(
         spectra.frequency_hz,
         input_channel,

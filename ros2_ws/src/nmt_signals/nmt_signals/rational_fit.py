@@ -13,10 +13,14 @@ With the drive voltage as u and force and responses as channels, only outputs ca
 by division: its poles are zeros of voltage → force, its residues N_x / N_f′ there, free of the bias that noise of the
 force gives H1 where the force drops out at resonance. Without a voltage, u is the force and the structure's poles are
 the poles.
+
+Several inputs u_j add their terms H_cj U_j. Voltage → force is then a matrix N_f / D, and the structure is
+N_x adj(N_f) / det N_f. As residues of a pole have rank one, both contain D^(inputs − 1), which cancels.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,9 +41,9 @@ class RationalFit:
         centre_hz: centre of the band.
         half_width_hz: half of its width.
         poles: poles in z with positive imaginary part, shape ``(P,)``.
-        residues: R of the responses, output unit over input unit, shape ``(channels, P)``.
-        polynomial: coefficients from the constant up, shape ``(channels, order + 1)``.
-        covariance: of (poles, then residues and polynomial channel by channel), complex circular.
+        residues: R of the responses, output unit over input unit, shape ``(channels, inputs, P)``.
+        polynomial: coefficients from the constant up, shape ``(channels, inputs, order + 1)``.
+        covariance: of (poles, then residues and polynomial by channel and input), complex circular.
         misfit: rms of what is left over rms of the channel, shape ``(channels,)``.
         lines: number of spectral lines fitted.
     """
@@ -59,27 +63,32 @@ class RationalFit:
         return np.asarray(2j * np.pi * (self.centre_hz + self.half_width_hz * self.poles))
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Channels over input at frequencies within the band, shape ``(channels, frequencies)``."""
+        """Channels over inputs at frequencies within the band, shape ``(channels, inputs, frequencies)``."""
         z = (np.asarray(frequency_hz) - self.centre_hz) / self.half_width_hz
-        rational = self.residues @ (1.0 / (z[np.newaxis] - self.poles[:, np.newaxis]))
-        return np.asarray(rational + self.polynomial @ np.power.outer(z, np.arange(self.polynomial.shape[1])).T)
+        rows, powers = self.residues.reshape(-1, self.poles.size), self.polynomial.shape[2]
+        rational = rows @ (1.0 / (z[np.newaxis] - self.poles[:, np.newaxis]))
+        total = rational + self.polynomial.reshape(-1, powers) @ np.power.outer(z, np.arange(powers)).T
+        return np.asarray(total.reshape(*self.residues.shape[:2], -1))
 
     def parameters(self) -> ComplexArray:
         """All parameters in the order of ``covariance``."""
-        return np.concatenate([self.poles, np.hstack([self.residues, self.polynomial]).ravel()])
+        return np.concatenate([self.poles, np.concatenate([self.residues, self.polynomial], axis=2).ravel()])
 
-    def with_parameters(self, values: ComplexArray) -> tuple[ComplexArray, list[ComplexArray]]:
-        """Denominator and numerator polynomials in z, highest power first, for given parameters."""
+    def with_parameters(self, values: ComplexArray) -> tuple[ComplexArray, list[list[ComplexArray]]]:
+        """Denominator, and numerators by channel and input: polynomials in z, highest power first."""
         count = self.poles.size
         poles = values[:count]
-        table = values[count:].reshape(self.residues.shape[0], -1)
         denominator = np.poly(poles)
-        numerators = []
-        for row in table:
-            numerator = np.polymul(row[count:][::-1], denominator)
-            for index in range(count):
-                numerator = np.polyadd(numerator, row[index] * np.poly(np.delete(poles, index)))
-            numerators.append(np.asarray(numerator, dtype=np.complex128))
+        table = values[count:].reshape(*self.residues.shape[:2], -1)
+        residues = np.stack([_rank_one(table[..., p], self.residues[..., p]) for p in range(count)], axis=2)
+        numerators: list[list[ComplexArray]] = []
+        for channel, rows in enumerate(table):
+            numerators.append([])
+            for row, strengths in zip(rows, residues[channel], strict=True):
+                numerator = np.polymul(row[count:][::-1], denominator)
+                for index in range(count):
+                    numerator = np.polyadd(numerator, strengths[index] * np.poly(np.delete(poles, index)))
+                numerators[-1].append(np.asarray(numerator, dtype=np.complex128))
         return np.asarray(denominator, dtype=np.complex128), numerators
 
 
@@ -89,8 +98,8 @@ class StructureMode:
 
     Attributes:
         eigenvalue: λ = −ζω + iω√(1 − ζ²), rad/s.
-        residues: A of H ≈ A / (s − λ), response unit over N times rad/s, shape ``(responses,)``.
-        covariance: of (eigenvalue, residues), complex circular, shape ``(1 + responses,) * 2``.
+        residues: A of H ≈ A / (s − λ), response unit over N times rad/s, shape ``(responses, forces)``.
+        covariance: of (eigenvalue, residues by response and force), complex circular, square.
     """
 
     eigenvalue: complex
@@ -111,7 +120,7 @@ def fit_rational(
     """Fit the model to spectra of a whole record without window.
 
     Args:
-        input_spectrum: U, shape ``(lines,)``.
+        input_spectrum: U, shape ``(lines,)``, or ``(inputs, lines)``.
         output_spectra: Y, shape ``(channels, lines)``.
         frequency_hz: lines, Hz.
         centre_hz, half_width_hz: band to use.
@@ -122,9 +131,10 @@ def fit_rational(
     Raises:
         BenchError: too few lines, a channel without signal, or no damped pole found.
     """
+    inputs = np.atleast_2d(input_spectrum)
     use = np.flatnonzero(np.abs(frequency_hz - centre_hz) <= half_width_hz)
     use = use[:: 1 + use.size // SIGNAL_FITS.rational_most_lines]
-    unknown = 2 * (poles + order + 1)
+    unknown = (1 + len(inputs)) * (poles + order + 1)
     lines = use.size
     if lines < 2 * unknown:
         raise BenchError(
@@ -133,12 +143,12 @@ def fit_rational(
         )
     outputs = output_spectra[:, use]
     scale = np.sqrt(np.mean(np.abs(outputs) ** 2, axis=1))
-    input_scale = float(np.sqrt(np.mean(np.abs(input_spectrum[use]) ** 2)))
-    if not (input_scale > 0.0 and np.all(scale > 0.0)):
+    input_scale = np.array([np.sqrt(np.mean(np.abs(values[use]) ** 2)) for values in inputs])
+    if not (np.all(input_scale > 0.0) and np.all(scale > 0.0)):
         raise BenchError(f"A channel has no signal around {centre_hz:.4g} Hz; check sensors and drive.")
     problem = _Problem(
         (frequency_hz[use] - centre_hz) / half_width_hz,
-        input_spectrum[use] / input_scale,
+        [values[use] / size for values, size in zip(inputs, input_scale, strict=True)],
         (outputs / scale[:, np.newaxis]).T,
         poles,
         order,
@@ -158,16 +168,16 @@ def fit_rational(
         raise BenchError(f"No damped resonance fits the spectra around {centre_hz:.4g} Hz.")
     _, found_poles, weights = best
     table, covariance, misfit = problem.statistics(found_poles, weights)
-    factor = scale / input_scale
+    factor = scale[:, np.newaxis] / input_scale
     count = poles + order + 1
-    response_rows = table[:count].T * factor[:, np.newaxis]
-    scaling = np.concatenate([np.ones(poles), np.repeat(factor, count)])
+    response_rows = table[: factor.shape[1] * count].T.reshape(*factor.shape, count) * factor[:, :, np.newaxis]
+    scaling = np.concatenate([np.ones(poles), np.repeat(factor.ravel(), count)])
     return RationalFit(
         centre_hz,
         half_width_hz,
         found_poles,
-        response_rows[:, :poles],
-        response_rows[:, poles:],
+        response_rows[:, :, :poles],
+        response_rows[:, :, poles:],
         covariance * np.outer(scaling, scaling),
         misfit,
         lines,
@@ -177,16 +187,24 @@ def fit_rational(
 class _Problem:
     """Scaled data of one band; lines lead, channels follow."""
 
-    def __init__(self, z: FloatArray, drive: ComplexArray, data: ComplexArray, poles: int, order: int) -> None:
-        self.z, self.drive, self.data = z, drive, data
+    def __init__(
+        self, z: FloatArray, drives: Sequence[ComplexArray], data: ComplexArray, poles: int, order: int
+    ) -> None:
+        self.z, self.drives, self.data = z, drives, data
         self.poles = poles
-        powers = np.power.outer(z, np.arange(order + 1)).astype(np.complex128)
-        self.driven_powers = powers * drive[:, np.newaxis]
-        self.powers = powers
+        self.powers = np.power.outer(z, np.arange(order + 1)).astype(np.complex128)
+        self.driven_powers = [self.powers * drive[:, np.newaxis] for drive in drives]
+        self.each = poles + order + 1
+        self.driven = len(drives) * self.each
 
     def basis(self, poles: ComplexArray) -> ComplexArray:
         partial = 1.0 / (self.z[:, np.newaxis] - poles)
-        return np.hstack([partial * self.drive[:, np.newaxis], self.driven_powers, partial, self.powers])
+        driven = [
+            part
+            for drive, powers in zip(self.drives, self.driven_powers, strict=True)
+            for part in (partial * drive[:, np.newaxis], powers)
+        ]
+        return np.hstack([*driven, partial, self.powers])
 
     def split(self, poles: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         q, r = _orthonormal(self.basis(poles))
@@ -199,13 +217,12 @@ class _Problem:
     def derivative(self, poles: ComplexArray, table: ComplexArray) -> ComplexArray:
         """∂(basis · table)/∂pole, shape ``(P, lines, channels)``."""
         partial = 1.0 / (self.z[:, np.newaxis] - poles) ** 2
-        second = self.poles + self.driven_powers.shape[1]
-        return np.stack(
-            [
-                np.outer(partial[:, p] * self.drive, table[p]) + np.outer(partial[:, p], table[second + p])
-                for p in range(self.poles)
-            ]
-        )
+        slopes = np.zeros((self.poles, *self.data.shape), dtype=np.complex128)
+        for p in range(self.poles):
+            for number, drive in enumerate(self.drives):
+                slopes[p] += np.outer(partial[:, p] * drive, table[number * self.each + p])
+            slopes[p] += np.outer(partial[:, p], table[self.driven + p])
+        return slopes
 
     def solve(self, poles: ComplexArray) -> tuple[float, ComplexArray, FloatArray] | None:
         """Poles from a start, in rounds with channels weighted by what the round before left over."""
@@ -257,7 +274,7 @@ class _Problem:
         middle = np.einsum("plc,qld,cd->pq", weighted.conj(), weighted, noise)
         pole_covariance = gain @ middle @ gain.conj().T
         inverse = np.linalg.inv(r)
-        keep = slice(0, self.poles + self.driven_powers.shape[1])
+        keep = slice(0, self.driven)
         covariance_block = (inverse @ inverse.conj().T)[keep, keep]
         along = -np.moveaxis(inside[:, keep], 0, -1)  # (kept, channels, P)
         along = np.moveaxis(along, 1, 0).reshape(-1, self.poles)
@@ -282,17 +299,17 @@ def _orthonormal(matrix: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     return q, r
 
 
-def structure_mode(fit: RationalFit, near_hz: complex, force_row: int | None) -> StructureMode:
-    """The mode of response over force nearest to a start, with its covariance by propagation of errors.
+def structure_mode(fit: RationalFit, near_hz: complex, force_rows: Sequence[int] = ()) -> StructureMode:
+    """The mode of responses over forces nearest to a start, with its covariance by propagation of errors.
 
     Args:
-        fit: of voltage to force and responses, or of force to responses.
+        fit: of voltages to forces and responses, or of forces to responses.
         near_hz: start, Hz, complex (f + i ζ f).
-        force_row: row of the force among the channels; None where the force is the input.
+        force_rows: rows of the forces among the channels, one an input; none where the forces are the inputs.
     """
     values = fit.parameters()
     near = (near_hz - fit.centre_hz) / fit.half_width_hz
-    result = _mode_of(fit, values, near, force_row)
+    result = _mode_of(fit, values, near, force_rows)
     slopes = np.empty((result.size, values.size), dtype=np.complex128)
     root = (result[0] / 2j / np.pi - fit.centre_hz) / fit.half_width_hz
     deviation = np.sqrt(np.maximum(np.diagonal(fit.covariance).real, 0.0))
@@ -302,18 +319,53 @@ def structure_mode(fit: RationalFit, near_hz: complex, force_row: int | None) ->
         up, down = values.copy(), values.copy()
         up[index] += step
         down[index] -= step
-        slopes[:, index] = (_mode_of(fit, up, root, force_row) - _mode_of(fit, down, root, force_row)) / (2.0 * step)
-    return StructureMode(complex(result[0]), result[1:], slopes @ fit.covariance @ slopes.conj().T)
+        slopes[:, index] = (_mode_of(fit, up, root, force_rows) - _mode_of(fit, down, root, force_rows)) / (2.0 * step)
+    residues = result[1:].reshape(-1, fit.residues.shape[1])
+    return StructureMode(complex(result[0]), residues, slopes @ fit.covariance @ slopes.conj().T)
 
 
-def _mode_of(fit: RationalFit, values: ComplexArray, near: complex, force_row: int | None) -> ComplexArray:
-    denominator, numerators = fit.with_parameters(values)
-    below = denominator if force_row is None else numerators[force_row]
+def _rank_one(values: ComplexArray, near: ComplexArray) -> ComplexArray:
+    """A matrix of rank one that is a matrix near a known one where that has rank one; an analytic function of it."""
+    column = int(np.argmax(np.linalg.norm(near, axis=0)))
+    across = near[:, column].conj() @ values
+    across = across / across[column]
+    across[column] = 1.0
+    return np.outer(values[:, column], across)
+
+
+def _mode_of(fit: RationalFit, values: ComplexArray, near: complex, force_rows: Sequence[int]) -> ComplexArray:
+    """Eigenvalue, then residues by response and force."""
+    below, numerators = fit.with_parameters(values)
     roots: ComplexArray = values[: fit.poles.size]
-    if force_row is not None:
+    responses = [row for index, row in enumerate(numerators) if index not in force_rows]
+    if force_rows:
+        forces = [numerators[row] for row in force_rows]
+        shared = np.ones(1, dtype=np.complex128)
+        for _ in force_rows[1:]:
+            shared = np.asarray(np.polymul(shared, below), dtype=np.complex128)
+        below = _quotient(_determinant(forces), shared)
         roots = np.asarray(np.roots(below), dtype=np.complex128)
+        responses = [[_quotient(_determinant(forces, row, at), shared) for at in range(len(row))] for row in responses]
     root = roots[int(np.argmin(np.abs(roots - near)))]
     slope = np.polyval(np.polyder(below), root) / (2j * np.pi * fit.half_width_hz)
-    responses = [row for index, row in enumerate(numerators) if index != force_row]
     eigenvalue = 2j * np.pi * (fit.centre_hz + fit.half_width_hz * root)
-    return np.array([eigenvalue, *(np.polyval(row, root) / slope for row in responses)])
+    return np.array([eigenvalue, *(np.polyval(entry, root) / slope for row in responses for entry in row)])
+
+
+def _quotient(numerator: ComplexArray, denominator: ComplexArray) -> ComplexArray:
+    return np.asarray(np.polydiv(numerator, denominator)[0], dtype=np.complex128)
+
+
+def _determinant(
+    rows: Sequence[Sequence[ComplexArray]], other: Sequence[ComplexArray] | None = None, at: int = 0
+) -> ComplexArray:
+    """Of a square matrix of polynomials, with another row in the place of one (as of Cramer's rule)."""
+    if other is not None:
+        rows = [*rows[:at], other, *rows[at + 1 :]]
+    if not rows:
+        return np.ones(1, dtype=np.complex128)
+    total = np.zeros(1, dtype=np.complex128)
+    for column, entry in enumerate(rows[0]):
+        minor = [[*row[:column], *row[column + 1 :]] for row in rows[1:]]
+        total = np.asarray(np.polyadd(total, (-1) ** column * np.polymul(entry, _determinant(minor))), np.complex128)
+    return total

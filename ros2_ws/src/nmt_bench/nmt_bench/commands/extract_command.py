@@ -87,7 +87,7 @@ def run(options: ExtractOptions) -> int:
     bag = Bag.open(options.bag)
     settings = _settings(bag.run_start, options.harmonics)
     console = make_console()
-    if linear is None and _holds_decays_only(bag):
+    if _holds_decays_only(bag):
         return _decays(bag, options, console)
     with WorkDisplay(console, ("extracting",)):
         result = extract_opened_bag(bag, linear, settings)
@@ -131,7 +131,7 @@ def _holds_decays_only(bag: Bag) -> bool:
 
 
 def _decays(bag: Bag, options: ExtractOptions, console: Console) -> int:
-    """Free decays of a recording without linear modes."""
+    """Free decays of a recording that holds nothing else to extract."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 

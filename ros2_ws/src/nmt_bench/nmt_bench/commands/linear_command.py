@@ -29,7 +29,6 @@ from nmt_core.options import option, optional_argument
 
 if TYPE_CHECKING:
     from nmt_extract.linear_evaluation import LinearTestResult
-    from nmt_extract.several_inputs import SeveralInputsTest
     from nmt_record.bag.bag_reader import Bag
     from nmt_rig.rig import Rig
 
@@ -42,7 +41,8 @@ _STEPS = "evaluating the recording", "writing the report"
 class LinearOptions:
     """Drives the rig with low random noise, at half the level first and then at the level, and finds the linear modes:
     averaged frequency responses, stabilisation diagram, fit, mass-normalised shapes, residuals, and the plant with
-    its exciter. Give linear.json to './nmt run --linear': loop and extraction then need no model."""
+    its exciters. Several exciters are driven at once, each with a noise of its own. Give linear.json to './nmt run
+    --linear': loop and extraction then need no model."""
 
     rig: str = optional_argument("", "name of a rig (for example joint_resonator) or path of a rig file", metavar="RIG")
     out: Path = dated_folder_option("bag/, linear.json, frf.csv, report.html, rig.yaml, run.json", "linear")
@@ -105,7 +105,7 @@ def run(options: LinearOptions) -> int:
             evaluated = _evaluate(bag, options, band)
             display.step()
             with OutputFolder(options.out, options.force) as folder:
-                _write(*evaluated, folder, options, bag.run_start)
+                _write(*evaluated, folder, options)
         _show(*evaluated, options, console)
         return EXIT_DONE
     from nmt_bench.orchestration.prepared_nodes import nodes_ahead
@@ -159,7 +159,7 @@ def _measure(options: LinearOptions, band: tuple[float, float], console: Any) ->
                 "again."
             ) from error
         with WorkDisplay(console, _STEPS[1:], options.quiet):
-            _write(*evaluated, folder, options, recording.run_start)
+            _write(*evaluated, folder, options)
     _show(*evaluated, options, console)
     if result.code != ResultCode.SUCCEEDED:
         console.print(result.message, style="yellow")
@@ -182,21 +182,16 @@ def _band(text: str) -> tuple[float, float]:
 # -- evaluation -------------------------------------------------------------------------------------------------------
 
 
-def _evaluate(
-    bag: Bag, options: LinearOptions, band: tuple[float, float]
-) -> tuple[LinearTestResult | SeveralInputsTest, Rig | None]:
+def _evaluate(bag: Bag, options: LinearOptions, band: tuple[float, float]) -> tuple[LinearTestResult, Rig | None]:
     """The recording's modes, and the rig it names; None where it names none."""
     from nmt_core.messages.blocks import Quantity
     from nmt_extract.linear_evaluation import evaluate_linear_test
 
     rig = _rig_of(bag)
-    if rig is not None and len(rig.all_exciters) > 1:
-        from nmt_bench.commands.several_exciters import evaluate_several
-
-        return evaluate_several(bag, rig, options), rig
-    drive, modes, rig_mode, quantity = options.exciter, options.modes, 1, None
+    points: tuple[int, ...] | None = None if options.exciter is None else (options.exciter,)
+    modes, rig_mode, quantity = options.modes, 1, None
     if rig is not None:
-        drive = rig.drive_point if drive is None else drive
+        points = rig.exciter_points if points is None else points
         modes = rig.extraction.linear_modes if modes is None else modes
         rig_mode = rig.test.mode
         quantity = Quantity[rig.extraction.quantity.upper()]
@@ -208,7 +203,7 @@ def _evaluate(
         mode=options.mode,
         near_hz=options.near,
         rig_mode=rig_mode,
-        drive_point=drive,
+        exciter_points=points,
         quantity=quantity,
         segment_s=options.segment,
     )
@@ -234,21 +229,7 @@ def _rig_of(bag: Bag) -> Rig | None:
 # -- results ----------------------------------------------------------------------------------------------------------
 
 
-def _write(
-    result: LinearTestResult | SeveralInputsTest,
-    rig: Rig | None,
-    folder: Path,
-    options: LinearOptions,
-    run: dict[str, Any] | None,
-) -> None:
-    from nmt_extract.linear_evaluation import LinearTestResult
-
-    if not isinstance(result, LinearTestResult):
-        from nmt_bench.commands.several_exciters import write_several
-
-        assert rig is not None
-        write_several(result, rig, folder, run)
-        return
+def _write(result: LinearTestResult, rig: Rig | None, folder: Path, options: LinearOptions) -> None:
     from nmt_extract.linear_file import frf_table
     from nmt_report.linear_report import exact_modes, linear_page
 
@@ -258,14 +239,7 @@ def _write(
     write_whole(folder / "report.html", linear_page(result, rig, exact))
 
 
-def _show(result: LinearTestResult | SeveralInputsTest, rig: Rig | None, options: LinearOptions, console: Any) -> None:
-    from nmt_extract.linear_evaluation import LinearTestResult
-
-    if not isinstance(result, LinearTestResult):
-        from nmt_bench.commands.several_exciters import show_several
-
-        show_several(result, options.out, console)
-        return
+def _show(result: LinearTestResult, rig: Rig | None, options: LinearOptions, console: Any) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -304,8 +278,9 @@ def _show(result: LinearTestResult | SeveralInputsTest, rig: Rig | None, options
         console.print("Δ: against the exact sticking modes of the rig's model.")
     plant = test.plant
     if plant is not None:
+        exciter = "exciter" if len(test.force_frfs) == 1 else "exciters in the target's ratio"
         console.print(
-            f"With exciter: {plant.frequency_hz:.4f} Hz, damping ratio {100 * plant.damping_ratio:.4f} %, "
+            f"With {exciter}: {plant.frequency_hz:.4f} Hz, damping ratio {100 * plant.damping_ratio:.4f} %, "
             f"{plant.force_per_volt:.4g} N/V and {plant.displacement_per_volt:.4g} m/V at the target's frequency, "
             f"moving mass {plant.moving_mass_kg:.4g} kg.",
             soft_wrap=True,

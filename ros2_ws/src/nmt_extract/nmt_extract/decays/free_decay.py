@@ -75,9 +75,7 @@ class FreeDecay:
 
 
 def holds_decays_only(bag: Any) -> bool:
-    """Whether a bag has free decays, no linear modes and nothing that gives modal points."""
-    if (bag.run_start or {}).get("linear") is not None:
-        return False
+    """Whether a bag has free decays and nothing that gives modal points."""
     kinds = {event.test for event in bag.lock_events()}
     return TestKind.RING_DOWN in kinds and not any(kind_class(kind).gives_modal_points for kind in kinds)
 

@@ -183,7 +183,11 @@ def off_its_shape(
             return ShapeFaults(
                 found, {k: each for k, each in doubtful.items() if _ALIKE_DOUBT * each.isolation > clearest}
             )
-        worst, by_neighbour = max(off, key=lambda item: item[0].isolation)
+        # Of channels that stand out alike, as those of points that move alike do, the one that was faulty before.
+        clearest = max(each.isolation for each, _ in off)
+        alike = [item for item in off if _ALIKE_DOUBT * item[0].isolation > clearest]
+        before_too = [item for item in alike if item[0].index in suspects]
+        worst, by_neighbour = max(before_too or off, key=lambda item: item[0].isolation)
         found[worst.index] = worst.words, by_neighbour
         kept.remove(worst.index)
 

@@ -167,6 +167,8 @@ def owned_output(
 
 def _sums(command: DriveCommand, weight: Callable[[int], float] = lambda order: 1.0) -> dict[int, float]:
     """Exciter -> sum of the amplitudes of its terms times a weight of the order, V, with the fundamental's."""
+    if not command.terms:  # the ordinary case, once a block
+        return {1: command.amplitude * weight(1)}
     turned = sum(term.value for term in command.terms if term.order == 1 and not term.relative)
     sums = {1: abs(command.amplitude + turned) * weight(1)}
     for exciter, order, value, relative in command.terms:

@@ -17,6 +17,7 @@ from nmt_core.files.hardened import read_text
 from nmt_core.files.whole_file import write_whole, writing
 from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import OscillatorPhase, Quantity
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.messages.wire import LEVEL, read_status
@@ -25,7 +26,7 @@ from nmt_core.vocabulary import LEVEL_UNITS, ControlKind, TestKind
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange import FORMATS, uff
 from nmt_record.exchange.frf_table import read_frf_table
-from nmt_record.exchange.side_tables import BlockRow, write_block_table, write_loop_table
+from nmt_record.exchange.side_tables import BlockRow, write_block_table, write_records
 from nmt_record.windows.segments import Segment, Signals, read_signals, segments
 
 LATERAL = 3
@@ -33,6 +34,11 @@ LATERAL = 3
 
 _CSV_ROWS = 50_000
 _LARGEST_MAT = 2**31
+
+
+def covers(test: DrivenTest) -> str:
+    """What export and import do not take of a test: nothing. Levels and lock events go with the samples as recorded."""
+    return ""
 
 
 @dataclass(frozen=True)
@@ -229,18 +235,25 @@ def export_bag(
         _write_text(folder / "linear.json", linear)
         sidecar["linear"] = "linear.json"
         files.append("linear.json")
-    extraction = (bag.run_start or {}).get("extraction")
-    if isinstance(extraction, dict) and extraction:
-        sidecar["extraction"] = extraction
+    for key in ("extraction", "plan", "exciter_points"):
+        value = (bag.run_start or {}).get(key)
+        if isinstance(value, dict):
+            value = {name: item for name, item in value.items() if name != "pacing"}  # that of the recording
+        if isinstance(value, dict | list) and value:
+            sidecar[key] = value
     blocks = _block_rows(bag, extent)
     write_block_table(folder / "oscillator.csv", blocks)
     sidecar["oscillator"] = "oscillator.csv"
     files.append("oscillator.csv")
-    states = _states(bag, extent)
-    if states:
-        write_loop_table(folder / "loop.csv", states)
-        sidecar["loop"] = "loop.csv"
-        files.append("loop.csv")
+    for key, kind, records in (
+        ("loop", LoopStatus, _states(bag, extent)),
+        ("levels", LevelCommand, _levels(bag, extent)),
+        ("locks", LockEvent, _locks(bag, extent)),
+    ):
+        if records:
+            write_records(folder / f"{key}.csv", kind, records)
+            sidecar[key] = f"{key}.csv"
+            files.append(f"{key}.csv")
     text = yaml.safe_dump(sidecar, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
     _write_text(folder / "sidecar.yaml", "# ./nmt import sidecar.yaml --out DIR\n" + text)
     return [*files, "sidecar.yaml"]
@@ -409,6 +422,18 @@ def _block_rows(bag: Bag, extent: Extent) -> list[BlockRow]:
             if row.first_sample < stop and first < row.first_sample + row.samples:
                 row.flags[topic] = row.flags.get(topic, 0) | value
     return [rows[first] for first in sorted(rows)]
+
+
+def _levels(bag: Bag, extent: Extent) -> list[LevelCommand]:
+    """Levels of the stretch; one that began before the recording belongs to its first sample."""
+    begin = recorded_extent(bag).first
+    found = bag.records("level", LEVEL)
+    return [level for level in found if extent.first <= max(level.apply_at_sample, begin) < extent.stop]
+
+
+def _locks(bag: Bag, extent: Extent) -> list[LockEvent]:
+    found = bag.lock_events()
+    return [lock for lock in found if extent.first <= lock.window_first_sample and lock.window_end <= extent.stop]
 
 
 def _states(bag: Bag, extent: Extent) -> list[LoopStatus]:

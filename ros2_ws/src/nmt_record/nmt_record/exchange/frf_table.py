@@ -27,7 +27,7 @@ class FrequencyResponseRecord:
     """Response over force at one point.
 
     Attributes:
-        name: channel, and the level where there are several.
+        name: channel, with the force and the level where there are several.
         quantity: of the response.
         point: of the response.
         drive_point: of the force; 0 = not known.
@@ -80,14 +80,14 @@ def read_frf_table(path: Path, drive_point: int = 0) -> list[FrequencyResponseRe
     frequency = numbers("frequency_hz")
     responses = []
     for suffix, group in _levels(text, len(rows) - 1):
-        for channel, (column, force, estimator) in chosen.items():
+        for name, (channel, column, force, estimator) in chosen.items():
             values = numbers(column) + 1j * numbers(column.removesuffix("_real") + "_imag")
             good = group & np.isfinite(frequency) & np.isfinite(values)
             if good.sum() < 2:
                 continue
             responses.append(
                 FrequencyResponseRecord(
-                    channel + suffix,
+                    name + suffix,
                     QUANTITIES[channel[0]],
                     int(channel[1:]),
                     force or drive_point,
@@ -99,16 +99,22 @@ def read_frf_table(path: Path, drive_point: int = 0) -> list[FrequencyResponseRe
     return responses
 
 
-def _chosen(head: list[str]) -> dict[str, tuple[str, int, str]]:
-    """Channel -> column of its real part, drive point, estimator."""
-    found: dict[str, dict[str, tuple[str, int, str]]] = {}
+def _chosen(head: list[str]) -> dict[str, tuple[str, str, int, str]]:
+    """Name -> channel, column of its real part, drive point, estimator; several forces stand in the name."""
+    found: dict[tuple[str, str], dict[str, str]] = {}
     for name in head:
         match = _COLUMN.fullmatch(name)
         if match is None or name.removesuffix("_real") + "_imag" not in head:
             continue
         letter, point, force, estimator = match.groups(default="")
-        found.setdefault(letter + point, {})[estimator] = (name, int(force or 0), estimator)
-    return {channel: next(own[e] for e in _ESTIMATORS if e in own) for channel, own in found.items()}
+        found.setdefault((letter + point, force), {})[estimator] = name
+    several = len({force for _, force in found}) > 1
+    chosen = {}
+    for (channel, force), columns in found.items():
+        best = next(estimator for estimator in _ESTIMATORS if estimator in columns)
+        name = f"{channel}_f{force}" if several else channel
+        chosen[name] = channel, columns[best], int(force or 0), best
+    return chosen
 
 
 def _levels(text: dict[str, tuple[str, ...]], rows: int) -> list[tuple[str, NDArray[np.bool_]]]:

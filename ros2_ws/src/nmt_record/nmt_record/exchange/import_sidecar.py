@@ -25,7 +25,11 @@ QuantityName = Literal[
     "force", "displacement", "velocity", "acceleration", "voltage", "current",
     "angle", "angular_velocity", "angular_acceleration", "strain",
 ]  # fmt: skip
-SignalKind = Literal["phase_resonance", "random", "sweep", "ring_down", "stepped_sine", "record"]
+SignalKind = Literal[
+    "phase_resonance", "random", "sweep", "ring_down", "stepped_sine", "record", "self_excited", "secondary_resonance"
+]
+EXPORTED_KINDS = ("self_excited", "secondary_resonance")
+"""Kinds whose windows mean something only with the lock events that an export has beside them."""
 TableKind = Literal["backbone", "frf"]
 TABLE_KINDS = ("backbone", "frf")
 STEADY_KINDS = ("phase_resonance", "stepped_sine")
@@ -199,6 +203,10 @@ class Sidecar(_Section):
         extraction: settings of the extraction.
         oscillator: table of the excitation's phase block by block.
         loop: table of the loop's state block by block.
+        levels: table of the levels as they were recorded; left out = made of the segments.
+        locks: table of the lock events as they were recorded; left out = made of the segments.
+        plan: what the run was asked for, as in run.json.
+        exciter_points: points of several exciters, in the order of their voltages.
         first_sample: index of the first sample of the file.
         repeatability: by how much repeats of the tests differ.
         run_id: of the run it was exported from.
@@ -217,6 +225,10 @@ class Sidecar(_Section):
     extraction: dict[str, Any] | None = None
     oscillator: str | None = None
     loop: str | None = None
+    levels: str | None = None
+    locks: str | None = None
+    plan: dict[str, Any] | None = None
+    exciter_points: list[int] | None = None
     first_sample: Annotated[int, Field(ge=0)] = 0
     repeatability: RepeatabilitySection | None = None
     run_id: str | None = None
@@ -330,6 +342,11 @@ def check_sidecar(sidecar: Sidecar, document: YamlDocument) -> None:
                 f"not overlap."
             )
         _check_segment(segment, name, place)
+        if segment.kind in EXPORTED_KINDS and sidecar.locks is None:
+            raise BenchError(
+                f"{place}: {name} needs the lock events of './nmt export' (locks: locks.csv), which say what each "
+                "window is; import a recording of another bench as kind: record."
+            )
         reached, last = segment.stop, name
 
 
@@ -349,7 +366,7 @@ def _check_channels(sidecar: Sidecar, document: YamlDocument) -> None:
                 f"{number + 1})."
             )
         meaning = (channel.measures, channel.point)
-        if meaning in meanings:
+        if meaning in meanings and meaning != (Quantity.VOLTAGE, 0):
             raise BenchError(
                 f"{place}: channels {meanings[meaning] + 1} and {number + 1} both measure {channel.quantity} at point "
                 f"{channel.point}; give each its own point."

@@ -39,7 +39,7 @@ from nmt_record.exchange.import_sidecar import (
 from nmt_record.exchange.import_table import SourceTable, read_table
 from nmt_record.exchange.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
 from nmt_record.exchange.ros_bag_table import is_bag
-from nmt_record.exchange.side_tables import BlockRow, read_block_table, read_loop_table
+from nmt_record.exchange.side_tables import BlockRow, read_block_table, read_records
 from nmt_record.exchange.unit_table import channel_factor
 
 _BLOCK_SECONDS, _LEAST_BLOCK = 0.02, 200  # s, samples: each block costs a message, however slow the clock is
@@ -86,6 +86,7 @@ class ImportedRun:
         tables: tables of others.
         blocks: phase of the excitation block by block; empty = not known.
         loop: states of the loop; empty = not known.
+        levels, locks: in the order of time.
         linear: linear modes; None = not known.
         notes: sentences on what was fixed, marked or is unusual.
         sources: the files that were read, by name.
@@ -102,6 +103,8 @@ class ImportedRun:
     tables: list[ObservableTable] = field(default_factory=list)
     blocks: list[BlockRow] = field(default_factory=list)
     loop: list[LoopStatus] = field(default_factory=list)
+    levels: list[LevelCommand] = field(default_factory=list)
+    locks: list[LockEvent] = field(default_factory=list)
     linear: LinearDescription | None = None
     notes: list[str] = field(default_factory=list)
     sources: dict[str, Path] = field(default_factory=dict)
@@ -233,7 +236,8 @@ def _description(run: ImportedRun, rig: str, versions: dict[str, str]) -> dict[s
     return {
         "run_id": run.sidecar.run_id or run.path.stem,
         "rig": rig,
-        "plan": {"levels": levels, "pacing": "imported"},
+        "plan": {**(run.sidecar.plan or {"levels": levels}), "pacing": "imported"},
+        **({"exciter_points": points, "exciter_point": points[0]} if (points := run.sidecar.exciter_points) else {}),
         "linear": None if run.linear is None else json.loads(run.linear.to_json()),
         "extraction": run.sidecar.extraction or {},
         "versions": versions,
@@ -288,7 +292,15 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
         side = run.beside(sidecar.oscillator, document.place(("oscillator",)))
         run.blocks = read_block_table(side, run.first_sample, run.samples)
     if sidecar.loop is not None:
-        run.loop = read_loop_table(run.beside(sidecar.loop, document.place(("loop",))))
+        run.loop = read_records(run.beside(sidecar.loop, document.place(("loop",))), LoopStatus)
+    if sidecar.levels is not None:
+        run.levels = read_records(run.beside(sidecar.levels, document.place(("levels",))), LevelCommand)
+    else:
+        run.levels = [_level(run, segment) for segment in run.segments if segment.section.level is not None]
+    if sidecar.locks is not None:
+        run.locks = read_records(run.beside(sidecar.locks, document.place(("locks",))), LockEvent)
+    else:
+        run.locks = [_lock(run, segment) for segment in run.segments if segment.window is not None]
 
 
 def _check_continuity(run: ImportedRun, table: SourceTable, clock: Clock, stretches: Sequence[CheckedStretch]) -> None:
@@ -432,13 +444,14 @@ class _Messages:
     def write(self) -> None:
         """Blocks, and between them levels, locks and loop states where they belong."""
         run = self._run
-        levels = _by_time((segment.first_sample, segment) for segment in run.segments)
-        locks = _by_time((self._lock_sample(s), s) for s in run.segments if s.window is not None)
+        levels = _by_time((level.apply_at_sample, level) for level in run.levels)
+        locks = _by_time((lock.sample, lock) for lock in run.locks)
         states = _by_time((state.last_sample, state) for state in run.loop)
         for block in run.blocks or self._even_blocks():
             end = block.first_sample + block.samples
             while levels and levels[-1][0] < end:
-                self._put_level(levels.pop()[1])
+                sample, level = levels.pop()
+                self._writer.write("level", LEVEL.write(level), self._time(sample))
             self._put_block(block)
             while states and states[-1][0] < end:
                 self._put_state(states.pop()[1])
@@ -479,64 +492,59 @@ class _Messages:
                 quantity.topic, raw, self._time(row.first_sample + row.samples), self._time(row.first_sample)
             )
 
-    def _put_level(self, segment: ImportedSegment) -> None:
-        section = segment.section
-        if section.level is None:
-            return
-        low, high = section.band_hz or (0.0, 0.0)
-        level = LevelCommand(
-            sequence=segment.index + 1,
-            index=segment.index,
-            control=ControlKind.of_unit(section.level_unit),
-            amplitude=section.level,
-            apply_at_sample=segment.first_sample,
-            ramp=0.0,
-            frequency_hz=section.frequency_hz or 0.0,
-            window_periods=section.periods,
-            timeout=0.0,
-            test=segment.test,
-            band_low_hz=low,
-            band_high_hz=high,
-            rate_hz_s=section.rate_hz_s or 0.0,
-            frequency_end_hz=section.frequency_end_hz or 0.0,
-            duration=(segment.stop_sample - segment.first_sample) / self._run.sample_rate,
-        )
-        self._writer.write("level", LEVEL.write(level), self._time(segment.first_sample))
-
-    def _lock_sample(self, segment: ImportedSegment) -> int:
-        assert segment.window is not None
-        if segment.section.lock_time is not None:
-            return round(segment.section.lock_time * self._run.sample_rate)
-        return max(segment.first_sample, segment.window[0] - 1)
-
-    def _put_lock(self, sample: int, segment: ImportedSegment) -> None:
-        section, window = segment.section, segment.window
-        assert window is not None
-        stamp = self._time(sample)
-        event = LockEvent(
-            level_index=segment.index,
-            level=math.nan if section.level is None else section.level,
-            level_unit=section.level_unit,
-            sample=sample,
-            frequency_hz=self._frequency(section),
-            phase_error=math.nan if section.phase_error is None else section.phase_error,
-            window_first_sample=window[0],
-            window_samples=window[1] - window[0],
-            window_periods=section.periods,
-            test=segment.test,
-            time_ns=stamp,
-        )
-        self._writer.write("lock", LOCK_EVENT.write(event), stamp, stamp)
-
-    @staticmethod
-    def _frequency(section: SignalSection) -> float:
-        if section.frequency_hz is not None:
-            return section.frequency_hz
-        return 0.0 if section.kind in ("random", "record") else math.nan
+    def _put_lock(self, sample: int, lock: LockEvent) -> None:
+        self._writer.write("lock", LOCK_EVENT.write(lock), self._time(sample), self._time(sample))
 
     def _put_state(self, status: LoopStatus) -> None:
         time = self._time(status.last_sample)
         self._writer.write("frequency", write_status(status, self._run.sample_rate), time, time)
+
+
+def _level(run: ImportedRun, segment: ImportedSegment) -> LevelCommand:
+    section = segment.section
+    assert section.level is not None
+    low, high = section.band_hz or (0.0, 0.0)
+    return LevelCommand(
+        sequence=segment.index + 1,
+        index=segment.index,
+        control=ControlKind.of_unit(section.level_unit),
+        amplitude=section.level,
+        apply_at_sample=segment.first_sample,
+        ramp=0.0,
+        frequency_hz=section.frequency_hz or 0.0,
+        window_periods=section.periods,
+        timeout=0.0,
+        test=segment.test,
+        band_low_hz=low,
+        band_high_hz=high,
+        rate_hz_s=section.rate_hz_s or 0.0,
+        frequency_end_hz=section.frequency_end_hz or 0.0,
+        duration=(segment.stop_sample - segment.first_sample) / run.sample_rate,
+    )
+
+
+def _lock(run: ImportedRun, segment: ImportedSegment) -> LockEvent:
+    section, window = segment.section, segment.window
+    assert window is not None
+    sample = max(segment.first_sample, window[0] - 1)
+    if section.lock_time is not None:
+        sample = round(section.lock_time * run.sample_rate)
+    frequency = section.frequency_hz
+    if frequency is None:
+        frequency = 0.0 if section.kind in ("random", "record") else math.nan
+    return LockEvent(
+        level_index=segment.index,
+        level=math.nan if section.level is None else section.level,
+        level_unit=section.level_unit,
+        sample=sample,
+        frequency_hz=frequency,
+        phase_error=math.nan if section.phase_error is None else section.phase_error,
+        window_first_sample=window[0],
+        window_samples=window[1] - window[0],
+        window_periods=section.periods,
+        test=segment.test,
+        time_ns=round(sample / run.sample_rate * 1e9),
+    )
 
 
 def _by_time(items: Any) -> list[Any]:

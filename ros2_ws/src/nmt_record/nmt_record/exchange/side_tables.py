@@ -1,4 +1,4 @@
-"""Side files of an exported run: the excitation's phase and the loop's state, block by block."""
+"""Side files of an exported run: the excitation's phase block by block; levels, locks and states of the loop."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
 
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_rows
 from nmt_core.files.whole_file import csv_text, write_whole, writing
 from nmt_core.messages.blocks import SAMPLE_TOPICS, OscillatorPhase
-from nmt_core.messages.records import LoopStatus
+from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
+
+Record = TypeVar("Record")
 
 _BLOCK_COLUMNS = ("first_sample", "samples", "cycles", "frequency_hz", "rate_hz_s")
 _FLAGS = "flags_"
-_LOOP_COLUMNS = LoopStatus._fields
-_WHOLE = frozenset({"last_sample", "level_index", "level_sequence", "state", "flags"})
-_TEXT = frozenset({"response_unit", "reason"})
+_SAMPLES = frozenset({"last_sample", "sample", "apply_at_sample", "window_first_sample", "window_samples", "time_ns"})
+_RECORDS: dict[type, str] = {LoopStatus: "loop states", LevelCommand: "levels", LockEvent: "lock events"}
 
 
 @dataclass(frozen=True)
@@ -90,40 +92,51 @@ def read_block_table(path: Path, first_sample: int, samples: int) -> list[BlockR
     return rows
 
 
-def write_loop_table(path: Path, states: Iterable[LoopStatus]) -> None:
-    """Write ``loop.csv``; numbers read back to the same bits.
+def write_records(path: Path, kind: type, records: Iterable[Any]) -> None:
+    """Write records of one kind as they stand in messages, a line each; numbers read back to the same bits.
+
+    Args:
+        path: the file.
+        kind: LoopStatus, LevelCommand or LockEvent.
+        records: of that kind.
 
     Raises:
         BenchError: the file cannot be written.
     """
-    lines: list[Sequence[object]] = [_LOOP_COLUMNS]
-    lines += [[repr(v) if isinstance(v, float) else v for v in status] for status in states]
+    types = get_type_hints(kind)
+    lines: list[Sequence[object]] = [tuple(types)]
+    for record in records:
+        values = (getattr(record, name) for name in types)
+        lines.append([repr(v) if isinstance(v, float) else int(v) if isinstance(v, int) else v for v in values])
     _write(path, lines)
 
 
-def read_loop_table(path: Path) -> list[LoopStatus]:
-    """Read ``loop.csv``.
+def read_records(path: Path, kind: type[Record]) -> list[Record]:
+    """Read what :func:`write_records` wrote.
 
     Raises:
-        BenchError: other columns or a value that is no number.
+        BenchError: other columns, a value that is no number, or one that no message holds.
     """
     head, lines = _read(path)
-    if tuple(head) != _LOOP_COLUMNS:
-        raise BenchError(f"{path.name} is not a table of loop states; its columns must be {', '.join(_LOOP_COLUMNS)}.")
-    states = []
+    types, words = get_type_hints(kind), _RECORDS[kind]
+    if head != list(types):
+        raise BenchError(f"{path.name} is not a table of {words}; its columns must be {', '.join(types)}.")
+    records = []
     for number, cells in lines:
         try:
-            values = [
-                cell if name in _TEXT else int(cell) if name in _WHOLE else float(cell)
-                for name, cell in zip(_LOOP_COLUMNS, cells, strict=True)
-            ]
-            status = LoopStatus._make(values)
-            if not (0 <= status.last_sample < 2**63 and 0 <= status.level_index < 2**32 and 0 <= status.state < 256):
-                raise ValueError("out of range")
+            values = {name: types[name](_cell(types[name], cell)) for name, cell in zip(head, cells, strict=True)}
+            for name, value in values.items():
+                largest = 2**63 if name in _SAMPLES else 2**8 if name == "state" else 2**32
+                if isinstance(value, int) and not 0 <= value < largest:
+                    raise ValueError("out of range")
         except ValueError:
-            raise BenchError(f"{path.name} line {number} is not a row of loop states.") from None
-        states.append(status)
-    return states
+            raise BenchError(f"{path.name} line {number} is not a row of {words}.") from None
+        records.append(kind(**values))
+    return records
+
+
+def _cell(kind: type, text: str) -> str | int:
+    return int(text) if issubclass(kind, int) else text
 
 
 def _write(path: Path, lines: Iterable[Sequence[object]]) -> None:

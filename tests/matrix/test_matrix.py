@@ -27,6 +27,7 @@ from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.vocabulary import ControlKind, PointStatus, TestKind
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
+from nmt_extract.linear_evaluation import evaluate_linear_test
 from nmt_extract.modal_table import write_results
 from nmt_extract.offline import extract_bag
 from nmt_extract.synthesis import SynthesisedBackbone
@@ -37,6 +38,7 @@ from nmt_record.windows.segments import read_signals, segments
 from nmt_report.figure_files import report_figures
 from nmt_report.run_data_from_bag import report_data_from_bag
 from nmt_report.run_report import write_report
+from nmt_rig.linear_description import linear_description
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import Rig, load_rig
 from nmt_session import RunResult, Session, TestPlan, plan_test
@@ -147,6 +149,17 @@ def compares_with_the_reference(recording: Recording, _: Path) -> None:
     assert np.abs(away).max() < 3e-4  # what one exciter and a sine of voltage leave
 
 
+def fits_modes(recording: Recording, _: Path) -> None:
+    found = evaluate_linear_test(Bag.open(recording.bag), modes=2)
+    exact = linear_description(recording.rig)
+    assert len(found.test.modes) == 2
+    for mode, hertz, ratio in zip(
+        found.test.modes, np.array(exact.frequencies_rad_s) / (2.0 * np.pi), exact.damping_ratios, strict=True
+    ):
+        assert mode.frequency_hz == pytest.approx(hertz, rel=2e-3)
+        assert mode.damping_ratio == pytest.approx(ratio, rel=0.1)
+
+
 def synthesises(recording: Recording, _: Path) -> None:
     points = recording.result.points
     if not points:
@@ -203,6 +216,9 @@ def shows(recording: Recording, _: Path) -> None:
 TRIALS: dict[str, Callable[[Recording, Path], None]] = {
     "judgement": judges,
     "extract": extracts,
+    "linear": fits_modes,
+    "export and import": exports_and_imports,
+    "nmt.open": opens,
     "reference": compares_with_the_reference,
     "diagnosis": diagnoses,
     "synthesis": synthesises,

@@ -56,7 +56,9 @@ class RunSettings:
     def described(cls, description: Mapping[str, Any]) -> RunSettings:
         """Read from the plan in a run's description of itself, which has the kind of test as a word."""
         numbers = {kind.label(): int(number) for number, kind in KINDS.items()}
-        return cls.of_goal({**description, "test": numbers.get(str(description.get("test")), 0)})
+        control = description.get("control")
+        named = {"control": ControlKind.named(control)} if isinstance(control, str) else {}
+        return cls.of_goal({**description, **named, "test": numbers.get(str(description.get("test")), 0)})
 
     @property
     def values(self) -> dict[str, Any]:

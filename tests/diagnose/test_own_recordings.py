@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matrix.own_model import distance
 from matrix.small_rigs import EXCITERS, rig_text
 
 from nmt_core.errors import BenchError
@@ -16,10 +17,8 @@ from nmt_core.vocabulary import TestKind
 from nmt_diagnose.coverage import covers
 from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_diagnose.observations.kinds.phase_resonance_observations import _terms
-from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.prediction.forward import Forward
-from nmt_rig.rig import Rig, load_rig
+from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
 
 DRIVES: dict[str, dict[str, Any]] = {
@@ -55,16 +54,6 @@ def recorded(folder: Path, file: Path, **settings: Any) -> Path:
     return result.bag
 
 
-def distance(observations: Observations, rig: Rig) -> float:
-    """Rms of what a rig predicts beside what was observed, over σ."""
-    forward = Forward(observations.tests, observations.rows)
-    prediction = forward.predict(rig)
-    assert not prediction.reasons
-    return float(
-        np.sqrt(np.mean((forward.difference(observations.values, prediction.values) / observations.sigma) ** 2))
-    )
-
-
 def cases() -> list[Any]:
     """Exciters and drive; those that protect a change are in the first tier."""
     found = []
@@ -73,8 +62,6 @@ def cases() -> list[Any]:
             if exciters in ONE_EXCITER or "control" not in settings:  # several exciters have levels of voltage
                 first = drive == "sine" and exciters in ("force", "2 electrodynamic_shaker")
                 marks = [] if first else [pytest.mark.campaign]
-                if exciters == "2 force":
-                    marks.append(pytest.mark.xfail(reason="rms 3.2: what two ideal forces do in a window that moves"))
                 found.append(pytest.param(exciters, drive, id=f"{exciters}, {drive}", marks=marks))
     return found
 

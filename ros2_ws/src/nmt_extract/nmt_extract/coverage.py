@@ -21,7 +21,11 @@ def covers(test: DrivenTest) -> str:
         return ""
     if test.kind is TestKind.RING_DOWN:
         return f"Windows of {test.words} give free decays and no modal points; './nmt extract' writes decay.csv."
-    instead = "evaluate it with './nmt linear'" if kind.is_noise else "compare it with a model by './nmt diagnose'"
+    instead = "compare it with a model by './nmt diagnose'"
+    if kind.is_noise:
+        instead = "evaluate it with './nmt linear'"
+    elif kind.sweeps:
+        instead = "'./nmt sweep' writes its responses to frf.csv while it measures"
     return f"Windows of {test.words} give no modal points, which come from phase resonance tests; {instead}."
 
 

@@ -42,16 +42,14 @@ _SAME = 2.0e-3  # relative distance of modal amplitudes below which two points o
 
 def covers(test: DrivenTest) -> str:
     """What no response can be synthesised of, and what to use instead; empty = one can be."""
-    if test.kind in (TestKind.PHASE_RESONANCE, TestKind.RING_DOWN, TestKind.UNKNOWN):
+    if test.kind in (TestKind.PHASE_RESONANCE, TestKind.UNKNOWN):
         return ""
     if test.kind is TestKind.SELF_EXCITED:
         return (
             f"A synthesis needs a backbone with damping above zero, and {test.words} measures motions that feed "
             "themselves; use a test at phase resonance."
         )
-    return (
-        f"A synthesis needs a backbone, and {test.words} measures none; use a test at phase resonance or a ring-down."
-    )
+    return f"A synthesis needs a backbone, and {test.words} gives none; use a test at phase resonance."
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,12 +13,14 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_json as read_json_file
 from nmt_core.files.whole_file import csv_text
+from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract.modal_table import read_json
 from nmt_extract.response_table import read_response_csv
 from nmt_extract.swept_response import FrequencyResponseTable
-from nmt_extract.synthesis import OtherModes, ResonanceError, Synthesis, SynthesisedBackbone, resonance_error
+from nmt_extract.synthesis import OtherModes, ResonanceError, Synthesis, SynthesisedBackbone, covers, resonance_error
 
 POINTS = 801
 """Frequencies of ``synthesis.csv`` where nothing else is asked for."""
@@ -104,7 +106,7 @@ def synthesise(
         Traceback (most recent call last):
         nmt_core.errors.BenchError: Without a sweep (--sweep) the frequencies must be given: --from f1 --to f2 in Hz.
     """
-    points, inputs = read_json(_file(Path(backbone), "modal.json"))
+    points, inputs = _backbone(Path(backbone))
     description, others = _others(None if linear is None else Path(linear), inputs, _points(points))
     measured = SynthesisedBackbone.from_points(points, others)
     tables = [table for path in sweeps for table in read_response_csv(_file(Path(path), "frf.csv"))]
@@ -137,13 +139,29 @@ def synthesise(
     )
 
 
+def _backbone(path: Path) -> tuple[list[ModalPoint], dict[str, Any]]:
+    """Points and inputs of ``modal.json``, once the run beside it has been asked what drove it.
+
+    Raises:
+        BenchError: a damaged file, or a test of which nothing can be synthesised.
+    """
+    file = _file(path, "modal.json")
+    beside = file.with_name("run.json")
+    if beside.is_file():
+        run = read_json_file(beside, "run record")
+        refusal = covers(DrivenTest.of_run(run if isinstance(run, dict) else None, None))
+        if refusal:
+            raise BenchError(f"{file} is no backbone: {refusal}")
+    return read_json(file)
+
+
 def backbone_of_run(backbone: Path, linear: Path | None = None) -> tuple[SynthesisedBackbone, LinearDescription]:
     """The backbone of a results folder (or ``modal.json``) as it was measured, and the linear description it used.
 
     Raises:
         BenchError: files that are missing or do not go together, or fewer than two levels that locked.
     """
-    points, inputs = read_json(_file(backbone, "modal.json"))
+    points, inputs = _backbone(backbone)
     description, _ = _others(linear, inputs, _points(points))
     return SynthesisedBackbone.from_points([point for point in points if not point.force_order]), description
 

@@ -115,10 +115,15 @@ def covers(test: DrivenTest) -> str:
             f"The reference is the backbone of a mode, and {test.words} is off it by what the force drives beside the "
             "resonant order; use --reference none, or a test at phase resonance."
         )
+    if test.kind is TestKind.RING_DOWN:
+        return (
+            f"The reference is compared with modal points, and {test.words} gives free decays; plot reference.csv over "
+            "decay.csv, or use a test at phase resonance."
+        )
     if test.kind in (TestKind.RANDOM, TestKind.SWEEP, TestKind.STEPPED_SINE, TestKind.RECORD):
         return (
             f"The reference is the backbone of a mode, and {test.words} measures responses; use a test at phase "
-            "resonance, a ring-down or a self-excited test."
+            "resonance or a self-excited test."
         )
     return ""
 

@@ -347,18 +347,18 @@ def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunR
 
 def _reference(choice: str | None, bench: Bench, result: RunResult) -> ReferenceCurve | None:
     """The backbone to compare with: a file, or EPMC of the rig's model, solved at the measured amplitudes too."""
-    from nmt_core.kinds import SecondaryResonanceTest
-
-    if choice == "none" or (choice is None and isinstance(bench.test.kind, SecondaryResonanceTest)):
-        return None  # what the force drives beside the resonant order moves it off the mode's own backbone
+    if choice == "none":
+        return None
     import numpy as np
 
     from nmt_report.run_data import ReferenceCurve, read_reference
 
     if choice is not None:
         return read_reference(Path(choice))
-    from nmt_rig.reference import compute_reference
+    from nmt_rig.reference import compute_reference, covers
 
+    if covers(bench.test.driven):
+        return None
     measured = [point.modal_amplitude for point in result.points if np.isfinite(point.modal_amplitude)]
     if not measured:
         return None

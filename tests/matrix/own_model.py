@@ -1,0 +1,22 @@
+"""How far a model is from a recording that it made of itself."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.prediction.forward import Forward
+from nmt_rig.rig import Rig
+
+SETTLED = {Part.LOG_FREQUENCY: 1e-4, Part.LOG_MAGNITUDE: 4e-3, Part.PHASE: 4e-3, Part.PHASE_ERROR: 4e-3}
+"""A fifth of the gaps that matter to a diagnosis: a loop calls a level settled before its motion is wholly steady."""
+
+
+def distance(observations: Observations, rig: Rig) -> float:
+    """Rms of what a rig predicts beside what was observed, over the stated uncertainty and `SETTLED`."""
+    forward = Forward(observations.tests, observations.rows)
+    prediction = forward.predict(rig)
+    assert not prediction.reasons
+    difference = forward.difference(observations.values, prediction.values)
+    floor = np.array([SETTLED.get(Part(part), 0.0) for part in observations.rows.part])
+    return float(np.sqrt(np.mean((difference / np.hypot(observations.sigma, floor)) ** 2)))

@@ -11,7 +11,6 @@ setup(
     ],
     install_requires=[
         "jinja2>=3.1",
-        "joblib>=1.3",
         "matplotlib>=3.6",
         "numpy>=1.26",
         "PyYAML>=6.0",

@@ -128,6 +128,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     from nmt_core.threshold import thresholds_of
     from nmt_diagnose.effects.library import library
     from nmt_diagnose.thresholds import THRESHOLDS
+    from nmt_pll.thresholds import THRESHOLDS as LOOPS
     from nmt_rig import rig
 
     shown = {region for page in REFERENCE for region in make_reference.regions(page.read_text(encoding="utf-8"))}
@@ -149,6 +150,8 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all"), ("quantities", "modal")}
     wanted.add(("devices", "all"))
     wanted |= {("thresholds", path.rpartition(".")[0]) for path, *_ in thresholds_of(THRESHOLDS)}
+    wanted |= {("thresholds", f"loops.{path.rpartition('.')[0]}") for path, *_ in thresholds_of(LOOPS)}
+    wanted.add(("matrix", "tests"))
     assert {region for region in shown if region[0] != "keys"} == wanted
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from nmt_core.kinds import KINDS
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.messages.wire import LEVEL, LOCK_EVENT, write_status
@@ -54,6 +55,6 @@ def test_phase_resonance_gives_points(kind):
     assert sorted(points(kind)) == sorted([Status.NOT_LOCKED, Status.REJECTED])
 
 
-@pytest.mark.parametrize("kind", [*(kind for kind in TestKind if not kind.gives_modal_points), 77])
+@pytest.mark.parametrize("kind", [*(number for number, kind in KINDS.items() if not kind.gives_modal_points), 77])
 def test_other_kinds_give_none(kind):
     assert points(int(kind)) == []

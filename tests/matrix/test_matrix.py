@@ -45,7 +45,7 @@ from nmt_session import RunResult, Session, TestPlan, plan_test
 
 SETTINGS: dict[TestKind, dict[str, Any]] = {
     TestKind.PHASE_RESONANCE: {},
-    TestKind.RANDOM: {"levels": [0.15, 0.3], "band_hz": (5.0, 60.0), "duration": 8.0},
+    TestKind.RANDOM: {"levels": [0.15, 0.3], "band_hz": (5.0, 60.0), "duration": 30.0},
     TestKind.SWEEP: {"levels": [0.5], "frequencies_hz": (18.0,), "frequency_end_hz": 23.0, "rate_hz_s": 1.0},
     TestKind.STEPPED_SINE: {"levels": [0.5], "frequencies_hz": (19.0, 20.0, 21.0), "control": "force"},
     TestKind.RING_DOWN: {"duration": 2.0},

@@ -188,7 +188,7 @@ def test_a_stepped_sine_visits_every_frequency(tmp_path: Path) -> None:
         ({**SWEEP, "frequencies_hz": []}, "needs a frequency"),
         ({**SWEEP, "rate_hz_s": 0.0}, "rate other than 0"),
         ({**SWEEP, "rate_hz_s": -1.0}, "mind its sign"),
-        ({"test": "ring_down", "strategy": "ramp", "duration": 1.0}, "strategy ramp"),
+        ({"test": "ring_down", "strategy": "ramp", "duration": 1.0}, "A ring down test has no strategy"),
         ({"test": "ring_down", "duration": 1.0, "node_values": {"pll": {"loop": "paper"}}}, "does not switch off"),
         ({"test": "wobble"}, "'wobble' is not known; use phase_resonance"),
     ],

@@ -88,7 +88,10 @@ def sine(frequency: float, amplitude: float, ramp: float = 0.0, **more: object) 
         (sine(4900.0, 10.0, ramp=0.5), None),
         (sine(22.0, 0.1, apply_at_sample=2**60), "s ahead of sample 0; 60 s are allowed"),
         (sine(22.0, 0.1, ramp=1e300), "longer than a day"),
-        (sine(0.001, 0.0, harmonics=tuple((n, 0j) for n in range(2, 300))), "298 harmonics; use 200"),
+        (
+            sine(0.001, 0.0, terms=tuple(DriveTerm(1, n, 0j, False) for n in range(2, 500))),
+            "498 harmonics and other terms; use 400",
+        ),
         (DriveCommand(Waveform.RANDOM, amplitude=0.1, band_low_hz=1e-9, band_high_hz=10.0), "must begin at 0.2 Hz"),
     ],
 )
@@ -315,7 +318,7 @@ def _hostile(rng: np.random.Generator, now: int) -> DriveCommand | None:
     waveform = Waveform(int(rng.choice([1, 2, 2, 2, 3, 3, 4, 4])))
     periodic = waveform in (Waveform.SINE, Waveform.SWEEP)
     harmonics = tuple(
-        (int(rng.choice([2, 3, 5, 7, 50, 2**31])), complex(number(5.0), number(5.0)))
+        DriveTerm(1, int(rng.choice([2, 3, 5, 7, 50, 2**31])), complex(number(5.0), number(5.0)), False)
         for _ in range(int(rng.choice([0, 0, 1, 3])) if periodic else 0)
     )
     start, end = number(3000.0), number(3000.0)
@@ -328,7 +331,7 @@ def _hostile(rng: np.random.Generator, now: int) -> DriveCommand | None:
             ramp=0.0 if rng.random() < 0.6 else number(0.1),
             apply_at_sample=int(rng.choice([0, now, now + 100, now + 5000, 2**60, 2**63])),
             based_on_sample=int(rng.choice([0, now, 2**60, 2**64 - 1])),
-            harmonics=harmonics,
+            terms=harmonics,
             band_low_hz=number(100.0) if waveform == Waveform.RANDOM else 0.0,
             band_high_hz=number(4000.0) if waveform == Waveform.RANDOM else 0.0,
             rate_hz_s=math.copysign(number(1e4), end - start) if sweep else 0.0,

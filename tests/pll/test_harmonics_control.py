@@ -11,13 +11,13 @@ from pll.harmonic_plant import CUTOFF, DISTURBANCE, FREQUENCY, RATE, HarmonicPla
 
 from nmt_core.errors import BenchError
 from nmt_pll.harmonics.harmonics_control import (
-    PHASE_MARGIN,
     HarmonicsController,
     HeldVoltages,
     integral_rate,
     most_harmonics,
     table_from_json,
 )
+from nmt_pll.thresholds import HARMONICS
 
 ALONE = float(np.linalg.norm(DISTURBANCE))
 BLOCKS_MS = (10.0, 20.0, 40.0)
@@ -37,8 +37,8 @@ def test_closed_form_has_the_margins_that_it_states(block, latency):
     loop = rate * np.exp(-1j * omega * dead) / (1j * omega * (1 + 1j * omega / CUTOFF))
     phase = np.unwrap(np.angle(loop))
     crossover = np.argmax(np.abs(loop) < 1.0)
-    assert math.pi + phase[crossover] >= 0.5 * math.pi - PHASE_MARGIN
-    assert 1.0 / abs(loop[np.argmax(phase < -math.pi)]) >= math.pi / (2 * PHASE_MARGIN)
+    assert math.pi + phase[crossover] >= 0.5 * math.pi - HARMONICS.phase_margin_rad
+    assert 1.0 / abs(loop[np.argmax(phase < -math.pi)]) >= math.pi / (2 * HARMONICS.phase_margin_rad)
 
 
 @pytest.mark.parametrize("block_ms", BLOCKS_MS)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nmt_pll.amplitude.held_amplitude import ExciterEstimate, ForceHolder, ResponseHolder, VoltageRecord
+from nmt_pll.thresholds import AMPLITUDE
 
 BLOCK = 0.02  # s
 CUTOFF = 350.0  # rad/s
@@ -91,14 +92,12 @@ def test_a_reckless_controller_is_found_out() -> None:
         return closed_loop_radius(2.4, 0.0, 0j)
 
     assert radius() < 1.0
-    import nmt_pll.amplitude.held_amplitude as module
-
-    share = module._FEEDBACK
+    share = AMPLITUDE.feedback_gain_share
     try:
-        module._FEEDBACK = 5.0 * share
+        object.__setattr__(AMPLITUDE, "feedback_gain_share", 5.0 * share)
         assert radius() > 1.0
     finally:
-        module._FEEDBACK = share
+        object.__setattr__(AMPLITUDE, "feedback_gain_share", share)
 
 
 def test_exciter_is_found_along_a_sweep() -> None:

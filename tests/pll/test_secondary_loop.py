@@ -12,7 +12,7 @@ from tiers import with_quick
 from nmt_core.errors import BenchError
 from nmt_core.messages.secondary_resonance import resonance_named, resonance_of
 from nmt_core.vocabulary import LoopState
-from nmt_pll import secondary_loop
+from nmt_pll.thresholds import SECONDARY
 
 NOISE = [
     "sensors.0.noise_psd=2e-9",
@@ -78,9 +78,17 @@ def test_on_the_isola_the_force_can_be_stepped_on():
     assert all(item.frequency_hz > 60.0 for item in outcome.outputs)  # no second release
 
 
-def test_below_the_isola_every_release_is_tried_and_the_drive_goes_to_zero(monkeypatch):
+@pytest.fixture
+def two_releases():
+    usual = SECONDARY.release_ratios
+    object.__setattr__(SECONDARY, "release_ratios", (1.0, 0.7))
+    yield
+    object.__setattr__(SECONDARY, "release_ratios", usual)
+
+
+@pytest.mark.usefixtures("two_releases")
+def test_below_the_isola_every_release_is_tried_and_the_drive_goes_to_zero():
     """Below F = 0.47 there is no isola: the response leaves after each release."""
-    monkeypatch.setattr(secondary_loop, "RELEASES", (1.0, 0.7))
     rig = SecondaryRig("1:3")
     outcome = rig.run_level(0.3, seconds=400.0, release=0.5)
     assert outcome.lock is None

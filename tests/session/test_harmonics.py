@@ -61,13 +61,13 @@ def test_harmonics_vanish_and_with_them_the_error_of_damping():
     assert np.abs(damping).max() < 0.005
     assert np.abs(frequency).max() < 6e-4
     assert any("force harmonics up to 9 within" in reason for reason in reasons)
-    assert all(len(drive.harmonics) == 8 for drive in drives if drive.amplitude > 0)
-    assert drives[-1].harmonics == ()
+    assert all(len(drive.terms) == 8 for drive in drives if drive.amplitude > 0)
+    assert drives[-1].terms == ()
 
     plain_plan, plain, plain_drives, _ = run()
     assert harmonics(plain.points[1]).max() > 0.04
     assert errors(plain_plan, plain.points)[1][1] < -0.04
-    assert all(drive.harmonics == () for drive in plain_drives)
+    assert all(drive.terms == () for drive in plain_drives)
     periods = 40 * len(ONSET) / 22.2
     assert result.bench_time < plain.bench_time + periods
 
@@ -82,7 +82,7 @@ def test_levels_for_comparison_are_without_control():
     assert harmonics(controlled).max() < 0.005
     assert harmonics(last).max() < 0.005
     assert controlled.damping_ratio > 1.02 * without.damping_ratio
-    assert any(drive.amplitude > 0 and not any(abs(v) for _, v in drive.harmonics) for drive in drives)
+    assert any(drive.amplitude > 0 and not any(abs(term.value) for term in drive.terms) for drive in drives)
 
 
 def test_the_modal_target_gives_harmonics_the_power_that_the_mode_needs():
@@ -122,16 +122,16 @@ def test_a_force_per_volt_that_is_wrong_or_not_known_makes_no_difference_in_the_
     assert np.abs(errors(plan, result.points)[1]).max() < 0.005
     assert not any("given up" in reason for reason in reasons)
     if factor is None:  # one harmonic at a time, 2 % of the drive
-        first = [drive.harmonics for drive in drives if any(abs(v) for _, v in drive.harmonics)][:50]
-        assert all(sum(abs(v) > 0 for _, v in harmonic) == 1 for harmonic in first)
-        assert max(abs(v) for harmonic in first for _, v in harmonic) == pytest.approx(0.02 * ONSET[0])
+        first = [drive.terms for drive in drives if any(abs(term.value) for term in drive.terms)][:50]
+        assert all(sum(abs(term.value) > 0 for term in terms) == 1 for terms in first)
+        assert max(abs(term.value) for terms in first for term in terms) == pytest.approx(0.02 * ONSET[0])
 
 
 @pytest.mark.parametrize("limit", [1.505, 1.56])
 def test_at_the_voltage_limit_harmonics_are_given_up_by_name_and_the_level_goes_on(limit):
     _, result, drives, reasons = run((0.3308, 1.5), harmonics_control=9, overrides=[f"limits.voltage_v={limit}"])
     assert [point.status for point in result.points] == [PointStatus.OK] * 2
-    assert max(drive.amplitude + sum(abs(v) for _, v in drive.harmonics) for drive in drives) <= limit
+    assert max(drive.amplitude + sum(abs(term.value) for term in drive.terms) for drive in drives) <= limit
     assert any("harmonic 3 given up: it would need more than" in reason for reason in reasons)
     assert not any(remark.startswith("Plant") for remark in result.remarks)
 
@@ -141,7 +141,7 @@ def test_the_slew_limit_bounds_the_sum():
     _, result, drives, _ = run((0.3308, 1.5), harmonics_control=9, overrides=[f"limits.slew_v_s={slew}"])
     assert [point.status for point in result.points] == [PointStatus.OK] * 2
     assert not any(remark.startswith("Plant") for remark in result.remarks)
-    assert any(abs(v) > 0 for drive in drives for _, v in drive.harmonics)
+    assert any(abs(term.value) > 0 for drive in drives for term in drive.terms)
 
 
 def test_a_dead_force_cell_ends_the_level_with_the_drive_at_zero():
@@ -149,7 +149,7 @@ def test_a_dead_force_cell_ends_the_level_with_the_drive_at_zero():
     assert result.points[0].status is PointStatus.NOT_LOCKED
     assert any("floor" in reason for reason in reasons)
     assert drives[-1].amplitude == 0.0
-    assert all(abs(v) == 0 for drive in drives for _, v in drive.harmonics)
+    assert all(abs(term.value) == 0 for drive in drives for term in drive.terms)
 
 
 @pytest.mark.parametrize(

@@ -488,9 +488,7 @@ def integrate_contacts(
     row_order = np.zeros(2 * ports, dtype=np.int64)
     iterated = motion.gains < _ITERATED_BELOW
     ticks = 1 << levels
-    count = 0
-    earliest = 0.0
-    fresh = False
+    count, earliest, fresh = 0, 0.0, False
     increments, ends = np.zeros(len(exciters)), np.zeros((len(exciters), 2))
     for k in range(inputs.shape[1] - 1):
         write_outputs(rows, state, forces, ports, inputs, k, outputs)

@@ -150,11 +150,9 @@ def compares_with_the_reference(recording: Recording, _: Path) -> None:
 def fits_modes(recording: Recording, _: Path) -> None:
     found = evaluate_linear_test(Bag.open(recording.bag), modes=2)
     exact = linear_description(recording.rig)
-    assert len(found.test.modes) == 2
-    for mode, hertz, ratio in zip(
-        found.test.modes, np.array(exact.frequencies_rad_s) / (2.0 * np.pi), exact.damping_ratios, strict=True
-    ):
-        assert mode.frequency_hz == pytest.approx(hertz, rel=2e-3)
+    assert found.test.modes[0].frequency_hz < 25.0  # the target; a table does not drive the mode above it
+    for mode, omega, ratio in zip(found.test.modes, exact.frequencies_rad_s, exact.damping_ratios, strict=False):
+        assert mode.frequency_hz == pytest.approx(omega / (2.0 * np.pi), rel=2e-3)
         assert mode.damping_ratio == pytest.approx(ratio, rel=0.1)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
@@ -107,8 +108,10 @@ class ChannelFindings:
             rms = window.data.std(axis=1)
             faults.update(channel_noise.noise_jumps(motion.noise, rms, history.noise, judged, self._unrepeated))
         drive = self._drive_state()
-        # What the exciter is expected to do at resonance holds for the target mode.
-        right_mode = motion.orders == (1, 1) and other_mode(shape[0], linear) is None
+        # What the exciter is expected to do at resonance holds for the target mode, and where there is a force: that of
+        # a self-excited motion vanishes at its limit cycle.
+        driven = kind_class(window.lock.test).stops_without_answer
+        right_mode = driven and motion.orders == (1, 1) and other_mode(shape[0], linear) is None
         if history is not None and right_mode and rows.force not in faults and rows.drive not in faults:
             gain = force_judge.force_gain(drive, history.drives, linear, rows.force in history.faulty)
             if gain is not None:

@@ -6,8 +6,8 @@ chosen command's module is imported, so help and refusals come at once; what few
 it. Further commands come from whatever is installed with entry points in the group ``nmt.commands``, as are the
 campaigns; their modules have a ``SUMMARY``, too.
 
-Exit codes: 0 done, 1 unexpected error (its traceback is in a log file), 2 a mistake that the user can fix,
-130 interrupted.
+Exit codes: 0 done, 1 failed or an unexpected error (its traceback is in a log file), 2 a mistake that the user can fix,
+3 a run some of whose levels are not in the table, 130 interrupted.
 """
 
 from __future__ import annotations

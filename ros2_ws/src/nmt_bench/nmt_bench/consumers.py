@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 
-from nmt_core.messages.driven_test import Covers, DrivenTest
+from nmt_core.messages.driven_test import Covers
 
 CONSUMERS: dict[str, str] = {
     "run": "nmt_session.coverage",
@@ -27,9 +27,3 @@ def covers_of(consumer: str) -> Covers:
     """What a consumer says of a test: empty = it takes it, else one sentence why not."""
     found: Covers = importlib.import_module(CONSUMERS[consumer]).covers
     return found
-
-
-def refusals(test: DrivenTest) -> dict[str, str]:
-    """Sentence of each consumer that does not take a test."""
-    found = {name: covers_of(name)(test) for name in CONSUMERS}
-    return {name: sentence for name, sentence in found.items() if sentence}

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_extract.judgement.channel_gain import ShapeLevel
 from nmt_extract.judgement.force_judge import DriveState
 from nmt_extract.judgement.moving_shape import Course, Doubt, moves_on, stays
 from nmt_extract.judgement.shape_judge import Deviation
@@ -27,6 +28,7 @@ class ChannelHistory:
         driven: levels in which the drive has harmonics, and up to which those of the force are controlled.
         shapes: those of all levels without a fault, of unit size and common phase.
         course: where they lie on the way of the shape.
+        levels: those at which the shape is near the target's, as the fit of a gain needs them.
         doubts: channels that may be off, by row: measured over expected, where that was, and whether it has stayed
             while the amplitude changed.
     """
@@ -40,6 +42,7 @@ class ChannelHistory:
     driven: dict[int, int] = field(default_factory=dict)
     shapes: list[ComplexArray] = field(default_factory=list)
     course: list[Course] = field(default_factory=list)
+    levels: list[ShapeLevel] = field(default_factory=list)
     doubts: dict[int, Doubt] = field(default_factory=dict)
 
     def doubt(self, found: Mapping[int, Deviation], course: Course) -> Mapping[int, Doubt]:
@@ -70,10 +73,12 @@ class ChannelHistory:
         noise: FloatArray,
         drive: DriveState,
         course: Course,
+        level: ShapeLevel | None,
     ) -> None:
-        """Take a level without a fault."""
+        """Take a level without a fault, as it was measured."""
         if self.names != tuple(names):
-            self.drives, self.shapes, self.course = [], [], []
+            self.drives, self.shapes, self.course, self.levels = [], [], [], []
+        self.levels += [] if level is None else [level]
         self.drives.append(drive)
         self.course.append(course)
         self.shapes.append(shape / np.linalg.norm(shape) * np.exp(-1j * np.angle(shape.sum())))

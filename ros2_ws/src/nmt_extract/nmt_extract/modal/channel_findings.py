@@ -13,7 +13,8 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_extract.judgement import channel_noise, force_judge, moving_shape, shape_judge
+from nmt_extract.judgement import channel_gain, channel_noise, force_judge, moving_shape, shape_judge
+from nmt_extract.judgement.channel_gain import ChannelGain, ShapeLevel
 from nmt_extract.judgement.channel_history import ChannelHistory
 from nmt_extract.judgement.force_judge import DriveState
 from nmt_extract.modal.channels import WindowRows, derived
@@ -56,7 +57,9 @@ class ChannelFindings:
         rows: with a response at the drive point that is not faulty.
         faults: words by row.
         doubt: one sentence on channels that may be off; else empty.
+        gain: one sentence on a channel whose gain is off; else empty.
         other_shapes: what the shape (as it was measured) could be instead, shape ``(sets, points)`` each.
+        other_amplitudes: what all harmonics could be instead, shape ``(sets, channels, H + 1)`` each.
 
     Raises:
         BenchError: too little is left without the faulty channels.
@@ -65,8 +68,9 @@ class ChannelFindings:
     def __init__(self, motion: PeriodicMotion, linear: LinearDescription, history: ChannelHistory) -> None:
         self.motion, self.linear, self.history, self.rows = motion, linear, history, motion.rows
         self.faults: dict[int, str] = {}
-        self.doubt = ""
+        self.doubt = self.gain = ""
         self.other_shapes: list[ComplexArray] = []
+        self.other_amplitudes: list[ComplexArray] = []
         self._judge()
 
     @property
@@ -100,9 +104,10 @@ class ChannelFindings:
             faults[rows.shape[index]] = f"{words}, by the shape {of}"
         metres = shape[0] / (1j * omega) ** MOTIONS[rows.shape_quantity]
         course = moving_shape.course_of(metres, near, linear, omega)
+        doubts: Mapping[int, moving_shape.Doubt] = {}
         if near and not faults:
             doubtful = {rows.shape[index]: each for index, each in found.doubtful.items()}
-            self._note(self.history.doubt(doubtful, course), near)
+            doubts = self.history.doubt(doubtful, course)
         if history is not None:
             judged = [row for row in rows.used if row not in faults]
             rms = window.data.std(axis=1)
@@ -113,10 +118,10 @@ class ChannelFindings:
         driven = kind_class(window.lock.test).stops_without_answer
         right_mode = driven and motion.orders == (1, 1) and other_mode(shape[0], linear) is None
         if history is not None and right_mode and rows.force not in faults and rows.drive not in faults:
-            gain = force_judge.force_gain(drive, history.drives, linear, rows.force in history.faulty)
-            if gain is not None:
+            force_gain = force_judge.force_gain(drive, history.drives, linear, rows.force in history.faulty)
+            if force_gain is not None:
                 faults[rows.force] = (
-                    f"measures {gain:.2f} times what voltage and response say by the levels up to level "
+                    f"measures {force_gain:.2f} times what voltage and response say by the levels up to level "
                     f"{history.level_index + 1}: its gain, or that of the amplifier, has changed"
                 )
         if not faults:
@@ -125,8 +130,15 @@ class ChannelFindings:
                     "The shape is not one that the linear modes can have: look at the channels, at the points of the "
                     "linear description, and at which mode was locked."
                 )
-            self.history.take(names, window.lock.level_index, shape[0], motion.noise, drive, course)
+            level = self._shape_level(metres, shape) if right_mode else None
+            self.history.take(names, window.lock.level_index, shape[0], motion.noise, drive, course, level)
+            gain = None if level is None else channel_gain.channel_gain(self.history.levels, linear)
+            if gain is not None:
+                self._take_out(gain)
+            else:
+                self._note(doubts, near)
             return
+        self._note(doubts, near)
         self.history.faulty = frozenset(faults)
         self._leave_out(history)
 
@@ -146,6 +158,26 @@ class ChannelFindings:
             for row in self.rows.used
             if not (is_held and row == self.rows.force)
         }
+
+    def _shape_level(self, metres: ComplexArray, shape: ComplexArray) -> ShapeLevel:
+        """This level for the fit of a gain: displacements (m), shape as it was measured ``(sets, points)``."""
+        motion = self.motion
+        std = shape_std(shape, motion.parts) * np.abs(metres) / np.maximum(np.abs(shape[0]), 1e-300)
+        forces = motion.amplitudes[0, list(self.rows.forces), motion.orders[1]]
+        return ShapeLevel(motion.orders[0] * float(motion.omega[0]), metres, std, forces)
+
+    def _take_out(self, gain: ChannelGain) -> None:
+        """Divide a channel by its gain, and put that into words and into the uncertainty."""
+        motion, row = self.motion, self.rows.shape[gain.index]
+        motion.divide(row, gain.ratio)
+        other = motion.amplitudes.copy()
+        other[:, row] *= 1.0 + gain.std / gain.ratio
+        self.other_amplitudes.append(other)
+        by = "this level" if gain.levels == 1 else f"{gain.levels} levels up to this one"
+        self.gain = (
+            f"{motion.window.channels[row].name} measures {gain.ratio:.2f} times what the other channels say, by the "
+            f"linear modes of the {self.linear.source} and {by}: its gain is off, and its values are divided by this."
+        )
 
     def _note(self, doubts: Mapping[int, moving_shape.Doubt], near: Sequence[int]) -> None:
         """Put channels that may be off into words, and what follows without their deviation into the uncertainty."""

@@ -113,6 +113,9 @@ class WindowEvaluation:
             metres = other * (1j * omega[:, np.newaxis]) ** -MOTIONS[rows.shape_quantity]
             for name, change in self.change(self.values(motion.amplitudes, metres), fields).items():
                 fields[f"{name}_std"] = math.hypot(fields[f"{name}_std"], change)
+        for amplitudes in channels.other_amplitudes:
+            for name, change in self.change(self.values(amplitudes), fields).items():
+                fields[f"{name}_std"] = math.hypot(fields[f"{name}_std"], change)
         fields["omega_rad_s"] = float(omega[0])
         fields["frequency_hz"] = self.order * float(motion.frequency_hz[0])
         fields["omega_rad_s_std"] = math.hypot(
@@ -128,7 +131,7 @@ class WindowEvaluation:
         window_judge.not_below(fields, least)
         sentences = (
             f"Left out: {channels.fault_words}" if channels.faults else "",
-            channels.doubt,
+            channels.gain or channels.doubt,
             mode_sentence(values.shape[0], linear, float(omega[0])),
             window_judge.words_of([remark for remark in remarks if remark.sentence], fields),
         )

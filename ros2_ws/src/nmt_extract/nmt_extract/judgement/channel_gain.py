@@ -12,77 +12,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.threshold import threshold
 from nmt_extract.judgement.moving_shape import near_modes
+from nmt_extract.judgement.thresholds import THRESHOLDS
 
 _STEPS = 6  # of the fit of a gain: each leaves a tenth of the error
-_TEST = "tests/extract/test_channel_gain.py::"
 
-
-@dataclass(frozen=True)
-class GainThresholds:
-    """What is asked of a gain before it is named, and what modes may do without one."""
-
-    evidence: float = threshold(
-        16.0, "1",
-        "Misfit that the gain takes away: four standard deviations, as every window asks this of every channel anew.",
-        _TEST + "test_a_threshold_decides[evidence]",
-    )  # fmt: skip
-    lead: float = threshold(
-        9.0, "1",
-        "Misfit that the gain of any other channel leaves beyond that of the one named: three standard deviations.",
-        _TEST + "test_a_threshold_decides[lead]",
-    )  # fmt: skip
-    misfit: float = threshold(
-        1.0, "1",
-        "Misfit over the degrees of freedom that a gain may leave; with more, something else happens than a gain.",
-        _TEST + "test_a_threshold_decides[misfit]",
-    )  # fmt: skip
-    smallest: float = threshold(
-        0.05, "1",
-        "Deviation of a gain that is named: calibration, cables and mounting together stay below it.",
-        _TEST + "test_a_threshold_decides[smallest]",
-    )  # fmt: skip
-    smallest_share: float = threshold(
-        0.002, "1",
-        "The same of the largest value of the shape: what a point near a node does matters to no result.",
-        _TEST + "test_a_threshold_decides[smallest_share]",
-    )  # fmt: skip
-    model_shape: float = threshold(
-        0.01, "1",
-        "Standard deviation of a shape's value, of it, where the description states none: as of ordinary gains.",
-        _TEST + "test_a_threshold_decides[model_shape]",
-    )  # fmt: skip
-    shape_floor: float = threshold(
-        5e-4, "1",
-        "Standard deviation of every value of a shape, of its largest: modes beyond those that are described.",
-        _TEST + "test_a_threshold_decides[shape_floor]",
-    )  # fmt: skip
-    mixing: float = threshold(
-        3.0, "1",
-        "Share of a near mode over the shift of the frequency beside its distance: a force at one place mixes so.",
-        _TEST + "test_a_threshold_decides[mixing]",
-    )  # fmt: skip
-    mixed: float = threshold(
-        0.01, "1",
-        "Share of a near mode that a level may have for no reason that is known: drift from level to level.",
-        _TEST + "test_a_threshold_decides[mixed]",
-    )  # fmt: skip
-    driven: float = threshold(
-        0.2, "1",
-        "Error of the share that the exciters drive, of it: damping of a near mode is known to that.",
-        _TEST + "test_a_threshold_decides[driven]",
-    )  # fmt: skip
-
-
-THRESHOLDS = GainThresholds()
 MOST_LEVELS = 16
 """Levels that are fitted: of more, those whose frequency is nearest to the linear one; they say most of a gain."""
 
@@ -107,13 +47,13 @@ class ChannelGain(NamedTuple):
     """A gain that is off.
 
     Attributes:
-        index: of the point in the shape.
+        place: of the point in the shape, from 0.
         ratio: measured over true.
         std: standard uncertainty of the ratio.
         levels: how many levels say so.
     """
 
-    index: int
+    place: int
     ratio: float
     std: float
     levels: int
@@ -133,25 +73,22 @@ def channel_gain(levels: Sequence[ShapeLevel], linear: LinearDescription) -> Cha
     chosen = sorted(levels, key=lambda level: abs(level.omega - target))[:MOST_LEVELS]
     fit = _Fit(chosen, linear, near)
     without = fit.misfit(np.ones(len(linear.points)))
-    if without < THRESHOLDS.evidence:
+    if without < THRESHOLDS.gain.evidence:
         return None
     gains = sorted((fit.gain(index) for index in range(len(linear.points))), key=lambda gain: gain.misfit)
     best, second = gains[0], gains[1]
-    scale = np.abs(fit.modes[:, 0])
-    share = abs(best.ratio - 1.0) * scale[best.index] / scale.max()
-    limits = THRESHOLDS
+    limits = THRESHOLDS.gain
     clear = (
         without - best.misfit > limits.evidence
         and second.misfit - best.misfit > limits.lead
         and best.misfit < limits.misfit * fit.freedom
         and abs(best.ratio - 1.0) > limits.smallest
-        and share > limits.smallest_share
     )
-    return ChannelGain(best.index, best.ratio, best.std, len(chosen)) if clear else None
+    return ChannelGain(best.place, best.ratio, best.std, len(chosen)) if clear else None
 
 
 class _Gain(NamedTuple):
-    index: int
+    place: int
     ratio: float
     std: float
     misfit: float
@@ -171,17 +108,18 @@ class _Fit:
 
     def __init__(self, levels: Sequence[ShapeLevel], linear: LinearDescription, near: Sequence[int]) -> None:
         chosen = [linear.target_mode, *near]
-        self.modes: FloatArray = linear.shape_matrix[:, chosen]
+        self.modes = linear.shape_matrix[:, chosen]
         self.levels, self.linear, self.near = levels, linear, list(near)
         points, columns = self.modes.shape
         self.freedom = 2 * len(levels) * (points - 1) - 1
-        self.inverse: FloatArray = np.linalg.pinv(self.modes)
+        self.inverse: FloatArray = np.asarray(np.linalg.pinv(self.modes), dtype=np.float64)
         largest = np.abs(self.modes).max(axis=0)
-        stds = np.hypot(THRESHOLDS.model_shape * self.modes, THRESHOLDS.shape_floor * largest)
+        floor = THRESHOLDS.gain.shape_floor * largest
+        stds: FloatArray = np.asarray(np.hypot(THRESHOLDS.gain.model_shape * self.modes, floor))
         if linear.shape_stds:
             known = np.array(linear.shape_stds, dtype=np.float64)[:, chosen]
-            stds = np.where(np.isfinite(known), np.hypot(known, THRESHOLDS.shape_floor * largest), stds)
-        self.mode_stds: FloatArray = stds
+            stds = np.asarray(np.where(np.isfinite(known), np.hypot(known, floor), stds))
+        self.mode_stds = stds
         self.shared = points * columns
 
     def gain(self, index: int) -> _Gain:
@@ -224,9 +162,7 @@ class _Fit:
         zeros = np.zeros(self.shared)
         return np.concatenate([*blocks, prior]), np.concatenate([*values, zeros]), np.concatenate([*slopes, zeros])
 
-    def _rows_of(
-        self, level: ShapeLevel, ratios: FloatArray, index: int
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _rows_of(self, level: ShapeLevel, ratios: FloatArray, index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Rows of one level: real and imaginary part of every point, then those of the shares of near modes."""
         modes, (points, columns) = self.modes, self.modes.shape
         shape = level.shape / ratios
@@ -267,7 +203,7 @@ class _Fit:
         largest = float(np.abs(value).max())
         at_rest = self.linear.frequencies_rad_s[self.linear.target_mode]
         shift = abs(level.omega**2 / at_rest**2 - 1.0)
-        real = np.hypot(np.nan_to_num(level.std) / target, math.hypot(THRESHOLDS.shape_floor, shift) * largest)
+        real = np.hypot(np.nan_to_num(level.std) / target, math.hypot(THRESHOLDS.gain.shape_floor, shift) * largest)
         damping = 2.0 * self.linear.damping_ratios[self.linear.target_mode]
         return real, np.hypot(real, damping * largest)
 
@@ -278,16 +214,16 @@ class _Fit:
         gap = min(abs(linear.frequencies_rad_s[mode] - at_rest) for mode in self.near)
         exciters = linear.exciter_points or (linear.drive_point,)
         shift = abs(omega - at_rest) / max(gap, 1e-300)
-        driven = np.zeros(len(self.near), dtype=np.complex128)
+        driven, largest = np.zeros(len(self.near), dtype=np.complex128), np.abs(self.modes[:, 1:]).max(axis=0)
         for k, mode in enumerate(self.near):
-            own = linear.frequencies_rad_s[mode]
-            dynamic = own**2 - omega**2 + 2j * linear.damping_ratios[mode] * own * omega
-            for point, force in zip(exciters, level.forces, strict=False):
-                # A drive point that no sensor stands at: its shape is taken to be as large as that of any other.
-                place = linear.points.index(point) if point in linear.points else None
-                size = linear.shape_matrix[place, mode] if place is not None else np.abs(self.modes[:, 1 + k]).max()
+            natural = linear.frequencies_rad_s[mode]
+            dynamic = natural**2 - omega**2 + 2j * linear.damping_ratios[mode] * natural * omega
+            for point, force in zip(exciters, level.forces, strict=True):
+                # Where no sensor stands at an exciter, its value is taken to be the largest of the shape.
+                measured = point in linear.points
+                size = linear.shape_matrix[linear.points.index(point), mode] if measured else largest[k]
                 driven[k] += size * force / dynamic / target
-        std = np.hypot(THRESHOLDS.mixing * shift + THRESHOLDS.mixed, THRESHOLDS.driven * np.abs(driven))
+        std = np.hypot(THRESHOLDS.gain.mixing * shift + THRESHOLDS.gain.mixed, THRESHOLDS.gain.driven * np.abs(driven))
         if not set(exciters) <= set(linear.points):
             std = np.hypot(std, np.abs(driven))
         return driven, np.asarray(std)

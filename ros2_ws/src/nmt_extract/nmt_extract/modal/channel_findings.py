@@ -168,7 +168,7 @@ class ChannelFindings:
 
     def _take_out(self, gain: ChannelGain) -> None:
         """Divide a channel by its gain, and put that into words and into the uncertainty."""
-        motion, row = self.motion, self.rows.shape[gain.index]
+        motion, row = self.motion, self.rows.shape[gain.place]
         motion.divide(row, gain.ratio)
         other = motion.amplitudes.copy()
         other[:, row] *= 1.0 + gain.std / gain.ratio

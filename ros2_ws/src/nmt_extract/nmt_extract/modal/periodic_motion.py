@@ -85,19 +85,6 @@ class PeriodicMotion:
         orders = np.arange(self.harmonics + 1)
         return np.asarray((amplitudes @ np.exp(2j * np.pi * np.outer(orders, self.cycles[first:end]))).real)
 
-    def divide(self, row: int, gain: float) -> None:
-        """Divide all that is known of a channel by a real gain, in place but for the samples of the window."""
-        data = self.window.data.copy()
-        data[row] /= gain
-        self.window = replace(self.window, data=data)
-        projections = self.part_moments.projections.copy()
-        projections[:, row] /= gain
-        self.part_moments = Moments(self.part_moments.basis, projections)
-        for amplitudes in (self.amplitudes, self.part_amplitudes, self.other_amplitudes):
-            if amplitudes is not None:
-                amplitudes[:, row] /= gain
-        self.noise[row] /= abs(gain)
-
     def _find_phase(self) -> None:
         window = self.window
         self.fitted = window.cycles is None
@@ -212,3 +199,18 @@ class PeriodicMotion:
             seconds = (self.window.samples - np.diff(bounds)) / rate
             self.frequency_hz[1:] = advance / seconds
             self.frequency_std = jackknife(self.frequency_hz[1:], frequency)
+
+    def divide(self, row: int, gain: float) -> None:
+        """Divide all that is known of a channel by a real gain, in place but for the samples of the window."""
+        data = self.window.data.copy()
+        data[row] /= gain
+        self.window = replace(self.window, data=data)
+        moments: Moments = self.part_moments
+        projections = moments.projections.copy()
+        projections[:, row] /= gain
+        self.part_moments = Moments(moments.basis, projections)
+        for amplitudes in (self.amplitudes, self.part_amplitudes, self.other_amplitudes):
+            if amplitudes is not None:
+                amplitudes[:, row] /= gain
+        self.noise = self.noise.copy()
+        self.noise[row] /= abs(gain)

@@ -546,15 +546,16 @@ def quantities_table(name: str) -> str:
 
 
 def thresholds_table(theme: str) -> str:
-    """Thresholds of one theme of the diagnosis, as ``signals.decays``, or of the loops, as ``loops.phase``."""
+    """Thresholds of one theme of the diagnosis, as ``signals.decays``, of the loops, as ``loops.phase``, or ``judgement.gain``."""
     from nmt_core.threshold import thresholds_of
     from nmt_diagnose.thresholds import THRESHOLDS
+    from nmt_extract.judgement.thresholds import THRESHOLDS as JUDGEMENT
     from nmt_pll.thresholds import THRESHOLDS as LOOPS
 
-    theme, _, of_loops = theme.partition("loops.")
-    record: Any = LOOPS if of_loops else THRESHOLDS
-    theme = of_loops or theme
-    for name in theme.split("."):
+    first, *names = theme.split(".")
+    others = {"loops": LOOPS, "judgement": JUDGEMENT}
+    record: Any = others.get(first, THRESHOLDS)
+    for name in names if first in others else [first, *names]:
         record = getattr(record, name)
     lines = ["| threshold | value | unit | because |", "|---|---|---|---|"]
     for name, holder, field in thresholds_of(record):

@@ -128,6 +128,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     from nmt_core.threshold import thresholds_of
     from nmt_diagnose.effects.library import library
     from nmt_diagnose.thresholds import THRESHOLDS
+    from nmt_extract.judgement.thresholds import THRESHOLDS as JUDGEMENT
     from nmt_pll.thresholds import THRESHOLDS as LOOPS
     from nmt_rig import rig
 
@@ -151,6 +152,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     wanted.add(("devices", "all"))
     wanted |= {("thresholds", path.rpartition(".")[0]) for path, *_ in thresholds_of(THRESHOLDS)}
     wanted |= {("thresholds", f"loops.{path.rpartition('.')[0]}") for path, *_ in thresholds_of(LOOPS)}
+    wanted |= {("thresholds", f"judgement.{path.rpartition('.')[0]}") for path, *_ in thresholds_of(JUDGEMENT)}
     wanted.add(("matrix", "tests"))
     assert {region for region in shown if region[0] != "keys"} == wanted
 

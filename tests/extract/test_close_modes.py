@@ -131,6 +131,18 @@ def test_a_gain_beside_a_shape_that_moves_is_named_at_every_level(windows: Any, 
     assert "Mode 2 at 30.029 Hz takes part by 3" in points[-1].reason
 
 
+def test_a_run_with_a_gain_meets_the_nonlinear_mode_all_the_same(rig: str) -> None:
+    """The loop measures by the same channel."""
+    modes = Masses(MASS, DAMPING, STIFFNESS, np.array([1.0, 0.0, 0.0]), 1e7).modes(0, 0.01, 0.06)
+    place = np.log([mode.amplitude for mode in modes])
+    omega = CubicSpline(place, [mode.omega for mode in modes])
+    points, _ = run(rig, [0.1, 0.9, 6.0], overrides=["sensors.4.gain=0.9"])
+    for point in points:
+        assert point.status is PointStatus.OK
+        assert point.reason.startswith("a3 measures 0.90 times")
+        assert point.omega_rad_s == pytest.approx(omega(max(np.log(point.modal_amplitude), place[0])), rel=1e-4)
+
+
 def test_windows_without_a_gain_give_the_points_of_the_run(windows: Any) -> None:
     found, healthy = windows
     for point, right in zip(points_with(found, 2, 1.0), healthy, strict=True):

@@ -546,7 +546,7 @@ def quantities_table(name: str) -> str:
 
 
 def thresholds_table(theme: str) -> str:
-    """Thresholds of one theme of the diagnosis, as ``signals.decays``, of the loops, as ``loops.phase``, or ``judgement.gain``."""
+    """Thresholds of one theme: of the diagnosis (``signals.decays``), loops (``loops.phase``), ``judgement.gain``."""
     from nmt_core.threshold import thresholds_of
     from nmt_diagnose.thresholds import THRESHOLDS
     from nmt_extract.judgement.thresholds import THRESHOLDS as JUDGEMENT

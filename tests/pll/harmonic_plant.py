@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 
 from nmt_pll.detection.phase_detector import AdaptiveFourierFilter
-from nmt_pll.harmonics.harmonics_control import HarmonicsController, HarmonicSetup
+from nmt_pll.force_control.force_controller import ForceController, ForceSetup
 
 RATE = 1e4
 FREQUENCY = 22.2  # Hz
@@ -46,11 +46,12 @@ class HarmonicPlant:
         duration = self.block / RATE
         self.amplitude, self.noise, self.growth = amplitude, noise, growth
         values = {"voltage_limit": 0.0, **setup}
-        self.setup = HarmonicSetup(
+        self.setup = ForceSetup(
             HIGHEST, CUTOFF, duration, latency, (1.5 + latency) * duration, math.ceil(10 * PERIOD / duration), **values
         )
-        known = (lambda f: np.full(f.shape, np.nan + 0j)) if factor is None else (lambda f: factor * gain(f))
-        self.controller = HarmonicsController(self.setup, known)
+        factor = np.nan if factor is None else factor
+        known = lambda f: factor * gain(f)[:, None, None]  # noqa: E731
+        self.controller = ForceController(self.setup, known)
         self.filter = AdaptiveFourierFilter(1, HIGHEST + 1, CUTOFF, RATE)
         self.gains = np.array([0.0 if n in dead else gain(n * FREQUENCY) for n in range(2, HIGHEST + 1)])
         self.random = np.random.default_rng(1)
@@ -65,13 +66,23 @@ class HarmonicPlant:
         return self.sample / RATE / PERIOD
 
     @property
+    def voltages(self) -> np.ndarray:
+        """V_n of the harmonics 2 … H, a view."""
+        return self.controller.terms[0, 1:]
+
+    @property
+    def known_gain(self) -> np.ndarray:
+        """Ĝ of the harmonics 2 … H."""
+        return self.controller.gain(FREQUENCY)[:, 0, 0]
+
+    @property
     def residual(self) -> float:
         """Root of the sum of squares of the true force harmonics, of the fundamental."""
         return float(np.linalg.norm(self.force)) / FORCE
 
     def step(self, control=True) -> None:
         """One block."""
-        self.pending.append(self.controller.voltages.copy())
+        self.pending.append(self.voltages.copy())
         target = self.pending.popleft()
         time = (self.sample + np.arange(self.block)) / RATE
         grown = 1.0 - np.exp(-time / self.growth) if self.growth else np.ones(self.block)
@@ -89,10 +100,10 @@ class HarmonicPlant:
         self.sample += self.block
         self.largest = max(self.largest, float(np.sum(np.abs(voltage), axis=0).max()))
         if control and self.periods > 4:
-            target_force = np.zeros(HIGHEST - 1, complex)
-            self.controller.update(seen, complex(grown[-1]), FREQUENCY, self.amplitude, target_force)
+            target = np.zeros((1, HIGHEST), complex)
+            self.controller.update(seen[None, :], [complex(grown[-1])], FREQUENCY, self.amplitude, target)
         else:
-            self.controller.idle()
+            self.controller.idle(self.amplitude)
 
     def run(self, periods: float) -> None:
         until = self.periods + periods

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_pll.harmonics.deviation_record import DeviationRecord
+from nmt_pll.force_control.deviation_record import DeviationRecord
 
 
 @pytest.mark.parametrize("cutoff", [100.0, 20.0])

@@ -15,9 +15,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveCommand, LevelCommand, LockEvent, LoopStatus
 from nmt_core.vocabulary import ControlKind, LoopState, Quantity, TestKind, Waveform
 from nmt_pll.coverage import covers
-from nmt_pll.exciters.appropriated_loop import AppropriatedLoop
-from nmt_pll.exciters.exciter_appropriation import matrix_table
-from nmt_pll.harmonics.harmonics_control import table_from_json
+from nmt_pll.force_control.force_per_volt import table_from_json
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.open_loop.random_drive import RandomDrive
@@ -162,8 +160,7 @@ class LoopCore:
                 paper = self.settings.paper_settings.beside(settings)
                 loops.append(PaperLoop(linear, paper, self.sample_rate, self.block_samples))
             elif len(linear.exciter_points) > 1:
-                matrix = matrix_table(linear.exciter_force_rows, len(linear.exciter_points))
-                loops.append(AppropriatedLoop(linear, settings, self.sample_rate, self.block_samples, matrix))
+                loops.append(PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples))
             else:
                 known = table_from_json(self.settings.force_per_volt_json)
                 self_excited = self._self_excited(linear, settings)

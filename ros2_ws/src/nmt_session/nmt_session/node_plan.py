@@ -35,7 +35,7 @@ from nmt_plant.devices.hardware_rig import HARDWARE_LEAD
 from nmt_plant.plant_settings import PlantSettings
 from nmt_plant.safety.output_guard import default_slew
 from nmt_pll.coverage import covers_linear
-from nmt_pll.harmonics.harmonics_target import check_modes
+from nmt_pll.force_control.modal_power_ratio import check_modes
 from nmt_pll.loop_settings import settings_from
 from nmt_pll.phase_loop.paper_settings import PaperSettings
 from nmt_pll.pll_settings import PAPER_PREFIX, PllSettings

@@ -11,24 +11,18 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand
-from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import AUTOMATIC, MOTIONS, VELOCITY_LEAD, ControlKind, HarmonicsTarget, LoopState, TestKind
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS, VELOCITY_LEAD, ControlKind, LoopState, TestKind
 from nmt_pll.amplitude.response_control import ResponseController
 from nmt_pll.detection.lock import Dwell, LockCriteria
 from nmt_pll.detection.phase_detector import AdaptiveFourierFilter, phase_error
-from nmt_pll.harmonics.harmonics_control import (
-    ForcePerVolt,
-    HarmonicsController,
-    HarmonicSetup,
-    most_harmonics,
-    table_of,
-)
-from nmt_pll.harmonics.harmonics_target import ModalPowerRatio, check_modes
+from nmt_pll.force_control.force_control import ForceControl
+from nmt_pll.force_control.force_per_volt import ForcePerVolt
 from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.phase_loop.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.phase_loop.gains import LoopPlant
-from nmt_pll.thresholds import HARMONICS, PHASE
+from nmt_pll.thresholds import PHASE
 
 
 class PhaseLockedLoop(LevelLoop):
@@ -42,10 +36,15 @@ class PhaseLockedLoop(LevelLoop):
         settings: loop settings.
         sample_rate: Hz.
         block_samples: samples a block.
-        force_per_volt: force per volt of drive at a frequency, N/V, as far as it is known; for control of harmonics.
+        force_per_volt: force at every exciter per volt of every exciter, as far as it is known; None = as the linear
+            description says.
 
     Attributes:
-        harmonics: controller of the force's harmonics; None until a level asks for it.
+        forces: control of the forces' harmonics, and of all forces of several exciters; the phase loop has the
+            fundamental of the first.
+
+    Raises:
+        BenchError: the linear description does not say enough for its exciters.
     """
 
     KINDS: ClassVar[tuple[TestKind, ...]] = (TestKind.PHASE_RESONANCE, TestKind.RING_DOWN)
@@ -91,14 +90,12 @@ class PhaseLockedLoop(LevelLoop):
         self._good_frequency = self.start_frequency
         self._deviation = 0.0
         self._decaying = False
-        self._dead_time = dead_time
-        self._force_per_volt = force_per_volt or table_of(())
-        self.harmonics: HarmonicsController | None = None
-        self._harmonic_filter: AdaptiveFourierFilter | None = None
-        self._harmonics_target = HarmonicsTarget.ZERO
-        self._ratio: ModalPowerRatio | None = None
-        self._harmonics_from: float = 0  # sample from which on that filter has forgotten its start
+        self.forces = ForceControl(
+            linear, settings, sample_rate, block_samples, self.cutoff, dead_time, self.dwell.length,
+            self.controller.high / (2.0 * math.pi), force_per_volt,
+        )  # fmt: skip
         self._amplitude_before = 0.0
+        self._ramp_end = 0
         self._motion = 0j  # fundamental of the response
 
     def _check_control(self, level: LevelCommand) -> None:
@@ -108,27 +105,20 @@ class PhaseLockedLoop(LevelLoop):
             )
         if level.test is TestKind.RING_DOWN and level.amplitude > 0.0 and not 0.0 < level.duration < math.inf:
             raise BenchError(f"Level {level.index}: a ring-down needs a duration above 0 s, got {level.duration}.")
-        if level.harmonics_control and level.harmonics_target == HarmonicsTarget.MODAL:
-            self._check_modes(level)
-        if level.harmonics_control > self._most_harmonics(level.harmonics_control):
+        self.forces.check(level)
+        highest = self.forces.highest(level.harmonics_control)
+        if level.harmonics_control > highest:
             raise BenchError(
-                f"Level {level.index}: harmonics of the force can be controlled up to "
-                f"{self._most_harmonics(level.harmonics_control)} at this sample rate and cut-off of the filter, not "
-                f"up to {level.harmonics_control}; ask for fewer, or for auto."
+                f"Level {level.index}: harmonics of the force can be controlled up to {highest} at this sample rate "
+                f"and cut-off of the filter, not up to {level.harmonics_control}; ask for fewer, or for auto."
             )
 
-    def _check_modes(self, level: LevelCommand) -> None:
-        """Refuse (BenchError) the modal target where the linear description has too few modes."""
-        check_modes(self.linear, f"Level {level.index}")
-
-    def _most_harmonics(self, wanted: int) -> int:
-        return most_harmonics(self.controller.high / (2.0 * math.pi), self.sample_rate, self.cutoff, wanted)
-
     def process(self, force: SampleBlock, response: SampleBlock) -> LoopOutput:
-        """Answer one block of force and drive-point response (first channel of each).
+        """Answer one block of force and drive-point response (first channel of each), or of all forces and responses.
 
         Raises:
-            ValueError: the blocks do not cover the same samples, or the response is not a motion.
+            ValueError: the blocks do not cover the same samples, the response is not a motion, or a channel that
+                control of the forces needs is missing.
         """
         rows = self._drive_point_rows(force, response)
         end = force.end_sample
@@ -139,14 +129,17 @@ class PhaseLockedLoop(LevelLoop):
         lead = self.settings.held_lead(2.0 * math.pi * present)
         if lead != 0.0:  # the loop takes the phase it holds for phase resonance
             error = math.remainder(error + lead, 2.0 * math.pi)
-        harmonics = self._force_harmonics(rows[0], response, force.oscillator)
+        forces = self.forces.measure(force, response, self._row(force))
         if self.machine.state not in (LoopState.ACQUIRING, LoopState.LOCKED):
             self._quiet_reason = ""  # the drive is at zero already; the next level is not to suffer for it
         self._start_due_levels(force.first_sample, end)
         lock = None
         state = self.machine.state
         controls = state in (LoopState.ACQUIRING, LoopState.LOCKED) and not self._decaying
-        self._control_harmonics(harmonics, present, controls and not math.isnan(error) and end > self._closed_from, end)
+        if not controls or math.isnan(error) or end <= self._closed_from:
+            forces = None
+        begins = self._judged_from - self._block_samples < end <= self._judged_from
+        self.forces.control(forces, self._motion, present, self._amplitude, end, begins, self._ramp_from(end))
         if self._decaying and state == LoopState.LOCKED:
             reason = self._stopped_from_outside(flags)
             if reason:
@@ -167,98 +160,11 @@ class PhaseLockedLoop(LevelLoop):
                     lock = self._judge(end)
         amplitudes = force_amplitude, response_amplitude
         output = self._output(end, self.controller.output, error, amplitudes, lock, flags)
-        if self.harmonics is None:
-            return output
-        before = self._amplitude_before if end <= self._judged_from else 0.0  # it may still be on its way down
-        self.harmonics.fit(max(output.amplitude, before), self.controller.high / (2.0 * math.pi))
-        return output._replace(terms=self.harmonics.terms(off=not self._harmonics_wanted))
+        return output._replace(terms=self.forces.drive_terms(max(output.amplitude, self._ramp_from(end))))
 
-    @property
-    def _harmonics_wanted(self) -> bool:
-        """Whether the present level asks for control of the force's harmonics."""
-        return self._level is not None and self._level.harmonics_control != 0
-
-    def _force_harmonics(self, force: FloatArray, response: SampleBlock, phase: OscillatorPhase) -> ComplexArray | None:
-        """F_1 … F_H after the block (N), shape (1, H), where harmonics are controlled and the drive is periodic.
-
-        Where their target is a ratio, the responses at the points of the linear description follow, (1 + points, H).
-        """
-        if self._harmonic_filter is None or math.isnan(phase.cycles) or not phase.frequency_hz > 0:
-            return None
-        rows = force[None, :]
-        if self._ratio is not None:
-            rows = np.concatenate([rows, response.data[self._ratio.rows(response.points)]])
-        values = self._harmonic_filter.process(rows, phase.cycles, phase.frequency_hz, phase.rate_hz_s)
-        if not np.isfinite(values).all():
-            self._harmonic_filter.reset()
-            self._harmonics_from = math.inf
-            return None
-        result: ComplexArray = values[:, 1:-1].copy()
-        return result  # one harmonic more is tracked, so that it does not leak into the others
-
-    @property
-    def _harmonics_step(self) -> float:
-        """Share by which a target that is measured follows in a block: as slowly as control itself."""
-        return 1.0 if self.harmonics is None else min(1.0, self.harmonics.rate * self.block_duration)
-
-    def _control_harmonics(self, force: ComplexArray | None, frequency_hz: float, controls: bool, end: int) -> None:
-        """One block of control of the force's harmonics."""
-        controller = self.harmonics
-        if controller is None:
-            return
-        if math.isinf(self._harmonics_from):
-            self._harmonics_from = end + self._filter_warm_up
-        if self._amplitude == 0.0:
-            controller.clear()
-        elif force is None or not controls or not self._harmonics_wanted or end <= self._harmonics_from:
-            controller.idle(off=not self._harmonics_wanted)
-        else:
-            if self._judged_from - self._block_samples < end <= self._judged_from:
-                controller.restart_dwell()
-            target = np.zeros(force.shape[1] - 1, complex)
-            if self._ratio is not None:
-                target = self._ratio.target(force[0], force[1:], self._response_quantity, self._harmonics_step)
-            controller.update(force[0], self._motion, frequency_hz, self._amplitude, target)
-
-    @property
-    def _filter_warm_up(self) -> int:
-        """Samples after which the filter of the harmonics has forgotten its start."""
-        return round(5.0 / self.cutoff * self.sample_rate)
-
-    def _prepare_harmonics(self, level: LevelCommand, end: int, was_quiet: bool) -> None:
-        """Have a controller for the harmonics that a level asks for; what was learnt stays while they are as many."""
-        warm_up = self._filter_warm_up
-        if level.harmonics_control:
-            wanted = level.harmonics_control
-            highest = self._most_harmonics(HARMONICS.automatic_highest if wanted == AUTOMATIC else wanted)
-            target = HarmonicsTarget(level.harmonics_target)
-            if self.harmonics is None or self.harmonics.setup.highest != highest or target != self._harmonics_target:
-                self._harmonics_target = target
-                self._ratio = ModalPowerRatio(self.linear) if target is HarmonicsTarget.MODAL else None
-                setup = HarmonicSetup(
-                    highest,
-                    self.cutoff,
-                    self.block_duration,
-                    self.settings.latency_blocks,
-                    self._dead_time,
-                    self.dwell.length,
-                    self.settings.voltage_limit,
-                    self.settings.slew_limit,
-                    self.sample_rate,
-                )
-                self.harmonics = HarmonicsController(setup, self._force_per_volt)
-                channels = 1 if self._ratio is None else 1 + len(self.linear.points)
-                self._harmonic_filter = AdaptiveFourierFilter(channels, highest + 1, self.cutoff, self.sample_rate)
-                self._harmonics_from = end + warm_up
-        if self.harmonics is None or self._harmonic_filter is None:
-            return
-        if was_quiet:
-            if self._ratio is not None:
-                self._ratio.clear()
-            self.harmonics.clear()
-            self._harmonic_filter.reset()
-            self._harmonics_from = end + warm_up
-        self.harmonics.start_level()
+    def _ramp_from(self, end: int) -> float:
+        """V that the amplitude comes from while it is on its way to a level; else 0."""
+        return self._amplitude_before if end <= max(self._judged_from, self._ramp_end) else 0.0
 
     def _measure(self, force: FloatArray, response: FloatArray, phase: OscillatorPhase) -> tuple[float, float, float]:
         """Phase error (NaN if not valid), force amplitude and response amplitude after the block."""
@@ -298,12 +204,12 @@ class PhaseLockedLoop(LevelLoop):
         if self.settings.ramp_delay_periods > 0 and self.machine.state == LoopState.LOCKED and not was_quiet:
             delay = self.settings.ramp_delay_periods * 2.0 * math.pi / self.controller.output
             self._running_from = self._judged_from = end + round(delay * self.sample_rate)
-        self._amplitude_before = self._amplitude
+        self._amplitude_before, self._ramp_end = self._amplitude, ramp_end
         self._amplitude = self._start_voltage(level, was_quiet)
         if was_quiet:
             self.response_controller.start(self._amplitude)
         self.response_controller.aim(max(level.ramp, 2.0 / self.schedule.amplitude_bandwidth))
-        self._prepare_harmonics(level, end, was_quiet)
+        self.forces.start_level(level, end, was_quiet)
         self.dwell.clear()
         self._deviation = 0.0
 
@@ -372,25 +278,13 @@ class PhaseLockedLoop(LevelLoop):
             return "force or response fell below its amplitude floor"
         return ""
 
-    @property
-    def _harmonics_obstacle(self) -> str:
-        """What keeps the force's harmonics from being settled, empty if nothing does."""
-        if self.harmonics is None or not self._harmonics_wanted:
-            return ""
-        return self.harmonics.obstacle
-
-    @property
-    def _settled_words(self) -> str:
-        """How what is controlled besides the phase is at the lock; empty if nothing is."""
-        return self.harmonics.summary if self.harmonics is not None and self._harmonics_wanted else ""
-
     def _obstacle(self, valid: bool) -> str:
         """What keeps the loop from locking."""
         if not valid:
             return "force or response below its amplitude floor"
         if not self.dwell.full:
             return f"not {self.settings.dwell_periods:g} periods since the phase became valid"
-        return self.criteria.obstacle(self.dwell.statistics(), self._deviation) or self._harmonics_obstacle
+        return self.criteria.obstacle(self.dwell.statistics(), self._deviation) or self.forces.obstacle
 
     def _judge(self, end: int) -> LockWindow | None:
         statistics = self.dwell.statistics()
@@ -399,11 +293,11 @@ class PhaseLockedLoop(LevelLoop):
             if reason:
                 self._give_up(end, reason)
             return None
-        if not self.criteria.locked(statistics, self._deviation) or self._harmonics_obstacle:
+        if not self.criteria.locked(statistics, self._deviation) or self.forces.obstacle:
             return None
         reason = f"phase error {math.degrees(statistics.mean):.3f} deg over {self.settings.dwell_periods:g} periods"
-        if self._settled_words:
-            reason += f"; {self._settled_words}"
+        if self.forces.summary:
+            reason += f"; {self.forces.summary}"
         return self._open_window(end, statistics.mean, reason)
 
     def _open_window(self, end: int, error: float, reason: str) -> LockWindow | None:

@@ -12,6 +12,8 @@ fundamental.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from nmt_core.errors import BenchError
@@ -19,6 +21,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
+from nmt_pll.force_control.force_targets import ForceTargets
 from nmt_pll.thresholds import HARMONICS
 
 
@@ -38,52 +41,38 @@ def check_modes(linear: LinearDescription, where: str) -> None:
         )
 
 
-class ModalPowerRatio:
-    """Targets of the force's harmonics from the measured motion.
+class ModalPowerRatio(ForceTargets):
+    """Targets of the harmonics of one exciter's force from the measured motion.
 
     Args:
         linear: linear description with three modes or more.
+        rate: by which the ratio follows what is measured, 1/s; infinite = at once.
 
     Raises:
         BenchError: as `check_modes`.
     """
 
-    def __init__(self, linear: LinearDescription) -> None:
+    def __init__(self, linear: LinearDescription, rate: float = math.inf) -> None:
         check_modes(linear, "The harmonics of the force")
         self.points = linear.points
+        self._rate = rate
         self._drive = linear.points.index(linear.drive_point)
         self._to_modes: FloatArray = np.asarray(np.linalg.pinv(linear.shape_matrix), dtype=np.float64)
         self._ratio: ComplexArray | None = None
-        self._rows: tuple[tuple[int, ...], list[int]] = ((), [])
 
     def clear(self) -> None:
         """Forget what was measured."""
         self._ratio = None
 
-    def rows(self, points: tuple[int, ...]) -> list[int]:
-        """Rows of a block of responses that belong to the points of the linear description.
+    def targets(self, force: ComplexArray, response: ComplexArray, quantity: Quantity, duration: float) -> ComplexArray:
+        """As of the base class; harmonics are zero where the exciter takes power out of the fundamental."""
+        target = super().targets(force, response, quantity, duration)
+        share = min(1.0, self._rate * duration)
+        target[0, 1:] = self._harmonics(force[0], response, quantity, share)
+        return target
 
-        Raises:
-            ValueError: a point is missing.
-        """
-        if self._rows[0] != points:
-            missing = [point for point in self.points if point not in points]
-            if missing:
-                raise ValueError(f"no response at point {missing[0]}, which the target modal needs")
-            self._rows = points, [points.index(point) for point in self.points]
-        return self._rows[1]
-
-    def target(
-        self, force: ComplexArray, response: ComplexArray, quantity: Quantity, share: float = 1.0
-    ) -> ComplexArray:
-        """F_2* … F_H*, N, shape (H - 1,); zero where the exciter takes power out of the fundamental.
-
-        Args:
-            force: F_1 … F_H, N, shape (H,).
-            response: harmonics 1 … H of the response at the points, in any unit, shape (points, H).
-            quantity: what the response is.
-            share: by which the ratio follows what is measured now.
-        """
+    def _harmonics(self, force: ComplexArray, response: ComplexArray, quantity: Quantity, share: float) -> ComplexArray:
+        """F_2* … F_H*, shape (H - 1,), where the ratio follows by a share of its deviation."""
         order = np.arange(1, force.size + 1)
         motion = response / (1j * order) ** MOTIONS[quantity]  # displacements, but for a factor they share
         velocity = 1j * order * motion[self._drive]

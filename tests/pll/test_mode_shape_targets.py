@@ -11,13 +11,9 @@ import pytest
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.vocabulary import Quantity
-from nmt_pll.exciters.exciter_appropriation import (
-    AppropriationSetup,
-    ExciterAppropriation,
-    generalised_pbmif,
-    matrix_table,
-    matrix_table_from_json,
-)
+from nmt_pll.force_control.force_controller import ForceController, ForceSetup, integral_rate
+from nmt_pll.force_control.force_per_volt import fundamental_gain, start_ratios, table_from_json, table_of
+from nmt_pll.force_control.mode_shape_targets import ModeShapeTargets, generalised_pbmif
 
 OMEGA = 2 * np.pi * np.array([100.0, 102.0])
 ZETA = np.array([0.003, 0.004])
@@ -71,16 +67,38 @@ class Envelopes:
         return self.filtered[:2] + scatter[:2], self.filtered[2:] + scatter[2:]
 
 
-def law(mode, shapes=SHAPES, latency=0, **changes):
-    linear = described(mode, shapes)
-    setup = AppropriationSetup(1, False, CUTOFF, BLOCK, (1.5 + latency) * BLOCK, 20)
-    return ExciterAppropriation(replace(setup, **changes), linear, matrix_table(linear.exciter_force_rows, 2))
+class Law:
+    """Targets of one mode and the controller of two exciters, as the loop puts them together."""
+
+    def __init__(self, mode, shapes=SHAPES, latency=0, tolerance=0.003, mac_limit=0.8, pbmif_limit=0.9, **setup):
+        linear = described(mode, shapes)
+        known = table_of(linear.exciter_force_rows, 2)
+        how = ForceSetup(1, CUTOFF, BLOCK, latency, (1.5 + latency) * BLOCK, 20, tolerance=tolerance, **setup)
+        rate = integral_rate(CUTOFF, how.dead_time)
+        self.targets = ModeShapeTargets(linear, False, rate, 20, mac_limit, pbmif_limit)
+        ratios, frequency = self.targets.linear_ratios, linear.frequency_hz
+        start = start_ratios(known, frequency, self.targets.linear_forces)
+        gain = fundamental_gain(known, frequency, rate, ratios)
+        self.controller = ForceController(how, known, start, gain)
+
+    @property
+    def terms(self):
+        return self.controller.terms
+
+    @property
+    def obstacle(self):
+        return self.controller.obstacle or self.targets.obstacle
+
+    def update(self, force, velocity, frequency_hz):
+        target = self.targets.targets(force, velocity, Quantity.VELOCITY, BLOCK)
+        self.controller.update(force, velocity[:, 0].tolist(), frequency_hz, 1.0, target)
+        self.controller.fit(1.0, frequency_hz)
 
 
 def settle(control, plant, seconds=12.0):
     for _ in range(round(seconds / BLOCK)):
-        force, velocity = plant.block(control.ratios[:, 0])
-        control.update(force[:, None], velocity[:, None], Quantity.VELOCITY, plant.omega / (2 * np.pi), 1.0)
+        force, velocity = plant.block(control.terms[:, 0])
+        control.update(force[:, None], velocity[:, None], plant.omega / (2 * np.pi))
     return force, velocity
 
 
@@ -91,8 +109,8 @@ def mac(shape, mode):
 @pytest.mark.parametrize("mode", [0, 1])
 @pytest.mark.parametrize("latency", [0, 1, 3])
 def test_one_mode_is_isolated(mode, latency):
-    control, plant = law(mode, latency=latency), Envelopes(OMEGA[mode], latency=latency)
-    control.ratios[1, 0] = 0.0  # from the first exciter alone
+    control, plant = Law(mode, latency=latency), Envelopes(OMEGA[mode], latency=latency)
+    control.terms[1, 0] = 0.0  # from the first exciter alone
     force, shape = settle(control, plant)
     assert mac(shape, mode) > 0.999999
     assert control.obstacle == ""
@@ -114,14 +132,14 @@ def test_one_exciter_alone_does_not_isolate_it(mode):
 @pytest.mark.parametrize("mode", [0, 1])
 def test_shapes_that_are_wrong_by_5_percent_do_little(mode):
     wrong = SHAPES * (1.0 + 0.05 * np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0]]))
-    _, shape = settle(law(mode, wrong), Envelopes(OMEGA[mode]))
+    _, shape = settle(Law(mode, wrong), Envelopes(OMEGA[mode]))
     assert mac(shape, mode) > 0.999
 
 
 def test_initial_ratios_are_those_of_the_linear_test():
-    control, plant = law(0), Envelopes(OMEGA[0])
+    control, plant = Law(0), Envelopes(OMEGA[0])
     for _ in range(2000):
-        force, shape = plant.block(control.ratios[:, 0])
+        force, shape = plant.block(control.terms[:, 0])
     assert mac(shape, 0) > 0.9999
     assert np.abs(np.angle(force * shape[:2].conj())).max() < math.radians(1.0)
 
@@ -129,38 +147,38 @@ def test_initial_ratios_are_those_of_the_linear_test():
 def test_it_stays_where_the_other_mode_is_damped_less():
     """ξ of the target is beyond the damping of the other mode, which a force ξ M ẋ at once would drive up."""
     damping = np.array([0.02, 0.004])
-    control, plant = law(0), Envelopes(OMEGA[0], damping)
-    control.ratios[1, 0] *= 0.5
+    control, plant = Law(0), Envelopes(OMEGA[0], damping)
+    control.terms[1, 0] *= 0.5
     _, shape = settle(control, plant)
     assert mac(shape, 0) > 0.999999
 
 
 def test_noise_keeps_neither_from_settling_nor_from_the_mode():
-    control, plant = law(0), Envelopes(OMEGA[0], noise=0.01)
+    control, plant = Law(0), Envelopes(OMEGA[0], noise=0.01)
     _, shape = settle(control, plant)
     assert control.obstacle == ""
     assert mac(shape, 0) > 0.999
 
 
 def test_what_is_not_settled_is_named():
-    control, plant = law(0), Envelopes(OMEGA[0])
-    control.ratios[1, 0] = 0.0
+    control, plant = Law(0), Envelopes(OMEGA[0])
+    control.terms[1, 0] = 0.0
     assert "for a dwell" in control.obstacle
     settle(control, plant, 0.15)
     assert "force of exciter 2" in control.obstacle
     settle(control, plant)
-    strict = law(0, mac_limit=1.0, pbmif_limit=1.0, tolerance=1.0)
-    strict.ratios[:] = 1.0
+    strict = Law(0, mac_limit=1.0, pbmif_limit=1.0, tolerance=1.0)
+    strict.terms[:] = 1.0
     settle(strict, Envelopes(OMEGA[0]), 0.3)
     assert "MAC" in strict.obstacle
 
 
 def test_voltages_stay_below_their_limit():
-    control, plant = law(0, voltage_limit=1.2), Envelopes(OMEGA[0])
-    control.ratios[1, 0] = 3.0
+    control, plant = Law(0, voltage_limit=1.2), Envelopes(OMEGA[0])
+    control.terms[1, 0] = 3.0
     settle(control, plant, 1.0)
-    assert np.abs(control.ratios).max() <= 1.2
-    assert control.ratios[0, 0] == 1.0
+    assert np.abs(control.terms).max() <= 1.2
+    assert control.terms[0, 0] == 1.0
 
 
 def test_generalised_pbmif_is_the_usual_one_for_one_exciter_and_1_where_each_is_in_phase():
@@ -183,13 +201,13 @@ def test_generalised_pbmif_is_the_usual_one_for_one_exciter_and_1_where_each_is_
 )
 def test_a_description_that_does_not_say_enough_is_refused(change, words):
     linear = replace(described(0), **change)
-    setup = AppropriationSetup(1, False, CUTOFF, BLOCK, BLOCK, 20)
     with pytest.raises(BenchError, match=words):
-        ExciterAppropriation(setup, linear, matrix_table(linear.exciter_force_rows, 2))
+        ModeShapeTargets(linear, False, 1.0, 20)
 
 
 def test_rows_of_another_length_are_refused():
     with pytest.raises(BenchError, match="rows of 9 finite numbers"):
-        matrix_table_from_json("[[1, 2, 3]]", 2)
-    table = matrix_table_from_json("[[100, 1, 0, 0, 0, 0, 0, 1, 0], [200, 3, 0, 0, 0, 0, 0, 1, 1]]", 2)
-    np.testing.assert_allclose(table(np.array([150.0, 300.0])), [[[2, 0], [0, 1 + 0.5j]], [[3, 0], [0, 1 + 1j]]])
+        table_from_json("[[1, 2, 3]]", 2)
+    table = table_from_json("[[100, 1, 0, 0, 0, 0, 0, 1, 0], [200, 3, 0, 0, 0, 0, 0, 1, 1]]", 2)
+    np.testing.assert_allclose(table(np.array([150.0, 200.0])), [[[2, 0], [0, 1 + 0.5j]], [[3, 0], [0, 1 + 1j]]])
+    assert np.isnan(table(np.array([99.0, 300.0]))).all()

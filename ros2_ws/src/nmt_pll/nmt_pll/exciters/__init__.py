@@ -1,1 +1,0 @@
-"""Amplitude, phase and harmonics of several exciters."""

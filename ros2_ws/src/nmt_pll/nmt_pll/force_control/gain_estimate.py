@@ -1,0 +1,134 @@
+"""What control learns of the force per volt: a Kalman filter on one complex factor for each exciter and harmonic.
+
+For each harmonic Ĝ = G₀ diag(c) with the matrix G₀ that was known and factors c, one for each exciter: what amplifier,
+wiring and exciter do to its voltage is a factor of its column. Over the time constant of the filter
+
+    ΔF_j = h_jᵀ c + Δd_j,   h_ji = G₀_ji ΔV_i,
+
+which is a linear regression on the moves h that were foreseen, with a force at every exciter for every factor. With
+the covariance P of c and the variance R_j of what noise and a changing motion contribute by Δd_j, force by force,
+
+    c ← c + k (ΔF_j − h_jᵀ c),   k = P h̄_j / (h_jᵀ P h̄_j + R_j),   P ← (1 − k h_jᵀ) P.
+
+P grows with time up to a bound, which is its forgetting. Other errors of G₀, such as exchanged terms beside the
+diagonal, are left to the margins of the law. For one exciter it is the scalar filter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_pll.thresholds import HARMONICS
+
+_LOWEST_VARIANCE = 1e-6
+
+
+class GainEstimate:
+    """Factors of the force per volt at some harmonics.
+
+    Args:
+        harmonics: number K of them.
+        exciters: number N of exciters.
+
+    Attributes:
+        correction: c, shape (K, N).
+        covariance: P, shape (K, N, N).
+    """
+
+    def __init__(self, harmonics: int, exciters: int) -> None:
+        self.correction: ComplexArray = np.ones((harmonics, exciters), complex)
+        self.covariance: ComplexArray = np.zeros((harmonics, exciters, exciters), complex)
+        self.covariance[:] = HARMONICS.initial_gain_std**2 * np.eye(exciters)
+
+    def gain(self, known: ComplexArray) -> ComplexArray:
+        """Ĝ = G₀ diag(c), N/V, shape (K, N, N), for G₀ of that shape."""
+        return np.asarray(known * self.correction[:, None, :])
+
+    @property
+    def trust(self) -> FloatArray:
+        """|c|² / (|c|² + P_ii), shape (K, N): an uncertain Ĝ is not trusted to be small."""
+        size_squared = np.abs(self.correction) ** 2
+        return np.asarray(size_squared / (size_squared + self._variances))
+
+    @property
+    def _variances(self) -> FloatArray:
+        return np.asarray(np.diagonal(self.covariance, axis1=1, axis2=2).real)
+
+    def _set_variances(self, values: FloatArray) -> None:
+        place = np.arange(values.shape[1])
+        self.covariance[:, place, place] = values
+
+    def grow(self, factor: float) -> None:
+        """Forget some: variances grow by ``factor`` up to their bound, correlations stay."""
+        before = self._variances
+        largest = HARMONICS.largest_gain_std**2 * np.maximum(1.0, np.abs(self.correction) ** 2)
+        after = np.minimum(before * factor, largest)
+        ratio = np.sqrt(after / before)
+        self.covariance = self.covariance * (ratio[:, :, None] * ratio[:, None, :])
+        self._set_variances(after)
+
+    def learn(self, moves: ComplexArray, change: ComplexArray, least: FloatArray, scatter: FloatArray) -> None:
+        """Put c right by what the newest changes of voltage have done to the forces.
+
+        Args:
+            moves: h, N, shape (K, N, N), row j the force.
+            change: ΔF, N, shape (K, N).
+            least: moves that are not larger tell nothing of a force, N, shape (K, N).
+            scatter: R_j, N², shape (K, N).
+        """
+        # What moves less than the motion may have done would tell the same wrong thing every time.
+        tells = np.max(np.abs(moves), axis=2) > least
+        moves = np.where(tells[:, :, None], moves, 0j)
+        for row in range(change.shape[1]):
+            self._learn_of(moves[:, row], change[:, row], scatter[:, row])
+
+    def _learn_of(self, move: ComplexArray, change: ComplexArray, scatter: FloatArray) -> None:
+        """The same of one force: ``move`` (K, N), ``change`` and ``scatter`` (K,)."""
+        square = move.conj()[:, :, None] * move[:, None, :]  # h̄ hᵀ
+        place = np.arange(move.shape[1])
+        square[:, place, place] = np.abs(move) ** 2
+        expected = np.sum(self.covariance * square.swapaxes(1, 2), axis=(1, 2)).real
+        variance = np.maximum(expected + scatter, 1e-300)[:, None, None]
+        weight = self.covariance.real / variance + 1j * (self.covariance.imag / variance)
+        innovation = change - np.sum(self.correction * move, axis=1)
+        corrected = self.correction + np.sum(weight * move.conj()[:, None, :], axis=2) * innovation[:, None]
+        large = np.abs(corrected) > HARMONICS.lowest_gain_correction
+        self.correction = np.where(large, corrected, self.correction)
+        kept = (np.eye(move.shape[1]) - weight @ square) @ self.covariance
+        self.covariance = 0.5 * (kept + kept.conj().swapaxes(1, 2))
+        self._set_variances(np.maximum(self._variances, _LOWEST_VARIANCE))
+
+    def doubt(self, exciters: np.ndarray) -> None:
+        """Open what was learnt of some, bool (K, N), to doubt: variances are at least those of the beginning."""
+        least = np.where(exciters, HARMONICS.initial_gain_std**2, 0.0)
+        self._set_variances(np.maximum(self._variances, least))
+
+    def forget(self, exciters: np.ndarray) -> None:
+        """Take what was known at first for some, bool (K, N)."""
+        self.correction = np.where(exciters, 1.0, self.correction)
+
+
+def applied(matrices: ComplexArray, vectors: ComplexArray) -> ComplexArray:
+    """Products of matrices (K, N, N) with vectors (K, N)."""
+    return np.asarray(np.sum(matrices * vectors[:, None, :], axis=2))
+
+
+def solved(matrices: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """x of A x = b for matrices A (K, N, N) and b (K, N), by elimination with pivots; one exciter: a division.
+
+    LAPACK multiplies by the reciprocal where this divides, which differs in the last bit.
+    """
+    a, x = matrices.copy(), right.copy()
+    size, every = x.shape[1], np.arange(x.shape[0])
+    for column in range(size - 1):
+        pivot = column + np.argmax(np.abs(a[:, column:, column]), axis=1)
+        a[every, pivot], a[:, column] = a[:, column].copy(), a[every, pivot]
+        x[every, pivot], x[:, column] = x[:, column].copy(), x[every, pivot]
+        for row in range(column + 1, size):
+            factor = a[:, row, column] / a[:, column, column]
+            a[:, row] -= factor[:, None] * a[:, column]
+            x[:, row] -= factor * x[:, column]
+    for row in reversed(range(size)):
+        x[:, row] = (x[:, row] - np.sum(a[:, row, row + 1 :] * x[:, row + 1 :], axis=1)) / a[:, row, row]
+    return x

@@ -1,1 +1,0 @@
-"""Harmonics of the force, brought to their targets by harmonics of the drive."""

@@ -54,6 +54,20 @@ def test_ratios_change_without_a_step_and_ramps_take_all_outputs_along():
     assert block.voltages[1][-1] == 0.0
 
 
+def test_a_ratio_that_drifts_puts_no_line_at_the_block_rate_into_the_voltage():
+    """Against a voltage whose ratio grows with time, sample by sample."""
+    oscillator, block = Oscillator(RATE, exciters=2), 200
+    blocks, frequency = 50, 83.0
+    voltage = []
+    for number in range(blocks + 1):
+        oscillator.apply(sine(terms=(DriveTerm(2, 1, 0.5 + 0.01 * number),), frequency=frequency))
+        voltage.append(oscillator.block(block).voltages[1][:-1])
+    drifting = np.concatenate(voltage[1:])
+    time = np.arange(blocks * block)
+    ratio = 0.5 + 0.01 * time / block
+    np.testing.assert_allclose(drifting, ratio * np.cos(2 * np.pi * frequency * (time + block) / RATE), atol=1e-9)
+
+
 def test_the_first_output_is_the_same_whatever_others_there_are():
     alone, first = Oscillator(RATE, seed=4), Oscillator(RATE, seed=4, exciters=3)
     for command in (

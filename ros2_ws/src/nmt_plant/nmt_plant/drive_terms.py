@@ -2,8 +2,10 @@
 
 With the common amplitude A(t) exciter j gets u_j = A(t) Re Σ r_jn exp(i n θ) + W(t) Re Σ v_jn exp(i n θ); r_11 = 1 is
 the fundamental. So every ramp of the amplitude, and every end of a test, takes all exciters along; terms in V ramp with
-a weight W from 0 to 1 of their own. Terms that change go to their new values along a half-cosine within one block, so
-that a controller of theirs does not make steps.
+a weight W from 0 to 1 of their own. Terms that change go to their new values within one block, so
+that a controller of theirs does not make steps: those in V along a half-cosine, those over the amplitude along a
+straight line. The latter drift as long as the other exciters follow the shape of the motion; half-cosines, which stop
+at the end of every block, would put a line at the block rate into the voltage.
 """
 
 from __future__ import annotations
@@ -94,14 +96,15 @@ class DriveTerms:
             amplitude, weight: (samples + 1,) A (V) and W.
         """
         before = self._before
-        fade = half_cosine(np.arange(theta.size) / (theta.size - 1)) if before else np.ones(theta.size)
+        straight = np.arange(theta.size) / (theta.size - 1)
+        fades = {True: straight, False: half_cosine(straight)} if before else {}
         powers: dict[int, ComplexArray] = {}
         for key, value in self._now.items():
             exciter, order, relative = key
             if order not in powers:
                 powers[order] = np.exp(1j * order * theta)
             start = before.get(key, value)
-            present = value if start == value else start + (value - start) * fade
+            present = value if start == value else start + (value - start) * fades[relative]
             voltages[exciter] += (amplitude if relative else weight) * (present * powers[order]).real
         if before:
             self._now = {key: value for key, value in self._now.items() if value != 0.0}

@@ -142,7 +142,9 @@ class ForceController:
         self._known_later: ComplexArray = np.full((setup.highest - 1, count, count), np.nan + 0j)
         self._force_per_volt = force_per_volt
         self._estimate = GainEstimate(setup.highest - 1, count)
-        self._held = HeldVoltages(shape, setup.cutoff, setup.block_duration, setup.latency_blocks)
+        self._held = HeldVoltages(
+            shape, setup.cutoff, setup.block_duration, setup.latency_blocks, straight=self._relative
+        )
         lag = max(1, round(1.0 / (setup.cutoff * setup.block_duration)))
         self._past: deque[tuple[ComplexArray, ComplexArray, Sequence[complex]]] = deque(maxlen=lag + 1)
         self._record = DeviationRecord(

@@ -21,9 +21,6 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_pll.thresholds import HARMONICS
 
-_LOWEST_VARIANCE = 1e-6
-
-
 class GainEstimate:
     """Factors of the force per volt at some harmonics.
 
@@ -97,7 +94,7 @@ class GainEstimate:
         self.correction = np.where(large, corrected, self.correction)
         kept = (np.eye(move.shape[1]) - weight @ square) @ self.covariance
         self.covariance = 0.5 * (kept + kept.conj().swapaxes(1, 2))
-        self._set_variances(np.maximum(self._variances, _LOWEST_VARIANCE))
+        self._set_variances(np.maximum(self._variances, 1e-6))
 
     def doubt(self, exciters: np.ndarray) -> None:
         """Open what was learnt of some, bool (K, N), to doubt: variances are at least those of the beginning."""

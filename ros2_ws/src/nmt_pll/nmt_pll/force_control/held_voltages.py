@@ -18,6 +18,7 @@ class HeldVoltages:
         cutoff: ω_LP, rad/s.
         block_duration: s.
         latency_blocks: blocks between a command and the block in which it is carried out.
+        straight: whether voltages go to a command along a straight line, else along a half-cosine.
 
     Attributes:
         value: V, of that shape.
@@ -25,11 +26,18 @@ class HeldVoltages:
 
     _STEPS = 16
 
-    def __init__(self, shape: tuple[int, ...], cutoff: float, block_duration: float, latency_blocks: int) -> None:
+    def __init__(
+        self,
+        shape: tuple[int, ...],
+        cutoff: float,
+        block_duration: float,
+        latency_blocks: int,
+        straight: bool = False,
+    ) -> None:
         decay = math.exp(-cutoff * block_duration / self._STEPS)
         share = (np.arange(self._STEPS) + 0.5) / self._STEPS
         left = decay ** np.arange(self._STEPS - 1, -1, -1)
-        fade = 0.5 - 0.5 * np.cos(np.pi * share)
+        fade = share if straight else 0.5 - 0.5 * np.cos(np.pi * share)
         self._kept = decay**self._STEPS
         self._new = float((1.0 - decay) * np.sum(left * fade))
         self._old = float((1.0 - decay) * np.sum(left * (1.0 - fade)))
@@ -38,7 +46,7 @@ class HeldVoltages:
         self.value: ComplexArray = np.zeros(shape, complex)
 
     def advance(self, command: ComplexArray) -> ComplexArray:
-        """Filtered voltages (V) after the block that goes to ``command`` along a half-cosine of its length."""
+        """Filtered voltages (V) after the block that goes to ``command``."""
         self._pending.append(command.copy())
         target = self._pending.popleft()
         self.value = self._kept * self.value + self._old * self._previous + self._new * target

@@ -1,4 +1,4 @@
-"""Forces of several exciters that answer the terms of all drives, envelope by envelope: a plant for their controller."""
+"""Forces of several exciters that answer the terms of all drives, as envelopes: a plant for their controller."""
 
 from __future__ import annotations
 

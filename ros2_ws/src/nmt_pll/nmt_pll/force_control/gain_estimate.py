@@ -21,6 +21,7 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_pll.thresholds import HARMONICS
 
+
 class GainEstimate:
     """Factors of the force per volt at some harmonics.
 

@@ -211,3 +211,17 @@ def test_rows_of_another_length_are_refused():
     table = table_from_json("[[100, 1, 0, 0, 0, 0, 0, 1, 0], [200, 3, 0, 0, 0, 0, 0, 1, 1]]", 2)
     np.testing.assert_allclose(table(np.array([150.0, 200.0])), [[[2, 0], [0, 1 + 0.5j]], [[3, 0], [0, 1 + 1j]]])
     assert np.isnan(table(np.array([99.0, 300.0]))).all()
+
+
+def test_gains_of_the_fundamental_need_what_is_beside_the_resonance():
+    unknown = table_of((), 2)
+    ratios = np.array([1.0, 0.5 + 0j])
+    with pytest.raises(BenchError, match="need their force per volt near 100 Hz"):
+        fundamental_gain(unknown, 100.0, 5.0, ratios)
+    np.testing.assert_array_equal(start_ratios(unknown, 100.0, np.array([1.0, 2.0])), [1.0, 0.0])
+    # Of two forces per volt that do not depend on frequency: at κ/2π beside the resonance κ/|ν| is one.
+    constant = lambda f: np.broadcast_to(np.array([[3.0, 0.5], [0.2, 2.0j]]), (f.size, 2, 2))  # noqa: E731
+    gain = fundamental_gain(constant, 100.0, 5.0, ratios)
+    np.testing.assert_allclose(gain, [1.0, 1j * abs(2.0j - 0.25)], rtol=1e-9)
+    voltages = np.linalg.inv([[3.0, 0.5], [0.2, 2.0j]]) @ [3.2, 2.2]
+    np.testing.assert_allclose(start_ratios(constant, 100.0, np.array([3.2, 2.2])), voltages / voltages[0])

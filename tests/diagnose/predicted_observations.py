@@ -23,6 +23,7 @@ _STD = {
     Part.PHASE: 5e-4,
     Part.REAL: 2e-4,
     Part.IMAG: 2e-4,
+    Part.LINE: 1e-6,
 }
 
 
@@ -43,6 +44,7 @@ def observations_of_model(
     drives: Sequence[float] = DRIVES,
     random: bool = True,
     lock_noise: float = 0.0,
+    mains: bool = False,
 ) -> Observations:
     """A run of locked levels, and a random test of 60 lines, of a rig that the prediction simulates.
 
@@ -53,6 +55,7 @@ def observations_of_model(
         drives: levels, V.
         random: whether there is a random test.
         lock_noise: standard deviation of where the loop stands beside where it is known to stand, rad.
+        mains: whether the line at 50 Hz of each channel of the levels is observed.
     """
     frequency = _resonance(truth)
     levels = [
@@ -61,6 +64,8 @@ def observations_of_model(
     ]
     levels = [replace(item, phase_error_std=lock_noise) for item in levels]
     run, table = locked(truth, levels, "x1", harmonics=3)
+    if mains:
+        table += [(0, k, channel, -1, Part.LINE) for k in range(len(levels)) for channel in range(len(run.channels))]
     tests: list[Any] = [replace(run, name="levels")]
     if random:
         test, more = noise_test(truth, 5.0, 60.0, 60, test=1, window="none")
@@ -74,6 +79,7 @@ def observations_of_model(
         amplitude[mine] = values[rows.level[mine]]
         if number:
             lines[mine] = test.lines_hz[rows.level[mine]]
+    lines[rows.part == Part.LINE] = 50.0
     rows = replace(rows, amplitude=amplitude, frequency_hz=lines, time_s=10.0 * rows.level)
     std = np.array([_STD[Part(part)] for part in rows.part])
     std[rows.test == 1] = 3e-3

@@ -19,7 +19,6 @@ from nmt_diagnose.effects.structure_effects import _excess, largest_air_drag
 from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, SourceEvidence
 from nmt_diagnose.inference.diagnose import _verdict
 from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Share, Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.fitting import Data, FitResult
 from nmt_diagnose.inference.gap import ClosedShare, _share
 from nmt_diagnose.inference.noise import Groups
@@ -27,7 +26,7 @@ from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.result_rows import place_rows
 from nmt_diagnose.inference.search import _spread_of
 from nmt_diagnose.inference.sentences import _where, sentences
-from nmt_diagnose.inference.size import Objection, _band, _lowers_prior_cost
+from nmt_diagnose.inference.size import Objection, _band
 from nmt_diagnose.inference.warnings import beyond_physical_limits
 from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.prediction.converter import recorded_harmonics
@@ -71,12 +70,14 @@ def recorded(amplitude: float, level: float = math.inf, step: float = 0.0, noise
     return bool(np.any(recorded_harmonics(before, np.array([[level, step, noise]]), basis) != before))
 
 
-def verdict(log_odds: float, value: float = 0.99, gain: float = 9.0, adequate: bool = True) -> Verdict:
+def verdict(
+    log_odds: float, value: float = 0.99, gain: float = 9.0, adequate: bool = True, rivals: float = 0.05
+) -> Verdict:
     left = () if adequate else (Objection("levels: frequency", "frequency", 0.004),)
-    leader = EquivalentClass((), 0.9, 0.9, left)
+    leader = EquivalentClass((), 0.9, 1.0 - rivals, left)
     comparison = Comparison(0.05, 0.05, (leader,), {}, log_odds, {})
     share = ClosedShare(3.0, 1.0, 1.0, value, 0.9, 1.0, gain)
-    return _verdict(comparison, leader, share, None, False, True, DiagnosisSettings(), False)
+    return _verdict(comparison, leader, share, False)
 
 
 def fitted(theta: float = 0.0, chain: float = 0.0) -> Any:
@@ -92,7 +93,7 @@ def explanation(count: int) -> Any:
     """Effects without limits, each at the only place of the only effect of a library."""
     candidate = SimpleNamespace(effect=SimpleNamespace(name="a"), site=SimpleNamespace(location=SOURCE, limits={}))
     fit = SimpleNamespace(parametrisation=SimpleNamespace(values=lambda theta, index: {}), theta=np.zeros(0))
-    return SimpleNamespace(candidates=(candidate,) * count, fit=fit)
+    return SimpleNamespace(candidates=(candidate,) * count, stated=tuple(range(count)), fit=fit)
 
 
 def prior(count: int) -> float:
@@ -197,12 +198,8 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
         lambda: (verdict(9.0, -0.1, -1.1), verdict(9.0, -0.1, -0.9)), (Verdict.UNKNOWN, Verdict.EFFECT)
     ),
     "verdict.partial_closed_share": (
-        lambda: (verdict(9.0, 0.94, adequate=False), verdict(9.0, 0.96, adequate=False)),
+        lambda: (verdict(9.0, 0.49, adequate=False), verdict(9.0, 0.51, adequate=False)),
         (Verdict.UNKNOWN, Verdict.EFFECT),
-    ),
-    "verdict.prior_cost_fall": (
-        lambda: [_lowers_prior_cost(fitted(), fitted(2.0, math.sqrt(cost - 4.0))) for cost in (8.9, 9.1)],
-        [False, True],
     ),
     "verdict.as_likely_share": (lambda: (details(0.19), details(0.21)), ("2", "2 + 3")),
     "verdict.least_location_probability": (lambda: (listed(0.004), listed(0.006)), (1, 2)),

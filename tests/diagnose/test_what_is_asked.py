@@ -6,14 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose.predicted_observations import chain, observations_of_model
+from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.stats import norm
 
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.inference.diagnose import free_parameters, model_alone
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.search import FittedExplanation, Search
-from nmt_diagnose.inference.size import differs, implausible_parameters
+from nmt_diagnose.inference.size import implausible_parameters, leaves_something, needed, strained
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -71,10 +72,40 @@ def test_an_effect_stands_in_for_an_error_of_the_chain_that_nobody_believes() ->
     assert taken(20.0, other) is None
 
 
-def test_explanations_differ_by_what_matters_or_by_what_they_take_off_the_chain() -> None:
+def test_an_error_of_the_chain_counts_where_it_is_incredible_and_matters() -> None:
     search, null = searched(MODEL)
-    never = {"frequency": 1.0, "damping": 1.0, "response": 1.0, "harmonics": 1.0}
-    assert not differs(search.data, null, null, never)
-    bent = moved(null, 2.0 * THRESHOLDS.comparison.credible_sigmas)
-    assert differs(search.data, moved(null, 0.0), bent, never)
-    assert not differs(search.data, bent, moved(null, 0.0), never)
+    position = search.data.chain_names.index("gain x1")
+
+    def pulled(sigmas: float, matters: float) -> float:
+        chain = np.zeros_like(null.fit.errors.chain)
+        chain[position] = sigmas
+        errors = replace(null.fit.errors, chain=chain)
+        found = FittedExplanation((), replace(null.fit, theta=np.zeros_like(null.fit.theta), errors=errors))
+        return strained(search.data, found, dict.fromkeys(("frequency", "damping", "response", "harmonics"), matters))
+
+    count = len(null.fit.parametrisation.calibration) + null.fit.errors.chain.size
+    edge = float(norm.isf(THRESHOLDS.comparison.incredible_probability / (2.0 * count)))  # Bonferroni
+    assert pulled(0.99 * edge, 1e-6) > THRESHOLDS.comparison.incredible_probability > pulled(1.01 * edge, 1e-6)
+    assert pulled(2.0 * edge, 1.0) == 1.0  # a gain that is off by some per cent moves nothing by all of it
+
+
+def test_an_effect_is_needed_where_the_fit_without_it_leaves_something_that_matters() -> None:
+    spring = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}
+    search, null = searched(real(MODEL, local_elements=[spring]))
+    cubic = search.singles(null, search.scores(null))[0]
+    wanted = DiagnosisSettings().matters
+    assert cubic.effects == ("cubic_stiffness",)
+    assert needed(search.data, cubic, [null], wanted).stated == (0,)
+    never = dict.fromkeys(wanted, 1e9)
+    small = needed(search.data, cubic, [null], never)
+    assert small.stated == () and small.explanation == null.explanation and small.fitted == cubic.fitted
+    both = FittedExplanation((*cubic.candidates, cubic.candidates[0]), cubic.fit)
+    assert needed(search.data, both, [null], wanted).stated == (0, 1)
+
+
+def test_no_effect_is_needed_where_the_model_alone_lies_within_the_noise() -> None:
+    search, null = searched(MODEL)
+    wanted = DiagnosisSettings().matters
+    assert not leaves_something(search.data, null, wanted)
+    for found in [it for score in search.scores(null)[:3] if (it := search.added(null, score)) is not None]:
+        assert needed(search.data, found, [null], wanted).stated == ()

@@ -14,7 +14,14 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.fitting import Data, Metric
 from nmt_diagnose.inference.search import FittedExplanation
-from nmt_diagnose.inference.size import Objection, change_size, implausible_parameters, left_over, matters
+from nmt_diagnose.inference.size import (
+    Objection,
+    change_size,
+    implausible_parameters,
+    leaves_something,
+    left_over,
+    matters,
+)
 from nmt_diagnose.inference.sources import SourceLocation, places
 from nmt_diagnose.inference.warnings import beyond_physical_limits
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -74,6 +81,7 @@ class Comparison:
         places: share of each place in what is missing; sum 1 where something is.
         log_odds: ln of everything else over none.
         by_label: probability of none, unknown and each explanation.
+        small: what best explains a difference that the recordings show and that does not matter.
     """
 
     none: float
@@ -82,6 +90,7 @@ class Comparison:
     places: Mapping[Location, float]
     log_odds: float
     by_label: Mapping[str, float]
+    small: FittedExplanation | None = None
 
 
 def source_locations(data: Data, base: FittedExplanation) -> list[SourceLocation]:
@@ -112,12 +121,13 @@ def sources(
     columns = np.column_stack([fitted.jacobian, fitted.errors.slopes])
     precision = np.concatenate([prior**-2.0, np.ones(fitted.errors.chain.size)])
     metric = Metric(columns, precision, fitted.errors.weights)
+    nothing_left = not leaves_something(data, base, data.observations.matters)
     result = []
     for place in found:
         gains, falls = [], []
         for _, block in place.families:
             gain, fall, change = _source(data, base, metric, precision, block)
-            small = not matters(change_size(data, data.in_units(change)), data.observations.matters)
+            small = nothing_left or not matters(change_size(data, data.in_units(change)), data.observations.matters)
             gains.append(min(gain, 0.0) if small else gain)
             falls.append(0.0 if small else fall)
         mean = float(np.logaddexp.reduce(gains) - math.log(len(gains)))
@@ -196,15 +206,22 @@ class Hypotheses:
     def _prior(self, found: FittedExplanation) -> float:
         """ln of the prior of an explanation: effects are alike, and so are the places of one."""
         each = sum(
-            -math.log(len(self._spots)) - math.log(self._spots[candidate.effect.name]) for candidate in found.candidates
+            -math.log(len(self._spots)) - math.log(self._spots[found.candidates[k].effect.name]) for k in found.stated
         )
         # More than physics allows is as improbable as it is far beyond.
         each -= 0.5 * sum(far**2 for far in beyond_physical_limits(found).values())
-        return each + math.log(
-            THRESHOLDS.comparison.prior_one_effect
-            if len(found.candidates) == 1
-            else 2.0 * THRESHOLDS.comparison.prior_two_effects
+        # Two effects come in either order.
+        share = (
+            THRESHOLDS.comparison.prior_none,
+            THRESHOLDS.comparison.prior_one_effect,
+            2.0 * THRESHOLDS.comparison.prior_two_effects,
         )
+        return each + math.log(share[len(found.stated)])
+
+    @property
+    def stated(self) -> list[FittedExplanation]:
+        """Explanations by effects that are needed."""
+        return [found for found in self.named if found.stated]
 
     def _left(self, found: FittedExplanation) -> float:
         """ln of the probability that an explanation leaves noise and asks nothing of the model that nobody believes."""
@@ -229,15 +246,32 @@ class Hypotheses:
     @cached_property
     def best(self) -> FittedExplanation | None:
         """The most probable explanation."""
-        return max(
-            self.named, key=lambda explanation: self._evidence(explanation) + self._prior(explanation), default=None
-        )
+        return max(self.stated, key=self._weight, default=None)
+
+    def _weight(self, found: FittedExplanation) -> float:
+        return self._evidence(found) + self._prior(found)
+
+    @property
+    def small(self) -> FittedExplanation | None:
+        """The most probable explanation of a difference that the recordings show and that does not matter."""
+        found = max((it for it in self.named if not it.stated), key=self._evidence, default=None)
+        shows = found is not None and self._evidence(found) - self._evidence(self.null) > self._known(found)
+        return found if shows else None
+
+    def _known(self, found: FittedExplanation) -> float:
+        """Rise of ln evidence from which an effect is seen, whether it matters or not."""
+        effects = [candidate.effect.name for candidate in found.candidates]
+        return THRESHOLDS.verdict.alarm_log_odds + sum(math.log(len(self._spots) * self._spots[e]) for e in effects)
 
     def compared(self) -> Comparison:
         """Probabilities of everything."""
         zero = self._evidence(self.null)
         none = math.log(THRESHOLDS.comparison.prior_none)
-        named = [self._evidence(explanation) - zero + self._prior(explanation) for explanation in self.named]
+        stated = self.stated
+        named = [self._weight(explanation) - zero for explanation in stated]
+        # With effects that are not needed an explanation says the same as the model alone.
+        alike = [none, *(self._weight(it) - zero for it in self.named if not it.stated)]
+        none = float(np.logaddexp.reduce(alike))
         alone = [
             math.log(THRESHOLDS.comparison.prior_unnamed / max(1, len(self.alone))) + source.gain
             for source in self.alone
@@ -256,7 +290,7 @@ class Hypotheses:
         weights = weights / weights.sum()
         p_named, p_unnamed = weights[1 : count + 1], weights[count + 1 :]
         by_place: dict[Location, float] = {}
-        for explanation, p in zip(self.named, p_named, strict=True):
+        for explanation, p in zip(stated, p_named, strict=True):
             for location, share in _shares(explanation):
                 by_place[location] = by_place.get(location, 0.0) + float(p) * share
         for source, p in zip(self.alone, p_unnamed, strict=False):
@@ -271,12 +305,12 @@ class Hypotheses:
                 by_place[location] = by_place.get(location, 0.0) + (float(p) - beside) * share
         total = sum(by_place.values())
         # What leaves more than noise has something unnamed beside it, as far as is known at the same place.
-        noise = np.exp([self._left(explanation) for explanation in self.named])
+        noise = np.exp([self._left(explanation) for explanation in stated])
         unknown = float(p_unnamed.sum() + p_named @ (1.0 - noise))
         given_library = p_named / max(float(p_named.sum()), 1e-300)
         p_named = p_named * noise
         labels = {"none": float(weights[0]), "unknown": unknown}
-        for explanation, p in zip(self.named, p_named, strict=True):
+        for explanation, p in zip(stated, p_named, strict=True):
             labels[explanation.explanation.label] = labels.get(explanation.explanation.label, 0.0) + float(p)
         return Comparison(
             float(weights[0]),
@@ -285,6 +319,7 @@ class Hypotheses:
             {k: v / total for k, v in sorted(by_place.items(), key=lambda item: -item[1])} if total else {},
             float(np.logaddexp.reduce(logs[1:]) - none) if logs.size > 1 else -math.inf,
             labels,
+            self.small,
         )
 
     def _classes(self, weights: FloatArray, given_library: FloatArray) -> tuple[EquivalentClass, ...]:
@@ -295,7 +330,7 @@ class Hypotheses:
             given_library: the same if one of them had to be the whole of the gap.
         """
         groups: dict[tuple[str, ...], list[tuple[float, float, FittedExplanation]]] = {}
-        for one, weight, library_share in zip(self.named, weights, given_library, strict=True):
+        for one, weight, library_share in zip(self.stated, weights, given_library, strict=True):
             groups.setdefault(one.effects, []).append((float(weight), float(library_share), one))
         heads = [
             (sum(w for w, _, _ in same), sum(g for _, g, _ in same), max(same, key=lambda item: item[:2])[2])
@@ -326,5 +361,5 @@ class Hypotheses:
 
 def _shares(found: FittedExplanation) -> list[tuple[Location, float]]:
     """Places of an explanation with the share of each in it: the squares of the strengths in standard uncertainties."""
-    squares = np.array([max(found.strength(member), 1e-6) ** 2 for member in range(len(found.candidates))])
-    return list(zip(found.explanation.locations, (squares / squares.sum()).tolist(), strict=True))
+    squares = np.array([max(found.strength(member), 1e-6) ** 2 for member in found.stated])
+    return list(zip(found.explanation.locations, (squares / max(squares.sum(), 1e-300)).tolist(), strict=True))

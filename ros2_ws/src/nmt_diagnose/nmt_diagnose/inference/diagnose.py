@@ -13,6 +13,7 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.effects.calibration import CalibrationParameter, calibration_parameters, mode_dampings
 from nmt_diagnose.effects.library import candidates as library_candidates
+from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import at_strength
 from nmt_diagnose.inference.chain import SharedDelay, shared_delays
@@ -33,16 +34,24 @@ from nmt_diagnose.inference.gap import ClosedShare, closed, rms
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
 from nmt_diagnose.inference.look_ahead import next_tests
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
+from nmt_diagnose.inference.noise import sigma_of
 from nmt_diagnose.inference.progress import Progress
 from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import residual_tests
-from nmt_diagnose.inference.result_rows import calibration_rows, candidate_row, inputs, place_rows, ranked_rows
+from nmt_diagnose.inference.result_rows import (
+    calibration_rows,
+    candidate_row,
+    inputs,
+    parameters,
+    place_rows,
+    ranked_rows,
+)
 from nmt_diagnose.inference.search import FittedExplanation, Score, Search, best_of
 from nmt_diagnose.inference.sentences import likeness, sentences
-from nmt_diagnose.inference.size import Size, change_size, differs, left_over, matters, measured_size, worth
+from nmt_diagnose.inference.size import change_size, matters, measured_size, needed
 from nmt_diagnose.inference.warnings import warned, without_observables
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward, Prediction, traced
@@ -74,6 +83,25 @@ class DiagnosisOutcome:
     final: FloatArray
 
 
+MAINS_HUM = "mains_hum"
+FAR_BEHIND = "far behind the best"
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An explanation that was fitted and does not compete.
+
+    Attributes:
+        found: the explanation.
+        beside: the model alone, fitted to the same.
+        filter: what took it out.
+    """
+
+    found: FittedExplanation
+    beside: FittedExplanation
+    filter: str
+
+
 @dataclass(frozen=True)
 class Findings:
     """What the comparison of explanations rests on.
@@ -89,6 +117,7 @@ class Findings:
         visible: the weakest that each effect could be and still be seen.
         inadequate: what the model has to be corrected for before effects can be told.
         doubtful: modes that the model may lack, of which nothing is left that matters.
+        left_out: explanations that were fitted and do not compete.
     """
 
     data: Data
@@ -101,6 +130,7 @@ class Findings:
     visible: tuple[DetectableEffect, ...]
     inadequate: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def diagnose_bags(
@@ -143,18 +173,31 @@ def observed(
 
 
 def find(
-    rig: Rig, observations: Observations, settings: DiagnosisSettings, tell: Progress = lambda _: None
+    rig: Rig,
+    observations: Observations,
+    settings: DiagnosisSettings,
+    tell: Progress = lambda _: None,
+    compared: BoolArray | None = None,
 ) -> Findings:
     """Fit and compare all explanations.
+
+    Args:
+        rig: the model.
+        observations: the real side.
+        settings: of the diagnosis.
+        tell: called with a sentence as the work goes on.
+        compared: rows that take part, (m,); None = all.
 
     Raises:
         BenchError: the model has no solution for any of the observations.
     """
     parameters = free_parameters(rig, observations)
     tell("re-fitting the model's own parameters")
-    held_out = named_tests(observations, settings.hold_out)
+    fitted = ~named_tests(observations, settings.hold_out)
+    if compared is not None:
+        fitted &= compared
     modes = LowLevelModes(observations, rig)
-    observations, as_given, null, data = model_alone(rig, observations, parameters, ~held_out, modes)
+    observations, as_given, null, data = model_alone(rig, observations, parameters, fitted, modes)
     operating = operating_range(rig, observations.tests, observations=observations)
     beyond_effects = modes.disordered or modes.lacking(
         data, null.fit, THRESHOLDS.modes.certain_sigmas, THRESHOLDS.modes.certain_channel_share
@@ -182,19 +225,17 @@ def find(
         ]
         known = {explanation.explanation for explanation in pairs}
         pairs += [explanation for explanation in search.pairs(reached, first) if explanation.explanation not in known]
-    by_cause = {explanation.candidates[0].cause: explanation for explanation in singles}
-    pairs = [
-        pair
-        for pair in pairs
-        if all(worth(data, pair, by_cause[c.cause], settings.matters) for c in pair.candidates if c.cause in by_cause)
-    ]
     first_null = null
     named = sorted([*singles, *pairs], key=lambda explanation: -explanation.fit.log_evidence)
+    left_out: list[LeftOut] = []
     if named and named[0].fit.log_evidence > null.fit.log_evidence:
         # Errors of the chain act about the best explanation; every other competes under the same noise.
         data = about(rig, observations, named[0].fit, data.used)
         search = Search(data, rig, parameters, candidates, tell)
-        null, named = search.again(null), search.all_again(named)
+        near, far = search.in_reach(named)
+        left_out = [LeftOut(explanation, first_null, FAR_BEHIND) for explanation in far]
+        null, named = search.again(null), search.all_again(near)
+    named = [needed(data, explanation, [null, *named], settings.matters) for explanation in named]
     beside = sources(data, null, source_locations(data, null), len(parameters))
     best_named = Hypotheses(data, null, named, candidates, beside, []).best
     behind = []
@@ -212,7 +253,7 @@ def find(
     lacking = modes.lacking(data, best.fit)
     return Findings(
         data, search, as_given, null, tuple(named), comparison, explained, visible, (*modes.disordered, *lacking),
-        tuple(sentence for sentence in modes.sentences if sentence not in lacking),
+        tuple(sentence for sentence in modes.sentences if sentence not in lacking), tuple(left_out),
     )  # fmt: skip
 
 
@@ -317,18 +358,45 @@ def diagnose_observations(
 ) -> DiagnosisOutcome:
     """Diagnose observations that have been read already; see :func:`diagnose_bags`.
 
+    Lines of the mains depend on nothing but the hum of their channel. They are left out where causes compete: a sum of
+    independent evidence orders causes by their own part. Where no cause is found they are judged alone.
+
     Raises:
         BenchError: the model has no solution for most of the observations.
     """
     settings, tell = settings or DiagnosisSettings(), progress or (lambda _: None)
     observations = replace(observations, matters=dict(settings.matters))
+    hum = observations.rows.part == Part.LINE
+    outcome = _diagnosed(rig, observations, settings, tell, ~hum)
+    if outcome.diagnosis.verdict in (Verdict.EFFECT, Verdict.UNKNOWN) or not stands_out(observations, hum):
+        return outcome
+    others = tuple(effect.name for effect in library() if effect.name != MAINS_HUM)
+    alone = _diagnosed(
+        rig, observations, replace(settings, withheld=(*settings.withheld, *others)), tell, np.ones_like(hum)
+    )
+    if alone.diagnosis.verdict not in (Verdict.EFFECT, Verdict.UNKNOWN):
+        return outcome
+    told = {**alone.diagnosis.inputs, "withheld": list(settings.withheld)}
+    return replace(alone, diagnosis=replace(alone.diagnosis, inputs=told))
+
+
+def stands_out(observations: Observations, which: BoolArray) -> bool:
+    """Whether rows, (m,), that a model without effects predicts to be zero stand out of noise and tolerances."""
+    sizes = np.abs(observations.values[which]) / sigma_of(observations)[which]
+    return bool(sizes.max(initial=0.0) > THRESHOLDS.comparison.credible_sigmas)
+
+
+def _diagnosed(
+    rig: Rig, observations: Observations, settings: DiagnosisSettings, tell: Progress, compared: BoolArray
+) -> DiagnosisOutcome:
+    """Diagnosis of those rows that are compared, (m,)."""
     held_out_splits = splits(observations, settings.hold_out)
-    findings = find(rig, observations, settings, tell)
+    findings = find(rig, observations, settings, tell, compared)
     data, null, comparison = findings.data, findings.null, findings.comparison
     tell("predicting what was held out")
     leader = comparison.classes[0] if comparison.classes else None
     as_given_errors = best_chain_errors(data, findings.as_given.values)
-    held_out = named_tests(observations, settings.hold_out)
+    held_out = named_tests(observations, settings.hold_out) & compared
     finite = np.all(
         [np.isfinite(explanation_fit.fit.prediction.values) for explanation_fit in (null, *findings.named)], axis=0
     )
@@ -340,19 +408,12 @@ def diagnose_observations(
         for explanation_fit in comparison.classes[: THRESHOLDS.verdict.judged_explanations]
     }
     share = None if leader is None else shares[leader.head.explanation]
-    size = None if leader is None else measured_size(data, leader.head)
-    small = not left_over(data, null, settings.matters)
-    needed = leader is not None and (not small or differs(data, leader.head, null, settings.matters))
     verdict = Verdict.UNKNOWN
     if not findings.inadequate:
         verdict = _verdict(
             comparison,
             leader,
             share,
-            size,
-            small,
-            needed,
-            settings,
             _is_recalibrated(findings, as_given_errors, settings),
         )
     named = leader if verdict is Verdict.EFFECT else None
@@ -406,12 +467,9 @@ def diagnose_observations(
         left_over_gap,
         leader.objections if leader is not None else (),
     )
-    if (
-        size is not None
-        and verdict in (Verdict.NONE, Verdict.CALIBRATION)
-        and comparison.log_odds > THRESHOLDS.verdict.alarm_log_odds
-    ):
-        text = (*text, f"{size.sentence} {likeness(ranking[0], explanation)}")
+    if comparison.small is not None and verdict in (Verdict.NONE, Verdict.CALIBRATION):
+        size = measured_size(data, comparison.small)
+        text = (*text, f"{size.sentence} {likeness(comparison.small.fitted, parameters(data, comparison.small))}")
     if findings.inadequate:
         text = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *text[1:2])
     diagnosis = Diagnosis(
@@ -427,7 +485,10 @@ def diagnose_observations(
         notes=observations.notes + tuple(findings.as_given.reasons),
         residual_map=residual_map(scaled, as_given, before, after),
         residual_tests=tuple(test.to_mapping() for test in residual_tests(scaled, after, rows)),
-        candidates=tuple(candidate_row(explanation_fit, null, data) for explanation_fit in (null, *findings.named)),
+        candidates=(
+            *(candidate_row(explanation_fit, null, data) for explanation_fit in (null, *findings.named)),
+            *(candidate_row(it.found, it.beside, data, it.filter) for it in findings.left_out),
+        ),
         features={
             "feature:log_odds": comparison.log_odds,
             "cost_given": as_given_errors.cost,
@@ -489,10 +550,6 @@ def _verdict(
     comparison: Comparison,
     leader: EquivalentClass | None,
     share: ClosedShare | None,
-    size: Size | None,
-    small: bool,
-    needed: bool,
-    settings: DiagnosisSettings,
     moved: bool,
 ) -> Verdict:
     """Verdict.
@@ -501,27 +558,20 @@ def _verdict(
         comparison: of all explanations.
         leader: the most probable class of named ones.
         share: of the gap that it closes on held-out data.
-        size: of what it does.
-        small: what the model alone leaves is noise, or smaller than what matters.
-        needed: it predicts something else that matters than the model alone, or unbends the parameters of that.
-        settings: of the diagnosis.
         moved: re-fitting the model's own parameters closed a gap.
     """
-    quiet = Verdict.CALIBRATION if moved else Verdict.NONE
     if comparison.log_odds < THRESHOLDS.verdict.alarm_log_odds:
-        return quiet
-    named = leader is not None and leader.adequate and leader.probability >= max(comparison.unknown, comparison.none)
-    if small and not (named and needed):
-        return quiet
+        return Verdict.CALIBRATION if moved else Verdict.NONE
     if leader is None or (
         share is not None and share.value < 0.0 and share.gain < -THRESHOLDS.verdict.worse_prediction_sigmas
     ):
         return Verdict.UNKNOWN
-    if named:
-        return quiet if size is not None and not matters(size, settings.matters) else Verdict.EFFECT
-    # Something unnamed lies behind; what closes most of the gap all the same is a partial explanation.
+    if leader.adequate and leader.probability >= max(comparison.unknown, comparison.none):
+        return Verdict.EFFECT
+    # Something unnamed lies behind; a law without a rival that closes most of the gap is named all the same.
     most = share is not None and math.isfinite(share.value) and share.value >= THRESHOLDS.verdict.partial_closed_share
-    return Verdict.EFFECT if most else Verdict.UNKNOWN
+    established = leader.given_library >= THRESHOLDS.verdict.cause_probability
+    return Verdict.EFFECT if most and established else Verdict.UNKNOWN
 
 
 def _closed(

@@ -360,7 +360,7 @@ class LowLevelModes:
         """Whether parameters reach the measured modes only by values that are hard to believe, or not at all."""
         return (
             float(np.sum(self.residual(parametrisation, theta) ** 2))
-            > parametrisation.size + 2.0 * THRESHOLDS.verdict.prior_cost_fall
+            > parametrisation.size + 2.0 * THRESHOLDS.comparison.credible_sigmas**2
         )
 
     def start(self, parametrisation: Parametrisation, theta: FloatArray) -> tuple[FloatArray, float]:

@@ -77,7 +77,9 @@ def parameters(data: Data, found: FittedExplanation) -> dict[str, Value]:
     parametrisation, theta = found.fit.parametrisation, found.fit.theta
     full_covariance = covariance_with_scale(data, found)
     result: dict[str, Value] = {}
-    for index, candidate in enumerate(found.candidates):
+    named = found.stated or range(len(found.candidates))
+    for index in named:
+        candidate = found.candidates[index]
         selected = parametrisation.index_of(index)
         covariance = full_covariance[selected, selected]
         for name, (value, unit) in parametrisation.reported(theta, index).items():
@@ -88,7 +90,7 @@ def parameters(data: Data, found: FittedExplanation) -> dict[str, Value]:
                 moved[k] += step
                 slopes[position] = (parametrisation.reported(moved, index)[name][0] - value) / step
             variance = float(slopes @ covariance @ slopes) if np.all(np.isfinite(slopes)) else math.inf
-            label = f"{candidate.label}.{name}" if len(found.candidates) > 1 else name
+            label = f"{candidate.label}.{name}" if len(named) > 1 else name
             result[label] = Value(value, math.sqrt(max(variance, 0.0)), unit)
     return result
 
@@ -133,13 +135,25 @@ def calibration_rows(found: FittedExplanation) -> tuple[Recalibrated, ...]:
     return tuple(result)
 
 
-def candidate_row(found: FittedExplanation, null: FittedExplanation, data: Data) -> dict[str, Any]:
-    """A fitted explanation as ``diagnosis.json`` has it."""
+def candidate_row(
+    found: FittedExplanation, null: FittedExplanation, data: Data, dropped_by: str = ""
+) -> dict[str, Any]:
+    """A fitted explanation as ``diagnosis.json`` has it.
+
+    Args:
+        found: the explanation.
+        null: the model alone, fitted to the same.
+        data: what was fitted.
+        dropped_by: filter that took it out of the comparison; empty where it competes.
+    """
     fitted = found.fit
+    small = [candidate.cause.label for k, candidate in enumerate(found.candidates) if k in found.small]
     return {
-        "label": found.explanation.label,
-        "effect": joined(found.effects) or NULL,
-        "place": found.explanation.kinds,
+        "label": found.fitted.label,
+        "effect": joined(found.fitted.effects) or NULL,
+        "place": found.fitted.kinds,
+        "small": small,
+        "filter": dropped_by,
         "chi_square": float(fitted.errors.residual @ fitted.errors.residual),
         "penalty": float(np.sum((fitted.theta / fitted.parametrisation.prior_std) ** 2)),
         "cost": fitted.cost,

@@ -42,15 +42,27 @@ class FittedExplanation:
     Attributes:
         candidates: its effects at their places; none for the model alone.
         fit: the fit.
+        small: numbers of those candidates without which what is left would not matter: nothing is said of them.
     """
 
     candidates: tuple[Candidate, ...]
     fit: FitResult
+    small: frozenset[int] = frozenset()
+
+    @cached_property
+    def fitted(self) -> Explanation:
+        """All its effects at their places as values that compare."""
+        return Explanation(tuple(candidate.cause for candidate in self.candidates))
+
+    @property
+    def stated(self) -> tuple[int, ...]:
+        """Numbers of the candidates that it needs."""
+        return tuple(k for k in range(len(self.candidates)) if k not in self.small)
 
     @cached_property
     def explanation(self) -> Explanation:
-        """Its effects at their places as values that compare."""
-        return Explanation(tuple(candidate.cause for candidate in self.candidates))
+        """The effects that it needs, at their places."""
+        return Explanation(tuple(self.candidates[k].cause for k in self.stated))
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -66,8 +78,8 @@ class FittedExplanation:
 
     @property
     def sigmas(self) -> float:
-        """Strength of its weakest effect; 0 without effects."""
-        return min((self.strength(member) for member in range(len(self.candidates))), default=0.0)
+        """Strength of the weakest effect that it needs; 0 without effects."""
+        return min((self.strength(member) for member in self.stated), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -291,20 +303,16 @@ class Search:
             return found
         return FittedExplanation(found.candidates, fitted)
 
+    def in_reach(self, found: Sequence[FittedExplanation]) -> tuple[list[FittedExplanation], list[FittedExplanation]]:
+        """Explanations, the best first, that are not far behind the best, and the others."""
+        least = found[0].fit.log_evidence - THRESHOLDS.search.far_behind_log_evidence
+        near = [it for it in found if it.fit.log_evidence > least][: THRESHOLDS.search.finalists]
+        return near, [it for it in found if it not in near]
+
     def all_again(self, found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
-        """All explanations that are not far behind the best, fitted again, the best first."""
-        most = max(explanation.fit.log_evidence for explanation in found)
-        near = [
-            explanation
-            for explanation in found
-            if explanation.fit.log_evidence > most - THRESHOLDS.search.far_behind_log_evidence
-        ][: THRESHOLDS.search.finalists]
-        fitted = sorted(
-            (self.again(explanation) for explanation in near), key=lambda explanation: -explanation.fit.log_evidence
-        )
-        return sorted(
-            [self.refitted_from_model(fitted[0]), *fitted[1:]], key=lambda explanation: -explanation.fit.log_evidence
-        )
+        """Explanations fitted again, the best first."""
+        fitted = sorted((self.again(explanation) for explanation in found), key=lambda it: -it.fit.log_evidence)
+        return sorted([self.refitted_from_model(fitted[0]), *fitted[1:]], key=lambda it: -it.fit.log_evidence)
 
     def widened(self, found: FitResult) -> FitResult:
         """The fit with the part of its strengths' prior that makes it most probable."""

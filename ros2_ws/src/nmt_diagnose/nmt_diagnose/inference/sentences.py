@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from nmt_core.text.number_words import percent, share_with_interval, significant, value_text
-from nmt_diagnose.effects.location import Explanation
-from nmt_diagnose.inference.diagnosis import NULL, Gap, NextTest, PlaceShare, Ranked, Recalibrated, Remainder, Verdict
+from nmt_diagnose.effects.location import Explanation, joined
+from nmt_diagnose.inference.diagnosis import (
+    NULL,
+    Gap,
+    NextTest,
+    PlaceShare,
+    Ranked,
+    Recalibrated,
+    Remainder,
+    Value,
+    Verdict,
+)
 from nmt_diagnose.inference.gap import NOISE
 from nmt_diagnose.inference.size import Objection
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -58,7 +68,9 @@ def sentences(
         )
     place = _where(where)
     if verdict is Verdict.UNKNOWN:
-        return (place, "Nothing in the library explains all of it." + _nearest(ranking, named, gap), *_ahead(ahead))
+        part = math.isfinite(gap.closed) and gap.closed >= THRESHOLDS.verdict.nearest_closed_share
+        known = "The library explains a part of it only." if part else "Nothing in the library explains a third of it."
+        return (place, known + _nearest(ranking, named, gap), *_ahead(ahead))
     head = ranking[0]
     values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
     what = f"{_title(head.effect)}{_at(named)}" + (f" ({values})" if values else "")
@@ -86,13 +98,11 @@ def _against(left: Sequence[Objection]) -> str:
     return left[0].sentence if left else "more than noise remains that it does not explain"
 
 
-def likeness(head: Ranked, named: Explanation | None) -> str:
+def likeness(explanation: Explanation, found: Mapping[str, Value]) -> str:
     """What a difference that does not matter looks like."""
-    values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
-    return (
-        f"It looks like {_title(head.effect)}{_at(named)} ({values}), probability {_sure(head.probability)}; "
-        "'--matters' says from which size on that is a gap."
-    )
+    values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in found.items())
+    what = joined(_title(cause.effect) for cause in explanation.causes)
+    return f"It looks like {what}{_at(explanation)} ({values}); '--matters' says from which size on that is a gap."
 
 
 def _nearest(ranking: Sequence[Ranked], named: Explanation | None, gap: Gap) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
@@ -119,6 +119,13 @@ def left_over(data: Data, found: FittedExplanation, wanted: Mapping[str, float])
     return tuple(sorted(result, key=lambda left: -left.size / max(wanted.get(left.kind, 0.0), 1e-300)))
 
 
+def left_without_size(data: Data, found: FittedExplanation) -> bool:
+    """Whether phases that the loop held, lines of the mains, steps, limits or lost samples are left that stand out."""
+    sized = np.isin(data.observations.rows.part, [part for parts in _KINDS.values() for part in parts])
+    left = np.abs(data.residual(found.fit.prediction.values, found.fit.errors.chain)[data.used & ~sized])
+    return bool(left.max(initial=0.0) > THRESHOLDS.verdict.visible_sigmas)
+
+
 def implausible_parameters(found: FittedExplanation) -> tuple[tuple[Objection, ...], float]:
     """The model's own parameter furthest from what is believed of it, where that is improbable (Bonferroni).
 
@@ -136,38 +143,65 @@ def implausible_parameters(found: FittedExplanation) -> tuple[tuple[Objection, .
     return (Objection(parameters[worst].name, "", float(theta[worst])),), chance
 
 
+def needed(
+    data: Data, found: FittedExplanation, simpler: Sequence[FittedExplanation], wanted: Mapping[str, float]
+) -> FittedExplanation:
+    """An explanation with those of its effects marked as small that it does not need.
+
+    Args:
+        data: what was fitted.
+        found: the explanation.
+        simpler: fits that may have some of its effects only, the model alone among them.
+        wanted: what matters, by kind.
+    """
+    causes = set(found.fitted.causes)
+    parts = [less for less in simpler if set(less.fitted.causes) < causes]
+    for less in sorted(parts, key=lambda part: (len(part.candidates), -part.fit.log_evidence)):
+        if not worth(data, found, less, wanted):
+            kept = less.fitted.causes
+            small = (k for k, candidate in enumerate(found.candidates) if candidate.cause not in kept)
+            return replace(found, small=frozenset(small))
+    return found
+
+
 def worth(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:
     """Whether an explanation with more effects than another is needed beside it.
 
     It is where the other leaves more than noise that matters and its predictions differ by what matters, or where the
-    other is that near only by parameters and a measuring chain that are hard to believe.
+    other is that near only by parameters or a measuring chain that nobody believes and this one is not.
     """
-    if _lowers_prior_cost(more, less):
+    if left_over(data, less, wanted) or left_without_size(data, less):
+        return _apart(data, more, less, wanted)
+    pulled = strained(data, less, wanted)
+    return pulled < THRESHOLDS.comparison.incredible_probability and strained(data, more, wanted) > pulled
+
+
+def leaves_something(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> bool:
+    """Whether a fit leaves more than noise that matters, or asks of model and chain what nobody believes."""
+    if left_over(data, found, wanted) or left_without_size(data, found):
         return True
-    return bool(left_over(data, less, wanted)) and _apart(data, more, less, wanted)
+    return strained(data, found, wanted) < THRESHOLDS.comparison.incredible_probability
 
 
-def differs(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:
-    """The same where what the other leaves may not be surely more than noise yet."""
-    return _lowers_prior_cost(more, less) or _apart(data, more, less, wanted)
+def strained(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> float:
+    """Probability that a parameter of the model or an error of the chain that matters is as far off (Bonferroni)."""
+    fitted, chain = found.fit, found.fit.errors.chain
+    own = np.abs(fitted.theta[: len(fitted.parametrisation.calibration)])
+    far = np.flatnonzero(np.abs(chain) > THRESHOLDS.comparison.credible_sigmas)
+    moved = (data.chain + data.added) * chain
+    farthest = max(
+        [float(own.max(initial=0.0)), *(abs(float(chain[j])) for j in far if _matters(data, moved[:, j], wanted))]
+    )
+    return min(1.0, (own.size + chain.size) * 2.0 * float(norm.sf(farthest)))
 
 
-def _lowers_prior_cost(more: FittedExplanation, less: FittedExplanation) -> bool:
-    """Whether further effects take parameters and measuring chain back to what is believed of them."""
-    pulls = [
-        float(
-            np.sum((explanation.fit.theta / explanation.fit.parametrisation.prior_std) ** 2)
-            + explanation.fit.errors.chain @ explanation.fit.errors.chain
-        )
-        for explanation in (less, more)
-    ]
-    return pulls[0] - pulls[1] > THRESHOLDS.verdict.prior_cost_fall
+def _matters(data: Data, change: FloatArray, wanted: Mapping[str, float]) -> bool:
+    return matters(change_size(data, change), wanted)
 
 
 def _apart(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:
     """Whether the predictions of two fits differ by what matters."""
-    change = data.forward.difference(more.fit.errors.values, less.fit.errors.values)
-    return matters(change_size(data, change), wanted)
+    return _matters(data, data.forward.difference(more.fit.errors.values, less.fit.errors.values), wanted)
 
 
 def change_size(data: Data, change: FloatArray) -> Size:
@@ -203,9 +237,10 @@ def change_size(data: Data, change: FloatArray) -> Size:
 
 
 def without_strength(found: FittedExplanation) -> FloatArray:
-    """θ of an explanation with its effects at zero strength."""
+    """θ of an explanation with the effects that it needs at zero strength."""
     theta = found.fit.theta.copy()
-    for number, candidate in enumerate(found.candidates):
+    for number in found.stated:
+        candidate = found.candidates[number]
         selected = found.fit.parametrisation.index_of(number)
         theta[selected] = at_zero(candidate, theta[selected])
     return theta

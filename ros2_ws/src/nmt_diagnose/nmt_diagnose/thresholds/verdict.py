@@ -23,21 +23,19 @@ class VerdictThresholds:
         "",
     )  # fmt: skip
     partial_closed_share: float = threshold(
-        0.95, "1",
-        "Share of the gap that an explanation which leaves more than noise has to close to be reported as a "
-        "partial one.",
+        0.5, "1",
+        "Share of the gap that an explanation which leaves more than noise has to close to be named: the larger part.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.partial_closed_share]",
+    )  # fmt: skip
+    nearest_closed_share: float = threshold(
+        1.0 / 3.0, "1",
+        "Share of the gap below which the nearest explanation is no part of the answer.",
+        "tests/diagnose/test_sentences.py::test_nothing_is_said_below_a_third",
     )  # fmt: skip
     worse_prediction_sigmas: float = threshold(
         1.0, "σ",
         "Standard deviations by which held-out rows must be predicted worse for an explanation to be refused.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.worse_prediction_sigmas]",
-    )  # fmt: skip
-    prior_cost_fall: float = threshold(
-        9.0, "−2 ln p",
-        "Fall of what priors of parameters and chain cost from which a further effect is reported however small: "
-        "three deviations.",
-        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.prior_cost_fall]",
     )  # fmt: skip
     judged_explanations: int = threshold(
         3, "1",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -140,6 +141,12 @@ def certainty(p: float) -> bool:
     return any("The cause is" in text for text in sentences(Verdict.EFFECT, where, [head], None, GAP, (), ()))
 
 
+def nearest(closed: float) -> str:
+    """How much of an unknown gap nothing explains, as it is said."""
+    text = sentences(Verdict.UNKNOWN, (), (), None, replace(GAP, closed=closed), (), ())[1]
+    return text.removeprefix("Nothing in the library explains ").partition(" of it")[0]
+
+
 def courses(levels: int) -> bool:
     observations = run_observations(levels=levels)
     every = np.ones(len(observations.rows), dtype=bool)
@@ -201,6 +208,7 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
         lambda: (verdict(9.0, 0.49, adequate=False), verdict(9.0, 0.51, adequate=False)),
         (Verdict.UNKNOWN, Verdict.EFFECT),
     ),
+    "verdict.nearest_closed_share": (lambda: [nearest(0.32), nearest(0.34)], ["a third", "all"]),
     "verdict.as_likely_share": (lambda: (details(0.19), details(0.21)), ("2", "2 + 3")),
     "verdict.least_location_probability": (lambda: (listed(0.004), listed(0.006)), (1, 2)),
     "verdict.other_location_probability": (

@@ -98,7 +98,7 @@ def test_an_effect_is_needed_where_the_fit_without_it_leaves_something_that_matt
     assert needed(search.data, cubic, [null], wanted).stated == (0,)
     never = dict.fromkeys(wanted, 1e9)
     small = needed(search.data, cubic, [null], never)
-    assert small.stated == () and small.explanation == null.explanation and small.fitted == cubic.fitted
+    assert (small.stated, small.explanation, small.fitted) == ((), null.explanation, cubic.fitted)
     both = FittedExplanation((*cubic.candidates, cubic.candidates[0]), cubic.fit)
     assert needed(search.data, both, [null], wanted).stated == (0, 1)
 

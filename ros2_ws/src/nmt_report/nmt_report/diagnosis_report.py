@@ -92,8 +92,8 @@ def diagnosis_page(report: DiagnosisReport) -> str:
     return page.html(
         "diagnosis_report.html",
         drawing=[drawing],
-        shares=probability_shares(d),
-        ranking=_ranking(d),
+        shares=probability_shares(d) if d.ranking else [],
+        ranking=_ranking(d) if d.ranking else None,
         place_table=_places(d),
         placed_by_calibration=d.verdict is Verdict.CALIBRATION,
         no_gap=d.verdict is Verdict.NONE,
@@ -546,6 +546,7 @@ def _candidates(d: Diagnosis) -> Table | None:
             str(item.get("parameters", "")),
             plain(_number(item, "sigmas"), 1),
             "yes" if item.get("converged") else "no",
+            str(item.get("filter") or "") or "; ".join(f"{name} is small" for name in item.get("small", ())) or "—",
         ))
         for item in d.candidates
     ]  # fmt: skip
@@ -558,6 +559,7 @@ def _candidates(d: Diagnosis) -> Table | None:
         Column("Parameters", "added"),
         Column("Strength", "× its uncertainty"),
         Column("Converged"),
+        Column("Left out", "as", "text"),
     )
     return Table(head, rows)
 

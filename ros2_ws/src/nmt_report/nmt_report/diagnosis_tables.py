@@ -36,7 +36,9 @@ def bar(share: float, width: int = _BAR) -> str:
 
 
 def ranking_table(diagnosis: Diagnosis) -> Table | None:
-    """Explanations with their probability, most probable first."""
+    """Explanations with their probability, most probable first; None where there is no gap to explain."""
+    if not diagnosis.ranking:
+        return None
     table = _new("Explanations")
     partial = is_partial(diagnosis)
     table.add_column("among the library" if partial else "probability", no_wrap=True, min_width=_BAR)

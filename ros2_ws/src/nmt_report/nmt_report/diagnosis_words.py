@@ -35,7 +35,8 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
             closed = diagnosis.gap.closed
             part = percent(closed, 1) if math.isfinite(closed) else "most"
             named = f"{class_text(head)} ({place_text(head.place, head.detail)})"
-            return f"a partial explanation: {part} of the gap acts like {named}, the rest is not explained", "partly"
+            rest = f"{percent(1.0 - closed, 1)} is" if math.isfinite(closed) else "the rest is"
+            return f"{named} explains {part} of the gap; {rest} not in the library", "partly"
         text = f"the model lacks {class_text(head)} ({place_text(head.place, head.detail)})"
         if diagnosis.remainder is not None:
             share = 100.0 * diagnosis.remainder.share

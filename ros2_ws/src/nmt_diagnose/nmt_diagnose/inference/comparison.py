@@ -104,30 +104,28 @@ def source_locations(data: Data, base: FittedExplanation) -> list[SourceLocation
     return places(data.forward, rig, base.fit.prediction, data.observations, whitened)
 
 
-def sources(
-    data: Data, base: FittedExplanation, found: Sequence[SourceLocation], open_from: int
-) -> list[SourceEvidence]:
-    """Evidence for a generic source at each place on top of a fit.
+def sources(data: Data, base: FittedExplanation, open_from: int) -> list[SourceEvidence]:
+    """Evidence for a generic source at each place on top of a fit; none where it leaves only what noise allows.
 
     Args:
         data: what fits work on.
         base: the fit.
-        found: places with the changes of the rows, over σ.
         open_from: parameters from here on are of effects; their prior lets go.
     """
+    if not leaves_something(data, base, data.observations.matters):
+        return []
     fitted = base.fit
     prior = fitted.parametrisation.prior_std.copy()
     prior[open_from:] *= 1e3
     columns = np.column_stack([fitted.jacobian, fitted.errors.slopes])
     precision = np.concatenate([prior**-2.0, np.ones(fitted.errors.chain.size)])
     metric = Metric(columns, precision, fitted.errors.weights)
-    nothing_left = not leaves_something(data, base, data.observations.matters)
     result = []
-    for place in found:
+    for place in source_locations(data, base):
         gains, falls = [], []
         for _, block in place.families:
             gain, fall, change = _source(data, base, metric, precision, block)
-            small = nothing_left or not matters(change_size(data, data.in_units(change)), data.observations.matters)
+            small = not matters(change_size(data, data.in_units(change)), data.observations.matters)
             gains.append(min(gain, 0.0) if small else gain)
             falls.append(0.0 if small else fall)
         mean = float(np.logaddexp.reduce(gains) - math.log(len(gains)))

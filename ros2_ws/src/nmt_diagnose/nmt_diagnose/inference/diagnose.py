@@ -17,7 +17,7 @@ from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import at_strength
 from nmt_diagnose.inference.chain import SharedDelay, shared_delays
-from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, source_locations, sources
+from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, sources
 from nmt_diagnose.inference.diagnosis import DetectableEffect, Diagnosis, Gap, Value, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.fitting import (
@@ -49,7 +49,7 @@ from nmt_diagnose.inference.result_rows import (
 )
 from nmt_diagnose.inference.search import FittedExplanation, Score, Search, best_of
 from nmt_diagnose.inference.sentences import likeness, sentences
-from nmt_diagnose.inference.size import change_size, matters, measured_size, needed
+from nmt_diagnose.inference.size import change_size, leaves_something, matters, measured_size, needed
 from nmt_diagnose.inference.warnings import warned, without_observables
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -206,25 +206,10 @@ def find(
     search = Search(data, rig, parameters, candidates, tell)
     tell(f"scanning {len(candidates)} candidates")
     scores = search.scores(null)
-    singles = search.singles(null, scores)
-    if modes.far_from(rig) and modes.exceed_priors(null.fit.parametrisation, null.fit.theta):
-        tell("bringing the modes of explanations to the measured ones")
-        singles = best_of([*singles, *search.from_modes(null, modes)])
-    tell("looking for second effects")
-    pairs = search.pairs(singles)
-    reached = search.pruned(pairs)
-    if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
-        first = singles
-        singles = [
-            *reached,
-            *(
-                explanation
-                for explanation in singles
-                if explanation.explanation not in {it.explanation for it in reached}
-            ),
-        ]
-        known = {explanation.explanation for explanation in pairs}
-        pairs += [explanation for explanation in search.pairs(reached, first) if explanation.explanation not in known]
+    if leaves_something(data, null, settings.matters):
+        singles, pairs = _searched(search, null, scores, modes, rig)
+    else:  # one fit tells what a difference that does not matter looks like
+        singles, pairs = search.fitted(null, scores[:1]), []
     first_null = null
     named = sorted([*singles, *pairs], key=lambda explanation: -explanation.fit.log_evidence)
     left_out: list[LeftOut] = []
@@ -236,11 +221,14 @@ def find(
         left_out = [LeftOut(explanation, first_null, FAR_BEHIND) for explanation in far]
         null, named = search.again(null), search.all_again(near)
     named = [needed(data, explanation, [null, *named], settings.matters) for explanation in named]
-    beside = sources(data, null, source_locations(data, null), len(parameters))
+    leading = Hypotheses(data, null, named, candidates, [], []).best
+    if leading is not None and leading.small:
+        # What is small is so beside every cause: rivals get it, too.
+        more = search.with_small(leading, named)
+        named += [needed(data, explanation, [null, *named], settings.matters) for explanation in more]
+    beside = sources(data, null, len(parameters))
     best_named = Hypotheses(data, null, named, candidates, beside, []).best
-    behind = []
-    if best_named is not None:
-        behind = sources(data, best_named, source_locations(data, best_named), len(parameters))
+    behind = sources(data, best_named, len(parameters)) if best_named is not None else []
     comparison = Hypotheses(data, null, named, candidates, beside, behind).compared()
     explained: dict[str, float] = {}
     for source in beside:
@@ -255,6 +243,25 @@ def find(
         data, search, as_given, null, tuple(named), comparison, explained, visible, (*modes.disordered, *lacking),
         tuple(sentence for sentence in modes.sentences if sentence not in lacking), tuple(left_out),
     )  # fmt: skip
+
+
+def _searched(
+    search: Search, null: FittedExplanation, scores: Sequence[Score], modes: LowLevelModes, rig: Rig
+) -> tuple[list[FittedExplanation], list[FittedExplanation]]:
+    """Explanations by one effect and by two, the best of each first."""
+    singles = search.singles(null, scores)
+    if modes.far_from(rig) and modes.exceed_priors(null.fit.parametrisation, null.fit.theta):
+        search.tell("bringing the modes of explanations to the measured ones")
+        singles = best_of([*singles, *search.from_modes(null, modes)])
+    search.tell("looking for second effects")
+    pairs = search.pairs(singles)
+    reached = search.pruned(pairs)
+    if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
+        first, known = singles, {explanation.explanation for explanation in reached}
+        singles = [*reached, *(explanation for explanation in singles if explanation.explanation not in known)]
+        before = {explanation.explanation for explanation in pairs}
+        pairs += [it for it in search.pairs(reached, first) if it.explanation not in before]
+    return singles, pairs
 
 
 def free_parameters(rig: Rig, observations: Observations) -> tuple[CalibrationParameter, ...]:
@@ -449,7 +456,8 @@ def _diagnosed(
     )
     left_over_gap = remainder(scaled, gap, after, rows) if nearest is not None else None
     where = place_rows(comparison, findings.sources) if nearest is not None or verdict is Verdict.UNKNOWN else ()
-    ranking = ranked_rows(data, comparison, shares, partial=verdict is Verdict.EFFECT and not adequate)
+    partial = verdict is Verdict.EFFECT and not adequate
+    ranking = ranked_rows(data, comparison, shares, partial) if nearest is not None else ()
     calibration = calibration_rows(best)
     proposed_tests = next_tests(rig, scaled, null, comparison) if settings.look_ahead and nearest is not None else ()
     warnings = warned(verdict, best, calibration, gap, named.members if named is not None else ())

@@ -462,6 +462,27 @@ class Search:
                 result.append(alone)
         return sorted(result, key=lambda pair: -pair.fit.log_evidence)
 
+    def with_small(self, leading: FittedExplanation, others: Sequence[FittedExplanation]) -> list[FittedExplanation]:
+        """Other explanations by one effect with the small effects of the leading one beside it, fitted."""
+        found = []
+        for k in sorted(leading.small):
+            number = self.candidates.index(leading.candidates[k])
+            start = leading.fit.theta[leading.fit.parametrisation.index_of(k)]
+            beside = Score(number, start, math.nan, math.nan, np.zeros(0))
+            for other in others:
+                if (
+                    len(other.candidates) == 1
+                    and other.stated
+                    and other.fitted != Explanation((leading.candidates[k].cause,))
+                ):
+                    found.append(self.added(other, beside))
+        return [self.again(explanation) for explanation in found if explanation is not None]
+
+    def fitted(self, base: FittedExplanation, wanted: Sequence[Score]) -> list[FittedExplanation]:
+        """Candidates fitted on top of a fit from where the score test puts them, the best first."""
+        found = [self.added(base, score) for score in wanted if score.gain > THRESHOLDS.search.least_cost_fall]
+        return best_of([explanation for explanation in found if explanation is not None])
+
     def _all(self, base: FittedExplanation, wanted: Sequence[Score]) -> list[FittedExplanation]:
         found = [self.added(base, score) for score in wanted]
         fits = [explanation for explanation in found if explanation is not None]

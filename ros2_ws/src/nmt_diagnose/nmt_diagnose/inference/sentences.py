@@ -69,7 +69,8 @@ def sentences(
     place = _where(where)
     if verdict is Verdict.UNKNOWN:
         part = math.isfinite(gap.closed) and gap.closed >= THRESHOLDS.verdict.nearest_closed_share
-        known = "The library explains a part of it only." if part else "Nothing in the library explains a third of it."
+        most = "all" if part else "a third"
+        known = f"Nothing in the library explains {most} of it."
         return (place, known + _nearest(ranking, named, gap), *_ahead(ahead))
     head = ranking[0]
     values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())

@@ -30,7 +30,7 @@ class VerdictThresholds:
     nearest_closed_share: float = threshold(
         1.0 / 3.0, "1",
         "Share of the gap below which the nearest explanation is no part of the answer.",
-        "tests/diagnose/test_sentences.py::test_nothing_is_said_below_a_third",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.nearest_closed_share]",
     )  # fmt: skip
     worse_prediction_sigmas: float = threshold(
         1.0, "σ",

@@ -463,19 +463,18 @@ class Search:
         return sorted(result, key=lambda pair: -pair.fit.log_evidence)
 
     def with_small(self, leading: FittedExplanation, others: Sequence[FittedExplanation]) -> list[FittedExplanation]:
-        """Other explanations by one effect with the small effects of the leading one beside it, fitted."""
+        """Other explanations by one effect with the small effects of the leading one beside it, fitted to the end."""
+        known = {explanation.fitted for explanation in others}
         found = []
         for k in sorted(leading.small):
-            number = self.candidates.index(leading.candidates[k])
+            candidate = leading.candidates[k]
             start = leading.fit.theta[leading.fit.parametrisation.index_of(k)]
-            beside = Score(number, start, math.nan, math.nan, np.zeros(0))
+            beside = Score(self.candidates.index(candidate), start, math.nan, math.nan, np.zeros(0))
             for other in others:
-                if (
-                    len(other.candidates) == 1
-                    and other.stated
-                    and other.fitted != Explanation((leading.candidates[k].cause,))
-                ):
+                both = Explanation((*other.fitted.causes, candidate.cause))
+                if len(other.candidates) == 1 and other.stated and both not in known:
                     found.append(self.added(other, beside))
+                    known.add(both)
         return [self.again(explanation) for explanation in found if explanation is not None]
 
     def fitted(self, base: FittedExplanation, wanted: Sequence[Score]) -> list[FittedExplanation]:

@@ -78,8 +78,9 @@ class FittedExplanation:
 
     @property
     def sigmas(self) -> float:
-        """Strength of the weakest effect that it needs; 0 without effects."""
-        return min((self.strength(member) for member in self.stated), default=0.0)
+        """Strength of the weakest effect that it needs, of all where it needs none; 0 without effects."""
+        members = self.stated or range(len(self.candidates))
+        return min((self.strength(member) for member in members), default=0.0)
 
 
 @dataclass(frozen=True)

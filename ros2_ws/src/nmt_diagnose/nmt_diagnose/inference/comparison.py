@@ -338,23 +338,22 @@ class Hypotheses:
         result = []
         while heads:
             first = heads[0]
-            equivalent = [
-                item
-                for item in heads
-                if item is first or distance(first[2], item[2]) < THRESHOLDS.comparison.equivalent_sigmas
-            ]
+            equivalent = [item for item in heads if item is first or _alike(first[2], item[2])]
             heads = [item for item in heads if item not in equivalent]
-            # With one effect more than another member an explanation says nothing new.
-            members = [
-                member
-                for _, _, member in equivalent
-                if not any(set(o.effects) < set(member.effects) for _, _, o in equivalent)
-            ]
+            members = [member for _, _, member in equivalent]
             weight, library_share = sum(w for w, _, _ in equivalent), sum(g for _, g, _ in equivalent)
             result.append(EquivalentClass(tuple(members), weight, library_share, self._against(members[0])))
         return tuple(
             sorted(result, key=lambda member: (-member.probability if member.adequate else 0.0, -member.given_library))
         )
+
+
+def _alike(one: FittedExplanation, other: FittedExplanation) -> bool:
+    """Whether recordings do not distinguish two explanations; what needs an effect more than another is not like it."""
+    effects = set(one.effects), set(other.effects)
+    if effects[0] < effects[1] or effects[1] < effects[0]:
+        return False
+    return distance(one, other) < THRESHOLDS.comparison.equivalent_sigmas
 
 
 def _shares(found: FittedExplanation) -> list[tuple[Location, float]]:

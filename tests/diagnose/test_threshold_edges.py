@@ -72,10 +72,10 @@ def recorded(amplitude: float, level: float = math.inf, step: float = 0.0, noise
 
 
 def verdict(
-    log_odds: float, value: float = 0.99, gain: float = 9.0, adequate: bool = True, rivals: float = 0.05
+    log_odds: float, value: float = 0.99, gain: float = 9.0, adequate: bool = True, effects: int = 1
 ) -> Verdict:
     left = () if adequate else (Objection("levels: frequency", "frequency", 0.004),)
-    leader = EquivalentClass((), 0.9, 1.0 - rivals, left)
+    leader = EquivalentClass((explanation(effects),), 0.9, 0.9, left)
     comparison = Comparison(0.05, 0.05, (leader,), {}, log_odds, {})
     share = ClosedShare(3.0, 1.0, 1.0, value, 0.9, 1.0, gain)
     return _verdict(comparison, leader, share, False)
@@ -205,8 +205,12 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
         lambda: (verdict(9.0, -0.1, -1.1), verdict(9.0, -0.1, -0.9)), (Verdict.UNKNOWN, Verdict.EFFECT)
     ),
     "verdict.partial_closed_share": (
-        lambda: (verdict(9.0, 0.49, adequate=False), verdict(9.0, 0.51, adequate=False)),
+        lambda: (verdict(9.0, 0.79, adequate=False), verdict(9.0, 0.81, adequate=False)),
         (Verdict.UNKNOWN, Verdict.EFFECT),
+    ),
+    "verdict.partial_closed_share_of_two": (
+        lambda: [verdict(9.0, closed, adequate=False, effects=2) for closed in (0.94, 0.96)],
+        [Verdict.UNKNOWN, Verdict.EFFECT],
     ),
     "verdict.nearest_closed_share": (lambda: [nearest(0.32), nearest(0.34)], ["a third", "all"]),
     "verdict.as_likely_share": (lambda: (details(0.19), details(0.21)), ("2", "2 + 3")),

@@ -576,8 +576,13 @@ def _verdict(
         return Verdict.UNKNOWN
     if leader.adequate and leader.probability >= max(comparison.unknown, comparison.none):
         return Verdict.EFFECT
-    # Something unnamed lies behind; a law without a rival that closes most of the gap is named all the same.
-    most = share is not None and math.isfinite(share.value) and share.value >= THRESHOLDS.verdict.partial_closed_share
+    # Something unnamed lies behind; a law without a rival that closes most of the gap is named all the same. Two laws
+    # together can imitate a third.
+    least = (
+        THRESHOLDS.verdict.partial_closed_share,
+        THRESHOLDS.verdict.partial_closed_share_of_two,
+    )[min(len(leader.head.stated), 2) - 1]
+    most = share is not None and math.isfinite(share.value) and share.value >= least
     established = leader.given_library >= THRESHOLDS.verdict.cause_probability
     return Verdict.EFFECT if most and established else Verdict.UNKNOWN
 

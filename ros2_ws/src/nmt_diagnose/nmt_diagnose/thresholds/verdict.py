@@ -23,9 +23,15 @@ class VerdictThresholds:
         "",
     )  # fmt: skip
     partial_closed_share: float = threshold(
-        0.5, "1",
-        "Share of the gap that an explanation which leaves more than noise has to close to be named: the larger part.",
+        0.8, "1",
+        "Share of the gap that an effect which leaves more than noise has to close to be named.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.partial_closed_share]",
+    )  # fmt: skip
+    partial_closed_share_of_two: float = threshold(
+        0.95, "1",
+        "The same of two effects, which together imitate a third: source impedance and preload loss close 85 % of the "
+        "crossover distortion of an amplifier.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.partial_closed_share_of_two]",
     )  # fmt: skip
     nearest_closed_share: float = threshold(
         1.0 / 3.0, "1",

@@ -57,10 +57,13 @@ def test_one_coordinate_is_the_general_case_bit_for_bit(name: str, substeps: int
     drive = 60.0 * np.random.default_rng(5).standard_normal(3000)
     tables = local_tables([ELEMENTS[name]], FourierBasis.up_to(1), 16)
     model, factor = oscillators(), np.zeros(3)
-    general = _step_all(drive, substeps, 1, model, factor, tables.elements)
-    one = _step_one(drive, substeps, model, tables.elements)
+    start = np.array([1e-3 + 2e-3j, -5e-4j])
+    general = _step_all(drive, substeps, 1, model, factor, tables.elements, start)
+    one = _step_one(drive, substeps, model, tables.elements, start)
     assert one.shape == (2, 3000 // substeps)
     np.testing.assert_array_equal(one, general)
-    np.testing.assert_array_equal(step_through(drive, substeps, 1, model, factor, tables), one)
+    np.testing.assert_array_equal(step_through(drive, substeps, 1, model, factor, tables, start), one)
+    at_rest = step_through(drive, substeps, 1, model, factor, tables)
+    assert np.abs(one[:, :100] - at_rest[:, :100]).max() > 0.0, "the start counts"
     free = step_through(drive, substeps, 1, model, factor, local_tables([()], FourierBasis.up_to(1), 16))
     assert np.abs(one - free).max() > 0.05 * np.abs(free).max(), "the elements act"

@@ -24,6 +24,11 @@ class ChainTolerances:
         "Calibration certificates of force cells and accelerometers state 0.5 to 1 %, cables and mounting come on top.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.gain]",
     )  # fmt: skip
+    zero: float = threshold(
+        0.01, "1",
+        "Zero of a channel over the largest value that it recorded: bridges and converters are stated to 0.1 to 1 %.",
+        "tests/diagnose/test_records_as_they_are.py::test_the_zero_of_a_sensor_is_an_error_of_the_record",
+    )  # fmt: skip
     phase_deg: float = threshold(
         0.2, "°",
         "Conditioners pass no constants: a high-pass of 0.1 Hz leads by as much at 30 Hz.",

@@ -25,6 +25,7 @@ from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.location import LocationKind
 from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, PHASE_STEP, ChainTests, edited, later
 from nmt_diagnose.inference.modes_left_out import ModesLeftOut
+from nmt_diagnose.inference.record_errors import record_errors
 from nmt_diagnose.inference.shape_errors import ShapeErrors
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import (
@@ -130,6 +131,7 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
     found = builder.found() if builder else {}
     found.update(_unsettled(observations))
     found.update(_phase_at_lock(observations, rig, prediction))
+    found.update(record_errors(observations, rig))
     found = {name: np.nan_to_num(column, posinf=0.0, neginf=0.0) for name, column in found.items()}
     kept = [name for name, column in found.items() if np.any(column != 0.0)]
     columns = np.column_stack([found[name] for name in kept]) if kept else np.zeros((len(observations.rows), 0))

@@ -175,7 +175,13 @@ def _solve_forces(steps: Steps, largest: float, factor: FloatArray, elements: El
 
 @njit(cache=True)
 def _step_all(
-    drive: FloatArray, substeps: int, r: int, model: SteppedModel, factor: FloatArray, elements: ElementTables
+    drive: FloatArray,
+    substeps: int,
+    r: int,
+    model: SteppedModel,
+    factor: FloatArray,
+    elements: ElementTables,
+    start: ComplexArray,
 ) -> FloatArray:
     """Channels (c, samples) of any number of coordinates."""
     decay, early, late, outputs, velocities, direct = model
@@ -185,6 +191,7 @@ def _step_all(
     sliders = elements.jenkins.shape[0]
     steps = _room(model, r, sliders)
     state, g, trial, before = steps.state, steps.g, steps.trial, steps.before
+    state[:] = start
     free_w, free_v = steps.free_w, steps.free_v
     free = sliders + elements.contacts.shape[0] + elements.kinds.size == 0 and elements.jenkins_start.size - 1 == r
     largest = 1e-300
@@ -227,14 +234,16 @@ def _step_all(
 
 
 @njit(cache=True)
-def _step_one(drive: FloatArray, substeps: int, model: SteppedModel, elements: ElementTables) -> FloatArray:
+def _step_one(
+    drive: FloatArray, substeps: int, model: SteppedModel, elements: ElementTables, start: ComplexArray
+) -> FloatArray:
     """Channels (c, samples) of one coordinate without force factor: the same steps, without arrays in the loop."""
     decay, early, late, outputs, velocities, direct = model
     jenkins, _, contacts, _, kinds, parameters, _ = elements
     count = decay.size
     c = outputs.shape[0] - 1
     result = np.empty((c, drive.size // substeps))
-    state = np.zeros(count, dtype=np.complex128)
+    state = start.copy()
     sliders = np.zeros(jenkins.shape[0])
     moved = np.zeros(jenkins.shape[0])
     dw = 0.0
@@ -315,8 +324,9 @@ def step_through(
     model: SteppedModel,
     factor: FloatArray,
     tables: LocalTables,
+    start: ComplexArray | None = None,
 ) -> FloatArray:
-    """Channels from rest, shape (c, samples).
+    """Channels, shape (c, samples).
 
     Args:
         drive: input at the steps, shape (samples · substeps,).
@@ -325,12 +335,14 @@ def step_through(
         model: recursion of the poles.
         factor: force factor and its dependence on displacement.
         tables: local elements by coordinate.
+        start: state of the poles one step before the first sample, (k,); None = at rest.
     """
     elements = tables.elements
+    state = np.zeros(model.decay.size, dtype=np.complex128) if start is None else start
     acting = elements.jenkins.shape[0] + elements.contacts.shape[0] + elements.kinds.size
     found: FloatArray
     if r == 1 and elements.jenkins_start.size == 2 and acting:
-        found = _step_one(drive, substeps, model, elements)
+        found = _step_one(drive, substeps, model, elements, state)
     else:
-        found = _step_all(drive, substeps, r, model, factor, elements)
+        found = _step_all(drive, substeps, r, model, factor, elements, state)
     return found

@@ -2,7 +2,7 @@
 
 Between two steps the local forces run linearly (first-order hold) while the linear part is exact; the steps are a
 sixtieth of the fastest period that matters: (π/60)²/3 of the local forces, 0.1 %, is lost. The measured input is
-interpolated as the band-limited signal it is.
+interpolated as the band-limited signal it is. The state in which the record begins is read off its first samples.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ import numpy as np
 from scipy.signal import resample_poly
 
 from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.observations.conditions import RecordTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.converter import expected_quantised
+from nmt_diagnose.prediction.initial_state import InitialState, at_rest, initial_state
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_diagnose.prediction.periodic_kernel import GAIN
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.record_kernel import SteppedModel, step_through
 from nmt_diagnose.prediction.rig_parts import RigParts
@@ -29,6 +31,7 @@ from nmt_rig.rig import Rig
 STEPS_PER_PERIOD = 60.0
 MOST_SUBSTEPS = 32
 REMEMBERED = 3
+_ERROR_STEP = 0.05  # of a standard deviation, for differences
 
 
 class RecordPredictor:
@@ -44,7 +47,7 @@ class RecordPredictor:
         self.test, self.rows, self.settings = test, rows, settings
         self.ideal_force = test.input_channel.quantity == Quantity.FORCE
         self.channels = tuple(test.channels)
-        self._known: OrderedDict[bytes, FloatArray] = OrderedDict()
+        self._known: OrderedDict[bytes, tuple[FloatArray, InitialState]] = OrderedDict()
         self.use(Setup(test.drive_points, self.ideal_force, self.channels, FourierBasis.up_to(1)))
         self._sample = np.clip(
             np.round((rows.time_s - test.start_s) * test.sample_rate).astype(np.int64), 0, test.input.size - 1
@@ -66,13 +69,54 @@ class RecordPredictor:
         return result
 
     def responses(self, rig: Rig, cache: PartsCache) -> FloatArray:
-        """Recorded responses without their mean (channels, samples)."""
+        """Recorded responses (channels, samples)."""
+        parts, rate, substeps = self._stepping(rig, cache)
+        return self._recorded(self._raw(parts, rate, substeps)[0], parts, rate)
+
+    def errors(self, rig: Rig, cache: PartsCache, zeros: bool) -> dict[str, FloatArray]:
+        """What a standard deviation of each error of the record adds to its rows, (rows,) each.
+
+        Errors are the zero of each sensor and the state in which the record begins.
+
+        Args:
+            rig: about whose motion they act.
+            cache: of the prediction.
+            zeros: whether the sensors may have zeros.
+        """
+        parts, rate, substeps = self._stepping(rig, cache)
+        raw, initial = self._raw(parts, rate, substeps)
+        base = self._recorded(raw, parts, rate)
+
+        def change(moved: FloatArray) -> FloatArray:
+            return self._of_rows((self._recorded(moved, parts, rate) - base) / _ERROR_STEP)
+
+        found: dict[str, FloatArray] = {}
+        if zeros and self.test.zeros.size:
+            source, *responses = (float(zero) for zero in self.test.zeros)
+            if source > 0.0:
+                moved = self._stepped(parts, rate, substeps, offset=_ERROR_STEP * source)[0]
+                found[f"zero of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
+            for number, (channel, zero) in enumerate(zip(self.channels, responses, strict=True)):
+                own = (self.rows.part == Part.SAMPLE) & (self.rows.channel == number)
+                found[f"zero of {channel.name} in {self.test.name}"] = zero * own
+        for number, error in enumerate(initial.errors):
+            moved = self._stepped(parts, rate, substeps, initial.state + _ERROR_STEP * error)[0]
+            found[f"start {number} of {self.test.name}"] = change(moved)
+        return found
+
+    def _stepping(self, rig: Rig, cache: PartsCache) -> tuple[RigParts, float, int]:
+        """Parts of the rig, sampling rate by its clock (Hz) and steps per sample."""
         test = self.test
-        middle = test.start_s + 0.5 * test.input.size / test.sample_rate
-        parts = cache.parts(rig, self.setup, middle)
+        parts = cache.parts(rig, self.setup, test.start_s + 0.5 * test.input.size / test.sample_rate)
         rate = test.sample_rate * parts.clock
-        substeps = self._substeps(parts, rate)
-        raw = self._raw(parts, rate, substeps)
+        return parts, rate, self._substeps(parts, rate)
+
+    def _of_rows(self, responses: FloatArray) -> FloatArray:
+        own = self.rows.part == Part.SAMPLE
+        return np.where(own, responses[np.maximum(self.rows.channel, 0), self._sample], 0.0)
+
+    def _recorded(self, raw: FloatArray, parts: RigParts, rate: float) -> FloatArray:
+        """What the sensors make of the model's channels (channels, samples)."""
         result = np.empty_like(raw)
         for position, index in enumerate(self._own):
             values = _through_sensor(raw[position], rate, parts.channels[index])
@@ -81,30 +125,70 @@ class RecordPredictor:
                 values = np.clip(values, -level, level)
             if step > 0.0 and noise < 0.7 * step:
                 values = expected_quantised(values, step, noise)
-            result[position] = values - float(values.mean())
+            result[position] = values
         return np.asarray(result, dtype=np.float64)
 
-    def _raw(self, parts: RigParts, rate: float, substeps: int) -> FloatArray:
-        """What the channels would record without their sensors; rigs that differ in sensors only share it."""
+    def _raw(self, parts: RigParts, rate: float, substeps: int) -> tuple[FloatArray, InitialState]:
+        """Motion and its begin as :meth:`_stepped`, remembered; rigs that differ in sensors only share it."""
         saturation = math.inf if self.ideal_force else float(parts.saturation[0])
         gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
         rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
         model = stepped_model(parts, rows, 1.0 / (rate * substeps))
         digest = hashlib.sha256(repr((substeps, saturation, gain)).encode())
-        for array in (*model, parts.force_factor, *parts.tables.elements):
+        # The state that a record begins in is read through the sensors.
+        gains = parts.channels[self._own, GAIN] if self.test.head.size else np.zeros(0)
+        for array in (*model, parts.force_factor, *parts.tables.elements, gains):
             digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
         key = digest.digest()
         if key not in self._known:
-            drive = self._interpolated(substeps)
-            if math.isfinite(saturation):
-                drive = saturation * np.tanh(drive / saturation)
-            self._known[key] = step_through(
-                gain * drive, substeps, parts.coordinates, model, parts.force_factor, parts.tables
-            )
+            self._known[key] = self._stepped(parts, rate, substeps)
             if len(self._known) > REMEMBERED:
                 self._known.popitem(last=False)
         self._known.move_to_end(key)
         return self._known[key]
+
+    def _stepped(
+        self, parts: RigParts, rate: float, substeps: int, state: ComplexArray | None = None, offset: float = 0.0
+    ) -> tuple[FloatArray, InitialState]:
+        """What the channels would record without their sensors (channels, samples), and the state they begin in.
+
+        Args:
+            parts: of the rig.
+            rate: of the input, Hz.
+            substeps: steps per sample of it.
+            state: of the poles, to begin with, (k,); None = as the first samples tell.
+            offset: what is added to the input, in its unit.
+        """
+        saturation = math.inf if self.ideal_force else float(parts.saturation[0])
+        gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
+        rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
+        model = stepped_model(parts, rows, 1.0 / (rate * substeps))
+        drive = self._interpolated(substeps) + offset
+        if math.isfinite(saturation):
+            drive = saturation * np.tanh(drive / saturation)
+        drive = gain * drive
+
+        def simulated(samples: int, start: ComplexArray) -> FloatArray:
+            return step_through(
+                drive[: samples * substeps], substeps, parts.coordinates, model, parts.force_factor, parts.tables, start
+            )
+
+        if state is not None:
+            return simulated(self.test.input.size, state), InitialState(state, at_rest(state.size).errors)
+        head, stride = self.test.head, self.test.head_stride
+        initial = at_rest(model.decay.size)
+        if head.size:
+            gains = parts.channels[self._own, GAIN][:, None]
+            samples = (head.shape[1] - 1) * stride + 1
+            initial = initial_state(
+                head,
+                lambda start: gains * simulated(samples, start)[:, ::stride],
+                model,
+                parts.coordinates,
+                samples * substeps,
+                self.test.begins_in_motion,
+            )
+        return simulated(self.test.input.size, initial.state), initial
 
     def _substeps(self, parts: RigParts, rate: float) -> int:
         """Steps per sample: from the fastest oscillation below half of a tenth of the sampling rate, if any."""
@@ -118,7 +202,9 @@ class RecordPredictor:
         if substeps not in self._inputs:
             samples = np.asarray(self.test.input, dtype=np.float64)
             found = (
-                samples if substeps == 1 else np.asarray(resample_poly(samples, substeps, 1, window=("kaiser", 10.0)))
+                samples
+                if substeps == 1
+                else np.asarray(resample_poly(samples, substeps, 1, window=("kaiser", 10.0), padtype="line"))
             )
             self._inputs[substeps] = np.ascontiguousarray(found)
         return self._inputs[substeps]

@@ -113,6 +113,31 @@ class ReadingThresholds:
         "Quantile of the spectrum that is its noise.",
         "",
     )  # fmt: skip
+    record_fewest_averages: int = threshold(
+        8, "averages",
+        "A coherence of fewer is known to a third only, and most of it is bias.",
+        "tests/diagnose/test_records_as_they_are.py::test_a_short_record_tells_no_noise_of_its_input",
+    )  # fmt: skip
+    record_noise_lines: int = threshold(
+        80, "lines",
+        "On either side of a resonance, down to 1e-5 of its frequency: 18 a decade carry the integral within 1 %.",
+        "tests/diagnose/test_records_as_they_are.py::test_noise_of_the_input_comes_through_a_sharp_resonance",
+    )  # fmt: skip
+    record_head_periods: float = threshold(
+        2.0, "periods",
+        "First samples that tell displacement and velocity: over more of them a model that lacks something is off.",
+        "tests/diagnose/test_records_as_they_are.py::test_the_begin_of_a_record_is_two_periods",
+    )  # fmt: skip
+    record_head_samples: int = threshold(
+        24, "samples",
+        "A state of several modes takes as many, and the first of them show whether anything moves.",
+        "tests/diagnose/test_records_as_they_are.py::test_the_begin_of_a_record_is_two_periods",
+    )  # fmt: skip
+    record_rest_share: float = threshold(
+        0.1, "1",
+        "First motion over that of the record below which it begins at rest: noise and a bias are less.",
+        "tests/diagnose/test_records_as_they_are.py::test_the_begin_of_a_record_is_two_periods",
+    )  # fmt: skip
     decay_slow_share: float = threshold(
         0.01, "1",
         "Part of the damping for each d ln ω / d ln A that a model of a slow decay is wrong by.",

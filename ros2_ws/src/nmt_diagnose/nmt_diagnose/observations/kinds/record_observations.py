@@ -3,8 +3,9 @@
 The model is driven by the whole input, but only a part of the samples become observables. What a model leaves is
 coloured by the resonance: errors of samples closer than its decay time go together. So no more samples are taken than
 the record has decay times, spread with the golden ratio, in step with no period of the excitation; these are as good as
-independent, and their likelihood is right without whitening. The noise is the lowest level of the response's spectrum;
-nonlinear distortions must not count as noise here, because they are what is looked for.
+independent, and their likelihood is right without whitening. The noise is the lowest level of the response's spectrum,
+and what the noise of the measured input makes of it; nonlinear distortions must not count as noise here, because they
+are what is looked for. The input keeps its mean, about which a nonlinear structure works.
 
 Between samples the input is interpolated without loss in its band (the straight lines of a first-order hold would cost
 (πf/fs)²/3 of the amplitude, 4 % at nine samples a period), except that of simulated rigs, which is a straight line.
@@ -22,13 +23,16 @@ from scipy.signal import resample, welch
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RecordTest
 from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.noise.input_noise import input_noise_density, noise_lines, propagated_noise
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.linear_modes import damped_modes
+from nmt_signals.channel_faults.clipping import clipping_level
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
@@ -141,11 +145,14 @@ def _one(
     level = np.searchsorted(bounds, indices, side="right") - 1
     source_samples = stretch.row(source.name)
     amplitude = [float(np.std(source_samples[low:high])) for low, high in pairwise(bounds)]
+    responses = np.array([stretch.row(recorded[channel.name]) for channel in present])
+    model_channel = channels.get(source.name, source)
+    propagated = _from_input(source_samples, responses, stretch.sample_rate, model_channel, present, view)
     table = RowTable()
     for row, channel in enumerate(present):
         samples = stretch.row(recorded[channel.name])
         samples = samples - samples.mean()
-        noise = white_noise(samples, stretch.sample_rate)
+        noise = math.hypot(white_noise(samples, stretch.sample_rate), float(propagated[row]))
         floor = settings.floors.record * float(np.std(samples))
         for index, segment in zip(indices, level, strict=True):
             table.add(
@@ -154,18 +161,71 @@ def _one(
                 row,
             )  # fmt: skip
     factor = 1 if linear_hold else refinement(stretch.row(recorded[present[0].name]), stretch.sample_rate)
-    model_channel = channels.get(source.name, source)
+    head = responses[:, : _head(responses, stretch.sample_rate)] - responses.mean(axis=1, keepdims=True)
     test = RecordTest(
         name=name,
         drive_point=view.rig.drive_point,
         sample_rate=factor * stretch.sample_rate,
         input_channel=model_channel,
-        input=interpolated(source_samples - source_samples.mean(), factor),
+        input=interpolated(source_samples, factor),
         channels=tuple(present),
         segment_bounds=factor * bounds.astype(np.float64),
         start_s=stretch.start_s,
+        zeros=np.array([_zero(source_samples, model_channel), *map(_zero, responses, present)]),
+        limits=np.array([clipping_level(row) for row in responses]),
+        head=head,
+        head_stride=factor,
+        begins_in_motion=_begins_in_motion(responses, head.shape[1]),
     )
     return table.observations(test, notes)
+
+
+def _zero(samples: FloatArray, channel: MeasuredChannel) -> float:
+    """Standard deviation of the zero of a channel, in its unit.
+
+    A voltage is that of a converter. Where a motion is zero was nobody's concern, and a force cell carries a weight.
+    """
+    mean = 0.0 if channel.quantity is Quantity.VOLTAGE else float(samples.mean())
+    return math.hypot(TOLERANCES.zero * float(np.abs(samples).max()), mean)
+
+
+def _from_input(
+    source: FloatArray,
+    responses: FloatArray,
+    sample_rate: float,
+    source_channel: MeasuredChannel,
+    channels: Sequence[MeasuredChannel],
+    view: ModelView,
+) -> FloatArray:
+    """Standard deviation of what the noise of the measured input makes of each response, (channels,)."""
+    density = input_noise_density(source, responses, sample_rate)
+    lines = noise_lines(view.frequencies_hz, sample_rate)
+    if source_channel.quantity is not Quantity.FORCE:
+        return propagated_noise(density, view.responses(channels, lines), lines)
+    force = MeasuredChannel("force", Quantity.FORCE, view.rig.drive_point)
+    over_volt = view.responses([force, *channels], lines)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return propagated_noise(density, over_volt[1:] / over_volt[0], lines)
+
+
+def _head(responses: FloatArray, sample_rate: float) -> int:
+    """Samples from which the state is read that a record begins in: some periods of its strongest line."""
+    samples = responses.shape[1]
+    centred = responses[0] - responses[0].mean()
+    frequency, power = welch(centred, sample_rate, nperseg=min(samples, 4096))
+    strongest = float(frequency[1:][np.argmax(power[1:])])
+    wanted = math.ceil(THRESHOLDS.reading.record_head_periods * sample_rate / strongest)
+    return int(
+        min(max(wanted, THRESHOLDS.reading.record_head_samples), THRESHOLDS.reading.record_longest_start * samples)
+    )
+
+
+def _begins_in_motion(responses: FloatArray, head: int) -> bool:
+    """Whether some channel moves from the first samples on."""
+    first = responses[:, : max(3, head // THRESHOLDS.reading.record_head_samples)]
+    rest = responses.mean(axis=1, keepdims=True)
+    share = np.sqrt(np.mean((first - rest) ** 2, axis=1) / np.maximum(np.var(responses, axis=1), 1e-300))
+    return bool(np.any(share > THRESHOLDS.reading.record_rest_share))
 
 
 def _slowest(view: ModelView) -> float:

@@ -1,0 +1,124 @@
+"""State in which a record begins: read off its first samples, with what they leave open.
+
+Nobody brings a structure to rest for a recorder. What the model would have to start with is found by least squares over
+the first samples, which are not among the observables; the zero of each sensor is free there. What that leaves open
+are errors of the record like those of its measuring chain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
+from nmt_diagnose.prediction.record_kernel import SteppedModel
+
+_ITERATIONS = 5
+_HALVINGS = 4
+_SETTLED = 1e-4  # change of the state, over the motion, below which it is found
+_STEP = 1e-3  # of differences, over the motion
+_SINGULAR = 1e-3  # of the largest singular value
+_MOST_DECAY = 20.0  # nepers over the first samples beyond which a pole is not in them
+_MOST_POLES = 12
+_INDEPENDENT = 2.0  # independent values for each unknown that the first samples count as
+
+
+class InitialState(NamedTuple):
+    """State of the poles one step before the first sample.
+
+    Attributes:
+        state: (k,).
+        errors: what a standard deviation of each error adds to it, (n, k).
+    """
+
+    state: ComplexArray
+    errors: ComplexArray
+
+
+def at_rest(poles: int) -> InitialState:
+    """Of a model that stands still, without errors."""
+    return InitialState(np.zeros(poles, dtype=np.complex128), np.zeros((0, poles), dtype=np.complex128))
+
+
+def initial_state(
+    measured: FloatArray,
+    simulate: Callable[[ComplexArray], FloatArray],
+    model: SteppedModel,
+    coordinates: int,
+    steps: int,
+    moving: bool,
+) -> InitialState:
+    """State that explains the first samples best.
+
+    Args:
+        measured: first samples of the channels, (c, n).
+        simulate: the model's channels, (c, n), from a state (k,).
+        model: recursion of the poles over one step.
+        coordinates: of the model; its outputs are these and then the channels.
+        steps: of the model over these samples.
+        moving: whether the record begins in motion; else the model starts at rest, and the errors tell how surely.
+    """
+    size = np.sqrt(np.mean((measured - measured.mean(axis=1, keepdims=True)) ** 2, axis=1))
+    nothing = at_rest(model.decay.size)
+    if not np.all(size > 0.0):
+        return nothing
+    directions = _directions(model, size, coordinates, steps)
+    if not directions.shape[0]:
+        return nothing
+    constants = np.kron(np.eye(size.size), np.ones((measured.shape[1], 1)))
+
+    def left(theta: FloatArray) -> FloatArray:
+        return np.asarray(((measured - simulate(theta @ directions)) / size[:, None]).ravel())
+
+    def without_zeros(values: FloatArray) -> FloatArray:
+        by_channel = values.reshape(size.size, -1)
+        return np.asarray((by_channel - by_channel.mean(axis=1, keepdims=True)).ravel())
+
+    theta = np.zeros(directions.shape[0])
+    residual = left(theta)
+    columns = np.empty((residual.size, theta.size))
+    for _ in range(_ITERATIONS):
+        for k in range(theta.size):
+            moved = theta.copy()
+            moved[k] += _STEP
+            columns[:, k] = (residual - left(moved)) / _STEP
+        if not (np.isfinite(columns).all() and np.isfinite(residual).all()):
+            return nothing
+        if not moving:
+            break
+        change = np.linalg.lstsq(np.hstack((columns, constants)), residual, rcond=_SINGULAR)[0][: theta.size]
+        before = float(np.sum(without_zeros(residual) ** 2))
+        for _ in range(_HALVINGS):
+            trial = left(theta + change)
+            if np.isfinite(trial).all() and float(np.sum(without_zeros(trial) ** 2)) <= before:
+                break
+            change = 0.5 * change
+        else:
+            break
+        theta, residual = theta + change, trial
+        if float(np.abs(change).max()) < _SETTLED:
+            break
+    free = np.stack([without_zeros(column) for column in columns.T], axis=1)
+    scatter = float(np.mean(without_zeros(residual) ** 2)) * residual.size / (_INDEPENDENT * theta.size)
+    # As an error no larger than the motion itself.
+    precision = free.T @ free / max(scatter, 1e-18) + np.eye(theta.size)
+    errors = np.linalg.cholesky(np.linalg.inv(precision)).T @ directions
+    return InitialState(theta @ directions, errors)
+
+
+def _directions(model: SteppedModel, size: FloatArray, coordinates: int, steps: int) -> ComplexArray:
+    """States of single poles that move the channels by no more than they move, (n, k)."""
+    seen = np.max(np.abs(model.outputs[coordinates:]) / size[:, None], axis=0)
+    decay = -np.log(np.maximum(np.abs(model.decay), 1e-300)) * steps
+    angle = np.abs(np.angle(model.decay))
+    usable: IntArray = np.flatnonzero((seen > 1e-9 * seen.max(initial=0.0)) & (decay < _MOST_DECAY))
+    usable = usable[np.argsort(angle[usable] + np.abs(decay[usable]) / steps, kind="stable")][:_MOST_POLES]
+    found = []
+    for k in usable:
+        for share in (1.0, 1j) if angle[k] > 0.0 else (1.0,):
+            direction = np.zeros(model.decay.size, dtype=np.complex128)
+            direction[k] = share / seen[k]
+            found.append(direction)
+    return np.array(found, dtype=np.complex128).reshape(-1, model.decay.size)

@@ -1,0 +1,177 @@
+"""Records as they are: with a bias, begun in mid-motion, driven by an input that was measured with noise."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnose.oscillator_records import OMEGA, RATE, RATIO, RIG, band_noise, imported, rig_in
+from scipy.signal import TransferFunction, lsim
+
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.tolerances import TOLERANCES
+from nmt_diagnose.inference.diagnose import diagnose_bags
+from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.observations.conditions import RecordTest
+from nmt_diagnose.observations.kinds.record_observations import _begins_in_motion, _head
+from nmt_diagnose.observations.noise.input_noise import input_noise_density, noise_lines, propagated_noise
+from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.prediction.parts_cache import PartsCache
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.record_predictor import RecordPredictor
+from nmt_rig.rig import Rig, load_rig
+
+FINER = 8
+CUBIC = 4.0 * OMEGA**2  # N/m³ of a stiffness of OMEGA² N/m, at displacements of some 0.1 m
+
+
+def fine(samples: FloatArray) -> FloatArray:
+    """A periodic signal at FINER times its rate."""
+    return np.fft.irfft(np.fft.rfft(samples), FINER * samples.size) * FINER
+
+
+def linear_response(volts: FloatArray, start: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
+    time_s = np.arange(FINER * volts.size) / (FINER * RATE)
+    system = TransferFunction([OMEGA**2], [1.0, 2.0 * RATIO * OMEGA, OMEGA**2]).to_ss()
+    # In controllable form the states are velocity and displacement over the gain.
+    first = np.array([start[1], start[0]]) / OMEGA**2
+    return np.asarray(lsim(system, fine(volts), time_s, first)[1][::FINER])
+
+
+def cubic_response(volts: FloatArray, start: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
+    """Displacement by the method of Runge and Kutta of order four, two fine samples a step."""
+    force, step = OMEGA**2 * fine(volts), 2.0 / (FINER * RATE)
+    force = np.append(force, force[0])
+
+    def slope(x: float, v: float, f: float) -> tuple[float, float]:
+        return v, f - 2.0 * RATIO * OMEGA * v - OMEGA**2 * x - CUBIC * x**3
+
+    x, v = start
+    found = np.empty(force.size // 2)
+    for n in range(found.size):
+        found[n] = x
+        early, middle, late = (float(value) for value in force[2 * n : 2 * n + 3])
+        a = slope(x, v, early)
+        b = slope(x + 0.5 * step * a[0], v + 0.5 * step * a[1], middle)
+        c = slope(x + 0.5 * step * b[0], v + 0.5 * step * b[1], middle)
+        d = slope(x + step * c[0], v + step * c[1], late)
+        x += step / 6.0 * (a[0] + 2.0 * b[0] + 2.0 * c[0] + d[0])
+        v += step / 6.0 * (a[1] + 2.0 * b[1] + 2.0 * c[1] + d[1])
+    return found[:: FINER // 2]
+
+
+def with_cubic(folder: Path) -> Rig:
+    text = RIG + f"local_elements:\n  - {{name: k3, kind: cubic_spring, point: 1, stiffness_n_m3: {CUBIC!r}}}\n"
+    (folder / "cubic.yaml").write_text(text, encoding="utf-8")
+    return load_rig(folder / "cubic.yaml")
+
+
+def diagnosed(rig: Rig, bag: Path) -> Diagnosis:
+    return diagnose_bags(rig, [bag], settings=DiagnosisSettings(look_ahead=False)).diagnosis
+
+
+def left(rig: Rig, bag: Path) -> float:
+    """What a rig leaves of the samples of a record over their rms, zeros taken out."""
+    observations = read_observations([bag], rig)
+    (test,) = observations.tests
+    assert isinstance(test, RecordTest)
+    settings = PredictionSettings()
+    difference = observations.values - RecordPredictor(test, observations.rows, settings).values(
+        rig, PartsCache(settings)
+    )
+    return float(np.std(difference) / np.std(observations.values))
+
+
+def test_the_zero_of_a_sensor_is_an_error_of_the_record(tmp_path: Path) -> None:
+    rig, rng = rig_in(tmp_path), np.random.default_rng(1)
+    volts = band_noise(8192, 1, 0.02)
+    y = linear_response(volts) + 1e-4 * rng.standard_normal(volts.size)
+    volts_zero, y_zero = 0.7 * TOLERANCES.zero * np.abs(volts).max(), 0.05
+    bag = imported(tmp_path, volts + volts_zero, y + y_zero, [(0, volts.size)])
+    test = read_observations([bag], rig).tests[0]
+    assert isinstance(test, RecordTest)
+    assert np.mean(test.input) == pytest.approx(np.mean(volts) + volts_zero, rel=1e-3)
+    assert test.zeros[0] == pytest.approx(0.01 * np.abs(volts + volts_zero).max(), rel=1e-3)
+    assert test.zeros[1] == pytest.approx(math.hypot(0.01 * np.abs(y + y_zero).max(), np.mean(y + y_zero)), rel=1e-3)
+    found = diagnosed(rig, bag)
+    assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION), found.verdict
+
+
+@pytest.mark.parametrize("start", [(0.0, 0.0), (0.08, -25.0)])
+def test_a_bias_moves_the_working_point_of_a_cubic_spring(tmp_path: Path, start: tuple[float, float]) -> None:
+    """Against the equation of motion integrated step by step; without its mean the same record is 5 % off."""
+    volts = band_noise(4096, 3, 0.06) + 0.05
+    y = cubic_response(volts, start)
+    bag = imported(tmp_path, volts, y, [(0, volts.size)])
+    assert left(with_cubic(tmp_path), bag) < 6e-3
+    # So much the bias does, and so much the spring.
+    without = cubic_response(volts - 0.05, start)
+    assert np.std(without - y) > 0.05 * np.std(y)
+    assert left(rig_in(tmp_path), bag) > 0.05
+
+
+@pytest.mark.parametrize("first", [0, 2500])
+def test_a_record_cut_in_mid_motion_lacks_nothing(tmp_path: Path, first: int) -> None:
+    rig, rng = rig_in(tmp_path), np.random.default_rng(2)
+    volts = band_noise(8192, 5, 0.02)
+    # Hit 1 ms before the cut, and lightly damped enough to ring into what is compared.
+    y = linear_response(volts, (0.3, 0.0) if first == 0 else (0.0, 0.0))
+    y = y + 1e-4 * rng.standard_normal(volts.size)
+    bag = imported(tmp_path, volts, y, [(first, volts.size)])
+    test = read_observations([bag], rig).tests[0]
+    assert isinstance(test, RecordTest)
+    assert test.begins_in_motion
+    assert left(rig, bag) < 0.02
+    found = diagnosed(rig, bag)
+    assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION), found.verdict
+
+
+def test_noise_of_the_measured_input_is_noise_of_the_response(tmp_path: Path) -> None:
+    rig, rng = rig_in(tmp_path), np.random.default_rng(4)
+    volts = band_noise(16384, 7, 0.02)
+    y = linear_response(volts) + 1e-7 * rng.standard_normal(volts.size)
+    bag = imported(tmp_path, volts + 8e-4 * rng.standard_normal(volts.size), y, [(0, volts.size)])
+    found = diagnosed(rig, bag)
+    assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION), found.verdict
+
+
+@pytest.mark.parametrize("broad", [False, True])
+def test_noise_of_the_input_comes_through_a_sharp_resonance(broad: bool) -> None:
+    """White noise of density S gives σ² = S ω/(8 ζ)·|H(0)|² behind an oscillator (Crandall), S per Hz and one-sided."""
+    rng = np.random.default_rng(6)
+    ratio, noise, omega = 0.001, 1e-3, 2.0 * math.pi * 30.0
+    density = 2.0 * noise**2 / RATE
+    lines = noise_lines([30.0], RATE)
+    response = 1.0 / (1.0 - (2 * np.pi * lines / omega) ** 2 + 2j * ratio * 2 * np.pi * lines / omega)
+    expected = math.sqrt(density * omega / (8.0 * ratio))
+    assert propagated_noise(density, response[None], lines)[0] == pytest.approx(expected, rel=0.01)
+    volts = rng.standard_normal(20_000) if broad else band_noise(20_000, 8, 0.02)
+    volts *= 0.02 / volts.std()
+    y = linear_response(volts)
+    found = input_noise_density(volts + noise * rng.standard_normal(volts.size), y[None], RATE)
+    assert found == pytest.approx(density, rel=0.5)
+    assert input_noise_density(volts, y[None], RATE) < 0.05 * density
+
+
+def test_a_short_record_tells_no_noise_of_its_input() -> None:
+    rng = np.random.default_rng(9)
+    for samples, known in ((280, False), (300, True)):
+        source, response = rng.standard_normal((2, samples))
+        assert (input_noise_density(source, response[None], 100.0) > 0.0) is known
+
+
+def test_the_begin_of_a_record_is_two_periods() -> None:
+    rate, hertz = 1000.0, 5.0
+    time_s = np.arange(8000) / rate
+    sine = np.sin(2.0 * math.pi * hertz * time_s)[None]
+    assert _head(sine, rate) == pytest.approx(2.0 * rate / hertz, rel=0.03)
+    assert _head(np.sin(2.0 * math.pi * 400.0 * time_s)[None], rate) == 24
+    head = _head(sine, rate)
+    assert _begins_in_motion(np.cos(2.0 * math.pi * hertz * time_s)[None], head)
+    for share, moves in ((0.09, False), (0.11, True)):
+        # A step of noise before the motion.
+        begun = np.where(time_s < 0.1, share * np.std(sine) * np.sign(np.sin(2e3 * math.pi / 2.0 * time_s + 1.0)), sine)
+        assert _begins_in_motion(begun, head) is moves

@@ -26,6 +26,7 @@ class OperatingRange:
         steps: converter step of each channel whose samples were looked at, recorded units; 0 = they show none, or that
             of the model.
         limits: level at which the samples of a channel are clipped, recorded units.
+        unclipped: channels whose samples were all looked at and stay at no level.
         delays: lateness of each channel against the model by the phases of all its lines, s.
         duration_s: bench time from the first to the last window, s.
         cycles: drive periods in that time.
@@ -47,6 +48,7 @@ class OperatingRange:
     cycles: float
     steps: Mapping[str, float] = field(default_factory=dict)
     limits: Mapping[str, float] = field(default_factory=dict)
+    unclipped: frozenset[str] = frozenset()
     delays: Mapping[str, float] = field(default_factory=dict)
 
     def typical_mass(self, point: int) -> float:

@@ -108,7 +108,7 @@ def _with_transverse(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
 
 
 def _clip_sites(rig: Rig, operating: OperatingRange) -> Iterable[Site]:
-    """Where samples stand at a level, that is where the search begins."""
+    """Where samples stand at a level, that is where the search begins; a record that shows none refutes it."""
     for index, sensor, channel in _sensors(rig, ALL):
         largest = operating.channels.get(channel, 0.0) * abs(sensor.gain)
         depth, level = THRESHOLDS.candidates.clip_depth, operating.limits.get(channel, 0.0)
@@ -117,7 +117,7 @@ def _clip_sites(rig: Rig, operating: OperatingRange) -> Iterable[Site]:
                 level * exp(THRESHOLDS.candidates.clip_depth_at_level),
                 THRESHOLDS.candidates.clip_depth_at_level,
             )
-        if largest > 0.0:
+        if largest > 0.0 and channel not in operating.unclipped:
             yield _site(rig, index, {"depth": depth}, reference=largest)
 
 
@@ -199,11 +199,18 @@ def _effect(name: str, equation: str, keys: str, parameter: EffectParameter, **m
     return Effect(name=name, equation=equation, keys=keys, parameters=(parameter,), **(defaults | more))
 
 
+def _factor(values: Mapping[str, float]) -> float:
+    """1 + g, no further from 1 than a sensor whose unit is stated can be."""
+    largest = THRESHOLDS.candidates.largest_gain_factor
+    return min(max(1.0 + values["g"], 1.0 / largest), largest)
+
+
 def _gain(name: str, equation: str, place: LocationKind, quantities: tuple[str, ...], other: str) -> Effect:
     return _effect(
         name, equation, "sensors.gain", EffectParameter("g", "1", signed=True), place=place,
         sites=_per_channel(quantities, "g", lambda operating, channel: 0.02),
-        change=_set(gain=lambda sensor, site, values: sensor.gain * (1.0 + values["g"])),
+        change=_set(gain=lambda sensor, site, values: sensor.gain * _factor(values)),
+        report=lambda site, values: {"g": (_factor(values) - 1.0, "1")},
         equivalents={other: "a random test with the voltage as reference"},
     )  # fmt: skip
 

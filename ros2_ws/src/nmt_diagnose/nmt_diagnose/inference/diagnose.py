@@ -30,7 +30,7 @@ from nmt_diagnose.inference.fitting import (
     data_about,
     fit,
 )
-from nmt_diagnose.inference.gap import ClosedShare, closed, rms
+from nmt_diagnose.inference.gap import ClosedShare, closed, no_worse_than_silence, rms
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
 from nmt_diagnose.inference.look_ahead import next_tests
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
@@ -608,14 +608,16 @@ def _closed(
             continue
         uncertain = after[1] * scale
         if rms(uncertain[rows]) <= THRESHOLDS.verdict.open_prediction_share * rms(change[rows]):
-            pairs.append((before[0] * scale, after[0] * scale / np.hypot(1.0, uncertain), rows))
+            silent = no_worse_than_silence(data.observations, before[0], data.sigma)
+            pairs.append((silent * scale, after[0] * scale / np.hypot(1.0, uncertain), rows))
     return closed(data.observations, pairs, seed)
 
 
 def _recalibrated(findings: Findings, data: Data, held_out_splits: Sequence[Split], seed: int) -> ClosedShare:
     """How much of the gap to the model as given its own parameters close on rows that their fit did not see."""
     null, scale = findings.null, scale_of(findings.null, False)
-    as_given_residual = best_chain_errors(data, findings.as_given.values).residual * scale
+    as_given_residual = best_chain_errors(data, findings.as_given.values).residual
+    as_given_residual = no_worse_than_silence(data.observations, as_given_residual, data.sigma) * scale
     pairs = []
     for split in held_out_splits:
         after = _held_out_residual(findings.data, data, null, split)

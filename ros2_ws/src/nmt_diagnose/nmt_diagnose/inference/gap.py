@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 NOISE = 1.0
@@ -87,6 +87,27 @@ def closed(
     scatter = float(np.sqrt(n.size) * np.std(fall))
     gain = float(fall.sum()) / scatter if scatter > 0.0 else 0.0
     return ClosedShare(before_rms, after_rms, floor, value, low, high, gain)
+
+
+def no_worse_than_silence(observations: Observations, residual: FloatArray, sigma: FloatArray) -> FloatArray:
+    """A residual over standard deviations, (m,), that on no channel of a record is larger than the record itself.
+
+    A model that runs away from what was measured is worth no more than one that predicts nothing: how far it went does
+    not count as a gap that something closes.
+
+    Args:
+        observations: the real side.
+        residual: of a model, (m,).
+        sigma: standard deviation of each row, (m,).
+    """
+    rows, result = observations.rows, residual.copy()
+    samples = rows.part == Part.SAMPLE
+    for test, channel in {(int(t), int(c)) for t, c in zip(rows.test[samples], rows.channel[samples], strict=True)}:
+        own = samples & (rows.test == test) & (rows.channel == channel) & np.isfinite(residual)
+        silence, size = rms(observations.values[own] / sigma[own]), rms(residual[own])
+        if size > silence:
+            result[own] *= silence / size
+    return result
 
 
 def _block(observations: Observations) -> IntArray:

@@ -127,7 +127,8 @@ def operating_range(
         duration_s=max(max(stop, default=0.0) - min(start, default=0.0), 1.0),
         cycles=max(max(cycles, default=0.0), 1.0),
         steps=_of_samples(observations, Part.STEP) if observations else {},
-        limits=_clipped_at(observations) if observations else {},
+        limits=(_clipped_at(observations) if observations else {}) | _clipped_records(tests),
+        unclipped=_unclipped(tests),
         delays=_late(observations, rig) if observations else {},
     )
 
@@ -146,6 +147,25 @@ def _late(observations: Observations, rig: Rig) -> dict[str, float]:
 
 def _clipped_at(observations: Observations) -> dict[str, float]:
     return {name: 1.0 / value for name, value in _of_samples(observations, Part.LIMIT).items() if value > 0.0}
+
+
+def _clipped_records(tests: Sequence[Test]) -> dict[str, float]:
+    """Lowest level at which the samples of each channel of records stay, in its unit."""
+    found: dict[str, float] = {}
+    for test in tests:
+        for channel, level in zip(test.channels, test.limits, strict=False) if isinstance(test, RecordTest) else ():
+            if level > 0.0:
+                found[channel.name] = min(found.get(channel.name, math.inf), float(level))
+    return found
+
+
+def _unclipped(tests: Sequence[Test]) -> frozenset[str]:
+    """Channels of records alone whose samples stay at no level: where such a record ends, its signal turned back."""
+    records = [test for test in tests if isinstance(test, RecordTest)]
+    if len(records) < len(tests):
+        return frozenset()
+    known = {channel.name for test in records for channel, _ in zip(test.channels, test.limits, strict=False)}
+    return frozenset(known - set(_clipped_records(tests)))
 
 
 def _of_samples(observations: Observations, part: Part) -> dict[str, float]:

@@ -31,6 +31,11 @@ class CandidateThresholds:
         "Depth that counts from a level at which samples stand.",
         "",
     )  # fmt: skip
+    largest_gain_factor: float = threshold(
+        2.0, "1",
+        "Gain of a sensor over that of its stated unit: a peak taken for an rms or half a bridge is less, a unit more.",
+        "tests/diagnose/test_refuted_sensor_effects.py::test_a_gain_stays_within_a_factor_of_two",
+    )  # fmt: skip
     air_density_kg_m3: float = threshold(
         1.2, "kg/m³",
         "Air at 20 °C.",

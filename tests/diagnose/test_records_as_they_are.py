@@ -17,7 +17,7 @@ from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.observations.conditions import RecordTest
 from nmt_diagnose.observations.kinds.record_observations import _begins_in_motion, _head
-from nmt_diagnose.observations.noise.input_noise import input_noise_density, noise_lines, propagated_noise
+from nmt_diagnose.observations.noise.input_noise import InputNoise, input_noise, noise_lines, propagated_noise
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
@@ -144,23 +144,34 @@ def test_noise_of_the_input_comes_through_a_sharp_resonance(broad: bool) -> None
     rng = np.random.default_rng(6)
     ratio, noise, omega = 0.001, 1e-3, 2.0 * math.pi * 30.0
     density = 2.0 * noise**2 / RATE
-    lines = noise_lines([30.0], RATE)
+    lines = noise_lines([30.0], RATE, 1e4)
     response = 1.0 / (1.0 - (2 * np.pi * lines / omega) ** 2 + 2j * ratio * 2 * np.pi * lines / omega)
+    known = InputNoise(density, RATE, np.full((1, 1), np.inf))
     expected = math.sqrt(density * omega / (8.0 * ratio))
-    assert propagated_noise(density, response[None], lines)[0] == pytest.approx(expected, rel=0.01)
+    assert propagated_noise(known, response[None], lines)[0] == pytest.approx(expected, rel=0.01)
     volts = rng.standard_normal(20_000) if broad else band_noise(20_000, 8, 0.02)
     volts *= 0.02 / volts.std()
     y = linear_response(volts)
-    found = input_noise_density(volts + noise * rng.standard_normal(volts.size), y[None], RATE)
-    assert found == pytest.approx(density, rel=0.5)
-    assert input_noise_density(volts, y[None], RATE) < 0.05 * density
+    found = input_noise(volts + noise * rng.standard_normal(volts.size), y[None], RATE)
+    assert found.density == pytest.approx(density, rel=0.5)
+    assert input_noise(volts, y[None], RATE).density < 0.05 * density
+
+
+def test_noise_that_is_not_in_the_response_is_none() -> None:
+    """A resonance of the model where nothing is incoherent in the response shows that the input has no such noise."""
+    lines = noise_lines([30.0], RATE, 30.0)
+    response = 1.0 / (1.0 - (lines / 30.0) ** 2 + 2e-6j * lines / 30.0)
+    spectrum = np.full((1, 65), 1e-12)
+    spectrum[0, 20:] = 1.0
+    found = propagated_noise(InputNoise(1e-3, RATE / 128, spectrum), response[None], lines)
+    assert found[0] < 2.0 * math.sqrt(1e-12 * 5 * RATE / 128)
 
 
 def test_a_short_record_tells_no_noise_of_its_input() -> None:
     rng = np.random.default_rng(9)
     for samples, known in ((280, False), (300, True)):
         source, response = rng.standard_normal((2, samples))
-        assert (input_noise_density(source, response[None], 100.0) > 0.0) is known
+        assert (input_noise(source, response[None], 100.0).density > 0.0) is known
 
 
 def test_the_begin_of_a_record_is_two_periods() -> None:

@@ -27,7 +27,7 @@ from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, RecordTest
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.noise.input_noise import input_noise_density, noise_lines, propagated_noise
+from nmt_diagnose.observations.noise.input_noise import input_noise, noise_lines, propagated_noise
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -198,14 +198,14 @@ def _from_input(
     view: ModelView,
 ) -> FloatArray:
     """Standard deviation of what the noise of the measured input makes of each response, (channels,)."""
-    density = input_noise_density(source, responses, sample_rate)
-    lines = noise_lines(view.frequencies_hz, sample_rate)
+    noise = input_noise(source, responses, sample_rate)
+    lines = noise_lines(view.frequencies_hz, sample_rate, source.size / sample_rate)
     if source_channel.quantity is not Quantity.FORCE:
-        return propagated_noise(density, view.responses(channels, lines), lines)
+        return propagated_noise(noise, view.responses(channels, lines), lines)
     force = MeasuredChannel("force", Quantity.FORCE, view.rig.drive_point)
     over_volt = view.responses([force, *channels], lines)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return propagated_noise(density, over_volt[1:] / over_volt[0], lines)
+        return propagated_noise(noise, over_volt[1:] / over_volt[0], lines)
 
 
 def _head(responses: FloatArray, sample_rate: float) -> int:

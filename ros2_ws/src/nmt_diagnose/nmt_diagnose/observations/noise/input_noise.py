@@ -2,12 +2,14 @@
 
 White noise of the input is incoherent with every response, by as much at every frequency. What else makes a response
 incoherent, its own noise, nonlinear distortions, leakage of a resonance, comes on top and not everywhere. So the noise
-is no larger than the least of S_uu (1 − γ²), γ² the coherence (Bendat and Piersol, Random Data (2010), ch. 9).
+is no larger than the least of S_uu (1 − γ²), γ² the coherence (Bendat and Piersol, Random Data (2010), ch. 9), and what
+the model makes of it no larger than what is incoherent in the response where the model makes most of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import coherence, welch
@@ -16,11 +18,28 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _SEGMENTS = 16
-_NEAREST, _FURTHEST = 1e-5, 0.3  # lines about a resonance, over its frequency
+_FURTHEST = 0.3  # of lines from a resonance, over its frequency
+_NEAREST = 1e-5
+_MOST = 0.9  # share of what the model makes of the noise that is compared with what is incoherent
+_LOBE = 2  # lines of a spectrum over which its window spreads a resonance
 
 
-def input_noise_density(source: FloatArray, responses: FloatArray, sample_rate: float) -> float:
-    """One-sided density of the white noise of an input, its unit squared per Hz.
+class InputNoise(NamedTuple):
+    """What of a record is incoherent.
+
+    Attributes:
+        density: of the white noise of the input, one-sided, its unit squared per Hz; 0 = not known.
+        resolution_hz: of the lines.
+        incoherent: density of each response that the input does not make, (c, lines) from 0 Hz on.
+    """
+
+    density: float
+    resolution_hz: float
+    incoherent: FloatArray
+
+
+def input_noise(source: FloatArray, responses: FloatArray, sample_rate: float) -> InputNoise:
+    """Noise of an input as its coherence with the responses tells it.
 
     Args:
         source: samples of the input, (n,).
@@ -30,40 +49,64 @@ def input_noise_density(source: FloatArray, responses: FloatArray, sample_rate: 
     segment = 2 ** max(6, int(np.log2(max(source.size // _SEGMENTS, 1))))
     averages = 2 * source.size // segment - 1
     if averages < THRESHOLDS.reading.record_fewest_averages:
-        return 0.0
-    _, power = welch(source - source.mean(), sample_rate, nperseg=segment)
+        return InputNoise(0.0, sample_rate, np.zeros((responses.shape[0], 1)))
     # Windows of Hann that overlap by half are as good as 0.95 of their number.
-    count = 0.95 * averages
-    incoherent = power
-    for response in responses:
+    unbiased = 0.95 * averages / (0.95 * averages - 1.0)
+    source = source - source.mean()
+    least, incoherent = welch(source, sample_rate, nperseg=segment)[1], []
+    power = least
+    for response in responses - responses.mean(axis=1, keepdims=True):
         with np.errstate(invalid="ignore", divide="ignore"):
-            coherent = coherence(source - source.mean(), response - response.mean(), sample_rate, nperseg=segment)[1]
-        part = power * (1.0 - np.nan_to_num(coherent)) * count / (count - 1.0)
-        incoherent = np.minimum(incoherent, part)
-    return float(np.quantile(incoherent[1:-1], THRESHOLDS.reading.record_noise_quantile))
+            coherent = coherence(source, response, sample_rate, nperseg=segment)[1]
+        apart = (1.0 - np.nan_to_num(coherent)) * unbiased
+        least = np.minimum(least, power * apart)
+        incoherent.append(apart * welch(response, sample_rate, nperseg=segment)[1])
+    density = float(np.quantile(least[1:-1], THRESHOLDS.reading.record_noise_quantile))
+    return InputNoise(density, sample_rate / segment, np.array(incoherent))
 
 
-def noise_lines(frequencies_hz: Sequence[float], sample_rate: float) -> FloatArray:
+def noise_lines(frequencies_hz: Sequence[float], sample_rate: float, duration_s: float) -> FloatArray:
     """Lines that carry the integral over a frequency response up to half of the sampling rate, Hz, ascending.
+
+    Nearer to a resonance than half a line of the whole record there is none: so long it takes to ring up.
 
     Args:
         frequencies_hz: of the model's modes.
         sample_rate: Hz.
+        duration_s: of the record, s.
     """
-    count, highest = THRESHOLDS.reading.record_noise_lines, 0.5 * sample_rate
-    apart = np.geomspace(_NEAREST, _FURTHEST, count)
-    around = [f * np.concatenate((1.0 - apart, [1.0], 1.0 + apart)) for f in frequencies_hz]
+    count, highest, nearest = THRESHOLDS.reading.record_noise_lines, 0.5 * sample_rate, 0.5 / duration_s
+    around = []
+    for f in frequencies_hz:
+        apart = f * np.geomspace(_NEAREST, _FURTHEST, count)
+        around += [f - apart, f + apart]
     lines = np.unique(np.concatenate((highest * np.arange(1, count + 1) / count, *around)))
-    return np.asarray(lines[(lines > 0.0) & (lines <= highest)])
+    far = np.all(np.abs(lines[:, None] - np.asarray(frequencies_hz)[None, :]) >= nearest, axis=1)
+    return np.asarray(lines[far & (lines >= nearest) & (lines <= highest)])
 
 
-def propagated_noise(density: float, responses: ComplexArray, frequency_hz: FloatArray) -> FloatArray:
-    """Standard deviation of each response to a white input, (c,).
+def propagated_noise(noise: InputNoise, responses: ComplexArray, frequency_hz: FloatArray) -> FloatArray:
+    """Standard deviation of each response to the noise of the input, (c,).
 
     Args:
-        density: of the input, its unit squared per Hz.
+        noise: of the input.
         responses: frequency responses over the input, (c, lines); those that are not known count as none.
         frequency_hz: of the lines, ascending, Hz.
     """
-    squares = np.nan_to_num(np.abs(responses) ** 2)
-    return np.sqrt(density * np.trapezoid(squares, frequency_hz, axis=1))
+    if not noise.density > 0.0 or frequency_hz.size < 2:
+        return np.zeros(responses.shape[0])
+    squares = noise.density * np.nan_to_num(np.abs(responses) ** 2, posinf=0.0)
+    parts = 0.5 * (squares[:, 1:] + squares[:, :-1]) * np.diff(frequency_hz)
+    lines = noise.incoherent.shape[1]
+    middle = 0.5 * (frequency_hz[1:] + frequency_hz[:-1])
+    place = np.minimum(np.round(middle / noise.resolution_hz).astype(np.int64), lines - 1)
+    result = np.zeros(responses.shape[0])
+    for number, part in enumerate(parts):
+        by_line = np.bincount(place, part, lines)
+        total = float(by_line.sum())
+        order = np.argsort(-by_line, kind="stable")
+        most = order[: int(np.searchsorted(np.cumsum(by_line[order]), _MOST * total)) + 1]
+        near = np.unique((most[:, None] + np.arange(-_LOBE, _LOBE + 1)).clip(0, lines - 1))
+        present = float(noise.incoherent[number, near].sum()) * noise.resolution_hz / _MOST
+        result[number] = np.sqrt(min(total, present))
+    return result

@@ -292,7 +292,7 @@ def test_a_viscous_decay_of_a_few_periods_has_rows_of_its_own() -> None:
     damping = values(observations, Part.DAMPING)
     assert damping.size >= 3
     assert damping == pytest.approx(np.full(damping.size, ratio), rel=0.03)
-    short = observations_of(linear(rate, 2.5 / HZ), rate, rig())
+    short = observations_of(linear(rate, 1.9 / HZ), rate, rig())
     assert not len(short.rows)
     assert "turns" in short.notes[0]
     shorter = observations_of(linear(rate, 0.1 / HZ), rate, rig())

@@ -173,8 +173,8 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "signals.decays.frame_fewest_samples": (
         lambda: [refused(lambda n=n: ridges(decay(n, 8.0), 8.0, Quantity.VELOCITY)) for n in (63, 64)], [True, False]
     ),
-    "signals.decays.turning_fewest_samples": (lambda: (nodes(8.0, 19.0) > 0, nodes(8.0, 21.0) > 0), (False, True)),
-    "signals.decays.turning_fewest_nodes": (lambda: (nodes(3.2), nodes(4.2)), (0, 3)),
+    "signals.decays.turning_fewest_samples": (lambda: (nodes(8.0, 9.5) > 0, nodes(8.0, 10.5) > 0), (False, True)),
+    "signals.decays.turning_fewest_swings": (lambda: (nodes(2.2), nodes(2.7)), (0, 1)),
     # 0.98^k of the swing falls below a fiftieth of the largest.
     "signals.decays.turning_smallest_share": (
         lambda: abs(nodes(40.0, fall=0.4) - math.log(50.0) / 0.4) <= 1.5, True

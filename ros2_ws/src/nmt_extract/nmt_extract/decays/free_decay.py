@@ -125,6 +125,8 @@ def channel_decay(
         The decay; without values, and with the reason, where there is none to be read.
     """
     from nmt_signals.decays.decay_reading import read_decay  # late: scipy, which other bags do not need
+    from nmt_signals.decays.half_cycles import half_cycle_nodes, strongest_frequency
+    from nmt_signals.thresholds import DECAYS
 
     nothing: FloatArray = np.empty(0)
     reason = ""
@@ -133,12 +135,23 @@ def channel_decay(
     elif not np.ptp(values) > 0.0:
         reason = "The channel does not move."
     else:
-        try:
-            good = read_decay(
-                np.asarray(values, dtype=np.float64), rate, quantity, _strongest, _AMPLITUDES, _FLOOR
-            ).good
-        except BenchError as error:
-            reason = f"The decay cannot be read: {error}."
+        values = np.asarray(values, dtype=np.float64)
+        frequency_hz = strongest_frequency(values, rate)
+        readings = (
+            lambda: read_decay(values, rate, quantity, _strongest, _AMPLITUDES, _FLOOR).good,
+            lambda: half_cycle_nodes(values, rate, frequency_hz),
+        )
+        # Over a few periods spectra tell nothing, but turning points do.
+        short = values.size / rate * frequency_hz < DECAYS.fewest_periods
+        reasons = []
+        for reading in readings[::-1] if short else readings:
+            try:
+                good = reading()
+                break
+            except BenchError as error:
+                reasons.append(str(error))
+        else:
+            reason = f"The decay cannot be read: {'; '.join(reasons)}."
     if reason:
         return FreeDecay(*place, *(nothing,) * 6, reason=reason)
     time, amplitude, omega, omega_std, sigma, sigma_std, periods = np.array(

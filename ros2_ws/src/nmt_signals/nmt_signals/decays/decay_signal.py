@@ -250,6 +250,10 @@ def slow_amplitude(samples: FloatArray, sample_rate: float, ridge: Ridge, width:
         raise BenchError(f"{cycles[-1]:.3g} periods of decay are too few; {DECAYS.fewest_periods} are needed")
     for number in range(DECAYS.demodulation_passes):
         at = middles(cycles, width)
+        if not at.size:
+            raise BenchError(
+                f"{cycles[-1]:.3g} periods of decay are too few for a window of {DECAYS.window_boxcars * width}"
+            )
         values = demodulated(samples, cycles, width)
         if number + 1 == DECAYS.demodulation_passes or values.size < DECAYS.fewest_periods // 2:
             break

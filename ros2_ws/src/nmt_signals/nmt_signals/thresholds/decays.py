@@ -182,8 +182,8 @@ class DecayThresholds:
         "",
     )  # fmt: skip
     turning_fewest_samples: int = threshold(
-        20, "samples",
-        "Samples of a period that turning points need: four on the fitted piece.",
+        10, "samples",
+        "Samples of a period that turning points need: fewer leave nothing above the third harmonic to tell noise by.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.turning_fewest_samples]",
     )  # fmt: skip
     turning_interval_periods: tuple[float, ...] = threshold(
@@ -201,10 +201,15 @@ class DecayThresholds:
         "Share of the largest swing below which the decay has ended.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.turning_smallest_share]",
     )  # fmt: skip
-    turning_fewest_nodes: int = threshold(
-        3, "nodes",
-        "Fewer nodes have no course over the amplitude.",
-        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.turning_fewest_nodes]",
+    turning_fine_samples: int = threshold(
+        40, "samples",
+        "Samples of a period to which coarser ones are interpolated: eight on the fitted piece.",
+        "tests/extract/test_short_decays.py::test_ten_samples_a_period_are_enough",
+    )  # fmt: skip
+    turning_fewest_swings: int = threshold(
+        3, "half swings",
+        "Two of them make a frequency and a damping, the third shows that the second was no end.",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.turning_fewest_swings]",
     )  # fmt: skip
     vertex_passes: int = threshold(
         3, "1",

@@ -178,6 +178,38 @@ def test_a_table_without_uncertainties_scatters_about_its_course(tmp_path: Path,
     assert any("no uncertainties are given" in note for note in observations.notes)
 
 
+def test_a_damping_of_nothing_is_known_to_a_share_of_the_models(tmp_path: Path) -> None:
+    """A limit cycle has none: what its damping is known to is a share of that of the mode, 4.7 %."""
+    bag = table(tmp_path, "backbone", "frequency_hz,amplitude,damping_ratio\n68.6,1,0\n68.7,2,0\n")
+    observations = read_observations([bag], rig_in(tmp_path))
+    damping = observations.rows.part == Part.DAMPING
+    assert observations.values[damping] == pytest.approx([0.0, 0.0])
+    assert observations.sigma[damping] == pytest.approx(np.full(2, 0.05 * RATIO), rel=1e-3)
+    assert any("limit cycle" in note for note in observations.notes)
+
+
+def test_one_bag_that_cannot_be_used_is_left_out(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("good", "bad")]
+    for folder in folders:
+        folder.mkdir()
+    good = table(folders[0], "backbone", "frequency_hz,amplitude\n68.6,1\n68.9,2\n")
+    volts = band_noise(1000, 1, 0.1)
+    np.savez(folders[1] / "data.npz", u=volts, f=volts**2)
+    (folders[1] / "sidecar.yaml").write_text(
+        f"rig: oscillator\nsample_rate: {RATE!r}\nfile: data.npz\nchannels:\n"
+        "  - {column: u, quantity: voltage, unit: V}\n  - {column: f, quantity: force, unit: N, point: 1}\n"
+        "segments:\n  - {kind: record, start: 0.0, stop: 1.5}\n",
+        encoding="utf-8",
+    )
+    bad = write_import(read_import(folders[1] / "sidecar.yaml"), folders[1] / "bag", "oscillator", RIG, {})
+    observations = read_observations([good, bad], rig_in(tmp_path))
+    assert len(observations.rows) == 2
+    (note,) = [note for note in observations.notes if "no response channel" in note]
+    assert note.startswith("bad is left out: ")
+    with pytest.raises(BenchError, match="no response channel"):
+        read_observations([bad], rig_in(tmp_path))
+
+
 def test_table_of_another_rig(tmp_path: Path) -> None:
     bag = table(tmp_path, "backbone", "frequency_hz,amplitude\n370.0,1\n369.0,2\n")
     with pytest.raises(BenchError, match="no mode of the model"):

@@ -11,13 +11,16 @@ from nmt_core.tolerances import MODEL_PRIORS
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_rig.model.assembly import displacement_output
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.phase_resonance import phase_resonant_backbone
+from nmt_rig.model.shaking_table import driven_by_force
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 from nmt_rig.rig_model import build_structure, build_system
@@ -158,6 +161,48 @@ def test_absolute_displacements_contain_the_tables_position():
     omega = 2.0 * np.pi * noise.lines_hz
     # The estimator's window mixes neighbouring lines.
     np.testing.assert_allclose(found[1], found[0] + 1.0 / (0.7 * omega**2), rtol=0.02)
+
+
+def test_a_table_with_absolute_displacements_is_driven_by_its_equivalent_force():
+    """Records of a force −m a on such a table: the structure's own motion and that of the table, F/(m ω²)."""
+    system = build_system(
+        modal(
+            exciter={"kind": "shaking_table", "point": 1, "effective_mass_kg": 0.7, "suspension_hz": 0.01,
+                     "responses": "absolute"},
+            sensors=[{"quantity": "force", "point": "drive"}, {"quantity": "displacement", "point": 2}],
+            extraction={"quantity": "displacement", "linear_modes": 1},
+            local_elements=[],
+        )
+    )  # fmt: skip
+    forced, structure = driven_by_force(system), build_structure(modal(local_elements=[]))
+    for hertz in (10.0, 40.0):
+        omega = 2.0 * np.pi * hertz
+        q, force = forced.response(omega)
+        assert force == pytest.approx(1.0)
+        own = np.linalg.solve(
+            structure.stiffness + 1j * omega * structure.damping - omega**2 * structure.mass, structure.base_load / 0.7
+        )
+        row = displacement_output(forced, 2)
+        exact = structure.motion(2, own) + 1.0 / (0.7 * omega**2)
+        assert row.displacement @ q == pytest.approx(exact, rel=5e-3)
+
+
+def test_a_free_body_has_no_static_response():
+    """Two bodies on a spring, free in space: their receptance at 5 Hz by Cramer's rule, none at 0 Hz."""
+    document = {
+            "name": "free", "sample_rate_hz": 1000, "test": {"mode": 2},
+            "structure": {"kind": "chain", "masses_kg": [2.0, 3.0], "springs_n_m": [4e4]},
+            "exciter": {"kind": "force", "point": 1},
+            "sensors": [{"quantity": "force", "point": "drive"}, {"quantity": "displacement", "point": 1},
+                        {"quantity": "displacement", "point": 2}],
+            "extraction": {"quantity": "displacement", "linear_modes": 2},
+        }  # fmt: skip
+    rig = validate_rig(RigDocument("free", document, {}))
+    view = ModelView.of(rig, (1,))
+    found = view.responses([view.channels[2]], np.array([0.0, 5.0]))[0]
+    omega = 2.0 * np.pi * 5.0
+    assert np.isnan(found[0])
+    assert found[1] == pytest.approx(4e4 / ((4e4 - 2.0 * omega**2) * (4e4 - 3.0 * omega**2) - 4e4**2))
 
 
 def test_every_parameter_of_these_structures_may_be_refitted():

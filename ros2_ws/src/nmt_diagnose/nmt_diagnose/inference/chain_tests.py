@@ -25,6 +25,7 @@ from nmt_rig.rig import Rig, SensorSection
 FUNDAMENTAL = (Part.LOG_MAGNITUDE, Part.PHASE)
 DELAY_STEP_S = 1e-6
 PHASE_STEP = 1e-4
+_RIGID = 1e-6  # of the highest frequency, below which a body is free
 
 
 class ChainTests:
@@ -153,8 +154,9 @@ class ChainTests:
         return float(np.median(self.rows.frequency_hz[selected])) if selected.any() else self.resonance()
 
     def resonance(self) -> float:
-        """First frequency of the model, Hz."""
-        return ModelView.of(self.rig, self.tests[0].drive_points).frequencies_hz[0]
+        """First frequency of the model at which it strains, Hz: a free body moves at 0 Hz, too."""
+        frequencies = ModelView.of(self.rig, self.tests[0].drive_points).frequencies_hz
+        return next((value for value in frequencies if value > _RIGID * frequencies[-1]), frequencies[-1])
 
 
 def edited(rig: Rig, channel: MeasuredChannel, change: Callable[[SensorSection], SensorSection]) -> Rig:

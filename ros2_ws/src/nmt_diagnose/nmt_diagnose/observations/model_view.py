@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -81,7 +82,7 @@ class ModelView:
         impedance = stiffness + s * damping + s * s * system.mass
         loads = sum(share * port.input_vector for share, port in zip(shares, ports, strict=True))
         unit = np.broadcast_to(np.asarray(loads, dtype=complex)[:, np.newaxis], (*impedance.shape[:2], 1))
-        motion = np.linalg.solve(impedance, unit)[:, :, 0].T
+        motion = _solved(impedance, unit)[:, :, 0].T
         s = s[:, 0, 0]
         shares += [0.0] * (len(volts) - len(shares))
         values = np.full((len(channels), s.size), complex(math.nan))
@@ -104,6 +105,18 @@ class ModelView:
         """Number of the exciter, from 0, that a voltage or current of the model belongs to."""
         sensors = (s for s in self.rig.sensors if self.rig.sensor_channel(s) == channel.name)
         return next(((sensor.exciter or 1) - 1 for sensor in sensors), 0)
+
+
+def _solved(impedance: ComplexArray, load: ComplexArray) -> ComplexArray:
+    """Motion (lines, n, 1) under loads; NaN at lines where a free body or an undamped mode has none."""
+    try:
+        return np.asarray(np.linalg.solve(impedance, load))
+    except np.linalg.LinAlgError:
+        result = np.full(load.shape, complex(math.nan, math.nan))
+        for line, matrix in enumerate(impedance):
+            with contextlib.suppress(np.linalg.LinAlgError):
+                result[line] = np.linalg.solve(matrix, load[line])
+        return result
 
 
 def matched(

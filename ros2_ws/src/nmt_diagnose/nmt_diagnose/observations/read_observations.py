@@ -112,10 +112,11 @@ def _read_all(
         name = _unique(_name(path), names)
         try:
             part = read_bag(bag, name, model, settings)
-        except NotCoveredError as refusal:
+        except BenchError as refusal:
             if len(bags) == 1:
                 raise
-            part = empty((str(refusal),))
+            sentence = str(refusal)
+            part = empty((sentence if isinstance(refusal, NotCoveredError) else f"{name} is left out: {sentence}",))
         origin = origin_of(bag, path, [test.name for test in part.tests])
         parts.append(replace(part, inputs=((str(path), digest),), origins=(origin,)))
     return joined(parts)

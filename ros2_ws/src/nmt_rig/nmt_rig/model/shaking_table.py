@@ -168,17 +168,23 @@ def on_table(structure: Structure, system: ElectromechanicalSystem, table: Shaki
 def driven_by_force(system: ElectromechanicalSystem) -> ElectromechanicalSystem:
     """A system on an ideal table with the force that stands for the base acceleration as its input, N.
 
+    A table whose position is modelled is taken as free: far above its suspension it moves with the acceleration asked
+    for.
+
     Raises:
-        ValueError: the system is on no table, or the table has dynamics of its own.
+        ValueError: the system is on no table, or the table has a bandwidth.
     """
-    if system.base is None or system.force.feedthrough == 0.0:
+    if system.base is None or system.first_order:
         raise ValueError("only a system on an ideal shaking table can be driven by its equivalent force")
-    per_force = 1.0 / system.force.feedthrough
-    acceleration = system.base.acceleration
+    force, acceleration, index = system.force, system.base.acceleration, system.base.index
+    per_force = 1.0 / (force.feedthrough if index is None else force.acceleration[index])
+    none = np.zeros(system.size)
     exciter = replace(
         system.exciters[0],
         input_vector=system.input_vector * per_force,
-        force=replace(system.force, feedthrough=1.0),
+        force=replace(force, acceleration=none, feedthrough=1.0)
+        if index is not None
+        else replace(force, feedthrough=1.0),
     )
     return replace(
         system,

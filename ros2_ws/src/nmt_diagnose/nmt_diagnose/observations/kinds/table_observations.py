@@ -23,6 +23,7 @@ from nmt_diagnose.observations.observables import Observations, Part, Place, Row
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.observables import ObservableTable
+from nmt_rig.model.linear_modes import damped_modes
 from nmt_rig.rig import Rig
 
 
@@ -86,6 +87,8 @@ def _backbone(
     unstated = max(floors.table_log_frequency, scatter_about_a_course(amplitude[good], np.log(frequency[good])))
     scatter = _scatter_of_damping(amplitude[good], damping[good])
     notes = [] if good.all() else [f"{name}: {int((~good).sum())} of {good.size} rows have no value and are left out."]
+    # Near a damping of 0 the model's is what a share is of.
+    own = _damping_near(view, float(np.median(frequency[where])))
     for level, index in enumerate(where):
         place = Place(level, 0.0, float(frequency[index]), float(amplitude[index]))
         stated = frequency_std[index] / frequency[index]
@@ -99,14 +102,26 @@ def _backbone(
             share = floors.decay_damping if known else max(floors.table_damping, scatter)
             rows.add(
                 Part.DAMPING, float(damping[index]), float(damping_std[index]) if known else 0.0,
-                share * abs(float(damping[index])), place, 0, 1,
+                share * max(abs(float(damping[index])), own), place, 0, 1,
             )  # fmt: skip
     degrees = math.inf
+    if np.any(damping[where] == 0.0):
+        notes.append(f"{name}: a damping of 0 is that of a motion that something drives, such as a limit cycle.")
     if not np.any(np.isfinite(frequency_std[where])):
         degrees = where.size / (2.0 * THRESHOLDS.noise.cubic_relative_std**2)
         notes.append(f"{name}: no uncertainties are given; {100 * unstated:.2g} % is taken for every frequency.")
     test = BackboneTable(name, view.rig.drive_point, channel, amplitude[where].copy(), degrees)
     return rows.observations(test, notes)
+
+
+def _damping_near(view: ModelView, frequency_hz: float) -> float:
+    """Damping ratio of the model's mode nearest to a frequency, Hz."""
+    poles = damped_modes(view.system).eigenvalues
+    poles = poles[poles.imag > 0.0]
+    if not poles.size:
+        return 0.0
+    nearest = poles[np.argmin(np.abs(np.log(np.abs(poles) / (2.0 * math.pi * frequency_hz))))]
+    return float(-nearest.real / abs(nearest))
 
 
 def _scatter_of_damping(amplitude: FloatArray, damping: FloatArray) -> float:

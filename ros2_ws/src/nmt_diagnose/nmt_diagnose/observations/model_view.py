@@ -79,7 +79,7 @@ class ModelView:
         shares = [term * gain / volts[0] for term, gain in zip(terms, volts, strict=False)]
         s = 2j * math.pi * np.asarray(frequency_hz, dtype=np.float64)[:, np.newaxis, np.newaxis]
         stiffness, damping = system.sticking_stiffness(), system.resting_damping()
-        impedance = stiffness + s * damping + s * s * system.mass
+        impedance = np.asarray(stiffness + s * damping + s * s * system.mass, dtype=np.complex128)
         loads = sum(share * port.input_vector for share, port in zip(shares, ports, strict=True))
         unit = np.broadcast_to(np.asarray(loads, dtype=complex)[:, np.newaxis], (*impedance.shape[:2], 1))
         motion = _solved(impedance, unit)[:, :, 0].T

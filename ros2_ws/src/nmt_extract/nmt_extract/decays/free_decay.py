@@ -8,7 +8,7 @@ amplitude, a vibration whose amplitude changes slowly has ω̃² = Ω² + σ² +
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_signals.channel_faults.converter_faults import CONVERTER_BITS, resolution
 
 if TYPE_CHECKING:
+    from nmt_signals.decays.decay_nodes import Node
     from nmt_signals.decays.decay_signal import Ridge
 
 COLUMNS = (
@@ -137,7 +138,7 @@ def channel_decay(
     else:
         values = np.asarray(values, dtype=np.float64)
         frequency_hz = strongest_frequency(values, rate)
-        readings = (
+        readings: tuple[Callable[[], list[Node]], ...] = (
             lambda: read_decay(values, rate, quantity, _strongest, _AMPLITUDES, _FLOOR).good,
             lambda: half_cycle_nodes(values, rate, frequency_hz),
         )

@@ -145,6 +145,7 @@ def test_noise_of_the_input_comes_through_a_sharp_resonance(broad: bool) -> None
     ratio, noise, omega = 0.001, 1e-3, 2.0 * math.pi * 30.0
     density = 2.0 * noise**2 / RATE
     lines = noise_lines([30.0], RATE, 1e4)
+    assert np.sum((lines > 30.03) & (lines < 30.3)) == pytest.approx(18, abs=1)
     response = 1.0 / (1.0 - (2 * np.pi * lines / omega) ** 2 + 2j * ratio * 2 * np.pi * lines / omega)
     known = InputNoise(density, RATE, np.full((1, 1), np.inf))
     expected = math.sqrt(density * omega / (8.0 * ratio))

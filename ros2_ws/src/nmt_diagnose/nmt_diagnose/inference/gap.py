@@ -103,10 +103,10 @@ def no_worse_than_silence(observations: Observations, residual: FloatArray, sigm
     rows, result = observations.rows, residual.copy()
     samples = rows.part == Part.SAMPLE
     for test, channel in {(int(t), int(c)) for t, c in zip(rows.test[samples], rows.channel[samples], strict=True)}:
-        own = samples & (rows.test == test) & (rows.channel == channel) & np.isfinite(residual)
-        silence, size = rms(observations.values[own] / sigma[own]), rms(residual[own])
+        selected = samples & (rows.test == test) & (rows.channel == channel) & np.isfinite(residual)
+        silence, size = rms(observations.values[selected] / sigma[selected]), rms(residual[selected])
         if size > silence:
-            result[own] *= silence / size
+            result[selected] *= silence / size
     return result
 
 

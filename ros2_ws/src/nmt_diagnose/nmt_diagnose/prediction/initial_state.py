@@ -110,15 +110,15 @@ def initial_state(
 
 def _directions(model: SteppedModel, size: FloatArray, coordinates: int, steps: int) -> ComplexArray:
     """States of single poles that move the channels by no more than they move, (n, k)."""
-    seen = np.max(np.abs(model.outputs[coordinates:]) / size[:, None], axis=0)
+    visible = np.max(np.abs(model.outputs[coordinates:]) / size[:, None], axis=0)
     decay = -np.log(np.maximum(np.abs(model.decay), 1e-300)) * steps
     angle = np.abs(np.angle(model.decay))
-    usable: IntArray = np.flatnonzero((seen > 1e-9 * seen.max(initial=0.0)) & (decay < _MOST_DECAY))
+    usable: IntArray = np.flatnonzero((visible > 1e-9 * visible.max(initial=0.0)) & (decay < _MOST_DECAY))
     usable = usable[np.argsort(angle[usable] + np.abs(decay[usable]) / steps, kind="stable")][:_MOST_POLES]
     found = []
     for k in usable:
         for share in (1.0, 1j) if angle[k] > 0.0 else (1.0,):
             direction = np.zeros(model.decay.size, dtype=np.complex128)
-            direction[k] = share / seen[k]
+            direction[k] = share / visible[k]
             found.append(direction)
     return np.array(found, dtype=np.complex128).reshape(-1, model.decay.size)

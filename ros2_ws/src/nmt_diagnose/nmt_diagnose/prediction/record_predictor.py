@@ -97,8 +97,8 @@ class RecordPredictor:
                 moved = self._stepped(parts, rate, substeps, offset=_ERROR_STEP * source)[0]
                 found[f"zero of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
             for number, (channel, zero) in enumerate(zip(self.channels, responses, strict=True)):
-                own = (self.rows.part == Part.SAMPLE) & (self.rows.channel == number)
-                found[f"zero of {channel.name} in {self.test.name}"] = zero * own
+                selected = (self.rows.part == Part.SAMPLE) & (self.rows.channel == number)
+                found[f"zero of {channel.name} in {self.test.name}"] = zero * selected
         for number, error in enumerate(initial.errors):
             moved = self._stepped(parts, rate, substeps, initial.state + _ERROR_STEP * error)[0]
             found[f"start {number} of {self.test.name}"] = change(moved)
@@ -112,8 +112,8 @@ class RecordPredictor:
         return parts, rate, self._substeps(parts, rate)
 
     def _of_rows(self, responses: FloatArray) -> FloatArray:
-        own = self.rows.part == Part.SAMPLE
-        return np.where(own, responses[np.maximum(self.rows.channel, 0), self._sample], 0.0)
+        selected = self.rows.part == Part.SAMPLE
+        return np.where(selected, responses[np.maximum(self.rows.channel, 0), self._sample], 0.0)
 
     def _recorded(self, raw: FloatArray, parts: RigParts, rate: float) -> FloatArray:
         """What the sensors make of the model's channels (channels, samples)."""

@@ -223,8 +223,8 @@ def _head(responses: FloatArray, sample_rate: float) -> int:
 def _begins_in_motion(responses: FloatArray, head: int) -> bool:
     """Whether some channel moves from the first samples on."""
     first = responses[:, : max(3, head // THRESHOLDS.reading.record_head_samples)]
-    rest = responses.mean(axis=1, keepdims=True)
-    share = np.sqrt(np.mean((first - rest) ** 2, axis=1) / np.maximum(np.var(responses, axis=1), 1e-300))
+    centre = responses.mean(axis=1, keepdims=True)
+    share = np.sqrt(np.mean((first - centre) ** 2, axis=1) / np.maximum(np.var(responses, axis=1), 1e-300))
     return bool(np.any(share > THRESHOLDS.reading.record_rest_share))
 
 

@@ -18,9 +18,9 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _SEGMENTS = 16
-_FURTHEST = 0.3  # of lines from a resonance, over its frequency
-_NEAREST = 1e-5
-_MOST = 0.9  # share of what the model makes of the noise that is compared with what is incoherent
+_WIDEST_SHARE = 0.3  # of lines from a resonance, over its frequency
+_FINEST_SHARE = 1e-5
+_COMPARED_SHARE = 0.9  # share of what the model makes of the noise that is compared with what is incoherent
 _LOBE = 2  # lines of a spectrum over which its window spreads a resonance
 
 
@@ -78,7 +78,7 @@ def noise_lines(frequencies_hz: Sequence[float], sample_rate: float, duration_s:
     count, highest, nearest = THRESHOLDS.reading.record_noise_lines, 0.5 * sample_rate, 0.5 / duration_s
     around = []
     for f in frequencies_hz:
-        apart = f * np.geomspace(_NEAREST, _FURTHEST, count)
+        apart = f * np.geomspace(_FINEST_SHARE, _WIDEST_SHARE, count)
         around += [f - apart, f + apart]
     lines = np.unique(np.concatenate((highest * np.arange(1, count + 1) / count, *around)))
     far = np.all(np.abs(lines[:, None] - np.asarray(frequencies_hz)[None, :]) >= nearest, axis=1)
@@ -105,8 +105,8 @@ def propagated_noise(noise: InputNoise, responses: ComplexArray, frequency_hz: F
         by_line = np.bincount(place, part, lines)
         total = float(by_line.sum())
         order = np.argsort(-by_line, kind="stable")
-        most = order[: int(np.searchsorted(np.cumsum(by_line[order]), _MOST * total)) + 1]
+        most = order[: int(np.searchsorted(np.cumsum(by_line[order]), _COMPARED_SHARE * total)) + 1]
         near = np.unique((most[:, None] + np.arange(-_LOBE, _LOBE + 1)).clip(0, lines - 1))
-        present = float(noise.incoherent[number, near].sum()) * noise.resolution_hz / _MOST
+        present = float(noise.incoherent[number, near].sum()) * noise.resolution_hz / _COMPARED_SHARE
         result[number] = np.sqrt(min(total, present))
     return result

@@ -30,7 +30,7 @@ class DeviationRecord:
     def __init__(self, blocks: int, shape: tuple[int, ...], cutoff: float, block_duration: float) -> None:
         self.blocks = max(FEWEST_BLOCKS, blocks)
         self.count = 0
-        self._values: ComplexArray = np.zeros((self.blocks, *shape), complex)
+        self._values: ComplexArray = np.zeros((2 * self.blocks, *shape), complex)  # twice, so that they lie in a row
         self.correlation = max(1.0, 2.0 / (cutoff * block_duration))
         neighbour = math.exp(-2.0 / self.correlation)
         self._noise_per_bend = 1.0 / math.sqrt(6.0 - 8.0 * neighbour + 2.0 * neighbour**2)
@@ -41,7 +41,8 @@ class DeviationRecord:
 
     def add(self, deviation: ComplexArray) -> None:
         """Take the deviations of a block."""
-        self._values[self.count % self.blocks] = deviation
+        place = self.count % self.blocks
+        self._values[place] = self._values[place + self.blocks] = deviation
         self.count += 1
 
     @property
@@ -57,11 +58,15 @@ class DeviationRecord:
     def mean_and_noise(self) -> tuple[ComplexArray, FloatArray]:
         """Mean, and standard deviation of the noise of one block; of three deviations or more."""
         oldest = self.count % self.blocks if self.count > self.blocks else 0
-        record = np.concatenate([self._values[oldest : self.length], self._values[:oldest]])
+        record = self._values[oldest : oldest + self.length]
         bend = record[:-2] - 2.0 * record[1:-1] + record[2:]
         # The median: a transient bends a few blocks only, noise all of them; its square is distributed exponentially.
-        noise = self._noise_per_bend * np.sqrt(np.median(np.abs(bend) ** 2, axis=0) / math.log(2.0))
-        return record.mean(axis=0), noise
+        squares = np.abs(bend) ** 2
+        squares.sort(axis=0)
+        high = len(squares) // 2
+        median = squares[high] if len(squares) % 2 else (squares[high - 1] + squares[high]) / 2.0
+        noise = self._noise_per_bend * np.sqrt(median / math.log(2.0))
+        return np.add.reduce(record, axis=0) / len(record), noise
 
     def mean_std(self, noise: FloatArray) -> FloatArray:
         """Standard deviation of the mean for noise of one block."""

@@ -139,11 +139,19 @@ class ForceController:
         self.terms: ComplexArray = np.zeros(shape, complex)
         self.terms[:, 0] = self._start
         self._relative = count > 1  # they all follow one amplitude up and down
+        self._places = [divmod(place, setup.highest) for place in range(1, count * setup.highest)]
+        self._masks: tuple[tuple[object, ...], np.ndarray, np.ndarray] | None = None
+        self._motion_shares: FloatArray = HARMONICS.motion_disturbance_ratio * self.orders[1:, None].astype(np.float64)
+        self._allowed, self._taken = self._limits()
         self._known_later: ComplexArray = np.full((setup.highest - 1, count, count), np.nan + 0j)
         self._force_per_volt = force_per_volt
         self._estimate = GainEstimate(setup.highest - 1, count)
         self._held = HeldVoltages(
-            shape, setup.cutoff, setup.block_duration, setup.latency_blocks, straight=self._relative
+            (count, setup.highest - 1),
+            setup.cutoff,
+            setup.block_duration,
+            setup.latency_blocks,
+            straight=self._relative,
         )
         lag = max(1, round(1.0 / (setup.cutoff * setup.block_duration)))
         self._past: deque[tuple[ComplexArray, ComplexArray, Sequence[complex]]] = deque(maxlen=lag + 1)
@@ -161,6 +169,7 @@ class ForceController:
         self._deviation: ComplexArray = np.zeros(shape, complex)
         self._mean: FloatArray = np.zeros(shape)
         self._noise: FloatArray = np.zeros(shape)
+        self._quiet: FloatArray = np.ones((count, setup.highest - 1))
 
     @property
     def exciters(self) -> int:
@@ -183,16 +192,21 @@ class ForceController:
     @property
     def _without_control(self) -> np.ndarray:
         """Which terms were given up, bool (N, H)."""
-        result = np.zeros(self.terms.shape, bool)
-        for exciter, order in self.given_up:
-            result[exciter - 1, order - 1] = True
-        return result
+        return self._given_up_and_works()[0]
 
-    def _scale(self, amplitude: float) -> FloatArray:
-        """V that a term of one has beside a drive of this amplitude, shape (H,)."""
-        scale = np.full(self.orders.size, amplitude if self._relative else 1.0)
-        scale[0] = amplitude
-        return scale
+    def _given_up_and_works(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which terms were given up, and which are controlled and were not, bool (N, H); made where that changes."""
+        state = self.off, *self.given_up
+        if self._masks is None or self._masks[0] != state:
+            given_up = np.zeros(self.terms.shape, bool)
+            for exciter, order in self.given_up:
+                given_up[exciter - 1, order - 1] = True
+            self._masks = state, given_up, self._active & ~given_up
+        return self._masks[1:]
+
+    def _unit(self, amplitude: float) -> float:
+        """V that a controlled term of one has beside a drive of this amplitude."""
+        return amplitude if self._relative else 1.0
 
     def _in_drive(self) -> ComplexArray:
         if not self.off:
@@ -233,7 +247,7 @@ class ForceController:
 
     def idle(self, amplitude: float) -> None:
         """A block in which nothing is controlled: terms stay beside a drive of this amplitude, V."""
-        self._held.advance(self._in_drive() * self._scale(amplitude))
+        self._held.advance(self._in_drive()[:, 1:] * self._unit(amplitude))
         self._past.clear()
 
     def rest(self) -> None:
@@ -243,48 +257,70 @@ class ForceController:
         else:
             self.clear()
 
-    def _known(self, frequency_hz: float) -> ComplexArray:
-        """G(n f) of the harmonics as it was known at first, N/V, (H - 1, N, N); NaN where it has to be probed."""
+    def _known(self, frequency_hz: float) -> tuple[ComplexArray, bool]:
+        """G(n f) of the harmonics as it was known at first, N/V, (H - 1, N, N), and whether it is known everywhere.
+
+        It is NaN where it has to be probed.
+        """
         if self.orders.size == 1:
-            return self._known_later
+            return self._known_later, True
         known = self._force_per_volt(np.asarray(self.orders[1:] * frequency_hz, dtype=np.float64))
-        return np.where(np.isnan(known), self._known_later, known)
+        missing = np.isnan(known)
+        if not missing.any():
+            return known, True
+        known = np.where(missing, self._known_later, known)
+        return known, not np.isnan(known).any()
 
     def fit(self, amplitude: float, frequency_hz: float) -> None:
         """Keep the next block's terms within the limits beside a drive of this amplitude (V), also while idle.
 
         Fundamentals go first: harmonics have the room that is left.
         """
-        if amplitude > 0.0:
-            for limit, weights in self._limits(frequency_hz):
-                largest = HARMONICS.voltage_limit_share * limit / (float(weights[0]) * amplitude)
+        taken = self._taken_at(frequency_hz)
+        if self._relative and amplitude > 0.0:
+            for allowed, weights in zip(self._allowed.tolist(), taken, strict=True):
+                largest = allowed / (float(weights[0]) * amplitude)
                 size = np.abs(self.terms[1:, 0])
                 self.terms[1:, 0] *= np.minimum(1.0, largest / np.maximum(size, 1e-300))
-        self.terms[:, 1:] = self.terms[:, 1:] * self._room(amplitude, frequency_hz)
+        room = self._room(np.abs(self.terms[:, 1:]) * self._unit(amplitude), amplitude, taken)
+        if room is not None:
+            self.terms[:, 1:] *= room
 
-    def _limits(self, frequency_hz: float) -> list[tuple[float, FloatArray]]:
-        """Limits there are, each with what a volt of every harmonic takes of it, (H,)."""
-        step = math.pi * frequency_hz / self.setup.sample_rate
-        limits = [
-            (self.setup.voltage_limit, np.ones(self.orders.size)),
-            (self.setup.slew_limit, 2.0 * self.setup.sample_rate * np.sin(step * self.orders)),
-        ]
-        return [(limit, weights) for limit, weights in limits if limit > 0.0]
+    def _limits(self) -> tuple[FloatArray, FloatArray]:
+        """What terms may take of each limit there is, (L,), and what a volt of each takes, (L, H), but for slew."""
+        limits = [limit for limit in (self.setup.voltage_limit, self.setup.slew_limit) if limit > 0.0]
+        allowed = HARMONICS.voltage_limit_share * np.array(limits, float)
+        return allowed, np.ones((len(limits), self.orders.size))
 
-    def _room(self, amplitude: float, frequency_hz: float) -> FloatArray:
-        """Share of the present harmonics of each exciter, at most 1, that the limits leave room for, (N, 1)."""
-        share = np.ones(self.exciters)
+    def _taken_at(self, frequency_hz: float) -> FloatArray:
+        """What a volt of every term takes of each limit at a frequency, (L, H); good until the next call."""
+        if self.setup.slew_limit > 0.0:
+            step = math.pi * frequency_hz / self.setup.sample_rate
+            self._taken[-1] = 2.0 * self.setup.sample_rate * np.sin(step * self.orders)
+        return self._taken
+
+    def _room(self, sizes: FloatArray, amplitude: float, taken: FloatArray) -> FloatArray | None:
+        """Share of the harmonics of each exciter, at most 1, that the limits leave room for, (N, 1); None = of all.
+
+        Args:
+            sizes: of the harmonics, V, shape (N, H - 1).
+            amplitude: of the first exciter's fundamental, V.
+            taken: of `_taken_at`.
+        """
+        if not self._allowed.size:
+            return None
+        together = np.add.reduce(sizes * taken[:, None, 1:], axis=2)
         fundamentals = np.abs(self.terms[:, 0]) * amplitude
-        sizes = np.abs(self.terms[:, 1:]) * self._scale(amplitude)[1:]
-        for limit, weights in self._limits(frequency_hz):
-            together = np.sum(sizes * weights[1:], axis=1)
-            room = np.maximum(0.0, HARMONICS.voltage_limit_share * limit - fundamentals * float(weights[0]))
-            share = np.where(together > room, np.minimum(share, room / np.maximum(together, 1e-300)), share)
-        return np.asarray(share[:, None])
+        room = np.maximum(0.0, self._allowed[:, None] - fundamentals * taken[:, :1])
+        over = together > room
+        if not over.any():
+            return None
+        shares = np.where(over, room / np.maximum(together, 1e-300), 1.0)
+        return np.asarray(np.minimum.reduce(shares, axis=0)[:, None])
 
     def gain(self, frequency_hz: float) -> ComplexArray:
         """Ĝ(n f) of the harmonics 2 … H, N/V, shape (H - 1, N, N); NaN where it has still to be probed."""
-        return self._estimate.gain(self._known(frequency_hz))
+        return self._estimate.gain(self._known(frequency_hz)[0])
 
     def update(
         self,
@@ -305,81 +341,86 @@ class ForceController:
             target: F_jn*, N, shape (N, H).
             ramp_from: V that the amplitude comes from where it is still on its way.
         """
-        scale = self._scale(max(amplitude, ramp_from))  # rather too small a change of a ratio than too great a one
-        seen = self._held.advance(self._in_drive() * self._scale(amplitude)).copy()
+        unit = self._unit(max(amplitude, ramp_from))  # rather too small a change of a ratio than too great a one
+        seen = self._held.advance(self._in_drive()[:, 1:] * self._unit(amplitude))
         self._fundamental = abs(force[0, 0])
-        known = self._known(frequency_hz)
-        if np.isnan(known).any() and not self.off:
-            self._probe_next(known, force, amplitude, scale)
+        known, everywhere = self._known(frequency_hz)
+        if not everywhere and not self.off:
+            self._probe_next(known, force, amplitude, unit)
             return
         if self._rest > 0:  # what the last probe has left in the filter is no deviation
             self._rest -= 1
             self._past.clear()
             return
-        active = self._active
-        self._deviation = np.where(active, force - target, 0j)
-        self._judge_block(active)
+        self._deviation = force - target
+        self._deviation[0, 0] = 0.0
+        if self.off:
+            self._deviation[:, 1:] = 0.0
+        self._judge_block()
+        self._quiet = self._quiet_share()
         if self._relative and ramp_from > 0.0:  # the ramp itself moves the voltages
             self._past.clear()
         elif self.orders.size > 1 and not self.off:
-            self._learn(force, seen[:, 1:], response, known, frequency_hz)
+            self._learn(force, seen, response, known, frequency_hz)
         gain = self._estimate.gain(known)
-        step = self._step(gain, active) / scale
-        largest = HARMONICS.largest_step_share * amplitude / scale
-        step *= np.minimum(1.0, largest / np.maximum(self._sizes(step, active), 1e-300))
+        step = self._step(gain)
+        largest = HARMONICS.largest_step_share * amplitude
+        size = np.abs(step)
+        if (size > largest).any():
+            # The largest of those that work together bounds them all.
+            works = self._given_up_and_works()[1]
+            size = np.where(works, np.max(np.where(works, size, 0.0), axis=0), size)
+            step *= np.minimum(1.0, largest / np.maximum(size, 1e-300))
+        if self._relative:
+            step /= unit
         self.terms = self.terms + step
-        self.terms = np.where(self._without_control, HARMONICS.fade_per_block * (self.terms - step), self.terms)
-        if not self.off:
-            self._limit(amplitude, scale, frequency_hz, gain)
+        if self.given_up:
+            self.terms = np.where(self._without_control, HARMONICS.fade_per_block * (self.terms - step), self.terms)
+        if not self.off and self.orders.size > 1:
+            self._limit(amplitude, unit, frequency_hz, gain)
             self._review()
 
-    def _step(self, gain: ComplexArray, active: np.ndarray) -> ComplexArray:
+    def _step(self, gain: ComplexArray) -> ComplexArray:
         """Changes of the voltages, V, (N, H), without bounds."""
-        matrices = np.zeros((self.orders.size, self.exciters, self.exciters), complex)
-        matrices[0] = np.diag(self._fundamental_gain)
-        matrices[1:] = np.eye(self.exciters) if self.off else gain
-        # Who was given up does not work for the others, and they do not work for it.
-        works = (active & ~self._without_control).T
-        together = (works[:, :, None] & works[:, None, :]) | np.eye(self.exciters, dtype=bool)
-        trust = np.ones(self.terms.shape)
-        trust[:, 1:] = self._estimate.trust.T
-        wanted = -self.rate * self.setup.block_duration * self._quiet_share() * trust * self._deviation
-        return solved(np.where(together, matrices, 0j), wanted.T).T
+        step = np.zeros(self.terms.shape, complex)
+        share = -self.rate * self.setup.block_duration
+        step[1:, 0] = share * self._deviation[1:, 0] / self._fundamental_gain[1:]
+        if self.off:
+            return step
+        if self.given_up:  # who was given up does not work for the others, and they do not work for it
+            works = self._given_up_and_works()[1][:, 1:].T
+            together = (works[:, :, None] & works[:, None, :]) | np.eye(self.exciters, dtype=bool)
+            gain = np.where(together, gain, 0j)
+        wanted = share * self._quiet * self._estimate.trust.T * self._deviation[:, 1:]
+        step[:, 1:] = solved(gain, wanted.T).T
+        return step
 
-    def _sizes(self, step: ComplexArray, active: np.ndarray) -> FloatArray:
-        """What bounds every change: the largest of those that work together, else its size, (N, H)."""
-        size = np.abs(step)
-        works = active & ~self._without_control
-        return np.where(works, np.max(np.where(works, size, 0.0), axis=0), size)
-
-    def _judge_block(self, active: np.ndarray) -> None:
+    def _judge_block(self) -> None:
         """Mean deviation and noise over the dwell so far."""
-        controlled = np.ones(active.shape, bool)
-        controlled[0, 0] = False
-        self._record.add(self._deviation[controlled])
+        self._record.add(self._deviation.ravel()[1:])  # without the reference
         length, most = self._record.length, self._record.blocks
         if length < FEWEST_BLOCKS:
             self._mean = np.abs(self._deviation)
             return
         mean, bends = self._record.mean_and_noise()
-        self._mean[controlled] = np.abs(mean)
-        noise = np.zeros(active.shape)
-        noise[controlled] = bends
+        self._mean.flat[1:] = np.abs(mean)
+        noise = np.zeros(self._mean.shape)
+        noise.flat[1:] = bends
         if length < most:  # too few values; what is there from before counts
             noise = np.where(self._noise > 0.0, np.minimum(noise, self._noise), noise)
         grow = 2.0 ** (1.0 / (HARMONICS.noise_doubling_dwells * most))
         self._noise = np.where(self._noise > 0.0, np.minimum(noise, self._noise * grow), noise)
 
     def _quiet_share(self) -> FloatArray:
-        """Share of κ: in noise so small that the noise which control puts into F_n stays below the tolerance.
+        """Share of κ, (N, H - 1), so small in noise that what control puts of it into F_n stays below the tolerance.
 
-        Noise σ behind the filter comes back with the variance σ² κ/ω_LP.
+        Noise σ behind the filter comes back with the variance σ² κ/ω_LP. Fundamentals have all of κ: near the resonance
+        Ĝ is more than the gain at which noise comes through.
         """
         wanted = 0.5 * self.setup.tolerance * self._fundamental
-        ratio = (wanted / np.maximum(self._noise, 1e-3 * wanted + 1e-300)) ** 2 * self.setup.cutoff / self.rate
-        share = np.clip(ratio, HARMONICS.lowest_gain_share, 1.0)
-        share[:, 0] = 1.0  # near the resonance Ĝ is more than the gain at which noise comes through
-        return np.asarray(share)
+        noise = np.maximum(self._noise[:, 1:], 1e-3 * wanted + 1e-300)
+        ratio = (wanted / noise) ** 2 * self.setup.cutoff / self.rate
+        return np.asarray(np.minimum(np.maximum(ratio, HARMONICS.lowest_gain_share), 1.0))
 
     def _learn(
         self,
@@ -397,25 +438,29 @@ class ForceController:
         old_force, old_seen, old_response = self._past[0]
         moved = max(abs(now - before) for now, before in zip(response, old_response, strict=True))
         self._motion = motion = moved / max(*map(abs, response), 1e-300)
-        harmonics, orders = force[:, 1:].T, self.orders[1:, None]
         change = (force - old_force).T
-        disturbance = np.abs(harmonics - applied(self._estimate.gain(known), seen.T))
-        disturbance *= np.minimum(1.0, HARMONICS.motion_disturbance_ratio * orders * motion)
+        disturbance = np.abs(force[:, 1:].T - applied(self._estimate.gain(known), seen.T))
+        disturbance *= np.minimum(1.0, self._motion_shares * motion)
         if self._relative:  # fundamentals are moved here, and the filter lets some of that into the harmonics
-            disturbance += self.setup.cutoff / (2.0 * math.pi * frequency_hz * (orders - 1)) * np.abs(change[0])
+            steps = self.orders[:-1, None]  # from the fundamental
+            disturbance += self.setup.cutoff / (2.0 * math.pi * frequency_hz * steps) * np.abs(change[0])
         noise = self._noise[:, 1:].T
         scatter = 2.0 * noise**2 + disturbance**2 + (HARMONICS.unexplained_share * self._fundamental) ** 2
         scatter *= len(self._past) - 1  # overlapping differences tell the same thing as often
         self._estimate.learn(known * (seen - old_seen).T[:, None, :], change[1:], disturbance, scatter)
 
-    def _limit(self, amplitude: float, scale: FloatArray, frequency_hz: float, gain: ComplexArray) -> None:
+    def _limit(self, amplitude: float, unit: float, frequency_hz: float, gain: ComplexArray) -> None:
         """Keep every harmonic, and all of them together, below what is allowed; name what stays there."""
-        if self.orders.size == 1:
+        magnitude = np.abs(self.terms[:, 1:])
+        size = magnitude * unit
+        share = self._room(magnitude * self._unit(amplitude), amplitude, self._taken_at(frequency_hz))
+        most = HARMONICS.largest_voltage_share * amplitude
+        if share is None and most > 0.0 and not (size > most).any():
+            self._limited[:] = 0.0
             return
-        size = np.abs(self.terms[:, 1:] * scale[1:])
-        largest = np.full(size.shape, HARMONICS.largest_voltage_share * amplitude)
-        share = self._room(amplitude, frequency_hz)
-        largest = np.where(share < 1.0, np.minimum(largest, share * size), largest)
+        largest = np.full(size.shape, most)
+        if share is not None:
+            largest = np.where(share < 1.0, np.minimum(largest, share * size), largest)
         over = (size > largest) | (largest == 0.0)
         self.terms[:, 1:] = np.where(over, self.terms[:, 1:] * largest / np.maximum(size, 1e-300), self.terms[:, 1:])
         self._limited = np.where(over, self._limited + self.setup.block_duration, 0.0)
@@ -434,7 +479,7 @@ class ForceController:
         """From time to time: whether every harmonic that is not settled gets nearer to its target."""
         if self._motion > HARMONICS.steady_motion_change or not self._record.is_full:
             return  # what changes by itself says nothing of control
-        self._since_look += self.setup.block_duration * self._quiet_share()[:, 1:]
+        self._since_look += self.setup.block_duration * self._quiet
         due = self._since_look >= HARMONICS.review_time_constants / self.rate
         if not due.any():
             return
@@ -460,22 +505,22 @@ class ForceController:
 
     # -- probing -------------------------------------------------------------------------------------------------
 
-    def _probe_next(self, known: ComplexArray, force: ComplexArray, amplitude: float, scale: FloatArray) -> None:
+    def _probe_next(self, known: ComplexArray, force: ComplexArray, amplitude: float, unit: float) -> None:
         """Go on with the probing: one harmonic of one exciter at a time, a small voltage up and then down."""
         wait = math.ceil(4.0 / (self.setup.cutoff * self.setup.block_duration)) + 1 + self.setup.latency_blocks
         if self._probe is None:
             index, _, exciter = np.argwhere(np.isnan(known))[0].tolist()
             self._probe = (index, exciter, 0, [])
             self.terms[:, 1:] = 0.0
-            self.terms[exciter, index + 1] = HARMONICS.probe_share * amplitude / scale[index + 1]
+            self.terms[exciter, index + 1] = HARMONICS.probe_share * amplitude / unit
             return
         index, exciter, blocks, ends = self._probe
         place, blocks = (exciter, index + 1), blocks + 1
         if blocks == wait:
-            ends = [*force[:, index + 1].tolist(), complex(self._held.value[place])]
-            self.terms[place] = -HARMONICS.probe_share * amplitude / scale[index + 1]
+            ends = [*force[:, index + 1].tolist(), complex(self._held.value[exciter, index])]
+            self.terms[place] = -HARMONICS.probe_share * amplitude / unit
         elif blocks == 2 * wait:
-            moved = complex(self._held.value[place]) - ends[-1]
+            moved = complex(self._held.value[exciter, index]) - ends[-1]
             for row in range(self.exciters):
                 found = (complex(force[row, index + 1]) - ends[row]) / moved if moved != 0 else 0j
                 self._known_later[index, row, exciter] = found if found != 0 else 1e-12 + 0j
@@ -515,7 +560,7 @@ class ForceController:
             return "force per volt of the harmonics is being measured"
         if not self._record.is_full:
             return "the forces have not been controlled for a dwell yet"
-        open_terms = self._active & ~self.settled & ~self._without_control
+        open_terms = self._given_up_and_works()[1] & ~self.settled
         if not open_terms.any():
             return ""
         place = np.unravel_index(int(np.argmax(np.where(open_terms, self._mean, -1.0))), open_terms.shape)
@@ -530,7 +575,7 @@ class ForceController:
         if not self.controls:
             return ""
         parts = []
-        kept = self._active & ~self._without_control
+        kept = self._given_up_and_works()[1]
         if kept.any():
             row, column = np.unravel_index(int(np.argmax(np.where(kept, self._mean, -1.0))), kept.shape)
             share = f"{self._share(int(row) + 1, int(column) + 1):.2g} % of the fundamental"
@@ -544,10 +589,8 @@ class ForceController:
 
     def drive_terms(self) -> tuple[DriveTerm, ...]:
         """Terms of the drive for the next block; harmonics are zero while ``off``."""
-        values = self._in_drive().tolist()
+        values = self._in_drive().ravel().tolist()[1:]
         return tuple(
             DriveTerm(row + 1, column + 1, value, self._relative)
-            for row, line in enumerate(values)
-            for column, value in enumerate(line)
-            if (row, column) != (0, 0)
+            for (row, column), value in zip(self._places, values, strict=True)
         )

@@ -33,13 +33,15 @@ def table_of(rows: Sequence[Sequence[float]], exciters: int = 1) -> ForcePerVolt
             "numbers: frequency in Hz, then real and imaginary part in N/V, row by row."
         )
     frequency = table[:, 0].copy()
-    values = table[:, 1::2] + 1j * table[:, 2::2]
+    elements = np.ascontiguousarray((table[:, 1::2] + 1j * table[:, 2::2]).T)
 
     def value(frequency_hz: FloatArray) -> ComplexArray:
         if not frequency.size:
             return np.full((*np.shape(frequency_hz), exciters, exciters), math.nan, complex)
-        parts = [np.interp(frequency_hz, frequency, column, math.nan, math.nan) for column in values.T]
-        return np.asarray(np.stack(parts, axis=-1), complex).reshape(-1, exciters, exciters)
+        result = np.empty((len(frequency_hz), exciters**2), complex)
+        for place, element in enumerate(elements):
+            result[:, place] = np.interp(frequency_hz, frequency, element, math.nan, math.nan)
+        return result.reshape(-1, exciters, exciters)
 
     return value
 

@@ -42,6 +42,6 @@ class ForceTargets:
             quantity: what the response is.
             duration: s since the last block.
         """
-        target = np.zeros_like(force)
+        target: ComplexArray = np.zeros(force.shape, complex)
         target[0, 0] = force[0, 0]
         return target

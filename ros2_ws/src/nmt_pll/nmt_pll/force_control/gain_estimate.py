@@ -36,8 +36,10 @@ class GainEstimate:
 
     def __init__(self, harmonics: int, exciters: int) -> None:
         self.correction: ComplexArray = np.ones((harmonics, exciters), complex)
-        self.covariance: ComplexArray = np.zeros((harmonics, exciters, exciters), complex)
+        self.covariance: ComplexArray = np.zeros((harmonics, exciters, exciters), complex)  # changed in place only
         self.covariance[:] = HARMONICS.initial_gain_std**2 * np.eye(exciters)
+        self._variances = _diagonals(self.covariance).real  # views of it
+        self._unit: ComplexArray = np.eye(exciters, dtype=complex)
 
     def gain(self, known: ComplexArray) -> ComplexArray:
         """Ĝ = G₀ diag(c), N/V, shape (K, N, N), for G₀ of that shape."""
@@ -49,22 +51,14 @@ class GainEstimate:
         size_squared = np.abs(self.correction) ** 2
         return np.asarray(size_squared / (size_squared + self._variances))
 
-    @property
-    def _variances(self) -> FloatArray:
-        return np.asarray(np.diagonal(self.covariance, axis1=1, axis2=2).real)
-
-    def _set_variances(self, values: FloatArray) -> None:
-        place = np.arange(values.shape[1])
-        self.covariance[:, place, place] = values
-
     def grow(self, factor: float) -> None:
         """Forget some: variances grow by ``factor`` up to their bound, correlations stay."""
-        before = self._variances
         largest = HARMONICS.largest_gain_std**2 * np.maximum(1.0, np.abs(self.correction) ** 2)
-        after = np.minimum(before * factor, largest)
-        ratio = np.sqrt(after / before)
-        self.covariance = self.covariance * (ratio[:, :, None] * ratio[:, None, :])
-        self._set_variances(after)
+        after = np.minimum(self._variances * factor, largest)
+        if after.shape[1] > 1:
+            ratio = np.sqrt(after / self._variances)
+            self.covariance *= ratio[:, :, None] * ratio[:, None, :]
+        self._variances[:] = after
 
     def learn(self, moves: ComplexArray, change: ComplexArray, least: FloatArray, scatter: FloatArray) -> None:
         """Put c right by what the newest changes of voltage have done to the forces.
@@ -76,40 +70,58 @@ class GainEstimate:
             scatter: R_j, N², shape (K, N).
         """
         # What moves less than the motion may have done would tell the same wrong thing every time.
-        tells = np.max(np.abs(moves), axis=2) > least
+        tells = np.maximum.reduce(np.abs(moves), axis=2) > least
+        if not tells.any():
+            return
         moves = np.where(tells[:, :, None], moves, 0j)
         for row in range(change.shape[1]):
             self._learn_of(moves[:, row], change[:, row], scatter[:, row])
 
     def _learn_of(self, move: ComplexArray, change: ComplexArray, scatter: FloatArray) -> None:
         """The same of one force: ``move`` (K, N), ``change`` and ``scatter`` (K,)."""
-        square = move.conj()[:, :, None] * move[:, None, :]  # h̄ hᵀ
-        place = np.arange(move.shape[1])
-        square[:, place, place] = np.abs(move) ** 2
-        expected = np.sum(self.covariance * square.swapaxes(1, 2), axis=(1, 2)).real
+        conjugate = move.conj()
+        square = conjugate[:, :, None] * move[:, None, :]  # h̄ hᵀ
+        _diagonals(square)[:] = np.abs(move) ** 2
+        expected = _row_sums(_row_sums(self.covariance * square.swapaxes(1, 2))).real
         variance = np.maximum(expected + scatter, 1e-300)[:, None, None]
-        weight = self.covariance.real / variance + 1j * (self.covariance.imag / variance)
-        innovation = change - np.sum(self.correction * move, axis=1)
-        corrected = self.correction + np.sum(weight * move.conj()[:, None, :], axis=2) * innovation[:, None]
+        weight = (self.covariance.view(np.float64) / variance).view(np.complex128)  # both parts of P over it
+        innovation = change - _row_sums(self.correction * move)
+        corrected = self.correction + _row_sums(weight * conjugate[:, None, :]) * innovation[:, None]
         large = np.abs(corrected) > HARMONICS.lowest_gain_correction
         self.correction = np.where(large, corrected, self.correction)
-        kept = (np.eye(move.shape[1]) - weight @ square) @ self.covariance
-        self.covariance = 0.5 * (kept + kept.conj().swapaxes(1, 2))
-        self._set_variances(np.maximum(self._variances, 1e-6))
+        kept = _products(self._unit - _products(weight, square), self.covariance)
+        np.multiply(0.5, kept + kept.conj().swapaxes(1, 2), out=self.covariance)
+        np.maximum(self._variances, 1e-6, out=self._variances)
 
     def doubt(self, exciters: np.ndarray) -> None:
         """Open what was learnt of some, bool (K, N), to doubt: variances are at least those of the beginning."""
         least = np.where(exciters, HARMONICS.initial_gain_std**2, 0.0)
-        self._set_variances(np.maximum(self._variances, least))
+        np.maximum(self._variances, least, out=self._variances)
 
     def forget(self, exciters: np.ndarray) -> None:
         """Take what was known at first for some, bool (K, N)."""
         self.correction = np.where(exciters, 1.0, self.correction)
 
 
+def _diagonals(matrices: ComplexArray) -> ComplexArray:
+    """Views of the diagonals of matrices (K, N, N) that lie in a row, (K, N)."""
+    count, size, _ = matrices.shape
+    return matrices.reshape(count, size * size)[:, :: size + 1]
+
+
+def _row_sums(values: ComplexArray) -> ComplexArray:
+    """Sums over the last axis; of one value it is that one."""
+    return values[..., 0] if values.shape[-1] == 1 else np.asarray(np.add.reduce(values, axis=-1))
+
+
+def _products(left: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """Products of matrices (K, N, N); those of one number are of these numbers."""
+    return np.asarray(left * right if left.shape[-1] == 1 else left @ right)
+
+
 def applied(matrices: ComplexArray, vectors: ComplexArray) -> ComplexArray:
     """Products of matrices (K, N, N) with vectors (K, N)."""
-    return np.asarray(np.sum(matrices * vectors[:, None, :], axis=2))
+    return _row_sums(matrices * vectors[:, None, :])
 
 
 def solved(matrices: ComplexArray, right: ComplexArray) -> ComplexArray:
@@ -117,8 +129,11 @@ def solved(matrices: ComplexArray, right: ComplexArray) -> ComplexArray:
 
     LAPACK multiplies by the reciprocal where this divides, which differs in the last bit.
     """
+    size = right.shape[1]
+    if size == 1:
+        return np.asarray(right / matrices[:, 0])
     a, x = matrices.copy(), right.copy()
-    size, every = x.shape[1], np.arange(x.shape[0])
+    every = np.arange(x.shape[0])
     for column in range(size - 1):
         pivot = column + np.argmax(np.abs(a[:, column:, column]), axis=1)
         a[every, pivot], a[:, column] = a[:, column].copy(), a[every, pivot]

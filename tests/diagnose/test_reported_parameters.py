@@ -46,18 +46,24 @@ REPORTED = {
     "amplifier_saturation": ("chain", {"V": lambda rig: rig.exciter.amplifier_saturation_v}),
     "clipping@x1": (
         "chain",
-        {"level": lambda rig: next(s for s in rig.sensors if rig.sensor_channel(s) == "x1").clip},
+        {"level": lambda rig: sensor(rig, "x1").clip},
     ),
     "low_pass@x1": (
         "chain",
-        {"low_pass_hz": lambda rig: next(s for s in rig.sensors if rig.sensor_channel(s) == "x1").low_pass_hz},
+        {"low_pass_hz": lambda rig: sensor(rig, "x1").low_pass_hz},
     ),
+    "response_gain@x1": ("chain", {"g": lambda rig: sensor(rig, "x1").gain - 1.0}),
+    "force_gain@f1": ("chain", {"g": lambda rig: sensor(rig, "f1").gain - 1.0}),
 }
 
 
 def fastest(point: int) -> float:
     operating = surroundings("chain")[1]
     return operating.omega * operating.displacement[point]
+
+
+def sensor(rig: Rig, channel: str):
+    return next(s for s in rig.sensors if rig.sensor_channel(s) == channel)
 
 
 def last(rig: Rig):

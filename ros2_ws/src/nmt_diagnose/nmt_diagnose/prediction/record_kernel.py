@@ -246,8 +246,7 @@ def _step_one(
     state = start.copy()
     sliders = np.zeros(jenkins.shape[0])
     moved = np.zeros(jenkins.shape[0])
-    dw = 0.0
-    dv = 0.0
+    dw = dv = 0.0
     for k in range(count):
         dw += (outputs[0, k] * late[k, 0]).real
         dv += (velocities[0, k] * late[k, 0]).real

@@ -87,7 +87,7 @@ def _backbone(
     unstated = max(floors.table_log_frequency, scatter_about_a_course(amplitude[good], np.log(frequency[good])))
     scatter = _scatter_of_damping(amplitude[good], damping[good])
     notes = [] if good.all() else [f"{name}: {int((~good).sum())} of {good.size} rows have no value and are left out."]
-    # Near a damping of 0 the model's is what a share is of.
+    # Of a damping of 0 there is no share: that of the model's damping is taken.
     model_damping = _damping_near(view, float(np.median(frequency[where])))
     for level, index in enumerate(where):
         place = Place(level, 0.0, float(frequency[index]), float(amplitude[index]))
@@ -102,7 +102,7 @@ def _backbone(
             share = floors.decay_damping if known else max(floors.table_damping, scatter)
             rows.add(
                 Part.DAMPING, float(damping[index]), float(damping_std[index]) if known else 0.0,
-                share * max(abs(float(damping[index])), model_damping), place, 0, 1,
+                share * (abs(float(damping[index])) or model_damping), place, 0, 1,
             )  # fmt: skip
     degrees = math.inf
     if np.any(damping[where] == 0.0):

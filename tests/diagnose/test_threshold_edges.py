@@ -263,6 +263,13 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
 }  # fmt: skip
 
 
+def test_what_predicts_worse_than_the_model_alone_is_not_the_nearest() -> None:
+    head = Ranked("cubic_stiffness", "structure", "2", 0.9, (), {}, Share(-17.0, -20.0, -1.0), 9.0)
+    text = sentences(Verdict.UNKNOWN, (), [head], None, replace(GAP, closed=-17.0), (), ())[1]
+    assert "nearest" not in text
+    assert text.endswith("better than the model alone.")
+
+
 @pytest.mark.parametrize("path", EDGES)
 def test_a_threshold_decides(path: str) -> None:
     outcome, expected = EDGES[path]

@@ -110,6 +110,8 @@ def _nearest(ranking: Sequence[Ranked], named: Explanation | None, gap: Gap) -> 
     """What comes nearest, with its parameters and what it leaves."""
     if not ranking:
         return f" {gap.before:.2f} standard deviations (rms) lie between the recordings and the re-fitted model."
+    if gap.closed <= 0.0:
+        return " No effect of it predicts data held out from the fit better than the model alone."
     head = ranking[0]
     values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
     closes = f" and closes {100.0 * gap.closed:.0f} % of it" if math.isfinite(gap.closed) else ""

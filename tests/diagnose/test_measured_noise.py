@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -274,6 +275,8 @@ def test_a_difference_that_does_not_matter_is_told_with_what_it_looks_like() -> 
     found = diagnosed(observations, matters={"frequency": 0.9, "damping": 0.9, "response": 9.0, "harmonics": 0.9})
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
     assert "It looks like cubic stiffness at point 2" in found.sentences[-1]
+    sizes = [float(word) for word in re.findall(r"([\d.e+-]+) % of", found.sentences[-1])]
+    assert max(sizes) > 0.01
 
 
 def test_an_effect_that_is_not_there_lowers_the_evidence() -> None:

@@ -94,8 +94,8 @@ def test_the_zero_of_a_sensor_is_an_error_of_the_record(tmp_path: Path) -> None:
     test = read_observations([bag], rig).tests[0]
     assert isinstance(test, RecordTest)
     assert np.mean(test.input) == pytest.approx(np.mean(volts) + volts_zero, rel=1e-3)
-    assert test.zeros[0] == pytest.approx(0.01 * np.abs(volts + volts_zero).max(), rel=1e-3)
-    assert test.zeros[1] == pytest.approx(math.hypot(0.01 * np.abs(y + y_zero).max(), np.mean(y + y_zero)), rel=1e-3)
+    assert test.zeros[0] == pytest.approx(0.1 * np.abs(volts + volts_zero).max(), rel=1e-3)
+    assert test.zeros[1] == pytest.approx(math.hypot(0.1 * np.abs(y + y_zero).max(), np.mean(y + y_zero)), rel=1e-3)
     found = diagnosed(rig, bag)
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION), found.verdict
 

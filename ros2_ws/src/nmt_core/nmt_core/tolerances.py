@@ -25,8 +25,9 @@ class ChainTolerances:
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.gain]",
     )  # fmt: skip
     zero: float = threshold(
-        0.01, "1",
-        "Zero of a channel over the largest value that it recorded: bridges and converters are stated to 0.1 to 1 %.",
+        0.1, "1",
+        "Zero of a channel over the largest value that it recorded: a bridge that was not tared, a generator with an "
+        "offset.",
         "tests/diagnose/test_records_as_they_are.py::test_the_zero_of_a_sensor_is_an_error_of_the_record",
     )  # fmt: skip
     phase_deg: float = threshold(

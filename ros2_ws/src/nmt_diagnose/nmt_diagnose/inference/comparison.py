@@ -21,6 +21,7 @@ from nmt_diagnose.inference.size import (
     leaves_something,
     left_over,
     matters,
+    relieves,
 )
 from nmt_diagnose.inference.sources import SourceLocation, places
 from nmt_diagnose.inference.warnings import beyond_physical_limits
@@ -330,30 +331,41 @@ class Hypotheses:
         groups: dict[tuple[str, ...], list[tuple[float, float, FittedExplanation]]] = {}
         for one, weight, library_share in zip(self.stated, weights, given_library, strict=True):
             groups.setdefault(one.effects, []).append((float(weight), float(library_share), one))
-        heads = [
-            (sum(w for w, _, _ in same), sum(g for _, g, _ in same), max(same, key=lambda item: item[:2])[2])
-            for same in groups.values()
-        ]
+        heads = []
+        for same in groups.values():
+            best_first = [found for _, _, found in sorted(same, key=lambda item: item[:2], reverse=True)]
+            heads.append((sum(w for w, _, _ in same), sum(g for _, g, _ in same), self._head(best_first)))
         heads.sort(key=lambda item: (-item[0], -item[1]))
         result = []
         while heads:
             first = heads[0]
-            equivalent = [item for item in heads if item is first or _alike(first[2], item[2])]
+            equivalent = [item for item in heads if item is first or self._alike(first[2], item[2])]
             heads = [item for item in heads if item not in equivalent]
-            members = [member for _, _, member in equivalent]
+            # With one effect more than another member an explanation says nothing new.
+            members = [
+                member
+                for _, _, member in equivalent
+                if not any(set(o.effects) < set(member.effects) for _, _, o in equivalent)
+            ]
             weight, library_share = sum(w for w, _, _ in equivalent), sum(g for _, g, _ in equivalent)
             result.append(EquivalentClass(tuple(members), weight, library_share, self._against(members[0])))
         return tuple(
             sorted(result, key=lambda member: (-member.probability if member.adequate else 0.0, -member.given_library))
         )
 
+    def _head(self, same: Sequence[FittedExplanation]) -> FittedExplanation:
+        """The most probable of explanations by the same effects; without small effects where that leaves nothing."""
+        first = same[0]
+        plain = [it for it in same if it.explanation == first.explanation and not it.small and not self._against(it)]
+        return plain[0] if first.small and plain else first
 
-def _alike(one: FittedExplanation, other: FittedExplanation) -> bool:
-    """Whether recordings do not distinguish two explanations; what needs an effect more than another is not like it."""
-    effects = set(one.effects), set(other.effects)
-    if effects[0] < effects[1] or effects[1] < effects[0]:
-        return False
-    return distance(one, other) < THRESHOLDS.comparison.equivalent_sigmas
+    def _alike(self, one: FittedExplanation, other: FittedExplanation) -> bool:
+        """Whether recordings do not distinguish two explanations, and what has an effect more saves nothing by it."""
+        if distance(one, other) >= THRESHOLDS.comparison.equivalent_sigmas:
+            return False
+        fewer, more = sorted((one, other), key=lambda it: len(it.stated))
+        wanted = self.data.observations.matters
+        return not (set(fewer.effects) < set(more.effects) and relieves(self.data, more, fewer, wanted))
 
 
 def _shares(found: FittedExplanation) -> list[tuple[Location, float]]:

@@ -172,6 +172,11 @@ def worth(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: 
     """
     if left_over(data, less, wanted) or left_without_size(data, less):
         return _apart(data, more, less, wanted)
+    return relieves(data, more, less, wanted)
+
+
+def relieves(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:
+    """Whether an explanation needs less of model and measuring chain than one that asks what nobody believes."""
     pulled = strained(data, less, wanted)
     return pulled < THRESHOLDS.comparison.incredible_probability and strained(data, more, wanted) > pulled
 
@@ -237,9 +242,9 @@ def change_size(data: Data, change: FloatArray) -> Size:
 
 
 def without_strength(found: FittedExplanation) -> FloatArray:
-    """θ of an explanation with the effects that it needs at zero strength."""
+    """θ of an explanation with the effects that it needs at zero strength, all of them where it needs none."""
     theta = found.fit.theta.copy()
-    for number in found.stated:
+    for number in found.stated or range(len(found.candidates)):
         candidate = found.candidates[number]
         selected = found.fit.parametrisation.index_of(number)
         theta[selected] = at_zero(candidate, theta[selected])

@@ -9,7 +9,7 @@ from scipy import constants
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_record.exchange.unit_table import factor_to_si, other_factor
+from nmt_record.exchange.unit_table import factor_to_si, other_factor, plain_unit, quantity_of_unit, unit_in_name
 
 _PREFIXES = {
     "M": constants.mega, "k": constants.kilo, "": 1.0, "c": constants.centi, "m": constants.milli,
@@ -74,3 +74,38 @@ def test_every_other_unit_has_its_factor(kind: str) -> None:
     with pytest.raises(BenchError) as refused:
         other_factor(kind, "furlong", "it")
     assert str(refused.value).split("; use ")[1].rstrip(".").split(", ") == list(OTHERS[kind])
+
+
+@pytest.mark.parametrize(
+    ("column", "bare", "unit", "clock_unit"),
+    [
+        ("acc_m_s2", "acc", "m/s^2", ""),
+        ("acc1 mps2", "acc1", "m/s^2", ""),
+        ("v_mms", "v", "mm/s", ""),
+        ("v_mm_s", "v", "mm/s", "s"),
+        ("v_m_s", "v", "m/s", "s"),
+        ("force_kN", "force", "kN", ""),
+        ("u_mV", "u", "mV", ""),
+        ("x_um", "x", "um", ""),
+        ("angle_deg", "angle", "deg", ""),
+        ("time_ms", "time_ms", "", "ms"),  # not m/s
+        ("time_usec", "time_usec", "", "us"),
+        ("time µs", "time µs", "", "us"),
+        ("elapsed min", "elapsed min", "", "min"),
+        ("swing", "swing", "", ""),
+    ],
+)
+def test_a_name_ends_with_a_unit_of_the_table(column: str, bare: str, unit: str, clock_unit: str) -> None:
+    assert unit_in_name(column) == (bare, unit)
+    assert unit_in_name(column, time=True)[1] == clock_unit
+    if unit:
+        assert plain_unit(unit) == unit
+        quantity = quantity_of_unit(unit)
+        assert factor_to_si(quantity, unit, column) == CHANNELS[quantity][unit]
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns", "min"])
+def test_a_clocks_units_written_out_are_in_the_table(unit: str) -> None:
+    words = {"s": "Seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds", "min": "minutes"}
+    assert plain_unit(words[unit]) == unit
+    assert other_factor("time", words[unit], "it") == OTHERS["time"][unit]

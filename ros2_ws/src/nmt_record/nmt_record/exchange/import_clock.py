@@ -20,17 +20,12 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_record.exchange.import_sidecar import Sidecar
 from nmt_record.exchange.import_table import SourceTable, split_name
-from nmt_record.exchange.unit_table import other_factor, plain_unit, quantity_of_unit
+from nmt_record.exchange.unit_table import other_factor, plain_unit, quantity_of_unit, unit_in_name
 
 _TIME_NAME = re.compile(
     r"(time|t|zeit|timestamp|seconds|date[ /_-]?time|elapsed([ _]time)?|zeitstempel|stamp|x_value)(\.?\d+)?([_ ].*)?$",
     re.I,
 )
-_UNIT_OF_NAME = re.compile(r"(?:^|[_ ])(s|sec|ms|msec|us|usec|µs|ns|nsec|min)$", re.I)
-_TIME_WORDS = {
-    "sec": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms", "milliseconds": "ms", "usec": "us",
-    "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "minutes": "min",
-}  # fmt: skip
 # Steps may scatter by this share (rounded or jittering time stamps); above it they are another clock's.
 _STEP_TOLERANCE = 0.3
 _LARGEST_LOSS = 0.05
@@ -389,12 +384,11 @@ def time_unit_of(table: SourceTable, index: int) -> str:
     if index in table.stamps:
         return "s"
     if table.units[index]:
-        plain = plain_unit(table.units[index])
-        return _TIME_WORDS.get(plain.lower(), plain)
-    found = _UNIT_OF_NAME.search(bare_name(table, index).strip())
-    if found and bare_name(table, index).strip().lower() not in ("s", "min"):
-        plain = plain_unit(found[1].lower())
-        return _TIME_WORDS.get(plain, plain)
+        return plain_unit(table.units[index])
+    name = bare_name(table, index).strip()
+    unit = unit_in_name(name, time=True)[1]
+    if unit and name.lower() not in ("s", "min"):
+        return unit
     first = table.columns[index][0] if table.rows else math.nan
     for unit, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         if _EPOCH[0] <= first / factor < _EPOCH[1]:

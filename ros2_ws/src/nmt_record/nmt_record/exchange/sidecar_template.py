@@ -29,7 +29,13 @@ from nmt_record.exchange.import_sidecar import Sidecar
 from nmt_record.exchange.import_table import SourceTable, kind_of, read_table
 from nmt_record.exchange.imported_run import check_proposal
 from nmt_record.exchange.ros_bag_table import bag_tables, is_bag
-from nmt_record.exchange.unit_table import coordinate_of_unit, measured_quantity, plain_unit, quantity_of_unit
+from nmt_record.exchange.unit_table import (
+    coordinate_of_unit,
+    measured_quantity,
+    plain_unit,
+    quantity_of_unit,
+    unit_in_name,
+)
 
 _FREQUENCY = re.compile(r"(f|fr?eq(uency)?)(_?hz)?|hz|hertz", re.I)
 # In this order: a damping ratio is no magnitude.
@@ -380,22 +386,14 @@ class _Guess:
     scale: float = 1.0
 
 
-_UNITS_OF_NAMES = {
-    "ms2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "g": "g", "mg": "mg", "n": "N", "kn": "kN", "mm": "mm",
-    "um": "um", "mms": "mm/s", "mm_s": "mm/s", "m_s": "m/s", "mps": "m/s", "v": "V", "mv": "mV", "deg": "deg",
-    "rad": "rad",
-}  # fmt: skip
-_UNIT_OF_NAME = re.compile(rf"[_ ]({'|'.join(_UNITS_OF_NAMES)})$", re.I)
-
 _SENSITIVITY = re.compile(r"([\d.]+)\s*(m?V)\s*/\s*\(?([a-zA-Zµ²/^0-9]+)")
 
 
 def _guess(table: SourceTable, index: int) -> _Guess:
     """Quantity, unit and point of a column; empty and 0 where nothing tells them."""
     name, unit, quantity = bare_name(table, index), table.units[index], table.quantities[index]
-    called = _UNIT_OF_NAME.search(name)
-    if called and not unit and quantity is Quantity.UNKNOWN:
-        name, unit = name[: called.start()], _UNITS_OF_NAMES[called[1].lower()]
+    if not unit and quantity is Quantity.UNKNOWN:
+        name, unit = unit_in_name(name)
     letter = _LETTER.fullmatch(name)
     digits = re.search(r"(\d+)$", name)
     point = int(digits.group(1)) if digits and 0 < len(digits.group(1)) < 4 and name != digits.group(1) else 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from collections.abc import Sequence
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
@@ -70,7 +71,9 @@ _NAMES = {
     "newton": "N", "newtons": "N", "volt": "V", "volts": "V", "metre": "m", "meter": "m", "ampere": "A", "amp": "A",
     "gn": "g", "g0": "g", "micron": "um", "inch": "in", "ips": "in/s", "deg": "deg", "degree": "deg", "degrees": "deg",
     "ue": "ustrain",
-    "sec": "s", "hertz": "Hz", "hz": "Hz", "percent": "%", "-": "1", "none": "1", "m*kg^(1/2)": "m*sqrt(kg)",
+    "sec": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms", "milliseconds": "ms", "usec": "us",
+    "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "minutes": "min",
+    "hertz": "Hz", "hz": "Hz", "percent": "%", "-": "1", "none": "1", "m*kg^(1/2)": "m*sqrt(kg)",
 }  # fmt: skip
 
 
@@ -81,6 +84,31 @@ def plain_unit(text: str) -> str:
         unit = unit.replace(spelling, plain)
     unit = unit.replace("**", "*").replace("*/", "/")
     return _NAMES.get(unit.lower(), unit)
+
+
+def _as_in_names(units: Sequence[str]) -> dict[str, str]:
+    """Units by how a column's name spells them, such as ``mms``, ``mm_s`` and ``mmps`` for mm/s."""
+    return {unit.replace("^", "").replace("/", slash).lower(): unit for unit in units for slash in ("", "_", "p")}
+
+
+_IN_NAMES = _as_in_names(("m/s^2", "m/s", "mm/s", "mm", "um", "g", "mg", "N", "kN", "V", "mV", "deg", "rad"))
+del _IN_NAMES["ms"]  # milliseconds
+_CHANNEL_ENDING = re.compile(rf"[_ ]({'|'.join(_IN_NAMES)})$", re.I)
+_TIME_ENDING = re.compile(r"(?:^|[_ ])(s|sec|ms|msec|us|usec|µs|ns|nsec|min)$", re.I)
+
+
+def unit_in_name(name: str, *, time: bool = False) -> tuple[str, str]:
+    """A column's name without the unit that ends it, and that unit; empty if none does.
+
+    Args:
+        name: such as ``acc_m_s2``.
+        time: whether it is a clock's, whose ``_ms`` are milliseconds.
+    """
+    found = (_TIME_ENDING if time else _CHANNEL_ENDING).search(name)
+    if not found:
+        return name, ""
+    word = found[1].lower()
+    return name[: found.start()], plain_unit(_IN_NAMES.get(word, word))
 
 
 def coordinate_of_unit(unit: str) -> str:

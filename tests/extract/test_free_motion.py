@@ -13,6 +13,7 @@ from nmt_core.messages.records import LockEvent
 from nmt_core.vocabulary import PointStatus, TestKind
 from nmt_extract.limit_cycles import limit_cycles, write_limit_cycles
 from nmt_extract.modal import modal_point
+from nmt_extract.modal.growing_oscillation import fit_phasors
 from nmt_extract.modal_point import ModalPoint
 from nmt_extract.window import Channel, Window
 
@@ -122,3 +123,13 @@ def test_limit_cycles_and_their_stability(tmp_path) -> None:
     assert len(lines) == 3
     assert ",no," in lines[1]
     assert ",yes," in lines[2]
+
+
+def test_orders_and_offset_do_not_disturb() -> None:
+    time = (np.arange(800) - 399.5) / RATE
+    s = complex(-5.0, OMEGA)
+    wave = (2.0 * np.exp(s * time)).real + 0.3 + 20.0 * time
+    wave += (0.4 * np.exp((3.0 * s.real + 3j * s.imag) * time)).real
+    fit = fit_phasors(wave[None], RATE, s, 3)
+    assert fit.coefficients[0, 0] == pytest.approx(2.0, abs=1e-9)
+    assert abs(fit.coefficients[0, 1]) < 1e-6

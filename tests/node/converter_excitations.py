@@ -23,7 +23,7 @@ from node.converter_bench import KINDS, RATES, ConverterBench, converter_bench, 
 from nmt_bench.harness import Bench
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import ResultCode
-from nmt_extract.decays.ring_down import ring_down
+from nmt_extract.decays.structure_decay import structure_decay
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import read_signals, segments
 from nmt_rig.linear_description import linear_description
@@ -56,7 +56,7 @@ def of_ring_down(bag: Bag, rig: Any) -> Values:
     """Frequency and damping at the middle amplitude of the decay, of structure and exciter."""
     (segment,) = segments(bag)
     signals = read_signals(bag, segment.first_sample, segment.samples)
-    decay = ring_down(signals, linear_description(rig), Quantity.DISPLACEMENT, segment.frequency_hz)
+    decay = structure_decay(signals, linear_description(rig), Quantity.DISPLACEMENT)
     amplitude = 5e-5
     order = np.argsort(decay.modal_amplitude)
     at = [

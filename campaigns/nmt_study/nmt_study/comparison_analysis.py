@@ -15,7 +15,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_extract.constant_amplitude import SolvedPoints, fit_at_amplitudes, half_power, solve_points
-from nmt_extract.decays.ring_down import Decay, average_decays, ring_down
+from nmt_extract.decays.structure_decay import Decay, structure_decay
 from nmt_extract.modal_point import Status
 from nmt_extract.swept_response import FrequencyResponseTable, stepped_point, stepped_table, sweep_table
 from nmt_record.bag.bag_reader import Bag
@@ -70,7 +70,7 @@ def _ring_downs(
         signals = read_signals(bag, segment.first_sample, segment.samples)
         rate = signals.sample_rate
         try:
-            decays.append(ring_down(signals, linear, quantity, segment.frequency_hz))
+            decays.append(structure_decay(signals, linear, quantity))
         except BenchError as error:
             remarks.append(f"Level {segment.level_index + 1}: {error}")
     if not decays:
@@ -81,6 +81,39 @@ def _ring_downs(
         "ring_down": {"levels": _decay_rows(decays[0], ""), "bench_time_s": windows[0].end_sample / rate},
         "apparent": {"levels": _decay_rows(mean, "apparent_"), "bench_time_s": None},
     }
+
+
+def average_decays(decays: Sequence[Decay]) -> Decay:
+    """Mean of repeated decays at the amplitudes of the one with the most, with the standard uncertainty of the mean.
+
+    Each is interpolated in ln q over its own range; the mean is weighted by the inverse variances. The uncertainty is
+    the larger of the propagated one and, from three decays on, that from their scatter.
+
+    Args:
+        decays: at least one.
+    """
+    fullest = max(decays, key=lambda decay: decay.time.size)
+    grid: FloatArray = np.log(fullest.modal_amplitude)
+    columns: dict[str, FloatArray] = {"time": fullest.time, "modal_amplitude": fullest.modal_amplitude}
+    for name in ("omega_rad_s", "damping_ratio", "apparent_omega_rad_s", "apparent_damping_ratio"):
+        values = np.array([_at(decay, getattr(decay, name), grid) for decay in decays])
+        stds = np.array([_at(decay, getattr(decay, f"{name}_std"), grid) for decay in decays])
+        weights = np.where(np.isfinite(values), stds**-2.0, 0.0)
+        total = weights.sum(axis=0)
+        known = np.count_nonzero(weights, axis=0)
+        mean = np.nansum(weights * np.nan_to_num(values), axis=0) / total
+        scatter = np.sum(weights * (np.nan_to_num(values) - mean) ** 2, axis=0) / total
+        outer = np.where(known >= 3, np.sqrt(scatter / np.maximum(known - 1, 1)), 0.0)
+        columns[name] = mean
+        columns[f"{name}_std"] = np.maximum(total**-0.5, outer)
+    return Decay(**columns)
+
+
+def _at(decay: Decay, values: FloatArray, grid: FloatArray) -> FloatArray:
+    """Values of a decay at ln q; NaN beyond its amplitudes."""
+    order = np.argsort(decay.modal_amplitude)
+    place = np.log(decay.modal_amplitude[order])
+    return np.asarray(np.interp(grid, place, values[order], left=np.nan, right=np.nan))
 
 
 def _decay_rows(decay: Decay, prefix: str) -> list[dict[str, Any]]:

@@ -1,8 +1,9 @@
 """Frequency and damping over amplitude of recorded free decays, channel by channel, without force and linear modes.
 
 Each response is read by itself, as the diagnosis reads it (:mod:`nmt_signals.decays.decay_reading`): what is found
-belongs to the structure and all that hangs on it. With the decay rate σ and the instantaneous frequency Ω of the slow
-amplitude, a vibration whose amplitude changes slowly has ω̃² = Ω² + σ² + (2 δ̃ ω̃ − 2 σ) σ and 2 δ̃ ω̃ = 2 σ − Ω̇/Ω.
+belongs to the structure and all that hangs on it. With the decay rate σ of the displacement and the instantaneous
+frequency Ω, a vibration whose amplitude changes slowly has ω̃² = Ω² + σ² + (2 δ̃ ω̃ − 2 σ) σ and 2 δ̃ ω̃ = 2 σ − Ω̇/Ω.
+The amplitude of a velocity or acceleration changes with Ω too: its own rate is σ − n Ω̇/Ω, n = 1 or 2.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_signals.channel_faults.converter_faults import CONVERTER_BITS, resolution
 
@@ -139,7 +140,7 @@ def channel_decay(
         values = np.asarray(values, dtype=np.float64)
         frequency_hz = strongest_frequency(values, rate)
         readings: tuple[Callable[[], list[Node]], ...] = (
-            lambda: read_decay(values, rate, quantity, _strongest, _AMPLITUDES, _FLOOR).good,
+            lambda: read_decay(values, rate, quantity, strongest_ridge, _AMPLITUDES, _FLOOR).good,
             lambda: half_cycle_nodes(values, rate, frequency_hz),
         )
         # Over a few periods spectra tell nothing, but turning points do.
@@ -158,28 +159,53 @@ def channel_decay(
     time, amplitude, omega, omega_std, sigma, sigma_std, periods = np.array(
         [(n.time_s, n.amplitude, n.omega, n.omega_std, n.rate, n.rate_std, max(n.stop - n.first, 1)) for n in good]
     ).T
-    turning = np.gradient(omega, time) / omega if len(good) > 1 else np.zeros(1)  # Ω̇/Ω
-    apart = np.gradient(time) if len(good) > 1 else np.ones(1)
-    twice = 2.0 * sigma - turning  # 2 δ̃ ω̃
-    undamped = np.sqrt(omega**2 + sigma**2 - turning * sigma)
+    undamped, damping, damping_std = decaying_mode(good, MOTIONS[quantity])
     # No less than rounding to the steps of the channel allows over the segment.
     step = resolution(values) or float(np.ptp(values)) / 2**CONVERTER_BITS
     least = step / math.sqrt(12.0) / amplitude / (2.0 * math.pi * periods)
     hertz, relative = undamped / (2.0 * math.pi), np.hypot(omega_std / omega, sigma * sigma_std / omega**2)
-    changing = omega_std / omega / apart  # of Ω̇/Ω
-    damping_std = np.hypot(sigma_std, 0.5 * changing if len(good) > 1 else 0.0) / undamped
     return FreeDecay(
         *place,
         time=time,
         amplitude=amplitude,
         frequency_hz=hertz,
         frequency_hz_std=hertz * np.hypot(np.maximum(relative, least), clock_std),
-        damping_ratio=0.5 * twice / undamped,
+        damping_ratio=damping,
         damping_ratio_std=np.maximum(damping_std, least),
     )
 
 
-def _strongest(found: Sequence[Ridge]) -> Ridge:
+def decaying_mode(
+    nodes: Sequence[Node], order: int, pull: ComplexArray | complex = 0j
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """ω̃, rad/s, δ̃ and its standard uncertainty of the mode that decays, each of shape ``(nodes,)``.
+
+    Args:
+        nodes: of one decay, in time.
+        order: 0 where they are of a displacement, 1 of a velocity, 2 of an acceleration.
+        pull: F ψ̄_d / q² of a force that acts on the mode, 1/s²: real and imaginary part add to ω̃² and 2 δ̃ ω̃ Ω.
+    """
+    time, omega, omega_std, sigma, sigma_std = np.array(
+        [(n.time_s, n.omega, n.omega_std, n.rate, n.rate_std) for n in nodes]
+    ).T
+    turning, changing = np.zeros(time.size), np.zeros(time.size)  # Ω̇/Ω and its standard uncertainty
+    if time.size > 1:
+        slopes: FloatArray = np.asarray(np.gradient(np.eye(time.size), time, axis=0, edge_order=min(2, time.size - 1)))
+        turning, changing = slopes @ omega / omega, np.sqrt(slopes**2 @ omega_std**2) / omega
+    sigma = sigma + order * turning
+    braking = np.imag(pull) / omega
+    twice = 2.0 * sigma - turning + braking  # 2 δ̃ ω̃
+    undamped = np.sqrt(omega**2 + sigma**2 - turning * sigma + braking * sigma + np.real(pull))
+    damping_std = np.hypot(sigma_std, abs(order - 0.5) * changing) / undamped
+    return undamped, 0.5 * twice / undamped, damping_std
+
+
+def strongest_ridge(found: Sequence[Ridge]) -> Ridge:
+    """The first of those that were found, strongest first.
+
+    Raises:
+        BenchError: there is none.
+    """
     if not found:
         raise BenchError("nothing in it oscillates")
     return found[0]

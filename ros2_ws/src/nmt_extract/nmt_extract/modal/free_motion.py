@@ -1,7 +1,7 @@
 """Modal properties as a free motion of a self-excited structure passes an amplitude.
 
 The motion grows or decays by itself through the level's amplitude within the window. Short windows are fitted along it
-(:mod:`nmt_extract.decays.ring_down`); each gives ω̃ and δ̃ of the structure at its amplitude, the force of the
+(:mod:`nmt_extract.modal.growing_oscillation`); each gives ω̃ and δ̃ of the structure at its amplitude, the force of the
 exciter's circuit taken into account. A polynomial in ln q through the windows about the level's amplitude gives the
 values there.
 
@@ -24,11 +24,11 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_extract.decays.ring_down import Phasors, modal_row, window_fit
 from nmt_extract.judgement import window_judge
 from nmt_extract.judgement.window_judge import Remark
 from nmt_extract.modal.channel_findings import still_or_cut
 from nmt_extract.modal.channels import WindowRows
+from nmt_extract.modal.growing_oscillation import Phasors, modal_row, window_fit
 from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns
 from nmt_extract.mode_identity import mode_macs, mode_sentence
 from nmt_extract.window import Window
@@ -197,14 +197,14 @@ def _fits(data: FloatArray, rate: float, frequency_hz: float, inverse: FloatArra
     start = 2j * math.pi * frequency_hz
     longest = min(LONGEST_PERIODS / frequency_hz, 0.6 * seconds)
     shortest = min(SHORTEST_PERIODS / frequency_hz, longest)
-    look = window_fit(data, rate, 0.5 * seconds, min(2.0 * shortest, seconds), start, inverse, _HARMONICS, fast=True)
+    look = window_fit(data, rate, 0.5 * seconds, min(2.0 * shortest, seconds), start, inverse, _HARMONICS)
     exponent = start if look is None else look[1]
     for middle in np.linspace(0.5 * shortest, seconds - 0.5 * shortest, _PLACES):
         length = min(max(SPAN / max(abs(exponent.real), 1e-9), shortest), longest)
         length = min(length, 2.0 * middle, 2.0 * (seconds - middle))
         if length < shortest * (1.0 - 1e-9):
             continue
-        window = window_fit(data, rate, float(middle), length, exponent, inverse, _HARMONICS, fast=True)
+        window = window_fit(data, rate, float(middle), length, exponent, inverse, _HARMONICS)
         if window is None:
             continue
         fit, exponent, centre = window

@@ -1,4 +1,4 @@
-"""Ring-down analysis against decays that are known exactly."""
+"""Decays of a structure, with its modes and the recorded force, against ones that are known exactly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from scipy.integrate import solve_ivp
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.decays.ring_down import DecaySettings, average_decays, decay_of, fit_phasors
+from nmt_extract.decays.structure_decay import decay_of
+from nmt_study.comparison_analysis import average_decays
 
 RATE = 10_000.0
 OMEGA = 2.0 * math.pi * 150.0
@@ -34,10 +35,10 @@ def test_linear_decay_is_exact(damping: float, quantity: Quantity) -> None:
     time = np.arange(5000) / RATE
     order = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 2}[quantity]
     motion = (amplitude * s**order * np.exp(s * time)).real
-    # A start frequency that is off must not matter.
-    found = decay_of(records(motion), RATE, one_mass(mass), quantity, 1.01 * OMEGA / (2.0 * math.pi))
-    np.testing.assert_allclose(found.omega_rad_s, OMEGA, rtol=1e-7)
-    np.testing.assert_allclose(found.damping_ratio, damping, rtol=1e-5)
+    found = decay_of(records(motion), RATE, one_mass(mass), quantity)
+    large = found.modal_amplitude > 1e-6 * amplitude
+    np.testing.assert_allclose(found.omega_rad_s[large], OMEGA, rtol=3e-6)
+    np.testing.assert_allclose(found.damping_ratio[large], damping, rtol=1e-5)
     np.testing.assert_allclose(
         found.modal_amplitude, math.sqrt(mass) * amplitude * np.exp(s.real * found.time), rtol=2e-3
     )
@@ -52,7 +53,7 @@ def test_recorded_force_takes_the_exciter_out() -> None:
     time = np.arange(6000) / RATE
     x = 1e-3 * np.exp(s * time)
     force = (-(added * s * s + brake * s) * x).real
-    found = decay_of(records((s * s * x).real, force), RATE, one_mass(mass), Quantity.ACCELERATION, 149.0)
+    found = decay_of(records((s * s * x).real, force), RATE, one_mass(mass), Quantity.ACCELERATION)
     np.testing.assert_allclose(found.omega_rad_s, OMEGA, rtol=1e-7)
     np.testing.assert_allclose(found.damping_ratio, damping, rtol=1e-5)
     np.testing.assert_allclose(found.apparent_omega_rad_s, math.sqrt(square), rtol=1e-7)
@@ -71,7 +72,7 @@ def test_cubic_spring_agrees_with_averaging() -> None:
         atol=1e-12,
         method="DOP853",
     )
-    found = decay_of(records(solution.y[0]), RATE, one_mass(), Quantity.DISPLACEMENT, 155.0)
+    found = decay_of(records(solution.y[0]), RATE, one_mass(), Quantity.DISPLACEMENT)
     expected = OMEGA * np.sqrt(1.0 + 0.75 * bend * found.modal_amplitude**2)
     assert found.omega_rad_s[0] > 1.02 * OMEGA
     np.testing.assert_allclose(found.omega_rad_s, expected, rtol=4e-4)
@@ -91,12 +92,12 @@ def coulomb_decay(amplitude: float, friction: float, samples: int) -> np.ndarray
 def test_coulomb_friction_agrees_with_its_closed_form() -> None:
     friction = 0.004
     motion = coulomb_decay(1.0, friction, 3500)
-    found = decay_of(records(motion), RATE, one_mass(), Quantity.DISPLACEMENT, 150.0, DecaySettings(span=0.2, step=0.1))
-    keep = found.modal_amplitude > 0.3
-    assert np.count_nonzero(keep) > 8
-    np.testing.assert_allclose(found.omega_rad_s[keep], OMEGA, rtol=2e-4)
+    found = decay_of(records(motion), RATE, one_mass(), Quantity.DISPLACEMENT)
+    keep = found.modal_amplitude > 0.15
+    assert np.count_nonzero(keep) > 4
+    np.testing.assert_allclose(found.omega_rad_s[keep], OMEGA, rtol=1e-4)
     expected = 2.0 * friction / (math.pi * found.modal_amplitude[keep])
-    np.testing.assert_allclose(found.damping_ratio[keep], expected, rtol=1e-2)
+    np.testing.assert_allclose(found.damping_ratio[keep], expected, rtol=1e-3)
 
 
 def jenkins_decay(stiffness: float, reach: float, samples: int, fine: int = 40) -> np.ndarray:
@@ -120,15 +121,12 @@ def test_decay_of_a_sliding_joint_obeys_its_balance_of_energy() -> None:
     The balance of power counts the joint's mean stiffness as a store of energy; a decay therefore shows a slightly
     higher damping than a steady vibration of the same amplitude, by about the joint's share of the stiffness.
     """
-    share, reach = 0.1, 0.12
+    share, reach = 0.05, 0.05
     stiffness = share * OMEGA**2
-    found = decay_of(
-        records(jenkins_decay(stiffness, reach, 2600)), RATE, one_mass(), Quantity.DISPLACEMENT, 150.0,
-        DecaySettings(span=0.2, step=0.1, fewest_periods=5.0),
-    )  # fmt: skip
-    keep = (found.modal_amplitude > 3.5 * reach) & (found.modal_amplitude < 0.9)
+    found = decay_of(records(jenkins_decay(stiffness, reach, 6000)), RATE, one_mass(), Quantity.DISPLACEMENT)
+    keep = (found.modal_amplitude > 3.5 * reach) & (found.modal_amplitude < 8.0 * reach)
     q = found.modal_amplitude[keep]
-    assert q.size > 4
+    assert q.size > 1
     slip = np.arccos(1.0 - 2.0 * reach / q)
     elastic = stiffness / math.pi * (slip - 0.5 * np.sin(2.0 * slip))
     steady = 4.0 * stiffness * reach * (q - reach) / (2.0 * math.pi * (OMEGA**2 + elastic) * q**2)
@@ -139,9 +137,9 @@ def test_decay_of_a_sliding_joint_obeys_its_balance_of_energy() -> None:
     slope = q * (stiffness / math.pi * (slip_beside - 0.5 * np.sin(2.0 * slip_beside)) - elastic) / rise
     # Growth of the action by the mode's balance over what the balance of energy, k₀ a ȧ = −D Ω/2π, gives.
     expected = (OMEGA**2 + elastic + 0.25 * slope) / OMEGA**2
-    np.testing.assert_allclose(ratio, expected, atol=2e-3)
-    assert np.all(expected > 1.005)
-    assert np.all(ratio > 1.005)
+    np.testing.assert_allclose(ratio, expected, atol=1e-3)
+    assert np.all(expected > 1.002)
+    assert np.all(ratio > 1.002)
 
 
 def test_uncertainties_are_those_of_repeated_noise() -> None:
@@ -152,11 +150,11 @@ def test_uncertainties_are_those_of_repeated_noise() -> None:
     omegas, dampings = [], []
     for _ in range(30):
         data = records(clean + 0.02 * rng.standard_normal(time.size), 0.0)
-        found = decay_of(data, RATE, one_mass(), Quantity.DISPLACEMENT, 150.0)
+        found = decay_of(data, RATE, one_mass(), Quantity.DISPLACEMENT)
         omegas.append((found.omega_rad_s[1] - OMEGA) / found.omega_rad_s_std[1])
         dampings.append((found.damping_ratio[1] - 0.004) / found.damping_ratio_std[1])
     for deviations in (omegas, dampings):
-        assert 0.7 < math.sqrt(np.mean(np.square(deviations))) < 1.35
+        assert 0.6 < math.sqrt(np.mean(np.square(deviations))) < 1.35
 
 
 def test_a_mean_is_as_certain_as_its_number_says() -> None:
@@ -164,35 +162,23 @@ def test_a_mean_is_as_certain_as_its_number_says() -> None:
     s = complex(-0.004 * OMEGA, OMEGA)
     clean = np.exp(s * np.arange(6000) / RATE).real
     decays = [
-        decay_of(
-            records(clean + 0.02 * rng.standard_normal(clean.size)), RATE, one_mass(), Quantity.DISPLACEMENT, 150.0
-        )
+        decay_of(records(clean + 0.02 * rng.standard_normal(clean.size)), RATE, one_mass(), Quantity.DISPLACEMENT)
         for _ in range(8)
     ]
     mean = average_decays(decays)
     assert mean.damping_ratio_std[2] < 0.75 * decays[0].damping_ratio_std[2]
     assert abs(mean.damping_ratio[2] - 0.004) < 4.0 * mean.damping_ratio_std[2]
-    assert average_decays(decays[:1]) is decays[0]
-
-
-def test_orders_and_offset_do_not_disturb() -> None:
-    time = (np.arange(800) - 399.5) / RATE
-    s = complex(-5.0, OMEGA)
-    wave = (2.0 * np.exp(s * time)).real + 0.3 + 20.0 * time
-    wave += (0.4 * np.exp((s.real + 3j * s.imag) * time)).real
-    fit = fit_phasors(wave[None], RATE, s, 3)
-    assert fit.coefficients[0, 0] == pytest.approx(2.0, abs=1e-9)
-    assert abs(fit.coefficients[0, 1]) < 1e-6
+    assert np.array_equal(average_decays(decays[:1]).damping_ratio, decays[0].damping_ratio)
 
 
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (np.random.default_rng(1).standard_normal((2, 4000)), "does not stand out of the noise"),
+        (np.random.default_rng(1).standard_normal((2, 4000)), "cannot be read"),
         (np.full((2, 4000), math.nan), "Samples are missing"),
-        (np.zeros((2, 50)), "shorter than 12 periods"),
+        (np.zeros((2, 50)), "50 samples are too few"),
     ],
 )
 def test_what_is_no_decay_is_refused(data: np.ndarray, words: str) -> None:
     with pytest.raises(BenchError, match=words):
-        decay_of(data, RATE, one_mass(), Quantity.DISPLACEMENT, 150.0)
+        decay_of(data, RATE, one_mass(), Quantity.DISPLACEMENT)

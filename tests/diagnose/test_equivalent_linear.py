@@ -136,6 +136,20 @@ def _simulated(element: dict[str, Any], rms: float, lines: NDArray[Any]) -> NDAr
     return np.asarray(cross / np.sum(np.abs(drive[:, near]) ** 2, axis=(0, 2)))
 
 
+def _predicted(rig: Rig, lines: NDArray[Any], drive: float, others: dict[int, float] | None = None) -> NDArray[Any]:
+    """Response at point 1 to the exciter there, driven with this rms; ``others`` are points and rms of further ones."""
+    point, count = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), lines.size
+    beside = {"resting_points": tuple(others or ()), "other_rms": tuple((others or {}).values())}
+    test = RandomTest("random", 1, (point,), "voltage", lines, 0.05, "none", drive, 0.0, 20.0, **beside)
+    own = np.tile(np.arange(count), 2)
+    zero = np.zeros(2 * count, dtype=np.int64)
+    part = np.repeat([int(Part.LOG_MAGNITUDE), int(Part.PHASE)], count)
+    flat = np.zeros(2 * count)
+    rows = Rows(zero, own, zero, zero - 1, part, np.tile(lines, 2), flat, flat)
+    values = Forward((test,), rows).predict(rig).values
+    return np.asarray(np.exp(values[:count] + 1j * values[count:]))
+
+
 @pytest.mark.parametrize(
     ("element", "moves"),
     [
@@ -147,23 +161,43 @@ def _simulated(element: dict[str, Any], rms: float, lines: NDArray[Any]) -> NDAr
 def test_a_random_response_of_a_nonlinear_oscillator(element: dict[str, Any], moves: float) -> None:
     lines = np.concatenate([np.arange(8.0, 18.0, 1.0), np.arange(18.0, 23.0, 0.25), np.arange(23.0, 40.0, 1.0)])
     rms = 1.0
-    point = MeasuredChannel("x", Quantity.DISPLACEMENT, 1)
-    count = lines.size
-
-    def predicted(rig: Rig, drive: float) -> NDArray[Any]:
-        test = RandomTest("random", 1, (point,), "voltage", lines, 0.05, "none", drive, 0.0, 20.0)
-        own = np.tile(np.arange(count), 2)
-        zero = np.zeros(2 * count, dtype=np.int64)
-        part = np.repeat([int(Part.LOG_MAGNITUDE), int(Part.PHASE)], count)
-        flat = np.zeros(2 * count)
-        rows = Rows(zero, own, zero, zero - 1, part, np.tile(lines, 2), flat, flat)
-        values = Forward((test,), rows).predict(rig).values
-        return np.asarray(np.exp(values[:count] + 1j * values[count:]))
-
     rig = _rig(element)
     # The force has lines up to 60 Hz; the test's lines hold their share of it.
     drive = rms * math.sqrt((lines[-1] - lines[0]) / 60.0)
-    simulated, found, resting = _simulated(element, rms, lines), predicted(rig, drive), predicted(rig, 0.0)
+    simulated, found, resting = (
+        _simulated(element, rms, lines),
+        _predicted(rig, lines, drive),
+        _predicted(rig, lines, 0.0),
+    )
     scale = np.max(np.abs(simulated))
     assert np.max(np.abs(found - simulated)) < 0.06 * scale
     assert np.max(np.abs(resting - simulated)) > (0.06 + moves) * scale
+
+
+def _halves(points: tuple[int, ...]) -> Rig:
+    """Two halves of a mass, linked as good as rigidly, on a hardening spring, with an exciter at each of the points."""
+    exciters = [{"kind": "force", "point": point, "newton_per_volt": 1.0} for point in points]
+    structure = {
+        "kind": "chain", "masses_kg": [0.5, 0.5], "springs_n_m": [1e9], "dampers_ns_m": [0.0],
+        "ground_springs_n_m": [0.5 * (2.0 * math.pi * FREQUENCY) ** 2] * 2, "ground_dampers_ns_m": [2.5] * 2,
+    }  # fmt: skip
+    return Rig.model_validate(
+        {
+            "name": "halves",
+            "sample_rate_hz": 1000.0,
+            "structure": structure,
+            **({"exciter": exciters[0]} if len(points) == 1 else {"exciters": exciters}),
+            "sensors": [{"quantity": "force", "point": point} for point in points]
+            + [{"quantity": "displacement", "point": 1}],
+            "local_elements": [{"kind": "cubic_spring", "point": 1, "stiffness_n_m3": 2e9}],
+        }
+    )
+
+
+def test_two_exciters_move_a_body_as_one_of_their_power() -> None:
+    lines = np.linspace(15.0, 30.0, 31)
+    one, resting = (_predicted(_halves((1,)), lines, drive) for drive in (0.5, 0.0))
+    both = _predicted(_halves((1, 2)), lines, 0.3, {2: 0.4})
+    np.testing.assert_allclose(both, one, rtol=1e-4)
+    assert np.abs(resting / one - 1.0).max() > 0.3
+    np.testing.assert_allclose(_predicted(_halves((1, 2)), lines, 0.5, {2: 0.0}), one, rtol=1e-4)

@@ -268,6 +268,21 @@ def test_local_fits_have_no_leakage() -> None:
     assert np.abs(plain.estimate[0] / exact - 1.0)[far].max() < 1e-6
 
 
+def test_local_fits_take_out_what_other_references_do() -> None:
+    generator = np.random.default_rng(4)
+    size, rate = 16384, 1000.0
+    u = generator.standard_normal((2, size))
+    poles = [np.exp((-2.0 + 2j * np.pi * hertz) / rate) for hertz in (80.0, 86.0)]
+    y = sum(resonator(row, pole, 3.0 + 1.0j) for row, pole in zip(u, poles, strict=True))
+    lines = np.array([700, 1100, 1250, 1600, 2000, 5000])
+    for first, pole in enumerate(poles):
+        found = local_responses(u[[first, 1 - first]], y[np.newaxis], lines)
+        assert np.abs(found.estimate[0] / exact_response(pole, lines, size) - 1.0).max() < 1e-3
+        assert found.degrees_of_freedom == 2 * (2 * REACH + 1 - 15)
+    alone = local_responses(u[0], y[np.newaxis], lines)
+    assert np.abs(alone.estimate[0] / exact_response(poles[0], lines, size) - 1.0).max() > 0.1
+
+
 def test_uncertainties_of_local_fits_cover_noise_at_a_resonance() -> None:
     generator = np.random.default_rng(5)
     size, rate = 16384, 1000.0

@@ -18,6 +18,8 @@ from nmt_core.vocabulary import TestKind
 from nmt_diagnose.coverage import covers
 from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_diagnose.observations.kinds.phase_resonance_observations import _terms
+from nmt_diagnose.observations.kinds.ring_down_observations import _close_mode
+from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
@@ -111,6 +113,17 @@ def test_what_an_oscillator_did_not_make_is_no_drive() -> None:
     assert _terms(shares.mean(axis=0), shares, [0], 1)[0][1] == 0.0
     assert _terms(shares.mean(axis=0), shares, [0], 1)[0][2] == pytest.approx(1e-3, rel=0.2)
     assert _terms(shares.mean(axis=0), shares, [0], 3)[0][1] != 0.0
+
+
+def test_a_decay_of_close_modes_is_told_from_one_that_is_alone(tmp_path: Path) -> None:
+    """Modes 9 % apart, as several exciters can tell them, ring together after a release: frequencies are 0.07 % off."""
+    close, apart = tmp_path / "close.yaml", tmp_path / "apart.yaml"
+    close.write_text(rig_text("2 force", TestKind.PHASE_RESONANCE), encoding="utf-8")
+    apart.write_text(rig_text("2 force", TestKind.RING_DOWN), encoding="utf-8")
+    view = ModelView.of(load_rig(close), (1, 2))
+    assert "mode at 21.94 Hz rings so close to 20.13 Hz" in _close_mode(view, 20.13)
+    assert _close_mode(ModelView.of(load_rig(apart), (1, 2)), 20.13) == ""
+    assert _close_mode(ModelView.of(load_rig(close), (1,)), 20.13) == ""
 
 
 KINDS = [kind for kind in TestKind if kind not in (TestKind.UNKNOWN, TestKind.RECORD)]

@@ -37,7 +37,8 @@ def rig_text(exciters: str, kind: TestKind) -> str:
         "masses_kg": [1.0, 1.0],
         "ground_springs_n_m": [16000.0, 16000.0],
         "ground_dampers_ns_m": [2.5, 2.5],
-        "springs_n_m": [1500.0 if several else 12000.0],
+        # Close modes are what several exciters are for; a decay in which both ring is told by no mode of its own.
+        "springs_n_m": [1500.0 if several and kind is not TestKind.RING_DOWN else 12000.0],
         "dampers_ns_m": [0.3],
     }
     elements = [{"name": "hardening", "kind": "cubic_spring", "point": 1, "stiffness_n_m3": 2.0e8}]

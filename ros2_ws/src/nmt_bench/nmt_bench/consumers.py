@@ -20,7 +20,11 @@ CONSUMERS: dict[str, str] = {
     "figures": "nmt_report.coverage",
     "page": "nmt_bench.page.coverage",
 }
-"""Module with the function ``covers`` of each consumer; the first says what can be done at all."""
+"""Module with the function ``covers`` of each consumer; the first says what can be done at all.
+
+Judgement, export and import, and page refuse nothing of what can be done: `tests/matrix` holds each kind, exciter and
+drive against them. The page shows recordings as it shows a run; a pause and going on are the sequencer's, of any test.
+"""
 
 
 def covers_of(consumer: str) -> Covers:

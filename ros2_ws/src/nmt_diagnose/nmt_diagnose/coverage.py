@@ -11,7 +11,6 @@ _NOT_PREDICTED = {
     TestKind.SECONDARY_RESONANCE: "its model follows resonances at the frequency of the drive",
     TestKind.SELF_EXCITED: "its model follows motions that a drive holds or that decay",
 }
-_SEVERAL_EXCITERS = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE, TestKind.UNKNOWN)
 
 
 class NotCoveredError(BenchError):
@@ -25,9 +24,9 @@ def covers(test: DrivenTest) -> str:
             f"The diagnosis takes no part of {test.words}, as {_NOT_PREDICTED[test.kind]}; use windows at phase "
             "resonance or stepped sines near resonance."
         )
-    if test.has_several_exciters and test.kind not in _SEVERAL_EXCITERS:
+    if test.has_several_exciters and test.kind is TestKind.RECORD:
         return (
-            f"The diagnosis takes no part of {test.words}, as its model drives such a test by one exciter; use windows "
-            "at phase resonance, or the same test with --exciter N."
+            f"The diagnosis takes no part of {test.words}, as its model drives a record by one input; use windows at "
+            "phase resonance, random tests or ring-downs."
         )
     return ""

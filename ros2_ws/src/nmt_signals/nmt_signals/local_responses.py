@@ -2,11 +2,12 @@
 
 Around each line response and reference are fitted with H(f) U + T(f), where the frequency response H and the leakage T
 are polynomials over a few neighbouring lines of one Fourier transform of the whole window (local polynomial method: R.
-Pintelon, J. Schoukens, 2012, System Identification, 2nd ed., section 7.2). On a resonance that is narrower than these
-lines polynomials are wrong by percents. Where the responses of all channels show one, both are over 1 + a x, with x the
-place among the lines and the same a for all channels (local rational method: T. McKelvey, G. Guérin, 2012, 16th IFAC
-Symposium on System Identification). Averaged spectra would leave leakage as noise that all channels share; here sensor
-noise and nonlinear distortions are what remains, and the residual of the fit tells how large they are.
+Pintelon, J. Schoukens, 2012, System Identification, 2nd ed., section 7.2). Several references have an H each. On a
+resonance that is narrower than these lines polynomials are wrong by percents. Where the responses of all channels show
+one, both are over 1 + a x, with x the place among the lines and the same a for all channels (local rational method: T.
+McKelvey, G. Guérin, 2012, 16th IFAC Symposium on System Identification). Averaged spectra would leave leakage as noise
+that all channels share; here sensor noise and nonlinear distortions are what remains, and the residual of the fit tells
+how large they are.
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ def local_responses(
     """Frequency responses at some lines of the Fourier transform.
 
     Args:
-        reference: samples of the reference, shape (n,).
+        reference: samples of the reference, shape (n,), or of several, shape (references, n): responses are those to
+            the first, with what the others do taken out.
         responses: samples of the responses, shape (channels, n).
         bins: lines, each at least ``REACH`` from the ends of the transform.
         resonant: lines that have a resonance nearby, shape (lines,); None = those where the responses show one.
@@ -64,28 +66,29 @@ def local_responses(
     u = np.fft.rfft(reference)
     y = np.fft.rfft(responses, axis=-1)
     near = bins[:, np.newaxis] + OFFSETS
-    return local_fits(u[near], np.moveaxis(y[:, near], 0, -1), resonant)
+    return local_fits(u[..., near], np.moveaxis(y[:, near], 0, -1), resonant)
 
 
 def local_fits(u: ComplexArray, y: ComplexArray, resonant: BoolArray | None = None) -> LocalResponses:
     """Frequency responses from what lies around some lines.
 
     Args:
-        u: lines of the reference about each of them, shape (lines, 2 REACH + 1).
+        u: lines of the reference about each of them, shape (lines, 2 REACH + 1), or of several, (references, lines, …).
         y: lines of the responses, shape (lines, 2 REACH + 1, channels).
         resonant: as for `local_responses`.
     """
     lines, _, channels = y.shape
+    u = u.reshape(-1, lines, OFFSETS.size)
     found = LocalResponses(
         np.empty((channels, lines), dtype=np.complex128),
         np.empty((channels, lines)),
         np.empty(lines),
         np.zeros((channels, lines)),
         np.zeros(lines, dtype=np.bool_),
-        2 * (OFFSETS.size - 2 * (ORDER + 1)),
+        2 * (OFFSETS.size - (1 + u.shape[0]) * (ORDER + 1)),
     )
     for number in range(lines):
-        local_fit = _LocalFit(u[number], y[number], 0j)
+        local_fit = _LocalFit(u[:, number], y[number], 0j)
         if resonant is None or resonant[number]:
             pole = _resonance(local_fit)
             if (
@@ -105,7 +108,7 @@ class _LocalFit:
     """Least-squares fit about one line: (H U + T) / A, with H and T polynomials and A = 1 + a x.
 
     Args:
-        u: reference, shape (n,).
+        u: references, shape (references, n).
         y: responses, shape (n, channels).
         a: coefficient of the resonance; 0 = none.
     """
@@ -113,7 +116,8 @@ class _LocalFit:
     def __init__(self, u: ComplexArray, y: ComplexArray, a: complex) -> None:
         self.u, self.y, self.a = u, y, a
         self._below = 1.0 + a * _PLACE
-        design = np.concatenate((u[:, np.newaxis] * _POWERS, _POWERS), axis=1) / self._below[:, np.newaxis]
+        design = np.concatenate((*(row[:, np.newaxis] * _POWERS for row in u), _POWERS), axis=1)
+        design = design / self._below[:, np.newaxis]
         scale = np.linalg.norm(design, axis=0)
         self._q, r = np.linalg.qr(design / scale)
         self._back = np.linalg.inv(r) / scale[:, np.newaxis]
@@ -122,7 +126,7 @@ class _LocalFit:
         self._fitted = self._q @ projected
         self._residual = y - self._fitted
         squares = np.maximum((np.abs(self._residual) ** 2).sum(axis=0), 1e-300)
-        left = u.size - 2 * (ORDER + 1)
+        left = design.shape[0] - design.shape[1]
         self.noise = squares / (left - (1.0 / y.shape[1] if a else 0.0))
         self.factor = float((np.abs(self._back[0]) ** 2).sum())
         self.log_likelihood = -left * float(np.log(squares).sum())

@@ -29,15 +29,16 @@ class MeasuredChannel:
     ideal: bool = False
 
 
-class OneExciter:
-    """A test with one exciter."""
+class Driven:
+    """A test that names the point of its exciter, and those of further ones that it sees at rest."""
 
     drive_point: int
+    resting_points: tuple[int, ...] = ()
 
     @property
     def drive_points(self) -> tuple[int, ...]:
         """Measurement point of each exciter."""
-        return (self.drive_point,)
+        return (self.drive_point, *self.resting_points)
 
 
 Terms: TypeAlias = tuple[tuple[complex, ...], ...]
@@ -116,7 +117,7 @@ class PhaseResonanceTest:
 
 
 @dataclass(frozen=True)
-class RandomTest(OneExciter):
+class RandomTest(Driven):
     """Frequency responses of a low-level random test, referred to the voltage (or, without one, to the force).
 
     Attributes:
@@ -134,6 +135,8 @@ class RandomTest(OneExciter):
         drive_hold_hz: rate at which the drive went straight from sample to sample, Hz; infinite where it did not. The
             observables are responses to the samples of the drive then: smaller by sinc², and with images of the drive
             around multiples of that rate.
+        resting_points: measurement points of further exciters, whose drive is taken out of the responses.
+        other_rms: rms of their drive, which moves the structure too, V; empty = nothing.
     """
 
     name: str
@@ -147,10 +150,12 @@ class RandomTest(OneExciter):
     start_s: float
     stop_s: float
     drive_hold_hz: float = math.inf
+    resting_points: tuple[int, ...] = ()
+    other_rms: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
-class SteppedSineTest(OneExciter):
+class SteppedSineTest(Driven):
     """Frequency responses at an amplitude that was held while the frequency was stepped.
 
     Attributes:
@@ -202,7 +207,7 @@ class SteppedSineTest(OneExciter):
 
 
 @dataclass(frozen=True)
-class RingDownTest(OneExciter):
+class RingDownTest(Driven):
     """Free decay after switch-off or impact: frequency and decay rate of a response over its amplitude.
 
     Attributes:
@@ -212,6 +217,7 @@ class RingDownTest(OneExciter):
         amplitudes: fundamental amplitude in the channel's unit at which the observables stand, shape (k,), falling.
         frequency_hz: at the smallest amplitude, Hz; it tells the mode.
         others: further response channels; magnitude and phase of their fundamentals stand relative to the first one's.
+        resting_points: measurement points of further exciters, at zero volts too.
     """
 
     name: str
@@ -220,6 +226,7 @@ class RingDownTest(OneExciter):
     amplitudes: FloatArray
     frequency_hz: float
     others: tuple[MeasuredChannel, ...] = ()
+    resting_points: tuple[int, ...] = ()
 
     @property
     def channels(self) -> tuple[MeasuredChannel, ...]:
@@ -228,7 +235,7 @@ class RingDownTest(OneExciter):
 
 
 @dataclass(frozen=True)
-class RecordTest(OneExciter):
+class RecordTest(Driven):
     """Any excitation: the model is driven by the measured input.
 
     Attributes:
@@ -267,7 +274,7 @@ class RecordTest(OneExciter):
 
 
 @dataclass(frozen=True)
-class BackboneTable(OneExciter):
+class BackboneTable(Driven):
     """A backbone reduced by someone else: frequency (and damping ratio) over response amplitude at the drive point.
 
     Attributes:

@@ -29,20 +29,23 @@ class ModelView:
         system: its equations.
         shape: target mode at the drive point, 1/√kg.
         frequencies_hz: linear frequencies of structure alone and with exciter.
+        modes_hz: linear frequencies of the structure alone.
     """
 
     rig: Rig
     system: ElectromechanicalSystem
     shape: float
     frequencies_hz: tuple[float, ...]
+    modes_hz: tuple[float, ...]
 
     @classmethod
     def of(cls, rig: Rig, drive_points: Sequence[int]) -> ModelView:
         """View of a rig driven at points of its own, or at another one."""
         rig = with_exciters_at(rig, drive_points)
         linear = linear_description(rig)
-        hertz = [value / (2.0 * math.pi) for value in (*linear.frequencies_rad_s, linear.plant_frequency_rad_s)]
-        return cls(rig, build_system(rig), linear.drive_point_shape, tuple(sorted(hertz)))
+        modes = tuple(value / (2.0 * math.pi) for value in linear.frequencies_rad_s)
+        hertz = (*modes, linear.plant_frequency_rad_s / (2.0 * math.pi))
+        return cls(rig, build_system(rig), linear.drive_point_shape, tuple(sorted(hertz)), modes)
 
     @property
     def channels(self) -> tuple[MeasuredChannel, ...]:

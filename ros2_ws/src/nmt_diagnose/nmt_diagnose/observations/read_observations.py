@@ -254,7 +254,7 @@ def _signals(
             notes += clipping_notes(test_name, [(window.segment.level_index, window.stretch)])
             notes += repeats_notes(test_name, [window.stretch])
             if kind is TestKind.RANDOM:
-                parts.append(random_observations(test_name, window.stretch, view, channels, settings, rate))
+                parts += _random(test_name, window.stretch, view, channels, settings, rate)
             else:
                 guess = window.segment.frequency_hz
                 parts.append(
@@ -268,6 +268,29 @@ def _signals(
     sampling = windows[0].stretch.sample_rate
     chain = measuring_chain(run, channels, sampling, bag.rig_yaml, settings.calibration)
     return [replace(part, chains=(chain,) * len(part.tests)) for part in parts]
+
+
+def _random(
+    name: str,
+    stretch: SampleStretch,
+    view: ModelView,
+    channels: dict[str, MeasuredChannel],
+    settings: ObservationSettings,
+    rate: float,
+) -> list[Observations]:
+    """Responses to the drive of each exciter, with what those of the others do taken out."""
+    points = view.rig.exciter_points
+    if len(points) == 1:
+        return [random_observations(name, stretch, view, channels, settings, rate)]
+    voltages = view.voltages(stretch.channels)
+    found = []
+    for number, point in enumerate(points):
+        order = [number, *(k for k in range(len(points)) if k != number)]
+        own = ModelView.of(view.rig, [points[k] for k in order])
+        named = [voltages[k] for k in order]
+        where = f"{name} from point {point}"
+        found.append(random_observations(where, stretch, own, channels, settings, rate, named))
+    return found
 
 
 def _plausible(

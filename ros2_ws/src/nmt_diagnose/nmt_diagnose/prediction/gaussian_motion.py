@@ -47,6 +47,7 @@ def forces_in_motion(
     fractions: Fractions,
     omega: FloatArray,
     drive_rms: float,
+    powers: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Stiffness (N/m) and damping (N s/m) of the local forces of each coordinate, (r,) each.
 
@@ -58,6 +59,7 @@ def forces_in_motion(
         fractions: ``LinearModel.partial_fractions`` of the r coordinates and of channels, the last of them the drive.
         omega: (lines,) of the test, rad/s, at least two.
         drive_rms: of the reference over the band, V or N.
+        powers: (exciters,) of the drive of each over that of the first.
     """
     r = resting[0].size
     low, high = float(omega.min()), float(omega.max())
@@ -71,8 +73,8 @@ def forces_in_motion(
         np.ascontiguousarray(model.inputs[near, :r]),
     )
     stiffness, damping, found = _settled(
-        np.ascontiguousarray(omega), nearest, acting, *resting, tuple(fractions), drive_rms, tuple(tables.elements),
-        _NODES, _ABOUT,
+        np.ascontiguousarray(omega), nearest, acting, *resting, tuple(fractions), drive_rms, powers,
+        tuple(tables.elements), _NODES, _ABOUT,
     )  # fmt: skip
     return (stiffness, damping) if found else resting
 
@@ -86,6 +88,7 @@ def _settled(
     rest_damping: FloatArray,
     fraction_tables: tuple[FloatArray, ...],
     drive_rms: float,
+    powers: FloatArray,
     element_tables: tuple[Any, ...],
     node_tables: tuple[FloatArray, ...],
     about: FloatArray,
@@ -116,7 +119,7 @@ def _settled(
                 for n in range(about.size):
                     omega[places + n] = min(max(natural + width * about[n], low), high)
                 places += about.size
-        total = _powers(np.sort(omega[:places]), r, stiffness, damping, fractions, moved, fast, most)
+        total = _powers(np.sort(omega[:places]), r, stiffness, damping, fractions, powers, moved, fast, most)
         scale = drive_rms * drive_rms / total
         for i in range(count):
             moved[i], fast[i] = np.sqrt(scale * moved[i]), np.sqrt(scale * fast[i])
@@ -164,16 +167,18 @@ def _powers(
     stiffness: FloatArray,
     damping: FloatArray,
     fractions: Fractions,
+    powers: FloatArray,
     moved: FloatArray,
     fast: FloatArray,
     most: FloatArray,
 ) -> float:
     """Integrals over ω of |H|², and of ω² |H|², into ``moved`` and ``fast``, the largest |H|² into ``most``, for the
-    first coordinates, (count,) each; returns that of |H|² of the last channel. H as in ``linear_responses``.
+    first coordinates, (count,) each; returns that of |H|² of the last channel. H as in ``linear_responses``; of several
+    exciters with the sum over them, each by its share ``powers``, but for the last channel: the drive of the first.
     """
     sums, products = fractions.sums, fractions.products
-    count, columns = moved.size, r + 1
-    rows = columns * columns
+    count, columns = moved.size, r + powers.size
+    rows = (r + 1) * columns
     last = fractions.constant_part.size - columns
     at = np.empty(rows, dtype=np.int64)
     for e in range(rows):
@@ -203,7 +208,8 @@ def _powers(
             for j in range(r):
                 closed[i, j] = (re[i * columns + j] + 1j * im[i * columns + j]) * (stiffness[j] + s * damping[j])
             closed[i, i] += 1.0
-            closed[i, r] = re[i * columns + r] + 1j * im[i * columns + r]
+            for x in range(r, columns):
+                closed[i, x] = re[i * columns + x] + 1j * im[i * columns + x]
         for i in range(r):
             pivot = 1.0 / closed[i, i]
             for row in range(r):
@@ -217,6 +223,9 @@ def _powers(
             drive -= (re[r * columns + i] + 1j * im[r * columns + i]) * (stiffness[i] + s * damping[i]) * w_i
             if i < count:
                 now[i] = w_i.real * w_i.real + w_i.imag * w_i.imag
+                for x in range(1, powers.size):
+                    w_i = closed[i, r + x] / closed[i, i]
+                    now[i] += powers[x] * (w_i.real * w_i.real + w_i.imag * w_i.imag)
                 most[i] = max(most[i], now[i])
         now[count] = drive.real * drive.real + drive.imag * drive.imag
         if line:

@@ -284,8 +284,9 @@ def _line_change(
     s = 1j * omega
     t, _ = model.at(s)
     tangent = resting_tangent(parts, s)
-    closed = np.linalg.solve(np.eye(r) + t[:r, :r] * tangent, t[:r, [r, r + 1 + k]])
-    full = t[r:, [r, r + 1 + k]] - t[r:, :r] @ (tangent[:, None] * closed)
+    both = [r, r + parts.input_per_volt.size + k]  # the first exciter and the source
+    closed = np.linalg.solve(np.eye(r) + t[:r, :r] * tangent, t[:r, both])
+    full = t[r:, both] - t[r:, :r] @ (tangent[:, None] * closed)
     gains = np.array([predictor.gain(parts, row, s) for row in range(full.shape[0])])
     full = full * gains[:, None]
     # Unit: a share of the force at this line; where the channels have none, of the drive.

@@ -47,6 +47,15 @@ class Fractions(NamedTuple):
     slopes: FloatArray
     constant_part: FloatArray
 
+    def of_inputs(self, inputs: int, first: int) -> Fractions:
+        """The same of the ``first`` of so many inputs."""
+        if inputs == first:
+            return self
+        kept = np.arange(self.constant_part.size).reshape(-1, inputs)[:, :first].ravel()
+        return self._replace(
+            constants=self.constants[:, kept], slopes=self.slopes[:, kept], constant_part=self.constant_part[kept]
+        )
+
 
 @dataclass(frozen=True)
 class OutputRows:

@@ -145,7 +145,8 @@ class RandomPredictor:
         if not acting.any() or not test.drive_rms > 0.0 or not test.stop_s > test.start_s or test.lines_hz.size < 2:
             return parts.resting
         omega = 2.0 * np.pi * parts.clock * test.lines_hz
-        return forces_in_motion(parts.linear, tables, acting, parts.resting, fractions, omega, test.drive_rms)
+        powers = np.array([1.0, *((rms / test.drive_rms) ** 2 for rms in test.other_rms)])
+        return forces_in_motion(parts.linear, tables, acting, parts.resting, fractions, omega, test.drive_rms, powers)
 
     def _images(
         self, parts: RigParts, local: tuple[FloatArray, FloatArray], folding: Folding, fractions: Fractions
@@ -214,7 +215,7 @@ class RandomPredictor:
             2.0 * np.pi * frequencies * parts.clock,
             r,
             *local,
-            tuple(fractions),
+            tuple(fractions.of_inputs(parts.linear.inputs.shape[1], r + 1)),
             parts.channels[self._own] if chains is None else chains,
         )
         h *= parts.input_per_volt[0]

@@ -126,6 +126,16 @@ class RigParts:
         return RigTables(self.linear.tables, self.channels, self.force_factor, self.tables)
 
     @cached_property
+    def decay_tables(self) -> RigTables:
+        """The same with the first exciter alone as an input: further ones hang on at zero volts."""
+        inputs = self.coordinates + 1
+        if self.linear.inputs.shape[1] == inputs:
+            return self.kernel_tables
+        tables = self.linear.tables
+        alone = {"inputs": tables.inputs[:, :inputs].copy(), "feedthrough": tables.feedthrough[:, :inputs].copy()}
+        return self.kernel_tables._replace(model=tables._replace(**alone))
+
+    @cached_property
     def resting(self) -> tuple[FloatArray, FloatArray]:
         """Stiffness ∂g/∂w and damping ∂g/∂ẇ of the local forces at rest, (r,) each."""
         stiffness, damping = np.zeros(self.coordinates), np.zeros(self.coordinates)

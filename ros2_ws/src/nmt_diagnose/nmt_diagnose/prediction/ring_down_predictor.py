@@ -79,10 +79,10 @@ class RingDownPredictor:
             amplitudes = np.array([state[2] for state in states if state is not None])
             # Not at the pole of the linear system itself, where transfer functions are infinite.
             z[:, -2] *= 1.0 + _OFF_POLE
-            ratio[solved] = observed_ratios(z, amplitudes, self._own, parts.kernel_tables)
+            ratio[solved] = observed_ratios(z, amplitudes, self._own, parts.decay_tables)
             if shape.any():
                 places = np.array(self._places, dtype=np.int64)
-                shapes[solved] = decay_shapes(z, amplitudes, self._own, places, parts.kernel_tables)
+                shapes[solved] = decay_shapes(z, amplitudes, self._own, places, parts.decay_tables)
         result = np.full(len(self.rows), np.nan)
         for kind, values in ((Part.LOG_FREQUENCY, log_omega), (Part.DAMPING, ratio)):
             which = self.rows.part == kind
@@ -104,14 +104,14 @@ class RingDownPredictor:
         # Not at the pole of the linear system itself, where transfer functions are infinite.
         z[:, -2] *= 1.0 + _OFF_POLE
         amplitudes = np.array([state[2] for _, state in solved])
-        moved = stepped_decays(z, amplitudes, self._own, parts.kernel_tables)
+        moved = stepped_decays(z, amplitudes, self._own, parts.decay_tables)
         for (position, state), change in zip(solved, moved, strict=True):
             result[position] = (change, parts.keys, state[2])
         return result
 
     def _arguments(self, parts: RigParts, z: FloatArray, amplitude: float) -> tuple[Any, ...]:
-        true, weight = closure(z, amplitude, self._own, parts.kernel_tables)
-        return true, weight, parts.coordinates + self._own, parts.kernel_tables
+        true, weight = closure(z, amplitude, self._own, parts.decay_tables)
+        return true, weight, parts.coordinates + self._own, parts.decay_tables
 
     def _continued(
         self, parts: RigParts, guess: DecayState | None, amplitude: float, depth: int = _DEEPEST

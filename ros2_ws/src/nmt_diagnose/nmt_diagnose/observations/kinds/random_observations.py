@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -26,6 +27,7 @@ def random_observations(
     channels: dict[str, MeasuredChannel],
     settings: ObservationSettings,
     hold_rate_hz: float = math.inf,
+    voltages: Sequence[str] = (),
 ) -> Observations:
     """Observables of one window of random excitation.
 
@@ -37,9 +39,14 @@ def random_observations(
         settings: settings.
         hold_rate_hz: rate at which the drive is interpolated linearly, as that of simulated rigs is; what this does
             to the responses to the voltage is taken out (see drive_hold.py).
+        voltages: of several exciters, names of the recorded ones in the order of the view's: responses are those to the
+            first.
     """
     notes: list[str] = []
-    voltage = stretch.find(Quantity.VOLTAGE)
+    voltage = stretch.find(Quantity.VOLTAGE) if len(voltages) < 2 else _named(stretch, voltages[0])
+    others = [_named(stretch, other) for other in voltages[1:]]
+    if None in others or (others and voltage is None):
+        return empty((f"{name}: the random test is left out: it needs the voltage of each exciter.",))
     force = stretch.find(Quantity.FORCE)
     reference = voltage if voltage is not None and voltage.name not in stretch.faults else force
     usable_whole = {c.name for c in stretch.channels if c.name not in stretch.faults}
@@ -80,7 +87,9 @@ def random_observations(
     if bins.size == 0:
         return empty((*notes, f"{name}: the random test is left out: it has no driven band."))
     lines = bins * stretch.sample_rate / input_samples.size
-    found = local_responses(input_samples - input_samples.mean(), outputs, bins)
+    inputs = np.stack([input_samples, *(stretch.row(other.name)[part] for other in others if other)])
+    inputs = inputs - inputs.mean(axis=1, keepdims=True)
+    found = local_responses(inputs, outputs, bins)
     estimate = found.estimate
     variance = found.resonance.copy()
     for row in range(variance.shape[0]):
@@ -89,8 +98,9 @@ def random_observations(
     table = RowTable()
     drive_rms = float(np.std(input_samples))
     middle = 0.5 * (stretch.start_s + stretch.stop_s)
-    bias = _bias(view, present, input_samples, reference, bins, stretch.sample_rate)
-    believed = _believed(view, present, reference, lines, estimate)
+    source = MeasuredChannel("u", Quantity.VOLTAGE, 0) if others else reference  # of the view's first exciter
+    bias = _bias(view, present, inputs, source, bins, stretch.sample_rate)
+    believed = _believed(view, present, source, lines, estimate)
     for number, line in enumerate(lines):
         for row in range(len(present)):
             size = abs(estimate[row, number])
@@ -119,8 +129,14 @@ def random_observations(
         start_s=start,
         stop_s=stop,
         drive_hold_hz=hold_rate_hz if reference.quantity is Quantity.VOLTAGE else math.inf,
+        resting_points=view.rig.exciter_points[1:],
+        other_rms=tuple(float(np.std(row)) for row in inputs[1:]),
     )
     return table.observations(test, notes)
+
+
+def _named(stretch: SampleStretch, name: str) -> MeasuredChannel | None:
+    return next((channel for channel in stretch.channels if channel.name == name), None)
 
 
 def _believed(
@@ -145,19 +161,25 @@ def _believed(
 def _bias(
     view: ModelView,
     channels: list[MeasuredChannel],
-    reference: FloatArray,
+    inputs: FloatArray,
     source: MeasuredChannel,
     bins: IntArray,
     sample_rate: float,
 ) -> FloatArray:
-    """Relative error that the local fits make on the model's own response, shape (channels, lines)."""
+    """Relative error of the local fits of the model's own response to inputs (exciters, n), shape (channels, lines)."""
     unique, inverse = np.unique(bins[:, np.newaxis] + OFFSETS, return_inverse=True)
-    frequency = unique * sample_rate / reference.size
+    frequency = unique * sample_rate / inputs.shape[1]
+    near = inverse.reshape(bins.size, OFFSETS.size)
     responses = view.responses([*channels, source], frequency)
-    exact = (responses[:-1] / responses[-1])[:, inverse.reshape(bins.size, OFFSETS.size)]
-    u = np.fft.rfft(reference - reference.mean())[bins[:, np.newaxis] + OFFSETS]
-    fitted = local_fits(u, np.moveaxis(exact * u, 0, -1)).estimate
-    return np.asarray(np.nan_to_num(np.abs(fitted / exact[:, :, REACH] - 1.0)))
+    exact = (responses[:-1] / responses[-1])[:, near]
+    u = np.fft.rfft(inputs)[:, bins[:, np.newaxis] + OFFSETS]
+    motion = exact * u[0]
+    for number in range(1, len(inputs)):
+        alone = [0.0] * number + [1.0]
+        motion = motion + view.responses(channels, frequency, alone)[:, near] * u[number]
+    fitted = local_fits(u, np.moveaxis(motion, 0, -1)).estimate
+    with np.errstate(divide="ignore", invalid="ignore"):  # an ideal exciter's force shows nothing of the others
+        return np.asarray(np.nan_to_num(np.abs(fitted / exact[:, :, REACH] - 1.0), posinf=0.0))
 
 
 def _clean_part(stretch: SampleStretch) -> slice:

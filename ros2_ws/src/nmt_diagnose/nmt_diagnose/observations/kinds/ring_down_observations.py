@@ -81,6 +81,8 @@ def ring_down_observations(
             reason = reason or str(error)
     if decay is None:
         return _short_decay(name, stretch, usable[0], channels, view, settings, reason)
+    if close := _close_mode(view, decay.good[-1].omega / (2.0 * math.pi)):
+        return empty((f"{name}: the ring-down is left out: {close}.",))
     others = [c for c in usable if c is not model_channel]
     table = RowTable()
     floors = settings.floors
@@ -106,6 +108,7 @@ def ring_down_observations(
         np.array(amplitudes),
         decay.good[-1].omega / (2.0 * math.pi),
         tuple(channels[other.name] for other in others),
+        view.rig.exciter_points[1:],
     )
     return table.observations(test, notes)
 
@@ -167,9 +170,22 @@ def _short_decay(
     amplitudes = _add_nodes(table, good, stretch, settings, np.zeros(len(good)))
     note = f"{name}: the decay lasts a few periods only: frequency and damping are those between its turning points."
     test = RingDownTest(
-        name, view.rig.drive_point, model_channel, np.array(amplitudes), good[-1].omega / (2.0 * math.pi)
+        name,
+        view.rig.drive_point,
+        model_channel,
+        np.array(amplitudes),
+        good[-1].omega / (2.0 * math.pi),
+        resting_points=view.rig.exciter_points[1:],
     )
     return table.observations(test, [note])
+
+
+def _close_mode(view: ModelView, frequency_hz: float) -> str:
+    """Which mode several exciters let ring that no window tells from the one that decays; empty = none."""
+    away = sorted(view.modes_hz, key=lambda hertz: abs(hertz / frequency_hz - 1.0))[1:2]
+    if len(view.rig.all_exciters) < 2 or not away or abs(away[0] / frequency_hz - 1.0) > 1.0 / max(DECAYS.widths):
+        return ""
+    return f"the model's mode at {away[0]:.4g} Hz rings so close to {frequency_hz:.4g} Hz that neither decays alone"
 
 
 def _bends(good: list[Node]) -> FloatArray:

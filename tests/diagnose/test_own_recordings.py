@@ -63,6 +63,8 @@ def cases() -> list[Any]:
     found = []
     for exciters in EXCITERS:
         for drive, settings in DRIVES.items():
+            if drive == "modal harmonics" and exciters in ONE_EXCITER:
+                continue  # that needs three modes, and the small rigs have two
             if exciters in ONE_EXCITER or "control" not in settings:  # several exciters have levels of voltage
                 first = drive == "sine" and exciters in ("force", "2 electrodynamic_shaker")
                 marks = [] if first else [pytest.mark.campaign]

@@ -52,6 +52,10 @@ SETTINGS: dict[TestKind, dict[str, Any]] = {
     TestKind.SELF_EXCITED: {},
     TestKind.SECONDARY_RESONANCE: {"levels": [40.0], "resonance": "3:1", "control": "force"},
 }
+RELEASED: dict[str, Any] = {"levels": [9.6], "resonance": "1:3", "control": "force", "release": 0.75e-3}
+"""A 1:3 resonance: 0.6 of the unit of force of `strong_cubic`, let go at three quarters of its unit of length."""
+RELEASED_BY = ("force", "shaking_table")
+"""Exciters that release it: a shaker does not come to phase resonance at that amplitude."""
 FIRST_TIER = ("electrodynamic_shaker", "2 force")
 """Exciters whose row protects a change; the others are campaigns."""
 
@@ -76,7 +80,7 @@ class Recording:
 
 
 def rows() -> Iterator[Any]:
-    """Kind, exciters, controlled harmonics."""
+    """Kind, exciters, and what is asked for."""
     for kind in KINDS:
         if kind is TestKind.RECORD:  # no test of the bench
             continue
@@ -85,25 +89,28 @@ def rows() -> Iterator[Any]:
             for controlled in controls:
                 marks = () if exciters in FIRST_TIER else (pytest.mark.campaign,)
                 name = f"{kind.label}, {exciters}{', controlled harmonics' if controlled else ''}"
-                yield pytest.param(kind, exciters, controlled, id=name, marks=marks)
+                settings = {**SETTINGS[kind], **({"harmonics_control": 5} if controlled else {})}
+                yield pytest.param(kind, exciters, settings, id=name, marks=marks)
+    for exciters in RELEASED_BY:
+        marks = () if exciters == "force" else (pytest.mark.campaign,)
+        yield pytest.param(TestKind.SECONDARY_RESONANCE, exciters, RELEASED, id=f"1:3, {exciters}", marks=marks)
 
 
-def driven(kind: TestKind, exciters: str, controlled: bool) -> DrivenTest:
-    settings = SETTINGS[kind]
+def driven(kind: TestKind, exciters: str, settings: dict[str, Any]) -> DrivenTest:
     return DrivenTest(
         kind=kind,
         exciters=tuple(section["kind"] for section in EXCITERS[exciters]),
         control=ControlKind.named(settings.get("control", KINDS[kind].CONTROL.label)),
-        controlled_harmonics=5 if controlled else 0,
+        controlled_harmonics=settings.get("harmonics_control", 0),
         resonance=settings.get("resonance", ""),
     )
 
 
-def record(folder: Path, kind: TestKind, exciters: str, controlled: bool) -> Recording:
+def record(folder: Path, kind: TestKind, exciters: str, settings: dict[str, Any]) -> Recording:
     file = folder / "small.yaml"
-    file.write_text(rig_text(exciters, kind), encoding="utf-8")
-    settings = {**SETTINGS[kind], **({"harmonics_control": 5} if controlled else {})}
-    plan = plan_test(file, settings.pop("levels", None), test=kind.label, **settings)
+    file.write_text(rig_text(exciters, kind, settings.get("resonance", "")), encoding="utf-8")
+    asked = {key: value for key, value in settings.items() if key != "levels"}
+    plan = plan_test(file, settings.get("levels"), test=kind.label, **asked)
     out = folder / "run"
     with Session(plan, out) as session:
         result = session.run()
@@ -229,17 +236,17 @@ def test_every_consumer_has_a_trial_and_every_kind_its_settings() -> None:
     assert set(SETTINGS) == set(KINDS) - {TestKind.RECORD}
 
 
-@pytest.mark.parametrize(("kind", "exciters", "controlled"), rows())
+@pytest.mark.parametrize(("kind", "exciters", "settings"), rows())
 def test_a_recording_of_itself_is_right_or_refused_by_every_consumer(
-    kind: TestKind, exciters: str, controlled: bool, tmp_path: Path
+    kind: TestKind, exciters: str, settings: dict[str, Any], tmp_path: Path
 ) -> None:
-    test = driven(kind, exciters, controlled)
+    test = driven(kind, exciters, settings)
     if covers_of("run")(test):  # before a node starts
         with pytest.raises(BenchError, match=re.escape(covers_of("run")(test))):
-            record(tmp_path, kind, exciters, controlled)
+            record(tmp_path, kind, exciters, settings)
         assert not (tmp_path / "run" / "bag").exists()
         return
-    recording = record(tmp_path, kind, exciters, controlled)
+    recording = record(tmp_path, kind, exciters, settings)
     assert recording.result.message.startswith(f"{len(recording.plan.levels)} of {len(recording.plan.levels)} levels")
     assert recording.plan.driven == test
     assert recorded_tests(Bag.open(recording.bag)) == (test,)

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from nmt_bench.cli import main
+from nmt_bench.commands.run_command import _reference
+from nmt_core.messages.driven_test import DrivenTest
+from nmt_core.vocabulary import TestKind
 from nmt_report.run_data import read_reference
 
 
@@ -40,3 +45,30 @@ def test_convergence_falls_with_the_harmonics(tmp_path: Path, capsys: pytest.Cap
     assert [int(row[0]) for row in rows] == [1, 3, 5, 7, 20]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 1e-3 * errors[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (
+            TestKind.PHASE_RESONANCE,
+            "There is no reference to compare with: Newton's method does not converge at q = 1; ",
+        ),
+        (TestKind.RING_DOWN, "The reference is compared with modal points, and a ring down test gives free decays; "),
+    ],
+)
+def test_a_run_says_why_it_has_no_reference(kind: TestKind, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ArithmeticError("Newton's method does not converge at q = 1.")
+
+    monkeypatch.setattr("nmt_rig.reference.compute_reference", fails)
+    bench: Any = SimpleNamespace(test=SimpleNamespace(driven=DrivenTest(kind=kind)), rig=None)
+    result: Any = SimpleNamespace(points=[SimpleNamespace(modal_amplitude=1.0)])
+    said: list[str] = []
+    console = SimpleNamespace(print=lambda sentence, **_: said.append(sentence))
+    assert _reference(None, bench, result, console) is None
+    assert len(said) == 1
+    assert said[0].startswith(words)
+    assert said[0].endswith(".")
+    assert _reference("none", bench, result, console) is None
+    assert len(said) == 1

@@ -106,6 +106,17 @@ def test_a_rig_with_another_spring_is_told_from_the_model(exciters: str, tmp_pat
     assert distance(observations, load_rig(file, ["local_elements.0.stiffness_n_m3=2.6e8"])) < 1.5
 
 
+def test_a_spring_that_takes_the_frequency_far_is_followed(tmp_path: Path) -> None:
+    """From 21 to 33 Hz over two levels: linear responses there tell no wrong unit, and the branch is climbed to it."""
+    bag = recorded(tmp_path, Path("strong_cubic"), levels=[0.1, 0.8])
+    rig = load_rig("strong_cubic")
+    observations = read_observations([bag], rig)
+    test = observations.tests[0]
+    assert isinstance(test, PhaseResonanceTest)
+    assert test.levels[1].frequency_hz > 1.5 * test.levels[0].frequency_hz
+    assert distance(observations, rig) < 1.5
+
+
 def test_what_an_oscillator_did_not_make_is_no_drive() -> None:
     """A harmonic counts where it stands out of its scatter, and all do where nobody knows what was commanded."""
     rng = np.random.default_rng(1)

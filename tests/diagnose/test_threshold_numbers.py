@@ -39,9 +39,11 @@ def left_out(measured: dict[str, float], expected: dict[str, float]) -> set[str]
     stretch = SampleStretch(0, 400.0, CHANNELS, data, cycles, {}, math.nan)
 
     def responses(channels: Any, frequency_hz: Any, terms: Any) -> Any:
-        return np.array([[expected.get(channel.name, 1.0) + 0j] for channel in channels])
+        return np.array([[expected.get(channel.name, 1.0) + 0j] * len(frequency_hz) for channel in channels])
 
-    view: Any = SimpleNamespace(rig=SimpleNamespace(name="small"), responses=responses, voltages=lambda channels: ("",))
+    view: Any = SimpleNamespace(
+        rig=SimpleNamespace(name="small"), frequencies_hz=(10.0,), responses=responses, voltages=lambda channels: ("",)
+    )
     return out_of_scale("test", [(stretch, 10.0)], view, {channel.name: channel for channel in CHANNELS})[0]
 
 

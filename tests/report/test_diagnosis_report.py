@@ -319,6 +319,7 @@ def test_the_probability_bar_is_whole(verdict: Verdict) -> None:
         ("structure + force_sensor", "3 + f2", [3, 2]),
         ("structure", "2-6", [2, 6]),
         ("exciter", "", [2]),
+        ("controller", "", [2]),
         ("joint", "joint", [3]),
         ("boundary", "clamp", [None]),
         ("time", "time", []),
@@ -333,6 +334,17 @@ def test_the_drawing_marks_the_place(place: str, detail: str, points: list[int |
         assert numbers is not None
         series = unpacked(numbers[1])["panels"][0]["series"]
         assert sum(len(item["x"]) for item in series if item["colour"] == f"{RED}ff") == count
+
+
+def test_the_drawing_has_every_exciter() -> None:
+    rig = load_rig("frame")
+    first, second = rig.exciter_points
+    assert [point for point, _ in marked_places(rig, "exciter", "")] == [first, second]
+    assert [point for point, _ in marked_places(rig, "exciter", str(second))] == [second]
+    numbers = re.search(r"<script[^>]*>(.*?)</script>", rig_figure(rig).svg)
+    assert numbers is not None
+    series = unpacked(numbers[1])["panels"][0]["series"]
+    assert len({item["x"][0] for item in series if list(item["y"]) == [-1.5]}) == 2
 
 
 def test_the_probabilities_of_the_console_table_add_up() -> None:

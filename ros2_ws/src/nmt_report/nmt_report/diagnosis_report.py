@@ -294,7 +294,7 @@ def _gap(d: Diagnosis) -> Table:
         for name, value, kind in steps
         if math.isfinite(value)
     ]
-    held = f"Held out from the fit: {'; '.join(gap.held_out)}." if gap.held_out else "Nothing could be held out."
+    held = f"Held out from the fit: {'; '.join(gap.held_out)}." if gap.held_out else "Nothing is held out from the fit."
     return Table((Column("Residual, rms", kind="text"), Column("standard deviations", kind="text")), rows, held)
 
 

@@ -46,7 +46,7 @@ def rig_figure(rig: Rig, place: str = "", detail: str = "", words: str = "") -> 
     axes.set_xlim(-1.2, _WIDTH + 1.2)
     axes.set_ylim(-2.0, 2.1)
     axes.set_aspect("equal")
-    caption = "Dots: points of the structure. Arrow from below: exciter. Triangles: sensors. Squares: local elements."
+    caption = "Dots: points of the structure. Arrows from below: exciters. Triangles: sensors. Squares: local elements."
     if words:
         caption = f"Marked: {words}. {caption}"
     return ReportFigure(
@@ -114,8 +114,7 @@ def _elements(axes: Axes, rig: Rig, x: dict[int, float]) -> None:
 
 
 def _exciter(axes: Axes, rig: Rig, x: dict[int, float]) -> None:
-    place = x.get(rig.exciter.point)
-    if place is not None:
+    for place in (x[point] for point in rig.exciter_points if point in x):
         axes.plot([place, place], [_EXCITER, -0.2], color=INK, linewidth=1.4, zorder=1)
         _marker(axes, [place], [-0.28], "^", INK, INK, 6.0)
         _marker(axes, [place], [_EXCITER], "o", "white", INK, 13.0)
@@ -147,7 +146,8 @@ def marked_places(rig: Rig, place: str, detail: str) -> list[tuple[int | None, f
         if kind == "boundary":
             marks.append((None, 0.0))
         elif kind in ("exciter", "controller"):
-            marks.append((rig.exciter.point, _EXCITER))
+            at = [point for point in _points_of(rig, kind, what) if point in rig.exciter_points]
+            marks += [(point, _EXCITER) for point in at or rig.exciter_points]
         else:
             height = _SENSOR if kind.endswith("sensor") else _ELEMENT if kind == "joint" else 0.0
             marks += [(point, height) for point in _points_of(rig, kind, what)]

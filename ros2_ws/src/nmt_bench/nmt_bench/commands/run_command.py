@@ -250,7 +250,7 @@ def _run(options: RunOptions) -> int:
         result = measure(bench, console, options.quiet, options.page)
         with WorkDisplay(console, quiet=options.quiet):
             reference, budgets, unwritten, interrupted = evaluate(
-                result, bench, folder, options.reference, not options.no_report, sheet
+                result, bench, folder, console, options.reference, not options.no_report, sheet
             )
         verdict = _summarise(result, bench, reference, budgets, console, folder, unwritten)
     if result.interrupted or interrupted:
@@ -264,6 +264,7 @@ def evaluate(
     result: RunResult,
     bench: Bench,
     folder: Path,
+    console: Any,
     choice: str | None,
     report: bool = True,
     sheet: CalibrationSheet | None = None,
@@ -273,6 +274,7 @@ def evaluate(
     Args:
         result, bench: what was measured, and where.
         folder: of the results.
+        console: takes a sentence where there is no reference.
         choice, report, sheet: as ``--reference``, ``--no-report`` and ``--calibration`` say.
 
     Returns:
@@ -288,7 +290,7 @@ def evaluate(
         interrupted = deferred.came
         if not interrupted:
             tell("computing the reference")
-            reference = _reference(choice, bench, result)
+            reference = _reference(choice, bench, result, console)
     except KeyboardInterrupt:
         interrupted = True
     budgets: list[Any] = []
@@ -345,8 +347,11 @@ def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunR
             return bench.run(progress.update, progress.note)
 
 
-def _reference(choice: str | None, bench: Bench, result: RunResult) -> ReferenceCurve | None:
-    """The backbone to compare with: a file, or EPMC of the rig's model, solved at the measured amplitudes too."""
+def _reference(choice: str | None, bench: Bench, result: RunResult, console: Any) -> ReferenceCurve | None:
+    """The backbone to compare with: a file, or EPMC of the rig's model, solved at the measured amplitudes too.
+
+    The measurement stands without its comparison: what keeps it from being made is said in a sentence.
+    """
     if choice == "none":
         return None
     import numpy as np
@@ -357,7 +362,8 @@ def _reference(choice: str | None, bench: Bench, result: RunResult) -> Reference
         return read_reference(Path(choice))
     from nmt_rig.reference import compute_reference, covers
 
-    if covers(bench.test.driven):
+    if refusal := covers(bench.test.driven):
+        console.print(refusal, soft_wrap=True)
         return None
     measured = [point.modal_amplitude for point in result.points if np.isfinite(point.modal_amplitude)]
     if not measured:
@@ -365,8 +371,11 @@ def _reference(choice: str | None, bench: Bench, result: RunResult) -> Reference
     grid = np.geomspace(0.5 * min(measured), 2.0 * max(measured), 150)
     try:
         computed = compute_reference(bench.rig, 15, np.unique(np.concatenate([grid, measured])))
-    except (BenchError, ArithmeticError, ValueError):
-        return None  # the measurement stands without its comparison
+    except (BenchError, ArithmeticError, ValueError) as error:
+        why = str(error).rstrip(".") or type(error).__name__
+        words = f"There is no reference to compare with: {why}; give a reference.csv with --reference, or 'none'."
+        console.print(words, style="yellow", soft_wrap=True)
+        return None
     return ReferenceCurve(
         "EPMC (harmonic balance)", computed.modal_amplitude, computed.omega_rad_s, computed.damping_ratio
     )

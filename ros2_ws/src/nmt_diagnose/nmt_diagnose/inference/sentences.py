@@ -50,10 +50,11 @@ def sentences(
     ``named`` is the explanation that ``ranking`` begins with, ``left`` what it leaves that matters.
     """
     if verdict is Verdict.NONE:
+        which = "Held-out data" if gap.held_out else "The data"
         return (
             "There is no gap that the noise and the repeatability of these tests could not explain.",
             "No unmodelled effect is claimed; the model's own parameters need no change either.",
-            f"Held-out data lie {gap.as_given:.2f} standard deviations (rms) from the model; 1 is what the stated "
+            f"{which} lie {gap.as_given:.2f} standard deviations (rms) from the model; 1 is what the stated "
             "uncertainties allow.",
         )
     if verdict is Verdict.CALIBRATION:

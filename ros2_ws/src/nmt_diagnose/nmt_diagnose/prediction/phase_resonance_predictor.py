@@ -273,6 +273,9 @@ class PeriodicLevels:
         # A frequency far from what was measured is another resonance.
         reached = solved[-2] / (2.0 * np.pi * parts.clock)
         low, high = self._measured or (level.frequency_hz, level.frequency_hz)
+        if amplitude < level.amplitude:  # on the way there it lies between the step before and what was measured
+            before = z[-2] / (2.0 * np.pi * parts.clock)
+            low, high = min(low, before), max(high, before)
         if not done or not (
             math.log(reached / high) < 1.5 * THRESHOLDS.prediction.resonance_search_share
             and math.log(low / reached) < 1.5 * THRESHOLDS.prediction.resonance_search_share
@@ -293,20 +296,19 @@ class PeriodicLevels:
         return scale
 
     def linear_start(self, parts: RigParts, level: LevelProblem, amplitude: float) -> FloatArray:
-        """Unknowns of the system linearised at rest, at its phase resonance nearest to the measured frequency."""
+        """Unknowns of the system linearised at rest, at its phase resonance nearest to the measured frequency.
+
+        Below the level's amplitude it may be as far off as a window may be from the modes, where none is nearer.
+        """
         measured = 2.0 * np.pi * level.frequency_hz * parts.clock
         held_channel = level.held_channel == DRIVE_HELD
         drive = self._drive(parts, level, amplitude)[self.basis.fundamental]
-        grid = measured * np.linspace(
-            1.0 - THRESHOLDS.prediction.resonance_search_share, 1.0 + THRESHOLDS.prediction.resonance_search_share, 161
-        )
-        angles = np.array([self._linear(parts, level, omega, drive)[1] for omega in grid])
-        # Phase resonance is where the angle rises through zero; it falls at antiresonances and jumps at nodes.
-        rises = np.flatnonzero((angles[:-1] < 0.0) & (angles[1:] >= 0.0) & (np.diff(angles) < 2.0))
-        omega = measured
-        if rises.size:
-            crossings = grid[rises] - angles[rises] * np.diff(grid)[rises] / np.diff(angles)[rises]
-            omega = float(crossings[np.argmin(np.abs(crossings - measured))])
+        share = THRESHOLDS.prediction.resonance_search_share
+        omega = self._linear_resonance(parts, level, drive, measured * np.linspace(1.0 - share, 1.0 + share, 161))
+        if omega is None and amplitude < level.amplitude:
+            far = THRESHOLDS.reading.wrong_frequency_ratio
+            omega = self._linear_resonance(parts, level, drive, measured * np.geomspace(1.0 / far, far, 641))
+        omega = measured if omega is None else omega
         solution = self._linear(parts, level, omega, drive)
         w, channels = solution[0], solution[2]
         if not held_channel:
@@ -320,6 +322,19 @@ class PeriodicLevels:
         z[:-2] = self.basis.to_real(amplitudes).ravel()
         z[-2:] = omega, math.log(amplitude)
         return z
+
+    def _linear_resonance(
+        self, parts: RigParts, level: LevelProblem, drive: ComplexArray, grid: FloatArray
+    ) -> float | None:
+        """Phase resonance at rest on a grid of angular frequencies, nearest to what was measured; None = none."""
+        angles = np.array([self._linear(parts, level, omega, drive)[1] for omega in grid])
+        # Phase resonance is where the angle rises through zero; it falls at antiresonances and jumps at nodes.
+        rises = np.flatnonzero((angles[:-1] < 0.0) & (angles[1:] >= 0.0) & (np.diff(angles) < 2.0))
+        if not rises.size:
+            return None
+        crossings = grid[rises] - angles[rises] * np.diff(grid)[rises] / np.diff(angles)[rises]
+        measured = 2.0 * np.pi * level.frequency_hz * parts.clock
+        return float(crossings[np.argmin(np.abs(crossings - measured))])
 
     def _linear(
         self, parts: RigParts, level: LevelProblem, omega: float, drive: ComplexArray

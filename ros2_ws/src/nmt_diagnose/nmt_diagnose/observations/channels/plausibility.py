@@ -41,7 +41,8 @@ def out_of_scale(
     """Channels whose size can only be a wrong unit, from windows of nearly one frequency.
 
     Every channel is compared with the model's linear response; the ratio of one channel to the median over quantities
-    tells a wrong scale, however nonlinear the rig is.
+    tells a wrong scale. The response is that at the frequency of the window or, where channels agree better there, at
+    that of the mode next to it: a nonlinear rig is in resonance far from its linear frequency.
 
     Args:
         name: name of the test.
@@ -73,16 +74,11 @@ def out_of_scale(
         terms = [1.0] if len(terms) == 1 else [term / terms[0] for term in terms]
         if not np.all(np.isfinite(terms)):
             continue
-        expected = np.abs(view.responses(model_channels, np.array([frequency]), terms)[:, 0])
-        largest: dict[Quantity, float] = {}
-        for channel, value in zip(model_channels, expected, strict=True):
-            largest[channel.quantity] = max(largest.get(channel.quantity, 0.0), float(value))
-        for index, channel in enumerate(model_channels):
-            if (
-                expected[index] > THRESHOLDS.reading.near_node_share * largest[channel.quantity]
-                and measured[index] > 0.0
-            ):
-                logs.setdefault(names[index], []).append(math.log(measured[index] / expected[index]))
+        places = np.array([frequency, frequency / nearest_ratio(frequency, view.frequencies_hz)])
+        expected = np.abs(view.responses(model_channels, places, terms)).T
+        own, next_mode = (_ratios(names, model_channels, measured, each) for each in expected)
+        for recorded, value in min(own, next_mode, key=_spread).items():
+            logs.setdefault(recorded, []).append(value)
     ratios = {recorded: float(np.median(values)) for recorded, values in logs.items()}
     if len(ratios) < 3:
         return set(), []
@@ -115,6 +111,24 @@ def out_of_scale(
             "and points, or name the rig file of the rig that was tested."
         )
     return off, notes
+
+
+def _ratios(
+    names: Sequence[str], channels: Sequence[MeasuredChannel], measured: FloatArray, expected: FloatArray
+) -> dict[str, float]:
+    """ln of measured over expected amplitude of the channels that are at no node, by name."""
+    largest: dict[Quantity, float] = {}
+    for channel, value in zip(channels, expected, strict=True):
+        largest[channel.quantity] = max(largest.get(channel.quantity, 0.0), float(value))
+    return {
+        name: math.log(size / value)
+        for name, channel, size, value in zip(names, channels, measured, expected, strict=True)
+        if value > THRESHOLDS.reading.near_node_share * largest[channel.quantity] and size > 0.0
+    }
+
+
+def _spread(ratios: dict[str, float]) -> float:
+    return max(ratios.values()) - min(ratios.values()) if ratios else math.inf
 
 
 def _guess(factor: float) -> str:

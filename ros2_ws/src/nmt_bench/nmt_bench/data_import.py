@@ -96,7 +96,10 @@ class RigOfImport:
         """
         if self._rig is None:
             return 0.0
-        linear = linear_description(self._rig)
+        try:
+            linear = linear_description(self._rig)
+        except BenchError:
+            return 0.0
         at, driven = (value or self._rig.drive_point for value in (point, drive_point))
         if isinstance(self._rig.exciter, ShakingTableSection) or not {at, driven} <= set(linear.points):
             return 0.0
@@ -123,17 +126,29 @@ class RigOfImport:
             self.name = sidecar.rig
             self.notes.append(f"There is no rig file '{sidecar.rig}'; the bag names the rig and holds no file of it.")
             return
-        rig = load_rig(path)
+        rig = load_rig(path, vibrating=False)
         overrides = []
         points = {channel.point for channel in sidecar.channels if channel.quantity == "force" and channel.point}
         if len(points) == 1 and points != {rig.drive_point}:
             overrides = [f"exciter.point={points.pop()}"]
-            rig = load_rig(path, overrides)
+            rig = load_rig(path, overrides, vibrating=False)
             self.notes.append(f"The force was measured at point {rig.drive_point}; the rig's exciter was put there.")
         self._rig = rig
         self.name, self.text = rig.name, rig_text(rig, path, overrides)
         if sidecar.linear is None and sidecar.channels:
-            self._linear = self._measured(linear_description(rig), sidecar)
+            self._linear = self._modes(rig, sidecar)
+
+    def _modes(self, rig: Rig, sidecar: Sidecar) -> LinearDescription | None:
+        """Linear modes of the rig at the measured points; None where it swings in none."""
+        try:
+            linear = linear_description(rig)
+        except BenchError:
+            self.notes.append(
+                f"The model {rig.name} swings in no mode, so the bag holds no linear modes; the force of its records "
+                "is predicted from their motion."
+            )
+            return None
+        return self._measured(linear, sidecar)
 
     def _find(self, name: str) -> Path | None:
         beside = self._folder / name

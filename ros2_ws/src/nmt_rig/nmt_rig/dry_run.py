@@ -24,12 +24,13 @@ _FASTEST = 1e16  # rad/s; entries of the state matrix are larger than its eigenv
 _HEAVIEST_RATIO = 1e12  # of the masses along the diagonal: more leaves nothing of the small ones in double precision
 
 
-def check_physics(rig: Rig, document: RigDocument) -> None:
+def check_physics(rig: Rig, document: RigDocument, vibrating: bool = True) -> None:
     """Refuse a rig whose model cannot be integrated, or not in reasonable time.
 
     Args:
         rig: validated against the schema.
         document: the file, for places.
+        vibrating: whether the mode under test has to swing.
 
     Raises:
         BenchError: with the place, where one key is to blame.
@@ -60,6 +61,8 @@ def check_physics(rig: Rig, document: RigDocument) -> None:
             f"{blame} has a time constant of {1.0 / fastest:.3g} s, far below all others: check stiffnesses, masses, "
             "and inductance against resistance of the exciter."
         )
+    if not vibrating:
+        return
     frequency = float(modes.frequencies[rig.test.mode - 1]) / (2.0 * np.pi)
     if frequency == 0.0:
         rigid = int(np.sum(modes.frequencies == 0.0))

@@ -23,6 +23,7 @@ from nmt_rig.rig_model import (
     inputs_per_volt,
 )
 
+_BESIDE = 1e-6
 _NEAR_ROWS = 41  # of force per volt, within a fifth of the target mode's frequency
 _WIDE_ROWS = 120  # beside it, up to half the sample rate
 
@@ -139,7 +140,10 @@ def linear_description(rig: Rig) -> LinearDescription:
     distance = np.abs(np.log(plant.frequencies[alike] / modes.frequencies[target]))
     nearest = int(alike[np.argmin(distance)])
 
-    q, force = system.response(float(modes.frequencies[target]))
+    try:
+        q, force = system.response(float(modes.frequencies[target]))
+    except np.linalg.LinAlgError:  # without any damping the response is finite only beside the resonance
+        q, force = system.response(float(modes.frequencies[target]) * (1.0 + _BESIDE))
     per_volt = input_per_volt(rig)
     shaker = build_shaker(rig)
     excited = modes.shapes[[modes.points.index(point) for point in rig.exciter_points]]

@@ -317,12 +317,13 @@ def validate_rig(document: RigDocument, folder: Path | None = None) -> Rig:
     return rig
 
 
-def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:
+def load_rig(path_or_name: str | Path, overrides: Sequence[str] = (), vibrating: bool = True) -> Rig:
     """Load and validate a rig.
 
     Args:
         path_or_name: path of a YAML file, or the name of a shipped rig.
         overrides: `a.b.c=value`, validated like the file itself; `exciter.point` takes the elements on its side along.
+        vibrating: whether the mode under test has to swing; recordings of imposed motion need none.
 
     Raises:
         BenchError: no such rig, anything wrong in it or in an override, with the line, or a model that cannot be
@@ -349,7 +350,7 @@ def load_rig(path_or_name: str | Path, overrides: Sequence[str] = ()) -> Rig:
     rig = validate_rig(changed)
     from nmt_rig.dry_run import check_physics  # late: who only reads a rig needs no models
 
-    check_physics(rig, changed)
+    check_physics(rig, changed, vibrating)
     return rig
 
 

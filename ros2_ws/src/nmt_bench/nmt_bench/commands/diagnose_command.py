@@ -109,7 +109,7 @@ def run(options: DiagnoseOptions) -> int:
             effect_named(name)
         except BenchError as error:
             raise BenchError(f"--without: {error}") from error
-    rig = load_rig(options.model, options.set)
+    rig = load_rig(options.model, options.set, vibrating=False)
     calibration = None if options.calibration is None else read_calibration(options.calibration)
     console = make_console()
     started = time.monotonic()

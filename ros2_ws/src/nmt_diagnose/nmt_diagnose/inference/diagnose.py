@@ -152,7 +152,7 @@ def diagnose_bags(
     Raises:
         BenchError: bags or rig cannot be used, with a sentence.
     """
-    rig = model if isinstance(model, Rig) else load_rig(str(model))
+    rig = model if isinstance(model, Rig) else load_rig(str(model), vibrating=False)
     settings = settings or DiagnosisSettings()
     observations = observed(rig, bags, floor_bags, settings, progress)
     return diagnose_observations(rig, observations, settings, progress)

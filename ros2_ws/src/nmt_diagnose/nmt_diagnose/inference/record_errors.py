@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.observations.conditions import RecordTest
+from nmt_diagnose.observations.conditions import ImposedMotionTest, RecordTest
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.prediction.imposed_motion_predictor import ImposedMotionPredictor
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.record_predictor import RecordPredictor
@@ -32,7 +33,12 @@ def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]
             continue
         selected = rows.test == number
         part = rows.take(selected)
-        predictor = RecordPredictor(test, replace(part, test=np.zeros_like(part.test)), settings)
+        part = replace(part, test=np.zeros_like(part.test))
+        predictor: RecordPredictor | ImposedMotionPredictor = (
+            ImposedMotionPredictor(test, part, settings)
+            if isinstance(test, ImposedMotionTest)
+            else RecordPredictor(test, part, settings)
+        )
         for name, column in predictor.errors(rig, cache, chain is not None).items():
             found[name] = np.zeros(len(rows))
             found[name][selected] = column

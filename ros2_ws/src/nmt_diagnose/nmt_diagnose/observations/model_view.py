@@ -9,13 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.rig_edit import with_exciters_at
 from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import ElectromechanicalSystem
+from nmt_rig.model.linear_modes import damped_modes
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_system, inputs_per_volt
 
@@ -42,10 +45,25 @@ class ModelView:
     def of(cls, rig: Rig, drive_points: Sequence[int]) -> ModelView:
         """View of a rig driven at points of its own, or at another one."""
         rig = with_exciters_at(rig, drive_points)
-        linear = linear_description(rig)
+        try:
+            linear = linear_description(rig)
+        except BenchError:  # it swings in no mode: what needs one says so
+            return cls(rig, build_system(rig), 0.0, (), ())
         modes = tuple(value / (2.0 * math.pi) for value in linear.frequencies_rad_s)
         hertz = (*modes, linear.plant_frequency_rad_s / (2.0 * math.pi))
         return cls(rig, build_system(rig), linear.drive_point_shape, tuple(sorted(hertz)), modes)
+
+    def swinging_hz(self, duration_s: float, highest_hz: float) -> tuple[float, ...]:
+        """Frequencies of modes that swing some times within a duration, friction sticking, Hz.
+
+        Args:
+            duration_s: s.
+            highest_hz: of modes that samples show, Hz.
+        """
+        lowest_hz = THRESHOLDS.reading.imposed_fewest_periods / duration_s
+        modes = damped_modes(self.system)
+        hertz = np.abs(modes.eigenvalues.imag) / (2.0 * math.pi)
+        return tuple(float(value) for value in hertz if lowest_hz <= value < highest_hz)
 
     @property
     def channels(self) -> tuple[MeasuredChannel, ...]:
@@ -157,6 +175,15 @@ def matched(
 
 
 def nearest_ratio(frequency_hz: float, frequencies_hz: tuple[float, ...]) -> float:
-    """Frequency over the nearest of several, on a logarithmic scale."""
+    """Frequency over the nearest of several, on a logarithmic scale.
+
+    Raises:
+        BenchError: there is none.
+    """
+    if not frequencies_hz:
+        raise BenchError(
+            "the model has no mode that swings, and this test needs one; give the structure a restoring force, or "
+            "record force and motion and write held: response in the sidecar's segment"
+        )
     logs = np.log(frequency_hz / np.asarray(frequencies_hz))
     return float(np.exp(logs[np.argmin(np.abs(logs))]))

@@ -19,6 +19,11 @@ from nmt_diagnose.observations.channels.bag_samples import SampleStretch, read_w
 from nmt_diagnose.observations.channels.measuring_chain import measuring_chain, table_chain
 from nmt_diagnose.observations.channels.plausibility import check_frequency, clipping_notes, out_of_scale, repeats_notes
 from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
+from nmt_diagnose.observations.kinds.imposed_motion_observations import (
+    Window,
+    imposed_motion_observations,
+    reason_for_imposed,
+)
 from nmt_diagnose.observations.kinds.phase_resonance_observations import phase_resonance_observations
 from nmt_diagnose.observations.kinds.random_observations import random_observations
 from nmt_diagnose.observations.kinds.record_observations import record_observations
@@ -223,9 +228,18 @@ def _signals(
             f"{name} has no response channel that the model {model.name} has too; name the rig file of the rig that "
             "was tested, or add its sensors."
         )
-    rate = _hold_rate(run, windows[0].stretch.sample_rate)
+    sampling = windows[0].stretch.sample_rate
+    rate = _hold_rate(run, sampling)
     response = _response_quantity(run)
     parts = []
+    held = _held(run)
+    imposed = [Window(w.segment, w.stretch, held.get(w.segment.level_index, "")) for w in windows]
+    imposed = [window for window in imposed if "imported" in run and reason_for_imposed(window, view)]
+    if imposed:
+        test_name = f"{name}/imposed" if len(imposed) < len(windows) else name
+        parts.append(imposed_motion_observations(test_name, imposed, view, channels, settings))
+        segments_taken = [window.segment for window in imposed]
+        windows = [window for window in windows if window.segment not in segments_taken]
     locked = [window for window in windows if window.segment.kind in _LOCKED]
     if locked:
         channels = _plausible(name, locked, view, channels, notes)
@@ -265,7 +279,6 @@ def _signals(
         test_name = f"{name}/record" if len(records) < len(windows) else name
         taken = [window.stretch for window in records]
         parts.append(record_observations(test_name, taken, view, channels, settings, math.isfinite(rate)))
-    sampling = windows[0].stretch.sample_rate
     chain = measuring_chain(run, channels, sampling, bag.rig_yaml, settings.calibration)
     return [replace(part, chains=(chain,) * len(part.tests)) for part in parts]
 
@@ -291,6 +304,16 @@ def _random(
         where = f"{name} from point {point}"
         found.append(random_observations(where, stretch, own, channels, settings, rate, named))
     return found
+
+
+def _held(run: dict[str, Any]) -> dict[int, str]:
+    """What each segment of an imported sidecar says was held, by its level index; those that say nothing left out."""
+    try:
+        sections = [dict(section) for section in run["imported"]["sidecar"]["segments"]]
+    except (KeyError, TypeError, ValueError):
+        return {}
+    signals = sorted((s for s in sections if "start" in s), key=lambda section: section["start"])
+    return {s.get("index") or number: str(s["held"]) for number, s in enumerate(signals) if s.get("held")}
 
 
 def _plausible(

@@ -14,6 +14,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.observations.conditions import (
     BackboneTable,
+    ImposedMotionTest,
     PhaseResonanceTest,
     RandomTest,
     RecordTest,
@@ -23,6 +24,7 @@ from nmt_diagnose.observations.conditions import (
 )
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.backbone_predictor import BackbonePredictor
+from nmt_diagnose.prediction.imposed_motion_predictor import ImposedMotionPredictor
 from nmt_diagnose.prediction.influence import Source, SourceColumn, random_influence, resonance_influence
 from nmt_diagnose.prediction.parts_cache import PartsCache, joint_setup
 from nmt_diagnose.prediction.phase_resonance_predictor import PhaseResonancePredictor
@@ -99,6 +101,8 @@ class Forward:
             return SteppedSinePredictor(test, rows, self.settings)
         if isinstance(test, RingDownTest):
             return RingDownPredictor(test, rows, self.settings)
+        if isinstance(test, ImposedMotionTest):
+            return ImposedMotionPredictor(test, rows, self.settings)
         if isinstance(test, RecordTest):
             return RecordPredictor(test, rows, self.settings)
         if isinstance(test, BackboneTable):

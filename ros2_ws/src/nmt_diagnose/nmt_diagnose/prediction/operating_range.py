@@ -15,6 +15,7 @@ from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.observations.conditions import (
     BackboneTable,
+    ImposedMotionTest,
     MeasuredChannel,
     PhaseResonanceTest,
     RandomTest,
@@ -46,10 +47,10 @@ def operating_range(
     """Largest motion over the tests, by the model as it is.
 
     Phase-resonant tests by their highest and lowest level; a random test or a record by its rms through the system
-    linearised at rest; backbones and decays by the amplitudes that they are given over, and frequency responses at a
-    held amplitude by their largest and smallest motion, with the shape of the resting mode. Where windows and lines
-    show motions less than half or more than twice as large, these are taken. Without any test whose motion is known, 1
-    mm at the mode under test.
+    linearised at rest; an imposed motion by what it spans; backbones and decays by the amplitudes that they are given
+    over, and frequency responses at a held amplitude by their largest and smallest motion, with the shape of the
+    resting mode. Where windows and lines show motions less than half or more than twice as large, these are taken.
+    Without any test whose motion is known, 1 mm at the mode under test.
 
     Args:
         rig: the model.
@@ -106,6 +107,14 @@ def operating_range(
         displacement = dict.fromkeys(points, 1e-3)
         omega = 2.0 * np.pi * _mode_under_test(rig)
     mass, inertia, pair_mass = _effective_masses(rig, omega)
+    imposed = [test for test in tests if isinstance(test, ImposedMotionTest)]
+    if len(imposed) == len(tests) and imposed:
+        force = max(test.force_n for test in imposed)
+        # No mode swings: what counts is the force that the motion takes, as the mass that would take it.
+        moved = force / (omega**2 * max(test.size for test in imposed))
+        mass, pair_mass = dict.fromkeys(mass, moved), dict.fromkeys(pair_mass, moved)
+        drive = max(test.size for test in imposed)
+        inertia = {point: moved * (drive / max(rotation[point], 1e-300)) ** 2 for point in inertia}
     start = [test.levels[0].start_s if isinstance(test, PhaseResonanceTest) else getattr(test, "start_s", 0.0)
              for test in tests if not (isinstance(test, PhaseResonanceTest) and not test.levels)]  # fmt: skip
     stop = [max((level.stop_s for level in test.levels), default=0.0) if isinstance(test, PhaseResonanceTest)
@@ -194,11 +203,25 @@ def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settin
     if isinstance(test, RandomTest):
         return _noise(rig, test.drive_point, channels, settings, 2.0 * np.pi * test.lines_hz, test.drive_rms,
                       test.reference == "force")  # fmt: skip
+    if isinstance(test, ImposedMotionTest):
+        return _imposed(rig, test, channels, settings)
     if isinstance(test, RecordTest):
         lines = 2.0 * np.pi * np.geomspace(1e-3, 0.4, 200) * test.sample_rate
         ideal = test.input_channel.quantity == Quantity.FORCE
         return _noise(rig, test.drive_point, channels, settings, lines, float(np.std(test.input)), ideal)
     return []
+
+
+def _imposed(
+    rig: Rig, test: ImposedMotionTest, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings
+) -> list[Motion]:
+    """Motion of the drive point at its middle frequency, in the shape that the system linearised at rest has there."""
+    probe = next(i for i, c in enumerate(channels) if c.name == f"probe {test.drive_point}")
+    parts = PartsCache(settings).parts(rig, Setup(test.drive_points, True, channels, FourierBasis.up_to(1)))
+    omega = 2.0 * np.pi * test.frequency_hz
+    q, y = _resting_response(parts, omega)
+    scale = test.size / max(abs(y[probe]), 1e-300)
+    return [(parts, omega, 0.0, y * scale, q * scale)]
 
 
 def _resonant(

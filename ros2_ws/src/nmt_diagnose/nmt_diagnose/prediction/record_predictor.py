@@ -15,11 +15,12 @@ import numpy as np
 from scipy.signal import resample_poly
 
 from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_diagnose.observations.conditions import RecordTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.converter import expected_quantised
 from nmt_diagnose.prediction.initial_state import InitialState, at_rest, initial_state
+from nmt_diagnose.prediction.linear_model import LinearModel
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.periodic_kernel import GAIN
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
@@ -71,7 +72,7 @@ class RecordPredictor:
     def responses(self, rig: Rig, cache: PartsCache) -> FloatArray:
         """Recorded responses (channels, samples)."""
         parts, rate, substeps = self._stepping(rig, cache)
-        return self._recorded(self._raw(parts, rate, substeps)[0], parts, rate)
+        return recorded(self._raw(parts, rate, substeps)[0], parts, self._own, rate)
 
     def errors(self, rig: Rig, cache: PartsCache, zeros: bool) -> dict[str, FloatArray]:
         """What a standard deviation of each error of the record adds to its rows, (rows,) each.
@@ -85,10 +86,10 @@ class RecordPredictor:
         """
         parts, rate, substeps = self._stepping(rig, cache)
         raw, initial = self._raw(parts, rate, substeps)
-        base = self._recorded(raw, parts, rate)
+        base = recorded(raw, parts, self._own, rate)
 
         def change(moved: FloatArray) -> FloatArray:
-            return self._of_rows((self._recorded(moved, parts, rate) - base) / _ERROR_STEP)
+            return self._of_rows((recorded(moved, parts, self._own, rate) - base) / _ERROR_STEP)
 
         found: dict[str, FloatArray] = {}
         if zeros and self.test.zeros.size:
@@ -109,31 +110,18 @@ class RecordPredictor:
         test = self.test
         parts = cache.parts(rig, self.setup, test.start_s + 0.5 * test.input.size / test.sample_rate)
         rate = test.sample_rate * parts.clock
-        return parts, rate, self._substeps(parts, rate)
+        return parts, rate, substeps_of(parts.linear, rate)
 
     def _of_rows(self, responses: FloatArray) -> FloatArray:
         selected = self.rows.part == Part.SAMPLE
         return np.where(selected, responses[np.maximum(self.rows.channel, 0), self._sample], 0.0)
-
-    def _recorded(self, raw: FloatArray, parts: RigParts, rate: float) -> FloatArray:
-        """What the sensors make of the model's channels (channels, samples)."""
-        result = np.empty_like(raw)
-        for position, index in enumerate(self._own):
-            values = _through_sensor(raw[position], rate, parts.channels[index])
-            level, step, noise = parts.limits[index]
-            if math.isfinite(level):
-                values = np.clip(values, -level, level)
-            if step > 0.0 and noise < 0.7 * step:
-                values = expected_quantised(values, step, noise)
-            result[position] = values
-        return np.asarray(result, dtype=np.float64)
 
     def _raw(self, parts: RigParts, rate: float, substeps: int) -> tuple[FloatArray, InitialState]:
         """Motion and its begin as :meth:`_stepped`, remembered; rigs that differ in sensors only share it."""
         saturation = math.inf if self.ideal_force else float(parts.saturation[0])
         gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
         rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
-        model = stepped_model(parts, rows, 1.0 / (rate * substeps))
+        model = stepped_model(parts.linear, parts.coordinates, rows, 1.0 / (rate * substeps))
         digest = hashlib.sha256(repr((substeps, saturation, gain)).encode())
         # The state that a record begins in is read through the sensors.
         gains = parts.channels[self._own, GAIN] if self.test.head.size else np.zeros(0)
@@ -162,7 +150,7 @@ class RecordPredictor:
         saturation = math.inf if self.ideal_force else float(parts.saturation[0])
         gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
         rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
-        model = stepped_model(parts, rows, 1.0 / (rate * substeps))
+        model = stepped_model(parts.linear, parts.coordinates, rows, 1.0 / (rate * substeps))
         drive = self._interpolated(substeps) + offset
         if math.isfinite(saturation):
             drive = saturation * np.tanh(drive / saturation)
@@ -190,14 +178,6 @@ class RecordPredictor:
             )
         return simulated(self.test.input.size, initial.state), initial
 
-    def _substeps(self, parts: RigParts, rate: float) -> int:
-        """Steps per sample: from the fastest oscillation below half of a tenth of the sampling rate, if any."""
-        poles = parts.linear.poles
-        oscillating = np.abs(poles.imag[(np.abs(poles.real) < 0.5 * np.abs(poles)) & (poles.imag > 0.0)])
-        resolved = oscillating[oscillating < 0.5 * np.pi * rate]
-        fastest = float(resolved.min()) / (2.0 * np.pi) if resolved.size else 0.05 * rate
-        return int(min(max(math.ceil(STEPS_PER_PERIOD * fastest / rate), 1), MOST_SUBSTEPS))
-
     def _interpolated(self, substeps: int) -> FloatArray:
         if substeps not in self._inputs:
             samples = np.asarray(self.test.input, dtype=np.float64)
@@ -223,9 +203,45 @@ def _through_sensor(values: FloatArray, rate: float, chain: FloatArray) -> Float
     return result
 
 
-def stepped_model(parts: RigParts, rows: np.ndarray, step: float) -> SteppedModel:
-    """Recursion of the poles over one step, with some rows of the linear model as outputs."""
-    model = parts.linear
+def substeps_of(model: LinearModel, rate: float) -> int:
+    """Steps per sample: from the fastest oscillation below half of a tenth of the sampling rate (Hz), if any."""
+    poles = model.poles
+    oscillating = np.abs(poles.imag[(np.abs(poles.real) < 0.5 * np.abs(poles)) & (poles.imag > 0.0)])
+    resolved = oscillating[oscillating < 0.5 * np.pi * rate]
+    fastest = float(resolved.min()) / (2.0 * np.pi) if resolved.size else 0.05 * rate
+    return int(min(max(math.ceil(STEPS_PER_PERIOD * fastest / rate), 1), MOST_SUBSTEPS))
+
+
+def recorded(raw: FloatArray, parts: RigParts, channels: IntArray, rate: float) -> FloatArray:
+    """What the sensors make of channels of a model, (channels, samples).
+
+    Args:
+        raw: what the channels would record without their sensors, (channels, samples).
+        parts: of the rig.
+        channels: position of each among the channels of the parts, (channels,).
+        rate: of the samples, Hz.
+    """
+    result = np.empty_like(raw)
+    for position, index in enumerate(channels):
+        values = _through_sensor(raw[position], rate, parts.channels[index])
+        level, step, noise = parts.limits[index]
+        if math.isfinite(level):
+            values = np.clip(values, -level, level)
+        if step > 0.0 and noise < 0.7 * step:
+            values = expected_quantised(values, step, noise)
+        result[position] = values
+    return np.asarray(result, dtype=np.float64)
+
+
+def stepped_model(model: LinearModel, coordinates: int, rows: np.ndarray, step: float) -> SteppedModel:
+    """Recursion of the poles over one step.
+
+    Args:
+        model: its first inputs are the forces of the coordinates, its first outputs their displacements.
+        coordinates: number of them.
+        rows: outputs that are wanted.
+        step: s.
+    """
     keep = model.poles.imag >= 0.0
     poles = model.poles[keep]
     weight = np.where(np.abs(poles.imag) > 1e-12 * np.abs(poles), 2.0, 1.0)
@@ -238,13 +254,12 @@ def stepped_model(parts: RigParts, rows: np.ndarray, step: float) -> SteppedMode
     inputs = model.inputs[keep]
     p = model.poles
     outputs = model.displacement[rows] + model.velocity[rows] * p + model.acceleration[rows] * p**2
-    r = parts.coordinates
     direct = (model.velocity[rows] + model.acceleration[rows] * model.poles) @ model.inputs + model.feedthrough[rows]
     return SteppedModel(
         decay,
         np.ascontiguousarray(step * (first - second)[:, None] * inputs),
         np.ascontiguousarray(step * second[:, None] * inputs),
         np.ascontiguousarray(outputs[:, keep] * weight),
-        np.ascontiguousarray(model.displacement[:r, keep] * poles * weight),
+        np.ascontiguousarray(model.displacement[:coordinates, keep] * poles * weight),
         np.ascontiguousarray(direct.real),
     )

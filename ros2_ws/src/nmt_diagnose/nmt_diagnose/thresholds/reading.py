@@ -138,6 +138,33 @@ class ReadingThresholds:
         "First motion over that of the record below which it begins at rest: noise and a bias are less.",
         "tests/diagnose/test_records_as_they_are.py::test_the_begin_of_a_record_is_two_periods",
     )  # fmt: skip
+    imposed_fewest_samples: int = threshold(
+        64, "samples",
+        "Windows of fewer samples hold too few independent values of a force.",
+        "tests/diagnose/test_imposed_motion.py::test_a_short_window_is_left_out",
+    )  # fmt: skip
+    imposed_fewest_periods: float = threshold(
+        3.0, "periods",
+        "A mode that swings fewer times within a record takes no part in it.",
+        "tests/diagnose/test_imposed_motion.py::test_a_drive_without_restoring_force_is_moved_as_measured",
+    )  # fmt: skip
+    imposed_resonant_share: float = threshold(
+        0.01, "1",
+        "Share of a motion's power about the model's modes below which it is no vibration of the model.",
+        "tests/diagnose/test_imposed_motion.py::test_a_motion_far_from_the_modes_is_imposed",
+    )  # fmt: skip
+    imposed_rest_share: float = threshold(
+        0.05, "1",
+        "Speed over the largest below which the drive point stands still as far as a smoothed motion tells, and "
+        "friction holds any force.",
+        "tests/diagnose/test_imposed_motion.py::test_a_force_at_rest_is_no_observable",
+    )  # fmt: skip
+    imposed_noise_ratio: float = threshold(
+        10.0, "1",
+        "Density of a measured motion over that of its noise from which it is motion: the noise is told by the lowest "
+        "lines, and the highest of a few averages reaches some times as much.",
+        "tests/diagnose/test_imposed_motion.py::test_noise_of_the_motion_is_part_of_the_noise_of_the_force",
+    )  # fmt: skip
     decay_slow_share: float = threshold(
         0.01, "1",
         "Part of the damping for each d ln ω / d ln A that a model of a slow decay is wrong by.",

@@ -23,7 +23,7 @@ Positive = Annotated[float, Field(gt=0)]
 Span = Annotated[list[float], Field(min_length=2, max_length=2)]
 QuantityName = Literal[
     "force", "displacement", "velocity", "acceleration", "voltage", "current",
-    "angle", "angular_velocity", "angular_acceleration", "strain",
+    "torque", "angle", "angular_velocity", "angular_acceleration", "strain",
 ]  # fmt: skip
 SignalKind = Literal[
     "phase_resonance", "random", "sweep", "ring_down", "stepped_sine", "record", "self_excited", "secondary_resonance"
@@ -32,6 +32,8 @@ EXPORTED_KINDS = ("self_excited", "secondary_resonance")
 """Kinds whose windows mean something only with the lock events that an export has beside them."""
 TableKind = Literal["backbone", "frf"]
 TABLE_KINDS = ("backbone", "frf")
+HELD_KINDS = ("record", "stepped_sine")
+"""Kinds of which the sidecar may say whether force or motion was given."""
 STEADY_KINDS = ("phase_resonance", "stepped_sine")
 
 
@@ -44,7 +46,8 @@ class ChannelSection(_Section):
 
     Attributes:
         column: its name (CSV header, NPZ array, first ID line of a UFF dataset), or its number from 1.
-        quantity: what it measures; an angle or a strain stands where the model has a displacement.
+        quantity: what it measures; an angle or a strain stands where the model has a displacement, a
+            torque where it has a force.
         unit: unit of the values after ``scale``.
         point: measurement point; left out where it belongs to none (drive voltage).
         scale: factor of the values before the unit applies: N per count, −1 for a sensor mounted the other way round.
@@ -100,6 +103,8 @@ class SignalSection(_Section):
         index: number of the level in the plan, from 0; left out = counted.
         lock_time: when the lock was confirmed, s.
         phase_error: rad, at the lock.
+        held: record, stepped_sine: what was given. response: the motion of the drive point was imposed, and the force
+            (or torque) is the answer. Left out = as motion and model tell.
     """
 
     kind: SignalKind
@@ -119,6 +124,7 @@ class SignalSection(_Section):
     index: Annotated[int, Field(ge=0)] | None = None
     lock_time: float | None = None
     phase_error: float | None = None
+    held: Literal["force", "response"] | None = None
 
 
 class TableSection(_Section):
@@ -400,5 +406,9 @@ def _check_segment(segment: SignalSection, name: str, place: str) -> None:
         raise BenchError(f"{place}: switch_off {segment.switch_off:g} s of {name} is not within the segment.")
     if segment.band_hz is not None and not 0.0 <= segment.band_hz[0] < segment.band_hz[1]:
         raise BenchError(f"{place}: band_hz of {name} must be two ascending frequencies, got {segment.band_hz}.")
+    if segment.held is not None and segment.kind not in HELD_KINDS:
+        raise BenchError(
+            f"{place}: held says what was given in a record or a stepped_sine, but {name} is neither; leave held out."
+        )
     if segment.level is not None and segment.level < 0.0:
         raise BenchError(f"{place}: the level of {name} must not be negative, got {segment.level:g}.")

@@ -21,7 +21,6 @@ _FACTORS: dict[Quantity, dict[str, float]] = {
     Quantity.FORCE: {
         "N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "daN": 10.0, "dyn": 1e-5,
         "kgf": STANDARD_GRAVITY, "kp": STANDARD_GRAVITY, "gf": 1e-3 * STANDARD_GRAVITY,
-        "N*m": 1.0, "mN*m": 1e-3,
         "lbf": _POUND * STANDARD_GRAVITY, "ozf": _POUND * STANDARD_GRAVITY / 16.0,
     },
     Quantity.ACCELERATION: {
@@ -42,13 +41,20 @@ _FACTORS: dict[Quantity, dict[str, float]] = {
 }  # fmt: skip
 
 _DEGREE = math.pi / 180.0
+_TORQUES = {
+    "N*m": 1.0, "kN*m": 1e3, "mN*m": 1e-3, "uN*m": 1e-6, "N*cm": 1e-2, "N*mm": 1e-3,
+    "kgf*m": STANDARD_GRAVITY, "kgf*cm": 1e-2 * STANDARD_GRAVITY,
+    "lbf*ft": _POUND * STANDARD_GRAVITY * 12.0 * _INCH, "lbf*in": _POUND * STANDARD_GRAVITY * _INCH,
+}  # fmt: skip
 _COORDINATES = {
     "angle": (Quantity.DISPLACEMENT, "rad", {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": _DEGREE}),
     "angular_velocity": (Quantity.VELOCITY, "rad/s", {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE}),
     "angular_acceleration": (Quantity.ACCELERATION, "rad/s^2", {"rad/s^2": 1.0, "deg/s^2": _DEGREE}),
+    "torque": (Quantity.FORCE, "N*m", _TORQUES | {unit.replace("*", ""): value for unit, value in _TORQUES.items()}),
     "strain": (Quantity.DISPLACEMENT, "1", {"m/m": 1.0, "mm/m": 1e-3, "um/m": 1e-6, "strain": 1.0, "ustrain": 1e-6}),
 }
-"""Coordinates of a model that are no lengths: in its equations they stand where a motion does."""
+"""Coordinates of a model that are no lengths: in its equations they stand where a motion does, a torque where a force.
+"""
 
 # A table of amplitudes says no quantity: its unit tells the coordinate, too. In tables rad/s is a frequency.
 for _motion, _, _units in _COORDINATES.values():
@@ -141,7 +147,7 @@ def channel_factor(name: str, unit: str, where: str) -> float:
             f"{where} measures {name.replace('_', ' ')}, but its unit '{unit.strip()}' is none; use "
             f"{', '.join(_COORDINATES[name][2])}."
         )
-    if own:
+    if own and not (own == "torque" and name == "force"):
         raise BenchError(
             f"{where} measures {name}, but its unit {unit.strip()} is one of {own}; write quantity: {own}."
         )

@@ -20,6 +20,10 @@ from nmt_rig.rig import BeamSection, Rig
 
 # Slip displacement as multiples of the largest amplitude: above 1 the contact sticks and is a spring.
 SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
+# The same of a contact beside the model, of a tenth of the amplitude: the stiffness of a contact is anything from less
+# than that of the structure to rigid, whatever it holds.
+FREE_SLIP_SHARE, FREE_SLIP_STD = 0.1, 2.5
+FREE_SLIP_GRID = (0.01, 0.1, 1.0, 3.0, 7.0)
 CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp_lateral_stiffness_n_m"}
 _FRICTION_REFERENCE = "Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893"
 _POWER = EffectParameter("power", "1", "shape", grid=(0.5, 1.0))
@@ -64,6 +68,30 @@ def _contact_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     )
 
 
+def _beside(sites: Sites) -> Sites:
+    """The same places, with a slip force for the strength and a slip displacement that is free over decades."""
+
+    def free(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+        return tuple(
+            replace(
+                site,
+                scales={
+                    "slip_force": site.scales["kt"] * site.scales["slip_displacement"],
+                    "slip_displacement": FREE_SLIP_SHARE * site.scales["slip_displacement"],
+                },
+            )
+            for site in sites(rig, operating)
+        )
+
+    return free
+
+
+def _stiffness_of(values: Mapping[str, float]) -> Mapping[str, float]:
+    """Stiffness and slip displacement of a contact by its slip force."""
+    slip = values["slip_displacement"]
+    return {"kt": values["slip_force"] / slip, "slip_displacement": slip}
+
+
 def _without_friction(sites: Sites) -> Sites:
     """The same places, of a model that has no friction."""
     return lambda rig, operating: () if has_friction(rig) else sites(rig, operating)
@@ -93,23 +121,30 @@ def _friction(
         reference=_FRICTION_REFERENCE,
         keys=f"local_elements: {keys}",
         parameters=(
-            EffectParameter("kt", "N/m"),
-            EffectParameter("slip_displacement", "m", "shape", grid=SLIP_GRID),
+            EffectParameter("slip_force", "N"),
+            EffectParameter("slip_displacement", "m", "shape", grid=FREE_SLIP_GRID, std=FREE_SLIP_STD),
         ),
-        sites=sites,
-        change=_with_friction,
+        sites=_beside(sites),
+        change=lambda rig, site, values: _with_friction(rig, site, _stiffness_of(values)),
         report=lambda site, values: {
-            "kt": (values["kt"], "N/m"), "slip_force": (values["kt"] * values["slip_displacement"], "N"),
+            "kt": (_stiffness_of(values)["kt"], "N/m"), "slip_force": (values["slip_force"], "N"),
         },
     )  # fmt: skip
     stuck = replace(
         beside,
+        parameters=(
+            EffectParameter("kt", "N/m"),
+            EffectParameter("slip_displacement", "m", "shape", grid=SLIP_GRID),
+        ),
+        report=lambda site, values: {
+            "kt": (values["kt"], "N/m"), "slip_force": (values["kt"] * values["slip_displacement"], "N"),
+        },
         equation=stuck_equation,
         keys=f"local_elements: {stuck_keys}",
         sites=_without_friction(sites),
         change=lambda rig, site, values: _taken(_with_friction(rig, site, values), site, values),
         form="stuck in the model",
-    )
+    )  # fmt: skip
     return beside, stuck
 
 

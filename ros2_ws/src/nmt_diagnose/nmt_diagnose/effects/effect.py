@@ -23,6 +23,7 @@ class EffectParameter:
         signed: a strength may be negative.
         grid: multiples of the scale to start a fit from. A strength has one where its first-order signature vanishes
             at 0 (clipping, for example); a shape where its likelihood has several maxima.
+        std: prior standard deviation of ln of a shape; 0 = that of all shapes.
         even: multiple of the scale to start a strength from where the observations do not show its first order, such as
             the frequency of an even force; 0 = always at zero.
     """
@@ -33,6 +34,7 @@ class EffectParameter:
     signed: bool = False
     grid: tuple[float, ...] = ()
     even: float = 0.0
+    std: float = 0.0
 
 
 @dataclass(frozen=True)

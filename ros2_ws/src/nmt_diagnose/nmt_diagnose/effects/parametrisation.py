@@ -23,7 +23,8 @@ class Parametrisation:
 
     Calibration: value · exp(std θ), prior N(0, 1). Strength: scale · θ, prior a mixture of N(0, (3 s)²) with weights
     1/s over the spreads s = 1, 10, 100, of which each parametrisation takes one; one that cannot be negative is absent
-    for θ ≤ 0. Shape: scale · exp(θ), prior N(0, 1).
+    for θ ≤ 0. Shape: scale · exp(θ), prior N(0, 1), or wider where a
+    shape is free over decades.
 
     Attributes:
         base: the model as given.
@@ -60,7 +61,9 @@ class Parametrisation:
         return np.array(
             [1.0] * len(self.calibration)
             + [
-                THRESHOLDS.fits.strength_std * self.spread(index) if p.kind == "strength" else THRESHOLDS.fits.shape_std
+                THRESHOLDS.fits.strength_std * self.spread(index)
+                if p.kind == "strength"
+                else p.std or THRESHOLDS.fits.shape_std
                 for index, candidate in enumerate(self.candidates)
                 for p in candidate.effect.parameters
             ]

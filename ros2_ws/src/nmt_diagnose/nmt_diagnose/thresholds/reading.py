@@ -159,6 +159,11 @@ class ReadingThresholds:
         "friction holds any force.",
         "tests/diagnose/test_imposed_motion.py::test_a_force_at_rest_is_no_observable",
     )  # fmt: skip
+    imposed_passage_share: float = threshold(
+        0.05, "1",
+        "Share of a period of the motion that a reversal stays so slow at the most; a sine takes a third of it.",
+        "tests/diagnose/test_imposed_motion.py::test_a_force_at_rest_is_no_observable",
+    )  # fmt: skip
     imposed_noise_ratio: float = threshold(
         10.0, "1",
         "Density of a measured motion over that of its noise from which it is motion: the noise is told by the lowest "

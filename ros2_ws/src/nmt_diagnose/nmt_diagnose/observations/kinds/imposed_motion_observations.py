@@ -16,10 +16,11 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
+from scipy.ndimage import binary_dilation, binary_opening
 from scipy.signal import savgol_filter, welch
 
 from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
@@ -146,7 +147,7 @@ def _one(
     present.sort(key=lambda channel: channel.quantity is not Quantity.FORCE)
     responses = np.array([stretch.row(recorded[channel.name]) for channel in present])
     start = _start(motion[0], rate)
-    moving = _moving(motion, start)
+    moving = _moving(found, start, rate)
     count = _independent(responses[0][start:], rate)
     indices = spread_samples(0, moving.size, min(count, max(1, budget // len(present)), moving.size))
     indices = moving[indices]
@@ -184,7 +185,7 @@ def _one(
         limits=np.array([clipping_level(row) for row in responses]),
         motion=np.stack([spline(fine) for spline in found.orders]),
         gain_std=TOLERANCES.gain,
-        frequency_hz=float(np.std(motion[1]) / max(np.std(motion[0]), 1e-300)) / (2.0 * math.pi),
+        frequency_hz=found.frequency_hz,
         size=0.5 * float(np.ptp(motion[0])),
         force_n=float(np.abs(responses[0]).max()),
     )
@@ -200,12 +201,19 @@ class _Motion:
         samples: of these at the samples, (3, n).
         density: of the white noise of the measured motion, one-sided, its unit squared per Hz.
         bandwidth_hz: up to which that noise stays in it, Hz.
+        reach: samples on either side that a sample of it was made of.
     """
 
     orders: tuple[BSpline, ...]
     samples: FloatArray
     density: float
     bandwidth_hz: float
+    reach: int
+
+    @property
+    def frequency_hz(self) -> float:
+        """Middle frequency of the motion, rms velocity over rms displacement, Hz."""
+        return float(np.std(self.samples[1]) / max(np.std(self.samples[0]), 1e-300)) / (2.0 * math.pi)
 
     @classmethod
     def of(cls, samples: FloatArray, sample_rate: float, order: int) -> _Motion:
@@ -218,7 +226,7 @@ class _Motion:
         half = int((4.0 * 0.5 * sample_rate / bandwidth + 4.6) / 3.2)
         half = min(half, (samples.size - 1) // 2)
         if half < 3:
-            bandwidth = 0.5 * sample_rate
+            half, bandwidth = 1, 0.5 * sample_rate
         else:
             samples = savgol_filter(samples, 2 * half + 1, 3)
         time = np.arange(samples.size) / sample_rate
@@ -229,7 +237,7 @@ class _Motion:
             # Nobody knows the velocity at the start: the drift that this makes is no motion.
             drift = np.polyfit(time, found[0](time), 1)
             found[0], found[1] = _without(found[0], time, drift), _without(found[1], time, drift[:1])
-        return cls(tuple(found), np.array([f(time) for f in found]), density, bandwidth)
+        return cls(tuple(found), np.array([f(time) for f in found]), density, bandwidth, half + 1)
 
 
 def _without(spline: BSpline, time: FloatArray, drift: FloatArray) -> BSpline:
@@ -245,12 +253,18 @@ def _start(displacement: FloatArray, sample_rate: float) -> int:
     return min(int(np.searchsorted(travelled, span)), longest)
 
 
-def _moving(motion: FloatArray, start: int) -> np.ndarray:
-    """Samples from the start on at which the drive point does not stand still."""
-    speed = np.abs(motion[1])
-    moving = speed > THRESHOLDS.reading.imposed_rest_share * float(speed.max(initial=0.0))
-    moving[:start] = False
-    return np.flatnonzero(moving)
+def _moving(motion: _Motion, start: int, sample_rate: float) -> IntArray:
+    """Samples from the start on at which the drive point does not stand still, nor is made smooth with such samples.
+
+    A speed passes through zero in a few hundredths of a period of the motion; what lasts longer is a standstill.
+    """
+    speed = np.abs(motion.samples[1])
+    resting = speed <= THRESHOLDS.reading.imposed_rest_share * float(speed.max(initial=0.0))
+    passage = THRESHOLDS.reading.imposed_passage_share / max(motion.frequency_hz, 1e-300) * sample_rate
+    still = binary_opening(resting, np.ones(max(3, min(math.ceil(passage), resting.size))))
+    resting |= binary_dilation(still, iterations=motion.reach)
+    resting[:start] = True
+    return np.flatnonzero(~resting)
 
 
 def _independent(force: FloatArray, sample_rate: float) -> int:

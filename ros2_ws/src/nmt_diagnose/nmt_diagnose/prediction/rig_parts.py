@@ -178,6 +178,17 @@ def shared_unknowns(
     return shared_positions, kept, np.setdiff1d(np.arange(len(keys) * size + 2), shared_positions)
 
 
+def sliding(parts: RigParts) -> tuple[FloatArray, FloatArray]:
+    """As ``RigParts.resting`` where all sliders slip: they add no stiffness, (r,) each."""
+    stiffness, damping = parts.resting
+    elements = parts.tables.elements
+    starts = elements.jenkins_start
+    stuck = np.zeros(parts.coordinates)
+    for i in range(starts.size - 1):
+        stuck[i] = elements.jenkins[starts[i] : starts[i + 1], SLIDER_STIFFNESS].sum()
+    return stiffness - stuck, damping
+
+
 def resting_tangent(parts: RigParts, s: complex) -> ComplexArray:
     """∂g/∂w + s ∂g/∂ẇ at rest of each coordinate (r,)."""
     stiffness, damping = parts.resting

@@ -21,7 +21,7 @@ from nmt_diagnose.prediction.decay_kernel import (
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.periodic_kernel import sensor_gain
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent
+from nmt_diagnose.prediction.rig_parts import RigParts, sliding
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
@@ -62,6 +62,9 @@ class RingDownPredictor:
                 states[position] = self._continued(parts, guess, amplitude)
                 if states[position] is not None:
                     break
+            else:
+                # Far beyond the slip of a stiff contact nothing leads there from rest.
+                states[position] = self._newton(parts, self._linear_start(parts, amplitude, sliding(parts)), amplitude)
             last = states[position] or last
         return states
 
@@ -117,7 +120,11 @@ class RingDownPredictor:
         self, parts: RigParts, guess: DecayState | None, amplitude: float, depth: int = _DEEPEST
     ) -> DecayState | None:
         """Solution from a similar one, by way of amplitudes between the two where Newton's method does not reach it."""
-        z = self._linear_start(parts, amplitude) if guess is None else self._carried(parts, guess, amplitude)
+        z = (
+            self._linear_start(parts, amplitude, parts.resting)
+            if guess is None
+            else self._carried(parts, guess, amplitude)
+        )
         found = self._newton(parts, z, amplitude)
         if found is not None or guess is None or depth == 0 or amplitude == guess[2]:
             return found
@@ -147,16 +154,22 @@ class RingDownPredictor:
                 return z, parts.keys, amplitude
         return None
 
-    def _linear_start(self, parts: RigParts, amplitude: float) -> FloatArray:
-        """Pole of the system at rest nearest to the frequency of the switch-off, and its shape."""
+    def _linear_start(self, parts: RigParts, amplitude: float, tangents: tuple[FloatArray, FloatArray]) -> FloatArray:
+        """Pole of the linearised system nearest to the frequency of the switch-off, and its shape.
+
+        Args:
+            parts: of the rig.
+            amplitude: of the channel.
+            tangents: stiffness and damping of each coordinate's forces, (r,) each.
+        """
         r, basis = parts.coordinates, self.setup.basis
         s = 2j * np.pi * self.test.frequency_hz * parts.clock
         model = parts.linear
         output = r + self._own
         # Not at the pole itself: without tangents at rest it is one of the transfer functions too.
-        s = self._resting_pole(parts, s) * (1.0 + 1e-5)
+        s = self._pole(parts, s, tangents) * (1.0 + 1e-5)
         t, _ = model.at(s)
-        tangent = resting_tangent(parts, s)
+        tangent = tangents[0] + s * tangents[1]
         closed = np.linalg.solve(np.eye(r) + t[:r, :r] * tangent, t[:r, r])
         transfer = t[output, r] - t[output, :r] @ (tangent * closed)
         gain, _ = sensor_gain(1j * s.imag, parts.channels[self._own])
@@ -164,11 +177,12 @@ class RingDownPredictor:
         amplitudes[:, basis.fundamental] = closed / transfer * amplitude / abs(gain)
         return np.concatenate((basis.to_real(amplitudes).ravel(), [s.imag, -s.real / s.imag]))
 
-    def _resting_pole(self, parts: RigParts, near: complex) -> complex:
+    @staticmethod
+    def _pole(parts: RigParts, near: complex, tangents: tuple[FloatArray, FloatArray]) -> complex:
         system = parts.system
         n, mechanical = system.size, system.mechanical_size
         stiffness, damping = system.stiffness.copy(), system.damping.copy()
-        for k, c, direction in zip(*parts.resting, parts.inputs.T[: parts.coordinates], strict=True):
+        for k, c, direction in zip(*tangents, parts.inputs.T[: parts.coordinates], strict=True):
             outer = np.outer(direction, direction)
             stiffness += k * outer
             damping += c * outer

@@ -80,7 +80,16 @@ def ring_down_observations(
         except BenchError as error:
             reason = reason or str(error)
     if decay is None:
+        lowest = float(min(view.frequencies_hz))
+        periods = stretch.samples / stretch.sample_rate * lowest
+        if periods > THRESHOLDS.reading.decay_few_spectral_periods * DECAYS.fewest_periods:
+            return empty((f"{name}: the ring-down is left out: {reason}.",))
         return _short_decay(name, stretch, usable[0], channels, view, settings, reason)
+    if len(decay.good) < THRESHOLDS.reading.decay_few_nodes:
+        # Friction ends a decay within a few periods, however long the recording goes on.
+        short = _short_decay(name, stretch, model_channel, channels, view, settings, reason)
+        if len(short.rows) > 2 * len(decay.good):
+            return short
     if close := _close_mode(view, decay.good[-1].omega / (2.0 * math.pi)):
         return empty((f"{name}: the ring-down is left out: {close}.",))
     others = [c for c in usable if c is not model_channel]
@@ -157,11 +166,6 @@ def _short_decay(
 ) -> Observations:
     """Observables of a decay of too few periods for spectra: by its turning points, where there are enough of them."""
     model_channel, lowest = channels[channel.name], float(min(view.frequencies_hz))
-    if (
-        stretch.samples / stretch.sample_rate * lowest
-        > THRESHOLDS.reading.decay_few_spectral_periods * DECAYS.fewest_periods
-    ):
-        return empty((f"{name}: the ring-down is left out: {reason}.",))
     try:
         good = half_cycle_nodes(stretch.row(channel.name), stretch.sample_rate, lowest)
     except BenchError as error:

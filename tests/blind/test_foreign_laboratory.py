@@ -15,7 +15,14 @@ from independent import laboratory_one, laboratory_two
 
 from nmt_bench.cli import main
 from nmt_blind.campaign.explain import explain_foreign
-from nmt_blind.campaign.foreign_case import ForeignTruth, contradictions, judge, read_cases, read_truth
+from nmt_blind.campaign.foreign_case import (
+    ForeignTruth,
+    contradictions,
+    credible_answers,
+    judge,
+    read_cases,
+    read_truth,
+)
 from nmt_blind.campaign.foreign_run import ForeignLine, print_lines, run_laboratory, summary, write_tables
 from nmt_core.errors import BenchError
 
@@ -47,6 +54,36 @@ def said(verdict: str, *ranking: dict[str, Any], p: float = 0.0, where: str = ""
     places = [{"place": kind, "detail": detail, "share": 1.0, "p": 1.0}] if where else []
     probabilities = {"none": 0.0, "unknown": 0.0, "unknown" if verdict == "unknown" else "none": p}
     return {"verdict": verdict, "ranking": list(ranking), "where": places, "probabilities": probabilities, **more}
+
+
+def test_the_smallest_set_of_answers_holds_95_per_cent() -> None:
+    cubic = explained("cubic_stiffness", "structure 7", 0.6, equivalents=["quintic_stiffness"])
+    probabilities = {"none": 0.02, "cubic_stiffness@7": 0.4, "quintic_stiffness@7": 0.2, "unknown": 0.36, "gap@3": 0.02}
+    diagnosis = {**said("effect", cubic), "probabilities": probabilities}
+    answers = credible_answers(diagnosis)
+    assert answers == [{frozenset({"cubic_stiffness"}), frozenset({"quintic_stiffness"})}, {frozenset({"unknown"})}]
+    answer = judge(KINDRED, diagnosis)
+    assert (answer.credible, answer.held) == (2, True)
+    assert judge(STRIBECK, diagnosis).held
+    assert not judge(FINE, diagnosis).held
+
+
+def test_a_partial_explanation_answers_by_its_table() -> None:
+    head = explained("cubic_stiffness", "structure 7", 0.97, adequate=False)
+    diagnosis = {**said("effect", head, adequate=False), "probabilities": {"unknown": 1.0, "none": 0.0}}
+    assert credible_answers(diagnosis) == [{frozenset({"cubic_stiffness"})}]
+    assert judge(CUBIC, diagnosis).held
+
+
+def test_what_an_answer_states_is_compared_with_how_often_it_is_right() -> None:
+    lines = [
+        ForeignLine(f"case{k}", "healthy", "none", judge(FINE, said(verdict, p=p)), 1.0, 0.5)
+        for k, (verdict, p) in enumerate([("none", 0.9), ("none", 0.9), ("unknown", 0.9), ("unknown", 0.9)])
+    ]
+    found = summary(lines)
+    assert found["calibration_error"] == pytest.approx(0.4)
+    assert found["brier"] == pytest.approx((2 * 0.1**2 + 2 * 0.9**2) / 4)
+    assert "0.90: 0.50 (4)" in " ".join(print_lines(lines))
 
 
 @pytest.mark.parametrize(

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.inference.diagnose import free_parameters, model_alone
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.search import FittedExplanation, Search
-from nmt_diagnose.inference.size import implausible_parameters, leaves_something, needed, strained
+from nmt_diagnose.inference.size import implausible_parameters, leaves_something, needed, relieves, strained, tension
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -109,3 +109,29 @@ def test_no_effect_is_needed_where_the_model_alone_lies_within_the_noise() -> No
     assert not leaves_something(search.data, null, wanted)
     for found in [it for score in search.scores(null)[:3] if (it := search.added(null, score)) is not None]:
         assert needed(search.data, found, [null], wanted).stated == ()
+
+
+def test_errors_that_share_a_reason_count_together() -> None:
+    search, null = searched(real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}]))
+    cubic = search.singles(null, search.scores(null))[0]
+    wanted = DiagnosisSettings().matters
+
+    def strained_by(found: FittedExplanation, sigmas: float) -> FittedExplanation:
+        chain = np.zeros_like(found.fit.errors.chain)
+        chain[:4] = sigmas
+        errors = replace(found.fit.errors, chain=chain)
+        return FittedExplanation(
+            found.candidates, replace(found.fit, theta=np.zeros_like(null.fit.theta), errors=errors)
+        )
+
+    count = len(null.fit.parametrisation.calibration) + null.fit.errors.chain.size
+    edge = float(np.sqrt(chi2.isf(THRESHOLDS.comparison.incredible_probability / count, 1) / 4.0))
+    assert edge < THRESHOLDS.comparison.credible_sigmas  # each of the four alone is believed
+    theta = cubic.fit.theta.copy()
+    theta[:-1] = 0.0
+    errors = replace(cubic.fit.errors, chain=np.zeros_like(cubic.fit.errors.chain))
+    free = FittedExplanation(cubic.candidates, replace(cubic.fit, theta=theta, errors=errors))
+    assert tension(strained_by(null, 2.0)) == pytest.approx(16.0)
+    assert relieves(search.data, free, strained_by(null, 1.01 * edge), wanted)
+    assert not relieves(search.data, free, strained_by(null, 0.99 * edge), wanted)
+    assert not relieves(search.data, free, strained_by(null, 1.01 * edge), dict.fromkeys(wanted, 1e9))

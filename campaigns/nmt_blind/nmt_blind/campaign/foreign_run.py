@@ -20,6 +20,7 @@ from typing import Any
 
 from nmt_blind.campaign.foreign_case import (
     CLASSES,
+    SET_PROBABILITY,
     TRUTH_FILE,
     ForeignAnswer,
     ForeignCase,
@@ -29,6 +30,7 @@ from nmt_blind.campaign.foreign_case import (
 )
 from nmt_blind.campaign.frozen import diagnosis_digest
 from nmt_blind.campaign.scored_case import ALARMS
+from nmt_blind.campaign.statistics import ReliabilityDiagram, reliability
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import csv_text, write_result
@@ -204,9 +206,35 @@ def summary(lines: Sequence[ForeignLine]) -> dict[str, Any]:
         "contradictory": sum(bool(line.contradictions) for line in lines),
         "parameters": len(deviations),
         "parameters_within_3": sum(deviation <= 3.0 for deviation in deviations),
+        "calibration_error": _reliability(lines).error,
+        "brier": _brier(lines),
+        "sets_that_hold_the_truth": sum(line.answer.held for line in lines),
+        "mean_size_of_sets": _mean([line.answer.credible for line in lines if line.answer.credible]),
         "seconds_median": statistics.median(times) if times else math.nan,
         "seconds_worst": max(times, default=math.nan),
     }
+
+
+_RIGHT = ("right", "hedged right")
+
+
+def _stated(lines: Sequence[ForeignLine]) -> tuple[list[float], list[bool]]:
+    """Probability of the first answer and whether it is right, of all cases with an answer."""
+    told = [line.answer for line in lines if not math.isnan(line.answer.probability)]
+    return [answer.probability for answer in told], [answer.outcome in _RIGHT for answer in told]
+
+
+def _reliability(lines: Sequence[ForeignLine]) -> ReliabilityDiagram:
+    return reliability(*_stated(lines), bins=5)
+
+
+def _brier(lines: Sequence[ForeignLine]) -> float:
+    """Mean square of what the stated probability is off: 0 = certain and right, 0.25 = a coin's."""
+    return _mean([(p - float(right)) ** 2 for p, right in zip(*_stated(lines), strict=True)])
+
+
+def _mean(values: Sequence[float]) -> float:
+    return statistics.fmean(values) if values else math.nan
 
 
 def print_lines(lines: Sequence[ForeignLine]) -> list[str]:
@@ -226,10 +254,22 @@ def print_lines(lines: Sequence[ForeignLine]) -> list[str]:
         f"alarms in {found['alarms']} of {found['healthy']} healthy",
         f"parameters within 3 stated standard deviations: {found['parameters_within_3']} of {found['parameters']}",
         f"diagnoses whose parts say different things: {found['contradictory']} of {len(lines)}",
+        "stated probability of the first answer, how often it is right: " + _reliability_words(lines),
+        f"expected calibration error {_text(found['calibration_error'], 3)}, Brier score {_text(found['brier'], 3)}; "
+        f"sets of {_percent(SET_PROBABILITY)}: {found['sets_that_hold_the_truth']} of {found['cases']} hold the truth, "
+        f"mean size {_text(found['mean_size_of_sets'], 2)}",
         f"processor time of a diagnosis: median {_text(found['seconds_median'], 1)} s, "
         f"worst {_text(found['seconds_worst'], 1)} s",
     ]
     return text
+
+
+def _reliability_words(lines: Sequence[ForeignLine]) -> str:
+    table = _reliability(lines)
+    return ", ".join(
+        f"{stated:.2f}: {right:.2f} ({count})"
+        for stated, right, count in zip(table.stated, table.right, table.counts, strict=True)
+    )
 
 
 def write_tables(lines: Sequence[ForeignLine], out: Path) -> tuple[Path, Path]:
@@ -238,7 +278,10 @@ def write_tables(lines: Sequence[ForeignLine], out: Path) -> tuple[Path, Path]:
     Raises:
         BenchError: one cannot be written.
     """
-    fields = ("outcome", "verdict", "effect", "place", "probability", "adequate", "parameter", "deviation", "closed")
+    fields = (
+        "outcome", "verdict", "effect", "place", "probability", "adequate", "parameter", "deviation", "closed",
+        "credible", "held",
+    )  # fmt: skip
     entries = [
         {"case": line.case, "kind": line.kind, "truth": line.truth}
         | {name: getattr(line.answer, name) for name in fields}

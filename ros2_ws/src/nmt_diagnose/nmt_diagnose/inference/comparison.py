@@ -254,10 +254,10 @@ class Hypotheses:
     def small(self) -> FittedExplanation | None:
         """The most probable explanation of a difference that the recordings show and that does not matter."""
         found = max((it for it in self.named if not it.stated), key=self._evidence, default=None)
-        shows = found is not None and self._evidence(found) - self._evidence(self.null) > self._known(found)
+        shows = found is not None and self._evidence(found) - self._evidence(self.null) > self._visible_rise(found)
         return found if shows else None
 
-    def _known(self, found: FittedExplanation) -> float:
+    def _visible_rise(self, found: FittedExplanation) -> float:
         """Rise of ln evidence from which an effect is seen, whether it matters or not."""
         effects = [candidate.effect.name for candidate in found.candidates]
         return THRESHOLDS.verdict.alarm_log_odds + sum(math.log(len(self._spots) * self._spots[e]) for e in effects)

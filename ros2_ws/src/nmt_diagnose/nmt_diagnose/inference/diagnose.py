@@ -49,7 +49,7 @@ from nmt_diagnose.inference.result_rows import (
 )
 from nmt_diagnose.inference.search import FittedExplanation, Score, Search, best_of
 from nmt_diagnose.inference.sentences import likeness, sentences
-from nmt_diagnose.inference.size import change_size, leaves_something, matters, measured_size, needed
+from nmt_diagnose.inference.size import change_size, leaves_something, matters, measured_size, needed, relief_that_counts
 from nmt_diagnose.inference.warnings import warned, without_observables
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -206,7 +206,8 @@ def find(
     search = Search(data, rig, parameters, candidates, tell)
     tell(f"scanning {len(candidates)} candidates")
     scores = search.scores(null)
-    if leaves_something(data, null, settings.matters):
+    relief = max((score.relief for score in scores), default=0.0)
+    if leaves_something(data, null, settings.matters) or relief > relief_that_counts(null):
         singles, pairs = _searched(search, null, scores, modes, rig)
     else:  # one fit tells what a difference that does not matter looks like
         singles, pairs = search.fitted(null, scores[:1]), []
@@ -477,7 +478,7 @@ def _diagnosed(
     )
     if comparison.small is not None and verdict in (Verdict.NONE, Verdict.CALIBRATION):
         size = measured_size(data, comparison.small)
-        text = (*text, f"{size.sentence} {likeness(comparison.small.fitted, parameters(data, comparison.small))}")
+        text = (*text, f"{size.sentence(settings.matters)} {likeness(comparison.small.fitted, parameters(data, comparison.small))}")
     if findings.inadequate:
         text = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *text[1:2])
     diagnosis = Diagnosis(

@@ -93,6 +93,7 @@ class Score:
         gain: fall of the cost.
         reach: standard deviations for each unit of strength.
         column: change of the rows over the strength, over σ, (m,).
+        relief: part of the gain by parameters and chain that return to what is believed of them.
     """
 
     candidate: int
@@ -100,6 +101,7 @@ class Score:
     gain: float
     reach: float
     column: FloatArray
+    relief: float = 0.0
 
 
 class Search:
@@ -161,13 +163,15 @@ class Search:
                     strength = 0.0
                 squares = groups.sums((left - strength * vector) ** 2)
                 weights = groups.weights(squares, counts)[groups.of]
-            gain = before - groups.cost(squares, counts) + 2.0 * strength * pull - strength**2 * stiff
+            relief = 2.0 * strength * pull - strength**2 * stiff
+            gain = before - groups.cost(squares, counts) + relief
             instead = self._instead_of_chain_error(fitted, column)
             if instead is not None and instead[1] > gain and (signed or instead[0] > 0.0):
                 strength, gain = instead
+                relief = gain
             position = strength_position(self.candidates[number])
             own_start = at_strength(self.candidates[number], start, start[position] or strength)
-            result.append(Score(number, own_start, gain, reach, column))
+            result.append(Score(number, own_start, gain, reach, column, relief))
         return sorted(result, key=lambda score: -score.gain)
 
     def _instead_of_chain_error(self, fitted: FitResult, column: FloatArray) -> tuple[float, float] | None:
@@ -308,7 +312,7 @@ class Search:
         """Explanations, the best first, that are not far behind the best, and the others."""
         least = found[0].fit.log_evidence - THRESHOLDS.search.far_behind_log_evidence
         near = [it for it in found if it.fit.log_evidence > least][: THRESHOLDS.search.finalists]
-        return near, [it for it in found if it not in near]
+        return near, list(found[len(near) :])
 
     def all_again(self, found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
         """Explanations fitted again, the best first."""

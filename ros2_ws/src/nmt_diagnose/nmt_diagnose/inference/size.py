@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.text.number_words import significant
@@ -37,10 +37,11 @@ class Size:
     values: Mapping[str, float]
     other: bool
 
-    @property
-    def sentence(self) -> str:
-        """The size in words."""
+    def sentence(self, wanted: Mapping[str, float]) -> str:
+        """The size in words, beside the size that matters by kind."""
         parts = ", ".join(f"{_PERCENT * value:.2g} % of {SIZE_NAMES[kind]}" for kind, value in self.values.items())
+        if matters(self, wanted):
+            return f"The recordings show a difference that their noise and tolerances would hide: {parts or 'no size'}."
         return f"The recordings show a difference beyond their noise that is smaller than what matters: {parts}."
 
 
@@ -176,9 +177,25 @@ def worth(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: 
 
 
 def relieves(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:
-    """Whether an explanation needs less of model and measuring chain than one that asks what nobody believes."""
-    pulled = strained(data, less, wanted)
-    return pulled < THRESHOLDS.comparison.incredible_probability and strained(data, more, wanted) > pulled
+    """Whether model and measuring chain return to what is believed of them by effects that matter.
+
+    Errors of 3 standard deviations that share one reason are credible one by one and not together.
+    """
+    if tension(less) - tension(more) <= relief_that_counts(less):
+        return False
+    return matters(measured_size(data, more), wanted)
+
+
+def tension(found: FittedExplanation) -> float:
+    """How far a fit takes parameters of the model and errors of the chain from what is believed of them, −2 ln p."""
+    own = found.fit.theta[: len(found.fit.parametrisation.calibration)]
+    return float(own @ own + found.fit.errors.chain @ found.fit.errors.chain)
+
+
+def relief_that_counts(found: FittedExplanation) -> float:
+    """Fall of the tension of a fit by one effect more that is no chance: χ² of one degree of freedom, Bonferroni."""
+    count = len(found.fit.parametrisation.calibration) + found.fit.errors.chain.size
+    return float(chi2.isf(THRESHOLDS.comparison.incredible_probability / max(count, 1), 1))
 
 
 def leaves_something(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> bool:

@@ -49,7 +49,14 @@ from nmt_diagnose.inference.result_rows import (
 )
 from nmt_diagnose.inference.search import FittedExplanation, Score, Search, best_of
 from nmt_diagnose.inference.sentences import likeness, sentences
-from nmt_diagnose.inference.size import change_size, leaves_something, matters, measured_size, needed, relief_that_counts
+from nmt_diagnose.inference.size import (
+    change_size,
+    leaves_something,
+    matters,
+    measured_size,
+    needed,
+    relief_that_counts,
+)
 from nmt_diagnose.inference.warnings import warned, without_observables
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -478,7 +485,8 @@ def _diagnosed(
     )
     if comparison.small is not None and verdict in (Verdict.NONE, Verdict.CALIBRATION):
         size = measured_size(data, comparison.small)
-        text = (*text, f"{size.sentence(settings.matters)} {likeness(comparison.small.fitted, parameters(data, comparison.small))}")
+        like = likeness(comparison.small.fitted, parameters(data, comparison.small))
+        text = (*text, f"{size.sentence(settings.matters)} {like}")
     if findings.inadequate:
         text = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *text[1:2])
     diagnosis = Diagnosis(

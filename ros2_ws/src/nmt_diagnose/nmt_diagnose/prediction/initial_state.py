@@ -15,7 +15,7 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_diagnose.prediction.record_kernel import SteppedModel
 
-_ITERATIONS = 5
+_ITERATIONS = 8
 _HALVINGS = 4
 _SETTLED = 1e-4  # change of the state, over the motion, below which it is found
 _STEP = 1e-3  # of differences, over the motion
@@ -79,15 +79,14 @@ def initial_state(
     theta = np.zeros(directions.shape[0])
     residual = left(theta)
     columns = np.empty((residual.size, theta.size))
-    for _ in range(_ITERATIONS):
-        for k in range(theta.size):
-            moved = theta.copy()
-            moved[k] += _STEP
-            columns[:, k] = (residual - left(moved)) / _STEP
-        if not (np.isfinite(columns).all() and np.isfinite(residual).all()):
-            return nothing
-        if not moving:
-            break
+    for k in range(theta.size):
+        moved = theta.copy()
+        moved[k] += _STEP
+        columns[:, k] = (residual - left(moved)) / _STEP
+    if not (np.isfinite(columns).all() and np.isfinite(residual).all()):
+        return nothing
+    # The first samples are nearly linear in the state: columns at rest serve all iterations.
+    for _ in range(_ITERATIONS if moving else 0):
         change = np.linalg.lstsq(np.hstack((columns, constants)), residual, rcond=_SINGULAR)[0][: theta.size]
         before = float(np.sum(without_zeros(residual) ** 2))
         for _ in range(_HALVINGS):

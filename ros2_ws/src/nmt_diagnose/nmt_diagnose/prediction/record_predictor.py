@@ -12,6 +12,7 @@ import math
 from collections import OrderedDict
 
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.signal import resample_poly
 
 from nmt_core.messages.blocks import Quantity
@@ -85,7 +86,7 @@ class RecordPredictor:
             zeros: whether the sensors may have zeros.
         """
         parts, rate, substeps = self._stepping(rig, cache)
-        raw, initial = self._raw(parts, rate, substeps)
+        raw, initial = self._raw(parts, rate, substeps, errors=True)
         base = recorded(raw, parts, self._own, rate)
 
         def change(moved: FloatArray) -> FloatArray:
@@ -116,27 +117,36 @@ class RecordPredictor:
         selected = self.rows.part == Part.SAMPLE
         return np.where(selected, responses[np.maximum(self.rows.channel, 0), self._sample], 0.0)
 
-    def _raw(self, parts: RigParts, rate: float, substeps: int) -> tuple[FloatArray, InitialState]:
+    def _raw(
+        self, parts: RigParts, rate: float, substeps: int, errors: bool = False
+    ) -> tuple[FloatArray, InitialState]:
         """Motion and its begin as :meth:`_stepped`, remembered; rigs that differ in sensors only share it."""
         saturation = math.inf if self.ideal_force else float(parts.saturation[0])
         gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
         rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
         model = stepped_model(parts.linear, parts.coordinates, rows, 1.0 / (rate * substeps))
-        digest = hashlib.sha256(repr((substeps, saturation, gain)).encode())
+        errors = errors or self.test.begins_in_motion
+        digest = hashlib.sha256(repr((substeps, saturation, gain, errors)).encode())
         # The state that a record begins in is read through the sensors.
         gains = parts.channels[self._own, GAIN] if self.test.head.size else np.zeros(0)
         for array in (*model, parts.force_factor, *parts.tables.elements, gains):
             digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
         key = digest.digest()
         if key not in self._known:
-            self._known[key] = self._stepped(parts, rate, substeps)
+            self._known[key] = self._stepped(parts, rate, substeps, errors=errors)
             if len(self._known) > REMEMBERED:
                 self._known.popitem(last=False)
         self._known.move_to_end(key)
         return self._known[key]
 
     def _stepped(
-        self, parts: RigParts, rate: float, substeps: int, state: ComplexArray | None = None, offset: float = 0.0
+        self,
+        parts: RigParts,
+        rate: float,
+        substeps: int,
+        state: ComplexArray | None = None,
+        offset: float = 0.0,
+        errors: bool = True,
     ) -> tuple[FloatArray, InitialState]:
         """What the channels would record without their sensors (channels, samples), and the state they begin in.
 
@@ -146,6 +156,7 @@ class RecordPredictor:
             substeps: steps per sample of it.
             state: of the poles, to begin with, (k,); None = as the first samples tell.
             offset: what is added to the input, in its unit.
+            errors: whether those of the begin are wanted where the model starts at rest.
         """
         saturation = math.inf if self.ideal_force else float(parts.saturation[0])
         gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
@@ -165,7 +176,7 @@ class RecordPredictor:
             return simulated(self.test.input.size, state), InitialState(state, at_rest(state.size).errors)
         head, stride = self.test.head, self.test.head_stride
         initial = at_rest(model.decay.size)
-        if head.size:
+        if head.size and errors:
             gains = parts.channels[self._own, GAIN][:, None]
             samples = (head.shape[1] - 1) * stride + 1
             initial = initial_state(
@@ -191,15 +202,21 @@ class RecordPredictor:
 
 
 def _through_sensor(values: FloatArray, rate: float, chain: FloatArray) -> FloatArray:
-    """Recorded values of a channel: gain, delay and filters, in the frequency domain."""
+    """Recorded values of a channel: gain, delay and filters, in the frequency domain.
+
+    A straight line from the last value back to the first makes them periodic, and of a length that transforms fast.
+    """
     gain, delay, low_pass, high_pass = (float(value) for value in chain)
     if delay == 0.0 and low_pass == 0.0 and high_pass == 0.0:
         return gain * values
-    s = 2j * np.pi * np.fft.rfftfreq(values.size, 1.0 / rate)
+    size = next_fast_len(values.size + 1, real=True)
+    back = np.linspace(values[-1], values[0], size - values.size + 2)[1:-1]
+    closed = np.concatenate((values, back))
+    s = 2j * np.pi * np.fft.rfftfreq(size, 1.0 / rate)
     response = gain * np.exp(-s * delay) / (1.0 + s * low_pass)
     if high_pass > 0.0:
         response = response * s / (s + high_pass)
-    result: FloatArray = np.fft.irfft(response * np.fft.rfft(values), values.size)
+    result: FloatArray = np.fft.irfft(response * np.fft.rfft(closed), size)[: values.size]
     return result
 
 

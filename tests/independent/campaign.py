@@ -1,8 +1,8 @@
-"""Makes cases of the laboratory with four rigs, as folders that ``./nmt blind laboratory`` takes.
+"""Makes cases of the laboratories two (four rigs) and three (a free beam) for ``./nmt blind laboratory``.
 
 Run from the root of the repository::
 
-    PYTHONPATH=tests python -m independent.campaign make --seeds 0:40 --out cases --jobs 2
+    PYTHONPATH=tests python -m independent.campaign make --laboratory three --seeds 0:32 --out cases --jobs 2
     ./nmt blind laboratory cases --out answers
 
 A case that is there already is not made again. The same seed gives the same case.
@@ -14,8 +14,10 @@ import argparse
 import time
 from pathlib import Path
 
-from independent.laboratory_two import make_case
+from independent import laboratory_three, laboratory_two
 from joblib import Parallel, delayed
+
+MAKERS = {"two": laboratory_two.make_case, "three": laboratory_three.make_case}
 
 
 def seeds_of(text: str) -> range:
@@ -34,11 +36,13 @@ def main() -> None:
     """Make the cases that are not there yet, and say each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", choices=("make",), help="what to do")
+    parser.add_argument("--laboratory", choices=MAKERS, default="two", help="whose cases (default two)")
     parser.add_argument("--seeds", type=seeds_of, required=True, metavar="FIRST:END", help="the end is left out")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="gets a folder for each case")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default 1)")
     given = parser.parse_args()
     begin = time.monotonic()
+    make_case = MAKERS[given.laboratory]
     work = (delayed(make_case)(given.out.resolve(), seed) for seed in given.seeds)
     for number, name in enumerate(Parallel(n_jobs=given.jobs, return_as="generator_unordered")(work), 1):
         print(f"{number} of {len(given.seeds)}, {time.monotonic() - begin:.0f} s: {name}", flush=True)

@@ -609,6 +609,24 @@ def test_poles_followed_to_first_order_miss_the_second_order_only(name):
     np.testing.assert_array_equal(again.linear.poles, exact.linear.poles)
 
 
+def test_poles_are_followed_as_far_as_the_first_order_is_right_to_a_millionth():
+    """A step further would be worse than that, one that is far smaller would be found again for nothing."""
+    rig, basis = chain(), FourierBasis.up_to(3)
+    channels = channels_of(rig)
+    parts = rig_parts(rig, channels, basis, PLAIN)
+    value, points = rig.structure.springs_n_m, 2j * np.pi * np.array([7.0, 23.0, 90.0]) - 0.5
+    errors = []
+    for step in np.geomspace(1e-6, 1e-1, 41):
+        moved = with_value(rig, ("structure", "springs_n_m"), [v * (1.0 + step) for v in value])
+        followed = rig_parts(moved, channels, basis, PLAIN, near=parts)
+        if followed.linear.frame is not None:  # found again
+            break
+        exact = rig_parts(moved, channels, basis, PLAIN)
+        pairs = [(exact.linear.at(s)[0], followed.linear.at(s)[0]) for s in points]
+        errors.append(max(float(np.max(np.abs(b - a)) / np.max(np.abs(a))) for a, b in pairs))
+    assert 1e-7 < max(errors) < 1e-6
+
+
 @pytest.mark.parametrize("path", [
     ("structure", "youngs_modulus_pa"), ("structure", "density_kg_m3"), ("exciter", "table_mass_kg"),
     ("exciter", "inductance_h"), ("sensors", 1, "mass_kg"), ("sensors", 2, "gain"),

@@ -69,7 +69,7 @@ class PredictionThresholds:
     largest_shape_mix: float = threshold(
         1e-3, "1",
         "Part of another shape that a shape may take in while the first order will do.",
-        "tests/diagnose/test_predictions.py::test_poles_followed_to_first_order_miss_the_second_order_only[beam]",
+        "tests/diagnose/test_predictions.py::test_poles_are_followed_as_far_as_the_first_order_is_right_to_a_millionth",
     )  # fmt: skip
     far_pole_ratio: float = threshold(
         3.0, "1",

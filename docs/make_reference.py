@@ -312,14 +312,6 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     },
 }
 
-_UNITS = {
-    "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_m2": "N/m²", "_ns2_m2": "N s²/m²", "_ns_m": "N s/m", "_n_m": "N/m",
-    "_kg_m3": "kg/m³", "_m_s2": "m/s²", "_m_s": "m/s", "_n_a": "N/A", "_kg": "kg", "_pa": "Pa", "_hz": "Hz",
-    "_nm_rad": "N m/rad", "_ns_m2": "N s/m²", "_ns_m3": "N s/m³", "_n_sp_mp": "N sᵖ/mᵖ", "_n_sa_m": "N sᵅ/m",
-    "_ns_m5": "N s/m⁵", "_per_s": "1/s", "_per_m": "1/m", "_per_m2": "1/m²",
-    "_ohm": "Ω", "_m_n": "m/N", "_h": "H", "_n": "N", "_m": "m", "_s": "s", "_v": "V", "_v_s": "V/s", "_volt": "N/V",
-}  # fmt: skip
-
 
 def message_table(name: str) -> str:
     """Fields and constants of a message, service or action as Markdown tables.
@@ -524,12 +516,12 @@ def effects_table(place: str) -> str:
 
 def priors_table(name: str) -> str:
     """Priors of the calibration parameters."""
+    from nmt_core.key_units import unit_of_key
     from nmt_core.tolerances import MODEL_PRIORS
-    from nmt_diagnose.effects.calibration import unit_of
 
     lines = ["| key | unit | relative standard deviation | because |", "|---|---|---|---|"]
     for key, (std, reason) in MODEL_PRIORS.items():
-        lines.append(f"| `{key}` | {unit_of(key)} | {100 * std:g} % | {_cell(reason)} |")
+        lines.append(f"| `{key}` | {unit_of_key(key)} | {100 * std:g} % | {_cell(reason)} |")
     return "\n".join(lines)
 
 
@@ -648,12 +640,10 @@ def _cell(text: str) -> str:
 
 
 def _unit(key: str) -> str:
-    if key == "newton_per_volt":
-        return "N/V"
-    if key == "crosstalk_per_volt":  # of the channel's unit
-        return ""
-    suffix = max((s for s in _UNITS if key.endswith(s)), key=len, default="")
-    return _UNITS.get(suffix, "")
+    from nmt_core.key_units import unit_of_key
+
+    unit = unit_of_key(key)
+    return "" if unit == "1" else unit
 
 
 def _default(value: Any) -> str:

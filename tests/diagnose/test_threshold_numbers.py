@@ -11,9 +11,10 @@ import pytest
 from scipy.linalg import eigh
 
 from nmt_core.errors import BenchError
+from nmt_core.key_units import unit_of_key
 from nmt_core.messages.blocks import Quantity
 from nmt_core.tolerances import MODEL_PRIORS
-from nmt_diagnose.effects.calibration import mode_dampings, unit_of
+from nmt_diagnose.effects.calibration import mode_dampings
 from nmt_diagnose.inference.chain import _distorted
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.channels.plausibility import check_frequency, out_of_scale
@@ -110,4 +111,4 @@ def sections() -> list[type[ElementSection]]:
 def test_each_key_of_a_local_element_has_a_prior_and_a_unit(section: type[ElementSection]) -> None:
     for key in set(section.own_keys()) - set(section.not_calibrated):
         assert key in MODEL_PRIORS, key
-        assert (unit_of(key) == "1") == (key in DIMENSIONLESS), key
+        assert (unit_of_key(key) == "1") == (key in DIMENSIONLESS), key

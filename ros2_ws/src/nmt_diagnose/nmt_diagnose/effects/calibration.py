@@ -8,6 +8,7 @@ from math import exp, pi
 import numpy as np
 from scipy.linalg import eigh
 
+from nmt_core.key_units import unit_of_key
 from nmt_core.tolerances import MODEL_PRIORS
 from nmt_diagnose.effects.location import LocationKind
 from nmt_diagnose.effects.modal_calibration import model_paths
@@ -75,25 +76,12 @@ class ModeDamping(CalibrationParameter):
 
 
 # Coil suspension: so stiff that no test of the bench sees it.
-_UNITS = {"_pa": "Pa", "_kg_m3": "kg/m³", "_kg": "kg", "_ns_m": "N s/m", "_ns2_m2": "N s²/m²",
-          "_ns_m3": "N s/m³", "_ns_m5": "N s/m⁵", "_ns_m2": "N s/m²", "_n_sp_mp": "N sᵖ/mᵖ", "_nm_rad": "N m/rad",
-          "_n_m": "N/m", "_n_m2": "N/m²", "_n_m3": "N/m³", "_n_m5": "N/m⁵", "_n_a": "N/A", "_ohm": "Ω", "_n": "N",
-          "_m_s": "m/s", "_m": "m", "_h": "H", "_s": "s", "newton_per_volt": "N/V",
-          "_hz": "Hz", "_m_s2": "m/s²"}  # fmt: skip
 # An exponent of a power-law distribution is greater than −1.
 _OFFSETS = {"exponent": 1.0}
 _SHAKER_KEYS = (
     "table_mass_kg", "table_stiffness_n_m", "table_damping_ns_m", "coil_mass_kg", "force_factor_n_a",
     "resistance_ohm", "inductance_h",
 )  # fmt: skip
-
-
-def unit_of(key: str) -> str:
-    """Unit that the name of a key carries; 1 where there is none."""
-    for ending in sorted(_UNITS, key=len, reverse=True):
-        if key.endswith(ending):
-            return _UNITS[ending]
-    return "1"
 
 
 def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
@@ -107,7 +95,7 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
             name = ".".join(str(part) for part in path)
             offset = _OFFSETS.get(key, 0.0)
             std = MODEL_PRIORS[key].std * abs(float(value) / (float(value) + offset))
-            found.append(CalibrationParameter(name, unit_of(key), path, std, place, float(value), offset))
+            found.append(CalibrationParameter(name, unit_of_key(key), path, std, place, float(value), offset))
 
     structure = rig.structure
     if isinstance(structure, BeamSection):

@@ -11,7 +11,6 @@ from nmt.table_result import TABLES, TableResult
 from nmt_core.errors import BenchError
 from nmt_core.kinds import kind_class
 from nmt_core.messages.driven_test import DrivenTest
-from nmt_core.vocabulary import TestKind
 
 _KINDS: tuple[tuple[str, Callable[[Path], Results]], ...] = (
     ("modal.json", RunResults.read),
@@ -30,19 +29,17 @@ _WITHOUT_TABLE = (
 """What folders of other commands hold, and what reads it."""
 
 
-_WRITERS = {
-    TestKind.RING_DOWN: "'./nmt extract' writes decay.csv",
-    TestKind.RANDOM: "'./nmt linear --bag' writes linear.json and frf.csv",
-}
-
-
 def covers(test: DrivenTest) -> str:
     """Why the folder of a test that was run has no results to open, and what writes some; empty = it has."""
-    if kind_class(test.kind).gives_modal_points:
+    kind = kind_class(test.kind)
+    if kind.gives_modal_points:
         return ""
-    words = kind_class(test.kind).words()
-    writer = _WRITERS.get(test.kind, "'./nmt sweep' writes frf.csv where it measures")
-    return f"The folder of a {words} test holds its recording alone; {writer}, which nmt.open reads."
+    writer = "'./nmt sweep' writes frf.csv where it measures"
+    if kind.is_noise:
+        writer = "'./nmt linear --bag' writes linear.json and frf.csv"
+    elif kind.closes_phase_loop:
+        writer = "'./nmt extract' writes decay.csv"
+    return f"The folder of a {kind.words()} test holds its recording alone; {writer}, which nmt.open reads."
 
 
 def open(folder: Path | str) -> Results:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
+from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.numerics.arrays import FloatArray
@@ -120,7 +121,7 @@ def covers(test: DrivenTest) -> str:
             f"The reference is compared with modal points, and {test.words} gives free decays; plot reference.csv over "
             "decay.csv, or use a test at phase resonance."
         )
-    if test.kind in (TestKind.RANDOM, TestKind.SWEEP, TestKind.STEPPED_SINE, TestKind.RECORD):
+    if not kind_class(test.kind).gives_modal_points:
         return (
             f"The reference is the backbone of a mode, and {test.words} measures responses; use a test at phase "
             "resonance or a self-excited test."

@@ -169,17 +169,9 @@ class LoopCore:
                     loops.append(PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples, known))
                     loops.append(SecondaryResonanceLoop(linear, settings, self.sample_rate, self.block_samples))
                 loops += self_excited
-        loops.append(
-            RandomDrive(
-                drive_point,
-                self.sample_rate,
-                self.block_samples,
-                settings.quiet_ramp,
-                self.settings.settling_time,
-                settings.latency_blocks,
-                self.settings.exciters,
-            )
-        )
+        of_noise = settings.quiet_ramp, self.settings.settling_time, settings.latency_blocks, self.settings.exciters
+        for noise in (RandomDrive,):
+            loops.append(noise(drive_point, self.sample_rate, self.block_samples, *of_noise))
         for given_frequency in (SweepLoop, SteppedSineLoop):
             loops.append(given_frequency(drive_point, settings, self.sample_rate, self.block_samples))
         return {kind: loop for loop in loops for kind in loop.KINDS}

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.coverage import NotCoveredError, covers
@@ -260,14 +261,15 @@ def _signals(
                         f"{test_name}: {levels} level{'s' if levels > 1 else ''} cannot tell effects apart by how they "
                         "grow with amplitude; measure five or more."
                     )
-    for kind in (TestKind.RANDOM, TestKind.RING_DOWN):
+    noises = [kind for kind in TestKind if kind_class(kind).is_noise]
+    for kind in (*noises, TestKind.RING_DOWN):
         windows_of_kind = [window for window in windows if window.segment.kind is kind]
         for window in windows_of_kind:
             test_name = f"{name}/{kind.label}" if len(windows) > len(windows_of_kind) else name
             test_name = f"{test_name} {window.segment.level_index}" if len(windows_of_kind) > 1 else test_name
             notes += clipping_notes(test_name, [(window.segment.level_index, window.stretch)])
             notes += repeats_notes(test_name, [window.stretch])
-            if kind is TestKind.RANDOM:
+            if kind in noises:
                 parts += _random(test_name, window.stretch, view, channels, settings, rate)
             else:
                 guess = window.segment.frequency_hz

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 from nmt_core.errors import BenchError
 from nmt_core.files.validation_sentence import validation_sentence
 from nmt_core.files.yaml_document import YamlDocument, read_document
+from nmt_core.kinds import KINDS
 from nmt_core.messages.blocks import Quantity
 from nmt_record.exchange.unit_table import measured_quantity
 
@@ -25,9 +26,10 @@ QuantityName = Literal[
     "force", "displacement", "velocity", "acceleration", "voltage", "current",
     "torque", "angle", "angular_velocity", "angular_acceleration", "strain",
 ]  # fmt: skip
-SignalKind = Literal[
-    "phase_resonance", "random", "sweep", "ring_down", "stepped_sine", "record", "self_excited", "secondary_resonance"
-]
+if TYPE_CHECKING:
+    SignalKind = str
+else:
+    SignalKind = Literal[tuple(number.label for number in KINDS)]
 EXPORTED_KINDS = ("self_excited", "secondary_resonance")
 """Kinds whose windows mean something only with the lock events that an export has beside them."""
 TableKind = Literal["backbone", "frf"]

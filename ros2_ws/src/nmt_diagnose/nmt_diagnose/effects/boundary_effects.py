@@ -22,8 +22,8 @@ from nmt_rig.rig import BeamSection, Rig
 SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
 # The same of a contact beside the model, of a tenth of the amplitude: the stiffness of a contact is anything from less
 # than that of the structure to rigid, whatever it holds.
-FREE_SLIP_SHARE, FREE_SLIP_STD = 0.1, 2.5
-FREE_SLIP_GRID = (0.01, 0.1, 1.0, 3.0, 7.0)
+FREE_SLIP_SHARE, FREE_SLIP_STD = 0.1, 3.0
+FREE_SLIP_GRID = (3e-4, 0.03, 0.3, 1.0, 3.0, 7.0)
 CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp_lateral_stiffness_n_m"}
 _FRICTION_REFERENCE = "Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893"
 _POWER = EffectParameter("power", "1", "shape", grid=(0.5, 1.0))

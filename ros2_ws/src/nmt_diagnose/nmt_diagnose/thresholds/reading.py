@@ -190,6 +190,11 @@ class ReadingThresholds:
         "Shift by the motion in another mode over that by as much motion of its own, of a cubic spring.",
         "tests/diagnose/test_decay_of_two_masses.py::test_what_another_mode_shifts_is_part_of_the_uncertainty",
     )  # fmt: skip
+    decay_late_share: float = threshold(
+        0.1, "1",
+        "Amplitude that spectra show of a decay over its largest motion, below which they missed its beginning.",
+        "tests/diagnose/test_free_friction.py::test_a_decay_is_read_from_its_beginning",
+    )  # fmt: skip
     decay_few_spectral_periods: int = threshold(
         3, "1",
         "Times the periods that spectra need, up to which turning points are tried.",

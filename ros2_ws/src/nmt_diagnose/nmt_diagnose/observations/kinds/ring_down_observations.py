@@ -85,10 +85,13 @@ def ring_down_observations(
         if periods > THRESHOLDS.reading.decay_few_spectral_periods * DECAYS.fewest_periods:
             return empty((f"{name}: the ring-down is left out: {reason}.",))
         return _short_decay(name, stretch, usable[0], channels, view, settings, reason)
-    if len(decay.good) < THRESHOLDS.reading.decay_few_nodes:
+    largest = 0.5 * float(np.ptp(stretch.row(model_channel.name)))
+    top = max(node.amplitude for node in decay.good)
+    if len(decay.good) < THRESHOLDS.reading.decay_few_nodes or top < THRESHOLDS.reading.decay_late_share * largest:
         # Friction ends a decay within a few periods, however long the recording goes on.
         short = _short_decay(name, stretch, model_channel, channels, view, settings, reason)
-        if len(short.rows) > 2 * len(decay.good):
+        nodes = [np.asarray(test.amplitudes) for test in short.tests if isinstance(test, RingDownTest)]
+        if nodes and nodes[0].size >= THRESHOLDS.reading.decay_few_nodes and nodes[0].max() > 0.5 * largest:
             return short
     if close := _close_mode(view, decay.good[-1].omega / (2.0 * math.pi)):
         return empty((f"{name}: the ring-down is left out: {close}.",))

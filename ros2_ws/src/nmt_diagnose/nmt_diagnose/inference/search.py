@@ -394,6 +394,10 @@ class Search:
                 if other.effect.name in best.effects and Explanation((other.cause,)) not in known:
                     moved = self._exchanged(best, other, likely)
                     found += [] if moved is None else [moved]
+        found = best_of(found)
+        if found and not found[0].fit.converged:
+            # What has not arrived takes a second effect for the rest of its way.
+            found[0] = self.again(found[0])
         return best_of(found)
 
     def _exchanged(

@@ -165,9 +165,9 @@ class ReadingThresholds:
         "tests/diagnose/test_imposed_motion.py::test_a_force_at_rest_is_no_observable",
     )  # fmt: skip
     imposed_noise_ratio: float = threshold(
-        10.0, "1",
+        4.0, "1",
         "Density of a measured motion over that of its noise from which it is motion: the noise is told by the lowest "
-        "lines, and the highest of a few averages reaches some times as much.",
+        "lines, and the highest of some averages reaches two or three times as much.",
         "tests/diagnose/test_imposed_motion.py::test_noise_of_the_motion_is_part_of_the_noise_of_the_force",
     )  # fmt: skip
     decay_slow_share: float = threshold(

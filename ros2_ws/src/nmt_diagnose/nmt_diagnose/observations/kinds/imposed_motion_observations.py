@@ -1,10 +1,10 @@
 """Observables of imposed motion: samples of the force (and of further responses) while the drive point moves as held.
 
-The motion is smoothed by cubics over a few samples (Savitzky and Golay, Anal. Chem. 36 (1964) 1627), as many as its
-highest frequency allows: they do not ring where it starts or stops. Its derivatives are those of the spline through
-what is left; what the noise of the motion makes of the force is part of the noise of the observables. Where the drive
-point stands still the force is whatever friction holds, and is no observable. No more samples are taken than the force
-has independent values.
+The motion and its derivatives are those of polynomials over a few samples (Savitzky and Golay, Anal. Chem. 36 (1964)
+1627), as many as its highest frequency allows: they do not ring where it starts or stops. What the noise of the motion
+makes of the force, and what the polynomials do where it changes fast, is part of the noise of the observables. Where
+the drive point stands still the force is whatever friction holds, and is no observable. No more samples are taken than
+the force has independent values.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
-from scipy.ndimage import binary_dilation, binary_opening
-from scipy.signal import savgol_filter, welch
+from scipy.ndimage import binary_dilation, binary_opening, uniform_filter1d
+from scipy.signal import savgol_coeffs, savgol_filter, welch
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray, IntArray
@@ -39,7 +39,8 @@ from nmt_rig.rig import ShakingTableSection
 from nmt_signals.channel_faults.clipping import clipping_level
 
 KINDS = (TestKind.RECORD, TestKind.STEPPED_SINE)
-_PASSED = 4.0  # frequency at which the cubics halve the power over the highest of the motion: they take 0.1 % of that
+_DEGREE = 5  # of the polynomials: their second derivative is as good as their value is with degree 3
+_PASSED = 4.0  # frequency at which the polynomials halve the power over the highest of the motion
 _MOTION_UNITS = {motion.unit for motion in MOTIONS}
 
 
@@ -158,13 +159,15 @@ def _one(
     level = np.searchsorted(bounds, indices, side="right") - 1
     amplitude = [float(np.std(motion[0][low:high])) for low, high in pairwise(bounds)]
     impedance = _impedance_noise(found, source, present, view)
+    bias = _force_bias(found, view)
     table = RowTable()
     for row in range(len(present)):
         noise = math.hypot(white_noise(responses[row], rate), float(impedance[row]))
+        of_force = present[row].quantity is Quantity.FORCE
         floor = settings.floors.record * float(np.sqrt(np.mean(responses[row] ** 2)))
         for index, segment in zip(indices, level, strict=True):
             table.add(
-                Part.SAMPLE, float(responses[row, index]), noise, floor,
+                Part.SAMPLE, float(responses[row, index]), math.hypot(noise, of_force * bias[index]), floor,
                 Place(int(segment), (stretch.first_sample + int(index)) / rate, 0.0, amplitude[segment]),
                 row,
             )  # fmt: skip
@@ -199,6 +202,7 @@ class _Motion:
     Attributes:
         orders: displacement, velocity and acceleration.
         samples: of these at the samples, (3, n).
+        bias: what the smoothing may have made of these, one standard deviation, (3, n).
         density: of the white noise of the measured motion, one-sided, its unit squared per Hz.
         bandwidth_hz: up to which that noise stays in it, Hz.
         reach: samples on either side that a sample of it was made of.
@@ -206,6 +210,7 @@ class _Motion:
 
     orders: tuple[BSpline, ...]
     samples: FloatArray
+    bias: FloatArray
     density: float
     bandwidth_hz: float
     reach: int
@@ -218,31 +223,56 @@ class _Motion:
     @classmethod
     def of(cls, samples: FloatArray, sample_rate: float, order: int) -> _Motion:
         """Motion whose displacement, differentiated ``order`` times, has these samples at a rate in Hz."""
-        density = 2.0 * white_noise(samples, sample_rate) ** 2 / sample_rate
-        frequency, power = welch(samples - samples.mean(), sample_rate, nperseg=min(samples.size, 1024))
+        noise = white_noise(samples, sample_rate)
+        density = 2.0 * noise**2 / sample_rate
+        segment = max(64, min(samples.size // 8, 1024))
+        frequency, power = welch(samples - samples.mean(), sample_rate, nperseg=segment)
         above = frequency[power > THRESHOLDS.reading.imposed_noise_ratio * density]
         bandwidth = _PASSED * float(above.max(initial=frequency[1]))
-        # Half width of cubics that halve the power at a frequency (Schafer, IEEE Signal Process. Mag. 28 (2011) 111).
-        half = int((4.0 * 0.5 * sample_rate / bandwidth + 4.6) / 3.2)
+        # Half width of polynomials that halve the power at a frequency (Schafer, IEEE Signal Process. Mag. 28 (2011)
+        # 111).
+        half = int(((_DEGREE + 1) * 0.5 * sample_rate / bandwidth + 4.6) / 3.2)
         half = min(half, (samples.size - 1) // 2)
-        if half < 3:
-            half, bandwidth = 1, 0.5 * sample_rate
-        else:
-            samples = savgol_filter(samples, 2 * half + 1, 3)
         time = np.arange(samples.size) / sample_rate
-        spline = make_interp_spline(time, samples, 5)
-        found = [spline.antiderivative(k) for k in range(order, 0, -1)]
-        found += [spline.derivative(k) if k else spline for k in range(3 - order)]
+        wanted = range(3 - order)
+        if half <= _DEGREE:
+            half, bandwidth = 1, 0.5 * sample_rate
+            spline = make_interp_spline(time, samples, 5)
+            found = [spline.derivative(k) if k else spline for k in wanted]
+            bias = [np.zeros(samples.size) for _ in wanted]
+        else:
+            found = [make_interp_spline(time, _smoothed(samples, half, k, sample_rate), 3) for k in wanted]
+            bias = [_bias(samples, half, k, sample_rate, noise) for k in wanted]
+        for _ in range(order):
+            found.insert(0, found[0].antiderivative())
+            bias.insert(0, np.zeros(samples.size))
         if order == 2:
             # Nobody knows the velocity at the start: the drift that this makes is no motion.
             drift = np.polyfit(time, found[0](time), 1)
             found[0], found[1] = _without(found[0], time, drift), _without(found[1], time, drift[:1])
-        return cls(tuple(found), np.array([f(time) for f in found]), density, bandwidth, half + 1)
+        values = np.array([spline(time) for spline in found])
+        return cls(tuple(found), values, np.array(bias), density, bandwidth, half + 1)
+
+
+def _smoothed(samples: FloatArray, half: int, order: int, sample_rate: float) -> FloatArray:
+    """Derivative of polynomials over samples on either side."""
+    return np.asarray(savgol_filter(samples, 2 * half + 1, _DEGREE, order, 1.0 / sample_rate))
+
+
+def _bias(samples: FloatArray, half: int, order: int, sample_rate: float, noise: float) -> FloatArray:
+    """What half as many samples would change beyond what their noise does, about each sample, (n,)."""
+    narrow = max(half // 2, (_DEGREE + 1) // 2)
+    change = _smoothed(samples, narrow, order, sample_rate) - _smoothed(samples, half, order, sample_rate)
+    weights = savgol_coeffs(2 * half + 1, _DEGREE, order, 1.0 / sample_rate)
+    inner = savgol_coeffs(2 * narrow + 1, _DEGREE, order, 1.0 / sample_rate)
+    weights[half - narrow : half + narrow + 1] -= inner
+    by_noise = noise**2 * float(weights @ weights)
+    return np.sqrt(np.maximum(uniform_filter1d(change**2, 2 * half + 1) - 2.0 * by_noise, 0.0))
 
 
 def _without(spline: BSpline, time: FloatArray, drift: FloatArray) -> BSpline:
     """A spline less a polynomial."""
-    return make_interp_spline(time, spline(time) - np.polyval(drift, time), 5)
+    return make_interp_spline(time, spline(time) - np.polyval(drift, time), 3)
 
 
 def _start(displacement: FloatArray, sample_rate: float) -> int:
@@ -284,6 +314,17 @@ def _impedance_noise(
     with np.errstate(divide="ignore", invalid="ignore"):
         gains = np.nan_to_num(np.abs(over[1:] / over[0]) ** 2, posinf=0.0)
     return np.asarray(np.sqrt(motion.density * gains.mean(axis=1) * motion.bandwidth_hz))
+
+
+def _force_bias(motion: _Motion, view: ModelView) -> FloatArray:
+    """What the smoothing of the motion may have made of the force of the drive point's own mass and springs, (n,)."""
+    system = view.system
+    row = system.selector(system.drive_point)
+    along = row / float(row @ row)
+    shares = [
+        float(along @ matrix @ along) for matrix in (system.sticking_stiffness(), system.resting_damping(), system.mass)
+    ]
+    return np.asarray(np.sqrt(np.sum((np.array(shares)[:, None] * motion.bias) ** 2, axis=0)))
 
 
 _NO_SEGMENT = Segment(TestKind.RECORD, 0, math.nan, "", 0, 0, 0, 0.0, "", 0, 0)

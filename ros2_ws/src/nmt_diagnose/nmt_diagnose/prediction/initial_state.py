@@ -15,7 +15,7 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_diagnose.prediction.record_kernel import SteppedModel
 
-_ITERATIONS = 8
+_ITERATIONS = 5
 _HALVINGS = 4
 _SETTLED = 1e-4  # change of the state, over the motion, below which it is found
 _STEP = 1e-3  # of differences, over the motion
@@ -47,7 +47,8 @@ def initial_state(
     simulate: Callable[[ComplexArray], FloatArray],
     model: SteppedModel,
     coordinates: int,
-    steps: int,
+    gains: FloatArray,
+    at: IntArray,
     moving: bool,
 ) -> InitialState:
     """State that explains the first samples best.
@@ -57,14 +58,15 @@ def initial_state(
         simulate: the model's channels, (c, n), from a state (k,).
         model: recursion of the poles over one step.
         coordinates: of the model; its outputs are these and then the channels.
-        steps: of the model over these samples.
+        gains: of the channels, (c, 1).
+        at: number of steps after which the model is at each of the samples, (n,).
         moving: whether the record begins in motion; else the model starts at rest, and the errors tell how surely.
     """
     size = np.sqrt(np.mean((measured - measured.mean(axis=1, keepdims=True)) ** 2, axis=1))
     nothing = at_rest(model.decay.size)
     if not np.all(size > 0.0):
         return nothing
-    directions = _directions(model, size, coordinates, steps)
+    directions = _directions(model, size, coordinates, int(at[-1]))
     if not directions.shape[0]:
         return nothing
     constants = np.kron(np.eye(size.size), np.ones((measured.shape[1], 1)))
@@ -76,35 +78,56 @@ def initial_state(
         by_channel = values.reshape(size.size, -1)
         return np.asarray((by_channel - by_channel.mean(axis=1, keepdims=True)).ravel())
 
-    theta = np.zeros(directions.shape[0])
-    residual = left(theta)
-    columns = np.empty((residual.size, theta.size))
-    for k in range(theta.size):
-        moved = theta.copy()
-        moved[k] += _STEP
-        columns[:, k] = (residual - left(moved)) / _STEP
-    if not (np.isfinite(columns).all() and np.isfinite(residual).all()):
-        return nothing
-    # The first samples are nearly linear in the state: columns at rest serve all iterations.
-    for _ in range(_ITERATIONS if moving else 0):
+    def differences(theta: FloatArray, residual: FloatArray) -> FloatArray:
+        moved = [left(theta + step) for step in _STEP * np.eye(theta.size)]
+        return np.stack([(residual - other) / _STEP for other in moved], axis=1)
+
+    def stepped(theta: FloatArray, residual: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+        """The state after a step of least squares that leaves no more, what it leaves, and whether it was small."""
         change = np.linalg.lstsq(np.hstack((columns, constants)), residual, rcond=_SINGULAR)[0][: theta.size]
         before = float(np.sum(without_zeros(residual) ** 2))
         for _ in range(_HALVINGS):
             trial = left(theta + change)
             if np.isfinite(trial).all() and float(np.sum(without_zeros(trial) ** 2)) <= before:
-                break
+                return theta + change, trial, float(np.abs(change).max()) < _SETTLED
             change = 0.5 * change
-        else:
+        return theta, residual, False
+
+    theta = np.zeros(directions.shape[0])
+    residual = left(theta)
+    motions = _free_motions(model.outputs[coordinates:], model.decay, directions, at)
+    columns = np.stack([(gains * motion / size[:, None]).ravel() for motion in motions], axis=1)
+    settled, exact = not moving, False
+    # Free motions without local forces nearly always lead there; else differences of the whole model do.
+    for turn in range(2 * _ITERATIONS):
+        if settled or not (np.isfinite(columns).all() and np.isfinite(residual).all()):
             break
-        theta, residual = theta + change, trial
-        if float(np.abs(change).max()) < _SETTLED:
+        before = residual
+        theta, residual, settled = stepped(theta, residual, columns)
+        stuck = residual is before
+        if stuck and exact:
             break
+        if stuck or turn >= _ITERATIONS - 1:
+            columns, exact = differences(theta, residual), True
+    if not (np.isfinite(columns).all() and np.isfinite(residual).all()):
+        return nothing
     free = np.stack([without_zeros(column) for column in columns.T], axis=1)
     scatter = float(np.mean(without_zeros(residual) ** 2)) * residual.size / (_INDEPENDENT * theta.size)
     # As an error no larger than the motion itself.
     precision = free.T @ free / max(scatter, 1e-18) + np.eye(theta.size)
     errors = np.linalg.cholesky(np.linalg.inv(precision)).T @ directions
     return InitialState(theta @ directions, errors)
+
+
+def _free_motions(
+    outputs: ComplexArray, decay: ComplexArray, directions: ComplexArray, at: IntArray
+) -> list[FloatArray]:
+    """Channels, (c, n), of the poles alone from each state, which has one pole."""
+    poles = np.argmax(np.abs(directions), axis=1)
+    return [
+        np.asarray(np.real(np.outer(outputs[:, k] * state[k], decay[k] ** at)))
+        for k, state in zip(poles, directions, strict=True)
+    ]
 
 
 def _directions(model: SteppedModel, size: FloatArray, coordinates: int, steps: int) -> ComplexArray:

@@ -184,7 +184,8 @@ class RecordPredictor:
                 lambda start: gains * simulated(samples, start)[:, ::stride],
                 model,
                 parts.coordinates,
-                samples * substeps,
+                gains,
+                1 + stride * substeps * np.arange(head.shape[1]),
                 self.test.begins_in_motion,
             )
         return simulated(self.test.input.size, initial.state), initial

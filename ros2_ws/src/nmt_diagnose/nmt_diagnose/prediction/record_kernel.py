@@ -187,7 +187,7 @@ def _step_all(
     decay, early, late, outputs, velocities, direct = model
     count = decay.size
     c = outputs.shape[0] - r
-    result = np.empty((c, drive.size // substeps))
+    result = np.empty((c, (drive.size + substeps - 1) // substeps))
     sliders = elements.jenkins.shape[0]
     steps = _room(model, r, sliders)
     state, g, trial, before = steps.state, steps.g, steps.trial, steps.before
@@ -242,7 +242,7 @@ def _step_one(
     jenkins, _, contacts, _, kinds, parameters, _ = elements
     count = decay.size
     c = outputs.shape[0] - 1
-    result = np.empty((c, drive.size // substeps))
+    result = np.empty((c, (drive.size + substeps - 1) // substeps))
     state = start.copy()
     sliders = np.zeros(jenkins.shape[0])
     moved = np.zeros(jenkins.shape[0])
@@ -328,8 +328,8 @@ def step_through(
     """Channels, shape (c, samples).
 
     Args:
-        drive: input at the steps, shape (samples · substeps,).
-        substeps: steps per sample.
+        drive: input at the steps.
+        substeps: steps from one wanted sample to the next; the first step is one.
         r: number of coordinates.
         model: recursion of the poles.
         factor: force factor and its dependence on displacement.

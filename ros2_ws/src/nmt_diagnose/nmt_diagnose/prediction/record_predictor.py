@@ -51,9 +51,9 @@ class RecordPredictor:
         self.channels = tuple(test.channels)
         self._known: OrderedDict[bytes, tuple[FloatArray, InitialState]] = OrderedDict()
         self.use(Setup(test.drive_points, self.ideal_force, self.channels, FourierBasis.up_to(1)))
-        self._sample = np.clip(
-            np.round((rows.time_s - test.start_s) * test.sample_rate).astype(np.int64), 0, test.input.size - 1
-        )
+        # Responses are wanted where they were recorded, however much finer the input is.
+        own_rate, count = test.sample_rate / test.head_stride, -(-test.input.size // test.head_stride)
+        self._sample = np.clip(np.round((rows.time_s - test.start_s) * own_rate).astype(np.int64), 0, count - 1)
         self._inputs: dict[int, FloatArray] = {}
 
     def use(self, setup: Setup) -> None:
@@ -73,7 +73,7 @@ class RecordPredictor:
     def responses(self, rig: Rig, cache: PartsCache) -> FloatArray:
         """Recorded responses (channels, samples)."""
         parts, rate, substeps = self._stepping(rig, cache)
-        return recorded(self._raw(parts, rate, substeps)[0], parts, self._own, rate)
+        return self._recorded(self._raw(parts, rate, substeps)[0], parts, rate)
 
     def errors(self, rig: Rig, cache: PartsCache, zeros: bool) -> dict[str, FloatArray]:
         """What a standard deviation of each error of the record adds to its rows, (rows,) each.
@@ -87,10 +87,10 @@ class RecordPredictor:
         """
         parts, rate, substeps = self._stepping(rig, cache)
         raw, initial = self._raw(parts, rate, substeps, errors=True)
-        base = recorded(raw, parts, self._own, rate)
+        base = self._recorded(raw, parts, rate)
 
         def change(moved: FloatArray) -> FloatArray:
-            return self._of_rows((recorded(moved, parts, self._own, rate) - base) / _ERROR_STEP)
+            return self._of_rows((self._recorded(moved, parts, rate) - base) / _ERROR_STEP)
 
         found: dict[str, FloatArray] = {}
         if zeros and self.test.zeros.size:
@@ -112,6 +112,10 @@ class RecordPredictor:
         parts = cache.parts(rig, self.setup, test.start_s + 0.5 * test.input.size / test.sample_rate)
         rate = test.sample_rate * parts.clock
         return parts, rate, substeps_of(parts.linear, rate)
+
+    def _recorded(self, raw: FloatArray, parts: RigParts, rate: float) -> FloatArray:
+        """What the sensors make of the channels, by the rate of the input, Hz."""
+        return recorded(raw, parts, self._own, rate / self.test.head_stride)
 
     def _of_rows(self, responses: FloatArray) -> FloatArray:
         selected = self.rows.part == Part.SAMPLE
@@ -168,9 +172,8 @@ class RecordPredictor:
         drive = gain * drive
 
         def simulated(samples: int, start: ComplexArray) -> FloatArray:
-            return step_through(
-                drive[: samples * substeps], substeps, parts.coordinates, model, parts.force_factor, parts.tables, start
-            )
+            part, every = drive[: samples * substeps], substeps * self.test.head_stride
+            return step_through(part, every, parts.coordinates, model, parts.force_factor, parts.tables, start)
 
         if state is not None:
             return simulated(self.test.input.size, state), InitialState(state, at_rest(state.size).errors)
@@ -181,7 +184,7 @@ class RecordPredictor:
             samples = (head.shape[1] - 1) * stride + 1
             initial = initial_state(
                 head,
-                lambda start: gains * simulated(samples, start)[:, ::stride],
+                lambda start: gains * simulated(samples, start),
                 model,
                 parts.coordinates,
                 gains,

@@ -199,3 +199,25 @@ def test_response_holder_is_a_slow_integral() -> None:
     assert holder.voltage(1.0, 2.0, 2.0 + 0j) == 1.0
     assert 1.0 < holder.voltage(1.0, 2.0, 1.9j) < 1.0 + 0.1 * math.log(2.0 / 1.9) + 1e-4
     assert holder.voltage(1.0, 2.0, 0j) == 1.0
+
+
+def test_no_block_changes_the_drive_by_more_than_a_third() -> None:
+    """Whatever the estimates say: a filter of a few blocks has to see it coming."""
+    holder = ForceHolder(CUTOFF, BLOCK, 0)
+    holder.exciter.force_per_volt = BLOCKED
+    changes = [holder.voltage(1.0, 5.0, BLOCKED, taken * BLOCKED) - 1.0 for taken in (100.0, -100.0)]
+    assert changes == pytest.approx([1.0 / 3.0, -1.0 / 3.0], rel=0.15)
+    response = ResponseHolder(CUTOFF, BLOCK, 0)
+    assert response.voltage(1.0, 1e9, 1.0 + 0j) == pytest.approx(4.0 / 3.0, rel=0.05)
+
+
+def test_noise_is_that_of_the_last_tenth_of_a_second_at_rest() -> None:
+    holder = ForceHolder(CUTOFF, BLOCK, 0)
+    for _ in range(20):
+        holder.listen(1.0 + 0j, 2.0 + 0j)
+    for _ in range(round(0.1 / BLOCK) - 1):
+        holder.listen(0.1 + 0j, 0.2 + 0j)
+    assert holder.exciter.force_noise > 0.4
+    holder.listen(0.1 + 0j, 0.2 + 0j)
+    assert holder.exciter.force_noise == pytest.approx(0.1)
+    assert holder.exciter.response_noise == pytest.approx(0.2)

@@ -155,3 +155,15 @@ def test_parameters_and_settings_name_the_same_things():
         PaperSettings(gain=0.0)
     with pytest.raises(BenchError, match="'pole'"):
         PaperSettings(pole=-1.0)
+
+
+def test_an_oscillator_does_not_turn_backwards() -> None:
+    """A phase error that never ends pulls down for ever; a twentieth of the centre is left."""
+    lowest = []
+    for sign in (1.0, -1.0):
+        loop = make(gain=2000.0)
+        wave = np.sin(loop.centre * np.arange(400 * BLOCK) / RATE)
+        for part in np.split(wave, 400):
+            loop.process_signals(part, sign * part, True)
+            lowest.append(loop.frequency)
+    assert min(lowest) == pytest.approx(0.05 * loop.centre)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from pll.swept_rig import SweptRig
@@ -119,3 +121,40 @@ def test_refusals(fields: dict, word: str) -> None:
     values = {"frequency_hz": 366.0, "frequency_end_hz": 371.0, "rate_hz_s": 1.0, **fields}
     with pytest.raises(BenchError, match=word):
         rig.order(1.0, values.pop("frequency_hz"), **values)
+
+
+def test_a_held_amplitude_may_be_off_by_a_factor_of_two_for_a_second() -> None:
+    rig = SweptRig()
+    level = rig.order(14.65, 366.0, frequency_end_hz=371.0, rate_hz_s=1.0)
+    while rig.loop.machine.state is not LoopState.LOCKED:
+        rig.step()
+    loop, end = rig.loop, rig.device.next_sample
+    second = round(loop.sample_rate)
+    phasors = 14.65 + 0j, 1.0 + 0j
+    for share in (0.52, 1.9):
+        loop._held = share * level.amplitude
+        assert loop._refusal(level, phasors, end) == ""
+    for share in (0.48, 2.1):
+        loop._held = share * level.amplitude
+        assert loop._refusal(level, phasors, end + round(0.9 * second)) == ""
+        assert "instead of 14.65" in loop._refusal(level, phasors, end + round(1.1 * second))
+
+
+def test_a_probe_begins_at_a_tenth_of_a_millivolt_and_grows_by_a_quarter_a_block() -> None:
+    """So that no exciter, whatever its gain, starts with more than that; and in 50 blocks it has five decades."""
+    rig = SweptRig()
+    rig.order(14.65, 366.0, frequency_end_hz=371.0, rate_hz_s=1.0)
+    drives: list[float] = []
+    while len(drives) < 6:
+        drives += [output.amplitude for output in (rig.step(),) if output.amplitude > 0.0]
+    assert drives[0] == pytest.approx(1e-4)
+    grown = np.log(drives[-1] / drives[0]) / sum(b > a for a, b in itertools.pairwise(drives))
+    assert grown == pytest.approx(0.25, rel=1e-6)
+
+
+def test_an_amplitude_is_judged_over_a_fifth_of_a_second_at_least() -> None:
+    """Ten periods of a high frequency are too few blocks to be steady."""
+    loop = SweptRig().loop
+    for hertz, seconds in ((3000.0, 0.2), (20.0, loop.settings.dwell_periods / 20.0)):
+        loop._prepare(hertz)
+        assert loop.dwell.length * loop.block_duration == pytest.approx(seconds, rel=0.1)

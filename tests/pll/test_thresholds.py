@@ -6,13 +6,14 @@ import re
 from pathlib import Path
 
 import pytest
+from moved_threshold import moves, notices
 
 from nmt_core.threshold import thresholds_of
 from nmt_pll.thresholds import THRESHOLDS
 
 ROOT = Path(__file__).resolve().parents[2]
 ENTRIES = {path: (getattr(record, entry.name), entry) for path, record, entry in thresholds_of(THRESHOLDS)}
-WITHOUT_TEST = 87
+WITHOUT_TEST = 35
 """How many have no such test yet. The number is put down when a test is written, and never up."""
 
 
@@ -32,6 +33,13 @@ def test_the_tests_of_thresholds_exist_and_get_no_fewer() -> None:
     for file, _, name in (test.partition("::") for test in tests if test):
         assert re.search(rf"def {re.escape(name.split('[')[0])}\b", (ROOT / file).read_text()), (file, name)
     assert sum(not test for test in tests) <= WITHOUT_TEST
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("path", [path for path, (_, entry) in ENTRIES.items() if entry.metadata["test"]])
+def test_any_threshold_that_moves_is_noticed(path: str) -> None:
+    value, entry = ENTRIES[path]
+    assert any(notices(f"pll.{path}", moved, entry.metadata["test"]) for moved in moves(value))
 
 
 def test_no_constant_of_a_loop_stands_beside_them() -> None:

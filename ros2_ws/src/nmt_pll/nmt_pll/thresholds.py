@@ -19,22 +19,22 @@ class PhaseThresholds:
     amplitude_bandwidth_share: float = threshold(
         0.3, "1",
         "Bandwidth of the amplitude controller over that which the dead time allows the phase loop, which it follows.",
-        "",
+        "tests/pll/test_controller.py::test_a_held_force_settles",
     )  # fmt: skip
     dead_time_blocks: float = threshold(
         1.5, "blocks",
         "Mean delay from measurement to effect besides the latency: a block until a command acts, and half of one.",
-        "",
+        "tests/pll/test_held_phase.py::test_adaptive_loop_holds_the_phase_it_is_told",
     )  # fmt: skip
     swing_tolerances: float = threshold(
         5.0, "1",
         "Scatter of the phase error of a decaying swing at lock, in phase tolerances; the mean is judged besides.",
-        "",
+        "tests/pll/test_closed_loop.py::test_locks_over_the_whole_range_of_a_drive_point",
     )  # fmt: skip
     lowest_frequency_ratio: float = threshold(
         0.05, "1",
         "Frequency over the centre at which the paper's integrator stops: an oscillator cannot turn backwards.",
-        "",
+        "tests/pll/test_paper_loop.py::test_an_oscillator_does_not_turn_backwards",
     )  # fmt: skip
 
 
@@ -45,42 +45,42 @@ class AmplitudeThresholds:
     feedback_gain_share: float = threshold(
         0.5, "1",
         "Share of the gain that is critically damped, so that a wrong estimate of the plant does not swing.",
-        "",
+        "tests/pll/test_held_amplitude.py::test_a_reckless_controller_is_found_out",
     )  # fmt: skip
     slow_correction_share: float = threshold(
         0.05, "1",
         "Share of the logarithmic error that a block takes back whatever the estimates say.",
-        "",
+        "tests/pll/test_held_amplitude.py::test_a_reckless_controller_is_found_out",
     )  # fmt: skip
     largest_log_step: float = threshold(
         0.3, "1",
         "Of ln u in a block: a third more drive, which a filter of a few blocks still sees coming.",
-        "",
+        "tests/pll/test_held_amplitude.py::test_no_block_changes_the_drive_by_more_than_a_third",
     )  # fmt: skip
     noise_blocks: int = threshold(
         5, "blocks",
         "Newest blocks at rest that noise is taken from: fewer scatter, more wait.",
-        "",
+        "tests/pll/test_held_amplitude.py::test_noise_is_that_of_the_last_tenth_of_a_second_at_rest",
     )  # fmt: skip
     start_noise_ratio: float = threshold(
         10.0, "1",
         "Force over its noise from which on exciter and structure are estimated: a tenth of it is noise.",
-        "",
+        "tests/pll/test_held_amplitude.py::test_estimate_waits_until_the_force_stands_out_of_what_was_heard_at_rest",
     )  # fmt: skip
     largest_proportional_log: float = threshold(
         math.log(3.0), "1",
         "Proportional part of ln u: the drive is at most three times what the integral part says.",
-        "",
+        "tests/pll/test_response_control.py::test_an_amplitude_is_held_also_where_the_force_falls",
     )  # fmt: skip
     largest_rate_ratio: float = threshold(
         20.0, "1",
         "Bandwidth over decay rate: noise of the amplitude stays small in the drive.",
-        "",
+        "tests/pll/test_response_control.py::test_an_amplitude_is_held_also_where_the_force_falls",
     )  # fmt: skip
     largest_integrated_error: float = threshold(
         0.2, "1",
         "Error that the integral part takes in: it does not run ahead while an amplitude rings up.",
-        "",
+        "tests/pll/test_response_control.py::test_latency_and_noise_leave_the_levels_stable",
     )  # fmt: skip
     waiting_error: float = threshold(
         0.1, "1",
@@ -96,7 +96,7 @@ class HarmonicsThresholds:
     phase_margin_rad: float = threshold(
         0.35, "rad",
         "Integral rate times filter and dead time: phase margin of 70°, gain margin of 4.5.",
-        "",
+        "tests/pll/test_force_controller.py::test_closed_form_has_the_margins_that_it_states",
     )  # fmt: skip
     automatic_highest: int = threshold(
         15, "1",
@@ -136,7 +136,7 @@ class HarmonicsThresholds:
     voltage_limit_share: float = threshold(
         0.98, "1",
         "Share of the limits of voltage and slew that all terms together may take: the guard behind is exact.",
-        "",
+        "tests/pll/test_force_controller.py::test_the_voltage_limit_is_never_passed_and_what_it_stops_is_named",
     )  # fmt: skip
     initial_gain_std: float = threshold(
         0.3, "1",
@@ -161,12 +161,12 @@ class HarmonicsThresholds:
     motion_disturbance_ratio: float = threshold(
         3.0, "1",
         "A disturbance with the n-th power of the motion changes n times as much; so many times this is allowed.",
-        "",
+        "tests/pll/test_force_controller.py::test_amplitudes_that_come_up_slowly_do_not_mislead_it",
     )  # fmt: skip
     unexplained_share: float = threshold(
         3e-4, "1",
         "Of the fundamental, what the force per volt never explains of a change.",
-        "",
+        "tests/pll/test_force_controller.py::test_a_wrong_force_per_volt_is_put_right",
     )  # fmt: skip
     lowest_gain_correction: float = threshold(
         0.01, "1",
@@ -176,7 +176,7 @@ class HarmonicsThresholds:
     probe_share: float = threshold(
         0.02, "1",
         "Voltage that probes an unknown force per volt, over the amplitude of the drive.",
-        "",
+        "tests/pll/test_force_controller.py::test_what_nobody_knows_is_probed_one_harmonic_at_a_time",
     )  # fmt: skip
     review_time_constants: float = threshold(
         5.0, "1",
@@ -186,7 +186,7 @@ class HarmonicsThresholds:
     steady_motion_change: float = threshold(
         0.005, "1",
         "Change of the motion within the time constant of the filter that counts as none.",
-        "",
+        "tests/pll/test_force_controller.py::test_amplitudes_that_come_up_slowly_do_not_mislead_it",
     )  # fmt: skip
     progress_share: float = threshold(
         0.7, "1",
@@ -201,12 +201,12 @@ class HarmonicsThresholds:
     limited_time_constants: float = threshold(
         10.0, "1",
         "Time constants of the loop at the largest voltage before a harmonic is given up.",
-        "",
+        "tests/pll/test_force_controller.py::test_a_dead_harmonic_is_given_up_by_name_and_the_rest_goes_on",
     )  # fmt: skip
     fade_per_block: float = threshold(
         0.7, "1",
         "Share of the voltage of a harmonic that was given up which is left after a block.",
-        "",
+        "tests/pll/test_force_controller.py::test_a_dead_harmonic_is_given_up_by_name_and_the_rest_goes_on",
     )  # fmt: skip
     modal_target_modes: int = threshold(
         3, "1",
@@ -237,22 +237,22 @@ class SecondaryThresholds:
     release_ratios: tuple[float, ...] = threshold(
         (1.0, 1.2, 0.85, 1.4, 0.7, 1.6), "1",
         "Amplitudes of the releases of a level over the stated one, in order, until one meets the isola.",
-        "",
+        "tests/pll/test_secondary_loop.py::test_a_release_reaches_the_tip_of_the_isola",
     )  # fmt: skip
     filter_cutoff_ratio: float = threshold(
         0.3, "1",
         "Cut-off of the filter over the base frequency: strongly nonlinear amplitude and frequency move together.",
-        "",
+        "tests/pll/test_secondary_loop.py::test_the_superharmonic_resonance_is_tracked_from_each_start",
     )  # fmt: skip
     isola_left_ratio: float = threshold(
         0.15, "1",
         "Response over the amplitude of the release below which it has left the isola.",
-        "",
+        "tests/pll/test_secondary_loop.py::test_a_release_reaches_the_tip_of_the_isola",
     )  # fmt: skip
     release_phase_rad: float = threshold(
         math.radians(15.0), "rad",
         "Deviation of the lag from that of the resonance at which a release is begun.",
-        "",
+        "tests/pll/test_secondary_loop.py::test_on_the_isola_the_force_can_be_stepped_on",
     )  # fmt: skip
     release_wait_s: float = threshold(
         3.0, "s",
@@ -267,17 +267,17 @@ class SecondaryThresholds:
     switch_periods: float = threshold(
         2.0, "periods",
         "Half-cosine from the voltage of the release to that of the level: a step would excite other modes.",
-        "",
+        "tests/pll/test_secondary_loop.py::test_a_release_reaches_the_tip_of_the_isola",
     )  # fmt: skip
     resonant_share: float = threshold(
         0.05, "1",
         "Amplitude of the resonant order over that of the order of the force in the response, at lock.",
-        "",
+        "tests/pll/test_secondary_loop.py::test_a_softening_spring_has_the_opposite_lag",
     )  # fmt: skip
     isola_resonant_share: float = threshold(
         0.3, "1",
         "The same on an isola, which the response would have left below.",
-        "",
+        "tests/pll/test_secondary_loop.py::test_without_a_release_rest_is_left_for_no_isola",
     )  # fmt: skip
 
 
@@ -288,12 +288,12 @@ class SelfExcitedThresholds:
     amplitude_rate: float = threshold(
         0.35, "1",
         "Rate of the amplitude law, and of damping feedback, times the dead time: a phase margin of 70°.",
-        "",
+        "tests/pll/test_self_excited_control.py::test_amplitudes_are_held_where_the_free_motion_is_stable_and_where_it_is_not",
     )  # fmt: skip
     largest_damping_rate: float = threshold(
         0.6, "1",
         "Rate of damping that is asked for, times the dead time: one in full would make the motion swing.",
-        "",
+        "tests/pll/test_self_excited_control.py::test_amplitudes_are_held_where_the_free_motion_is_stable_and_where_it_is_not",
     )  # fmt: skip
     largest_feeding_rate: float = threshold(
         3.0, "1",
@@ -303,62 +303,62 @@ class SelfExcitedThresholds:
     held_growth: float = threshold(
         0.15, "1",
         "Growth at rest times the dead time up to which the amplitude is held; beyond, the motion is released instead.",
-        "",
+        "tests/pll/test_self_excited_control.py::test_a_dead_time_as_long_as_the_growth_lets_the_motion_go",
     )  # fmt: skip
     phase_tracking_rate: float = threshold(
         0.25, "1",
         "Rate at which the oscillator follows the phase, times the dead time.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     quadrature_rate: float = threshold(
         0.25, "1",
         "Rate at which the force at right angles to the velocity is taken back, times the dead time.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_an_unstable_rig_never_passes_its_limits_at_a_start",
     )  # fmt: skip
     integral_rate_ratio: float = threshold(
         0.25, "1",
         "Rate of the integral part over that of the proportional one: a quarter is aperiodic.",
-        "",
+        "tests/pll/test_self_excited_control.py::test_amplitudes_are_held_where_the_free_motion_is_stable_and_where_it_is_not",
     )  # fmt: skip
     largest_integrated_log_error: float = threshold(
         0.2, "1",
         "Error of ln a beyond which the integral winds up no faster.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     feedback_adaption_rate: float = threshold(
         0.3, "1",
         "Rate at which the gain of velocity feedback is adapted, times the dead time.",
-        "",
+        "tests/pll/test_self_excited_control.py::test_without_the_proportional_part_only_stable_amplitudes_are_held",
     )  # fmt: skip
     response_limit_share: float = threshold(
         0.85, "1",
         "Share of the limit of the response at which control is given up for damping.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_a_motion_near_its_limit_is_damped_before_the_guard_trips",
     )  # fmt: skip
     voltage_limit_share: float = threshold(
         0.9, "1",
         "Share of the voltage limit that feedback may use.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_an_unstable_rig_never_passes_its_limits_at_a_start",
     )  # fmt: skip
     filter_cutoff_ratio: float = threshold(
         0.3, "1",
         "Cut-off of the filter over the frequency of the mode.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_loss_of_control_is_damped_and_the_drive_then_goes_to_zero_by_a_ramp",
     )  # fmt: skip
     decayed_ratio: float = threshold(
         0.1, "1",
         "Response over the lowest level at which it counts as down.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_loss_of_control_is_damped_and_the_drive_then_goes_to_zero_by_a_ramp",
     )  # fmt: skip
     phase_amplitude_ratio: float = threshold(
         0.1, "1",
         "Amplitude over a level from which the phase of the response is followed.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     target_rate_ratio: float = threshold(
         0.3, "1",
         "Rate of the logarithm of a target over that of the law: the law follows.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_an_unstable_rig_never_passes_its_limits_at_a_start",
     )  # fmt: skip
     first_target_ratio: float = threshold(
         2.0, "1",
@@ -368,17 +368,17 @@ class SelfExcitedThresholds:
     phase_engaged_ratio: float = threshold(
         1.3, "1",
         "Response over the amplitude from which its phase is followed, at which following begins.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     phase_released_ratio: float = threshold(
         0.6, "1",
         "The same, at which following ends: the two are apart, so that noise does not switch.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     lost_control_ratio: float = threshold(
         1.5, "1",
         "Response over its target at which control is lost.",
-        "",
+        "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     largest_detuning: float = threshold(
         1.0e-4, "1",
@@ -439,42 +439,42 @@ class SweepThresholds:
     filter_cutoff_ratio: float = threshold(
         0.15, "1",
         "Cut-off of the filter over the frequency of the drive.",
-        "",
+        "tests/pll/test_sweep_loop.py::test_two_sweeps_one_after_the_other_start_at_the_same_frequency",
     )  # fmt: skip
     probe_voltage_v: float = threshold(
         1.0e-4, "V",
         "First voltage where nothing is known of the exciter: small beside what any amplifier puts out.",
-        "",
+        "tests/pll/test_sweep_loop.py::test_a_probe_begins_at_a_tenth_of_a_millivolt_and_grows_by_a_quarter_a_block",
     )  # fmt: skip
     probe_log_growth: float = threshold(
         0.25, "1",
         "Of ln u in a block while the amplitude is within its noise.",
-        "",
+        "tests/pll/test_sweep_loop.py::test_a_probe_begins_at_a_tenth_of_a_millivolt_and_grows_by_a_quarter_a_block",
     )  # fmt: skip
     probe_noise_ratio: float = threshold(
         20.0, "1",
         "Amplitude over its noise from which on the controller works.",
-        "",
+        "tests/pll/test_sweep_loop.py::test_what_still_rings_after_a_sweep_teaches_nothing_of_the_exciter",
     )  # fmt: skip
     shortest_dwell_s: float = threshold(
         0.2, "s",
         "Shortest time over which amplitudes are judged stationary.",
-        "",
+        "tests/pll/test_sweep_loop.py::test_an_amplitude_is_judged_over_a_fifth_of_a_second_at_least",
     )  # fmt: skip
     longest_rest_s: float = threshold(
         10.0, "s",
         "Longest time until a structure rests after a fade.",
-        "",
+        "tests/pll/test_sweep_loop.py::test_levels_that_cannot_be_held_are_given_up_with_a_reason",
     )  # fmt: skip
     lost_log_deviation: float = threshold(
         math.log(2.0), "1",
         "Logarithm of the held amplitude over its target that ends a sweep if it lasts: a factor of two.",
-        "",
+        "tests/pll/test_sweep_loop.py::test_a_held_amplitude_may_be_off_by_a_factor_of_two_for_a_second",
     )  # fmt: skip
     lost_duration_s: float = threshold(
         1.0, "s",
         "How long that deviation must last.",
-        "",
+        "tests/pll/test_sweep_loop.py::test_a_held_amplitude_may_be_off_by_a_factor_of_two_for_a_second",
     )  # fmt: skip
     glide_frequency_step: float = threshold(
         0.05, "1",

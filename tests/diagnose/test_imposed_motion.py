@@ -20,6 +20,7 @@ from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_record.exchange.imported_run import read_import, write_import
+from nmt_record.exchange.unit_table import channel_factor
 from nmt_rig.rig import Rig, load_rig
 
 RATE = 200.0
@@ -284,3 +285,34 @@ def test_held_is_refused_where_it_means_nothing(tmp_path: Path) -> None:
     segment = "  - {kind: ring_down, start: 0.0, stop: 2.0, held: response}\n"
     with pytest.raises(BenchError, match="held says what was given in a record or a stepped_sine"):
         bag_of(tmp_path, RATE, {"force 1": w, "displacement 1": w}, segment, FREE)
+
+
+def test_a_table_of_a_free_mass_at_held_motions_shows_its_friction(tmp_path: Path) -> None:
+    """Force over motion of a free mass with a damper is c iω − m ω², and i 4F/(π A) with rigid friction beside it."""
+    rig_of(tmp_path, FREE)
+    frequency = np.geomspace(0.3, 3.0, 12)
+    omega, rng, segments = 2.0 * np.pi * frequency, np.random.default_rng(8), ""
+    for level in (0.05, 0.1, 0.2, 0.4):
+        response = 1.0 / (5e-3j * omega - 2e-3 * omega**2 + 4j * 0.4 / (np.pi * level))
+        response = response * np.exp(0.005 * (rng.standard_normal(12) + 1j * rng.standard_normal(12)))
+        table = np.column_stack((frequency, response.real, response.imag))
+        np.savetxt(tmp_path / f"{level}.csv", table, delimiter=",", header="frequency_hz,real,imag", comments="")
+        segments += (
+            f"  - {{kind: frf, file: {level}.csv, unit: m/N, point: 1, drive_point: 1, level: {level}, "
+            f"level_unit: m, held: response, noise: 0.5, name: at {level}}}\n"
+        )
+    (tmp_path / "sidecar.yaml").write_text(f"rig: rig.yaml\nfile: 0.05.csv\nsegments:\n{segments}", encoding="utf-8")
+    bag = write_import(read_import(tmp_path / "sidecar.yaml"), tmp_path / "bag", "drive", FREE, {})
+    found = diagnosed(load_rig(tmp_path / "rig.yaml", vibrating=False), bag)
+    assert found.verdict is Verdict.EFFECT, found.sentences
+    first = found.ranking[0]
+    assert first.effect == "second_friction_contact", found.sentences
+    assert first.parameters["slip_force"].value == pytest.approx(0.4, rel=0.05)
+
+
+def test_torque_has_units_of_its_own() -> None:
+    assert channel_factor("torque", "mN m", "here") == 1e-3
+    assert channel_factor("torque", "Nm", "here") == 1.0
+    assert channel_factor("torque", "lbf ft", "here") == pytest.approx(1.3558179483, rel=1e-9)
+    with pytest.raises(BenchError, match="measures torque, but its unit 'N' is none; use"):
+        channel_factor("torque", "N", "here")

@@ -529,6 +529,7 @@ _KINDS = {
     "SteppedSineTest": "frequency response at a held amplitude",
     "RingDownTest": "ring-down",
     "RecordTest": "record, driven by the measured input",
+    "ImposedMotionTest": "imposed motion, its force predicted",
     "BackboneTable": "backbone table",
 }
 

@@ -179,6 +179,7 @@ class SteppedSineTest(Driven):
         scale: true over recorded amplitude of the first channel.
         noise_degrees: degrees of freedom of the variance that the noise was estimated as; infinite where it is stated.
         phase_known: whether the responses have a phase; else they are magnitudes, and no observable is a phase.
+        imposed: whether the motion of the drive point was a sine, and the force what it takes; else the force was one.
     """
 
     name: str
@@ -196,6 +197,7 @@ class SteppedSineTest(Driven):
     scale: float = 1.0
     noise_degrees: float = math.inf
     phase_known: bool = True
+    imposed: bool = False
 
     @property
     def amplitudes(self) -> FloatArray:

@@ -74,6 +74,12 @@ class ModelView:
             for sensor in rig.sensors
         )
 
+    def far_from_modes(self, frequency_hz: FloatArray) -> bool:
+        """Whether no frequency is near one of a mode, friction sticking: what is moved there is no vibration of it."""
+        modes = self.swinging_hz(math.inf, math.inf)
+        ratios = [nearest_ratio(float(value), modes) for value in frequency_hz] if modes else []
+        return all(max(ratio, 1.0 / ratio) > THRESHOLDS.reading.wrong_frequency_ratio for ratio in ratios)
+
     def voltages(self, recorded: Sequence[MeasuredChannel]) -> tuple[str, ...]:
         """Names of the recorded voltage of each exciter, in their order; empty text where there is none."""
         names = [channel.name for channel in recorded if channel.quantity is Quantity.VOLTAGE]

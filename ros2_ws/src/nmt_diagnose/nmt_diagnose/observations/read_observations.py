@@ -223,8 +223,13 @@ def _signals(
     decays = [window.segment.kind is TestKind.RING_DOWN for window in windows]
     if all(decays):
         channels, more = of_decays, ()
+    held = _held(run)
+    imposed = [Window(w.segment, w.stretch, held.get(w.segment.level_index, "")) for w in windows]
+    imposed = [window for window in imposed if "imported" in run and reason_for_imposed(window, view)]
     notes += [f"{name}: {note}" for note in more]
-    if not any(channel.quantity in MOTIONS for channel in (of_decays if any(decays) else channels).values()):
+    if not imposed and not any(
+        channel.quantity in MOTIONS for channel in (of_decays if any(decays) else channels).values()
+    ):
         raise BenchError(
             f"{name} has no response channel that the model {model.name} has too; name the rig file of the rig that "
             "was tested, or add its sensors."
@@ -233,9 +238,6 @@ def _signals(
     rate = _hold_rate(run, sampling)
     response = _response_quantity(run)
     parts = []
-    held = _held(run)
-    imposed = [Window(w.segment, w.stretch, held.get(w.segment.level_index, "")) for w in windows]
-    imposed = [window for window in imposed if "imported" in run and reason_for_imposed(window, view)]
     if imposed:
         test_name = f"{name}/imposed" if len(imposed) < len(windows) else name
         parts.append(imposed_motion_observations(test_name, imposed, view, channels, settings))

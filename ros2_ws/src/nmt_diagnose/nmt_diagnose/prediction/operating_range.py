@@ -107,13 +107,12 @@ def operating_range(
         displacement = dict.fromkeys(points, 1e-3)
         omega = 2.0 * np.pi * _mode_under_test(rig)
     mass, inertia, pair_mass = _effective_masses(rig, omega)
-    imposed = [test for test in tests if isinstance(test, ImposedMotionTest)]
+    imposed = [scales for test in tests if (scales := _imposed_scales(test)) is not None]
     if len(imposed) == len(tests) and imposed:
-        force = max(test.force_n for test in imposed)
+        drive, force = (max(values) for values in zip(*imposed, strict=True))
         # No mode swings: what counts is the force that the motion takes, as the mass that would take it.
-        moved = force / (omega**2 * max(test.size for test in imposed))
+        moved = force / (omega**2 * drive)
         mass, pair_mass = dict.fromkeys(mass, moved), dict.fromkeys(pair_mass, moved)
-        drive = max(test.size for test in imposed)
         inertia = {point: moved * (drive / max(rotation[point], 1e-300)) ** 2 for point in inertia}
     start = [test.levels[0].start_s if isinstance(test, PhaseResonanceTest) else getattr(test, "start_s", 0.0)
              for test in tests if not (isinstance(test, PhaseResonanceTest) and not test.levels)]  # fmt: skip
@@ -210,6 +209,17 @@ def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settin
         ideal = test.input_channel.quantity == Quantity.FORCE
         return _noise(rig, test.drive_point, channels, settings, lines, float(np.std(test.input)), ideal)
     return []
+
+
+def _imposed_scales(test: Test) -> tuple[float, float] | None:
+    """Displacement (m) and force (N) of an imposed motion, the largest; None of other tests."""
+    if isinstance(test, ImposedMotionTest):
+        return test.size, test.force_n
+    if isinstance(test, SteppedSineTest) and test.imposed and test.reference == "force":
+        order = MOTIONS[test.channels[0].quantity]
+        force = float(np.max(test.levels / np.abs(test.measured[:, 0])))
+        return float(np.max(test.levels / (2.0 * np.pi * test.lines_hz) ** order)), force
+    return None
 
 
 def _imposed(
@@ -311,8 +321,7 @@ def _stepped(
     resting = _resting_frequencies(rig)
     found: list[Motion] = []
     for line in (int(np.nanargmax(motion)), int(np.nanargmin(motion))):
-        nearest = np.argmin(np.abs(np.log(resting / test.lines_hz[line])))
-        omega = 2.0 * np.pi * float(resting[nearest])
+        omega = 2.0 * np.pi * _nearest(resting, float(test.lines_hz[line]))
         q, y = _resting_response(parts, omega)
         scale = float(motion[line]) * omega**order / max(abs(y[-1]), 1e-300)
         drive = float(test.levels[line]) if test.held == "voltage" else scale / parts.input_per_volt[0]
@@ -333,7 +342,7 @@ def _given(
     every = channels if channel is not None else (*channels, test.channel)
     parts = cache.parts(rig, Setup(test.drive_points, False, every, FourierBasis.up_to(1)))
     resting = _resting_frequencies(rig)
-    omega = 2.0 * np.pi * float(resting[np.argmin(np.abs(np.log(resting / frequency_hz)))])
+    omega = 2.0 * np.pi * _nearest(resting, frequency_hz)
     q, y = _resting_response(parts, omega)
     size = abs(y[[c.name for c in every].index(test.channel.name)])
     found: list[Motion] = []
@@ -432,9 +441,16 @@ def _resting_frequencies(rig: Rig) -> FloatArray:
     return result
 
 
+def _nearest(resting: FloatArray, frequency_hz: float) -> float:
+    """The resting frequency nearest to another one, Hz; that one itself where nothing swings."""
+    return float(resting[np.argmin(np.abs(np.log(resting / frequency_hz)))]) if resting.size else frequency_hz
+
+
 def _mode_under_test(rig: Rig) -> float:
     """Resting frequency of the mode that the rig file says is tested, Hz."""
     frequencies = _resting_frequencies(rig)
+    if not frequencies.size:
+        return 1.0
     return float(frequencies[min(max(rig.test.mode, 1), frequencies.size) - 1])
 
 

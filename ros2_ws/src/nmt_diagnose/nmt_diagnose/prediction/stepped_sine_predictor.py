@@ -99,7 +99,9 @@ class SteppedSinePredictor:
         self.moved = moved_of(test)
         self.amplitudes = test.amplitudes * test.scale * np.exp(self.moved)
         self.growth = growth_of(test)
-        self.use(Setup(test.drive_points, test.reference == "force", self.channels, FourierBasis.up_to(HARMONICS)))
+        # A motion that is imposed has no harmonics, whatever the force has.
+        basis = FourierBasis.up_to(1 if test.imposed else HARMONICS)
+        self.use(Setup(test.drive_points, test.reference == "force", self.channels, basis))
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""

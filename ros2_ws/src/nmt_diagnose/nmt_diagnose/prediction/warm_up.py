@@ -9,6 +9,7 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.rig_edit import with_element
 from nmt_diagnose.observations.conditions import (
+    ImposedMotionTest,
     LockedLevel,
     MeasuredChannel,
     PhaseResonanceTest,
@@ -39,13 +40,17 @@ def warm_up_predictions(rig: Rig) -> None:
             "record", point, 1000.0, MeasuredChannel("u", Quantity.VOLTAGE, 0), np.ones(8), (response,),
             np.array([0.0, 8.0]),
         ),
+        ImposedMotionTest(
+            "imposed", point, 1000.0, response, np.ones(8), (force,), np.array([0.0, 8.0]), motion=np.ones((3, 8)),
+        ),
         SteppedSineTest(
             "stepped", point, (response,), "force", "force", np.array([20.0]), np.array([0.1]),
             np.array([[1e-4 + 0j]]), np.array([0.01]),
         ),
     )  # fmt: skip
-    parts = (Part.LOG_FREQUENCY, Part.LOG_MAGNITUDE, Part.DAMPING, Part.PHASE, Part.SAMPLE, Part.LOG_MAGNITUDE)
-    of_test = np.array([0, 1, 2, 2, 3, 4])
+    parts = (Part.LOG_FREQUENCY, Part.LOG_MAGNITUDE, Part.DAMPING, Part.PHASE, Part.SAMPLE, Part.SAMPLE,
+             Part.LOG_MAGNITUDE)  # fmt: skip
+    of_test = np.array([0, 1, 2, 2, 3, 4, 5])
     zero, none = np.zeros(len(parts), dtype=np.int64), np.zeros(len(parts))
     rows = Rows(of_test, zero, zero, zero + 1, np.array([int(part) for part in parts]), none, none, none)
     forward = Forward(tests, rows)

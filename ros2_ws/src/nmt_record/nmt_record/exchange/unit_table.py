@@ -21,6 +21,7 @@ _FACTORS: dict[Quantity, dict[str, float]] = {
     Quantity.FORCE: {
         "N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "daN": 10.0, "dyn": 1e-5,
         "kgf": STANDARD_GRAVITY, "kp": STANDARD_GRAVITY, "gf": 1e-3 * STANDARD_GRAVITY,
+        "N*m": 1.0, "mN*m": 1e-3,
         "lbf": _POUND * STANDARD_GRAVITY, "ozf": _POUND * STANDARD_GRAVITY / 16.0,
     },
     Quantity.ACCELERATION: {
@@ -57,7 +58,7 @@ _COORDINATES = {
 """
 
 # A table of amplitudes says no quantity: its unit tells the coordinate, too. In tables rad/s is a frequency.
-for _motion, _, _units in _COORDINATES.values():
+for _motion, _, _units in (_COORDINATES[name] for name in _COORDINATES if name != "torque"):
     _FACTORS[_motion] |= {unit: factor for unit, factor in _units.items() if not unit.endswith("rad/s")}
 
 _OTHER = {

@@ -142,6 +142,10 @@ def _one(
     rate, order = stretch.sample_rate, MOTIONS[source.quantity]
     found = _Motion.of(stretch.row(source.name), rate, order)
     motion = found.samples
+    force = stretch.find(Quantity.FORCE)
+    if force is not None and not any(channel.quantity is Quantity.FORCE for channel in channels.values()):
+        # A rig file without a force sensor means an ideal one.
+        channels = {force.name: force, **channels}
     recorded = {model_channel.name: theirs for theirs, model_channel in channels.items()}
     usable = {c.name for c in stretch.channels} - set(stretch.faults) - {source.name}
     present = [c for c in channels.values() if recorded[c.name] in usable and c.quantity in (Quantity.FORCE, *MOTIONS)]
@@ -267,7 +271,8 @@ def _bias(samples: FloatArray, half: int, order: int, sample_rate: float, noise:
     inner = savgol_coeffs(2 * narrow + 1, _DEGREE, order, 1.0 / sample_rate)
     weights[half - narrow : half + narrow + 1] -= inner
     by_noise = noise**2 * float(weights @ weights)
-    return np.sqrt(np.maximum(uniform_filter1d(change**2, 2 * half + 1) - 2.0 * by_noise, 0.0))
+    square = uniform_filter1d(change**2, 2 * half + 1) - 2.0 * by_noise
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
 def _without(spline: BSpline, time: FloatArray, drift: FloatArray) -> BSpline:

@@ -231,6 +231,7 @@ def _one(
         direction={"up": 1, "down": -1}.get(tables[0].direction, 0),
         noise_degrees=measured[0][3],
         phase_known=phase_known,
+        imposed=held == "response" and measured[0][0].point == view.rig.drive_point and view.far_from_modes(f[chosen]),
     )
     return rows.observations(test, notes)
 

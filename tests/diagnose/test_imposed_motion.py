@@ -287,13 +287,14 @@ def test_held_is_refused_where_it_means_nothing(tmp_path: Path) -> None:
         bag_of(tmp_path, RATE, {"force 1": w, "displacement 1": w}, segment, FREE)
 
 
-def test_a_table_of_a_free_mass_at_held_motions_shows_its_friction(tmp_path: Path) -> None:
-    """Force over motion of a free mass with a damper is c iω − m ω², and i 4F/(π A) with rigid friction beside it."""
-    rig_of(tmp_path, FREE)
-    frequency = np.geomspace(0.3, 3.0, 12)
+def test_a_table_of_held_motions_shows_friction(tmp_path: Path) -> None:
+    """Force over motion far below the mode is k + c iω − m ω², and i 4F/(π A) of rigid friction beside it."""
+    text = DRIVE.format(spring=2.0, damper=5e-3)  # 5 Hz
+    rig_of(tmp_path, text)
+    frequency = np.geomspace(0.1, 1.0, 12)
     omega, rng, segments = 2.0 * np.pi * frequency, np.random.default_rng(8), ""
     for level in (0.05, 0.1, 0.2, 0.4):
-        response = 1.0 / (5e-3j * omega - 2e-3 * omega**2 + 4j * 0.4 / (np.pi * level))
+        response = 1.0 / (2.0 + 5e-3j * omega - 2e-3 * omega**2 + 4j * 0.4 / (np.pi * level))
         response = response * np.exp(0.005 * (rng.standard_normal(12) + 1j * rng.standard_normal(12)))
         table = np.column_stack((frequency, response.real, response.imag))
         np.savetxt(tmp_path / f"{level}.csv", table, delimiter=",", header="frequency_hz,real,imag", comments="")
@@ -302,7 +303,7 @@ def test_a_table_of_a_free_mass_at_held_motions_shows_its_friction(tmp_path: Pat
             f"level_unit: m, held: response, noise: 0.5, name: at {level}}}\n"
         )
     (tmp_path / "sidecar.yaml").write_text(f"rig: rig.yaml\nfile: 0.05.csv\nsegments:\n{segments}", encoding="utf-8")
-    bag = write_import(read_import(tmp_path / "sidecar.yaml"), tmp_path / "bag", "drive", FREE, {})
+    bag = write_import(read_import(tmp_path / "sidecar.yaml"), tmp_path / "bag", "drive", text, {})
     found = diagnosed(load_rig(tmp_path / "rig.yaml", vibrating=False), bag)
     assert found.verdict is Verdict.EFFECT, found.sentences
     first = found.ranking[0]

@@ -37,7 +37,7 @@ from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.forced_kernel import solve_lines, step_lines
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.rig_parts import RigParts, shared_unknowns
+from nmt_diagnose.prediction.rig_parts import RigParts, shared_unknowns, sliding
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -143,6 +143,16 @@ class SteppedSinePredictor:
             first, known, *self._given(parts), *parts.resting, parts.kernel_tables,
             self.settings.iterations, self.settings.tolerance,
         )  # fmt: skip
+        if not good.all() and parts.tables.elements.jenkins.size:
+            # Far beyond the slip of a stiff contact nothing leads there from rest.
+            other, *found = solve_lines(
+                np.zeros_like(first), np.zeros(lines, dtype=bool), *self._given(parts), *sliding(parts),
+                parts.kernel_tables, self.settings.iterations, self.settings.tolerance,
+            )  # fmt: skip
+            taken = other & ~good
+            for kept, more in zip((z, forces, inverses, values, slopes), found, strict=True):
+                kept[taken] = more[taken]
+            good = good | taken
         z[~good] = np.nan
         responses, reference = self._over_reference(parts, z, values)
         # The closure's rows are its real and imaginary part: one of the real one is the change by s.

@@ -242,6 +242,15 @@ def test_noise_of_the_motion_is_part_of_the_noise_of_the_force(tmp_path: Path) -
     assert float(np.median(np.concatenate(told))) == pytest.approx(float(np.std(np.concatenate(left))), rel=0.5)
 
 
+@pytest.mark.parametrize(("share", "imposed"), [(0.0085, True), (0.0125, False)])
+def test_a_hundredth_of_the_power_at_a_mode_is_vibration(tmp_path: Path, share: float, imposed: bool) -> None:
+    text = DRIVE.format(spring=180.0, damper=5e-3)  # 48 Hz
+    rig = rig_of(tmp_path, text)
+    w = sines(np.arange(8000) / RATE, (0.03, 2.0, 0.0), (0.03 * math.sqrt(share / (1.0 - share)), 48.0, 0.0))[0]
+    bag = bag_of(tmp_path, RATE, {"force 1": 180.0 * w, "displacement 1": w}, record(w.size), text)
+    assert all(isinstance(test, ImposedMotionTest) is imposed for test in read_observations([bag], rig).tests)
+
+
 @pytest.mark.parametrize(("held", "imposed"), [(None, True), ("response", True), ("force", False)])
 def test_a_motion_far_from_the_modes_is_imposed(tmp_path: Path, held: str | None, imposed: bool) -> None:
     """At a hundredth of the natural frequency force and motion say the same; the sidecar has the last word."""

@@ -151,17 +151,12 @@ class ReadingThresholds:
     imposed_resonant_share: float = threshold(
         0.01, "1",
         "Share of a motion's power about the model's modes below which it is no vibration of the model.",
-        "tests/diagnose/test_imposed_motion.py::test_a_motion_far_from_the_modes_is_imposed",
+        "tests/diagnose/test_imposed_motion.py::test_a_hundredth_of_the_power_at_a_mode_is_vibration",
     )  # fmt: skip
     imposed_rest_share: float = threshold(
         0.05, "1",
         "Speed over the largest below which the drive point stands still as far as a smoothed motion tells, and "
         "friction holds any force.",
-        "tests/diagnose/test_imposed_motion.py::test_a_force_at_rest_is_no_observable",
-    )  # fmt: skip
-    imposed_passage_share: float = threshold(
-        0.05, "1",
-        "Share of a period of the motion that a reversal stays so slow at the most; a sine takes a third of it.",
         "tests/diagnose/test_imposed_motion.py::test_a_force_at_rest_is_no_observable",
     )  # fmt: skip
     imposed_noise_ratio: float = threshold(
@@ -189,11 +184,6 @@ class ReadingThresholds:
         2.0, "1",
         "Shift by the motion in another mode over that by as much motion of its own, of a cubic spring.",
         "tests/diagnose/test_decay_of_two_masses.py::test_what_another_mode_shifts_is_part_of_the_uncertainty",
-    )  # fmt: skip
-    decay_late_share: float = threshold(
-        0.1, "1",
-        "Amplitude that spectra show of a decay over its largest motion, below which they missed its beginning.",
-        "tests/diagnose/test_free_friction.py::test_a_decay_is_read_from_its_beginning",
     )  # fmt: skip
     decay_few_spectral_periods: int = threshold(
         3, "1",

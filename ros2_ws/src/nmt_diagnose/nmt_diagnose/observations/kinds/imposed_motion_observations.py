@@ -39,6 +39,7 @@ from nmt_rig.rig import ShakingTableSection
 from nmt_signals.channel_faults.clipping import clipping_level
 
 KINDS = (TestKind.RECORD, TestKind.STEPPED_SINE)
+_PASSAGE = 0.05  # of a period that a reversal stays slow at the most; a sine takes a third of it
 _DEGREE = 5  # of the polynomials: their second derivative is as good as their value is with degree 3
 _PASSED = 4.0  # frequency at which the polynomials halve the power over the highest of the motion
 _MOTION_UNITS = {motion.unit for motion in MOTIONS}
@@ -295,7 +296,7 @@ def _moving(motion: _Motion, start: int, sample_rate: float) -> IntArray:
     """
     speed = np.abs(motion.samples[1])
     resting = speed <= THRESHOLDS.reading.imposed_rest_share * float(speed.max(initial=0.0))
-    passage = THRESHOLDS.reading.imposed_passage_share / max(motion.frequency_hz, 1e-300) * sample_rate
+    passage = _PASSAGE / max(motion.frequency_hz, 1e-300) * sample_rate
     still = binary_opening(resting, np.ones(max(3, min(math.ceil(passage), resting.size))))
     resting |= binary_dilation(still, iterations=motion.reach)
     resting[:start] = True

@@ -29,6 +29,7 @@ from nmt_signals.decays.decay_signal import Ridge, demodulated
 from nmt_signals.decays.half_cycles import half_cycle_nodes
 from nmt_signals.thresholds import DECAYS
 
+_LATE_SHARE = 0.1  # of the largest motion, below which spectra missed the beginning of a decay
 _ORDER = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
 
 
@@ -87,7 +88,7 @@ def ring_down_observations(
         return _short_decay(name, stretch, usable[0], channels, view, settings, reason)
     largest = 0.5 * float(np.ptp(stretch.row(model_channel.name)))
     top = max(node.amplitude for node in decay.good)
-    if len(decay.good) < THRESHOLDS.reading.decay_few_nodes or top < THRESHOLDS.reading.decay_late_share * largest:
+    if len(decay.good) < THRESHOLDS.reading.decay_few_nodes or top < _LATE_SHARE * largest:
         # Friction ends a decay within a few periods, however long the recording goes on.
         short = _short_decay(name, stretch, model_channel, channels, view, settings, reason)
         nodes = [np.asarray(test.amplitudes) for test in short.tests if isinstance(test, RingDownTest)]

@@ -28,7 +28,7 @@ from nmt_diagnose.inference.candidate_starts import (
 )
 from nmt_diagnose.inference.fitting import Data, FitError, FitResult, Metric, approach, fit, predicted, without_rows
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.observations.conditions import RandomTest, RecordTest
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
@@ -517,17 +517,36 @@ class Search:
         return best_of([explanation for explanation in found if explanation is not None])
 
     def _fitted_by_levels_first(self, wanted: Sequence[Score], fits: Sequence[FittedExplanation]) -> list[int]:
-        """Candidates to climb with: the effects that the score test and the fits put first, each at its best place."""
+        """Candidates to climb with, each effect at its best place: the first at low levels, by fit and by score."""
         by_fit = sorted(fits, key=lambda explanation: -explanation.fit.log_evidence)
+        low = [score.candidate for score in self._low_scores]
         order = [
             self.candidates.index(explanation.candidates[0])
             for explanation in by_fit[: THRESHOLDS.search.climbed_effects]
         ]
         order += [score.candidate for score in wanted]
+        return list(dict.fromkeys([*self._first_of_effects(low), *self._first_of_effects(order)]))
+
+    def _first_of_effects(self, order: Sequence[int]) -> list[int]:
+        """The first place of each effect, of as many as are climbed."""
         result: dict[str, int] = {}
         for number in order:
             result.setdefault(self.candidates[number].effect.name, number)
         return list(result.values())[: THRESHOLDS.search.climbed_effects]
+
+    @cached_property
+    def _low_scores(self) -> list[Score]:
+        """What candidates promise at the lowest levels, where a strong effect is weak; the best first."""
+        used = self._stages[0]
+        if used.all():
+            return []
+        low = Search(without_rows(self.data, used), self.rig, self.parameters, self.candidates)
+        parametrisation = self.parametrisation()
+        try:
+            alone = FittedExplanation((), fit(low.data, parametrisation, parametrisation.zero))
+        except FitError:
+            return []
+        return [score for score in low.scores(alone) if score.gain > THRESHOLDS.search.second_cost_fall]
 
     def from_modes(self, null: FittedExplanation, modes: LowLevelModes) -> list[FittedExplanation]:
         """Explanations by one effect, fitted from where the model's modes are the measured ones; the best first."""
@@ -641,15 +660,25 @@ class Search:
 
     @cached_property
     def _stages(self) -> tuple[BoolArray, ...]:
-        """Rows of the lowest third of the levels, of two thirds, and all; of what has no levels all."""
+        """Rows of the lowest third of the levels, of two thirds, and all; of what has no levels all.
+
+        A record is one level, its largest: what rings down in it began there.
+        """
         rows, tests = self.data.observations.rows, self.data.observations.tests
         kinds = np.array([type(test).__name__ for test in tests])[rows.test]
+        size = rows.amplitude.copy()
+        for number, test in enumerate(tests):
+            if isinstance(test, RecordTest):
+                size[rows.test == number] = rows.amplitude[rows.test == number].max(initial=0.0)
         rank = np.zeros(len(rows))
+        others = set(kinds) - {RandomTest.__name__, RecordTest.__name__}
         for kind in np.unique(kinds):
             selected = kinds == kind
-            levels = np.unique(rows.amplitude[selected])
+            levels = np.unique(size[selected])
             if kind != RandomTest.__name__ and levels.size > 2:
-                rank[selected] = np.searchsorted(levels, rows.amplitude[selected]) / levels.size
+                rank[selected] = np.searchsorted(levels, size[selected]) / levels.size
+            elif kind == RecordTest.__name__ and others:
+                rank[selected] = 1.0  # how low they are beside other tests nobody knows
         return rank < 1.0 / 3.0, rank < 2.0 / 3.0, np.ones(len(rows), dtype=bool)
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_diagnose.prediction.record_kernel import SteppedModel
 
-_ITERATIONS = 5
+_ITERATIONS = 8
 _HALVINGS = 4
-_SETTLED = 1e-4  # change of the state, over the motion, below which it is found
+_SETTLED = 1e-9  # change of the state, over the motion, below which it is found: differences of two rigs are small
 _STEP = 1e-3  # of differences, over the motion
 _SINGULAR = 1e-3  # of the largest singular value
 _MOST_DECAY = 20.0  # nepers over the first samples beyond which a pole is not in them

@@ -319,7 +319,10 @@ def moved_model(
     if not np.max(np.abs(mixed), initial=0.0) < THRESHOLDS.prediction.largest_shape_mix:
         return None
     left = frame.left @ b
-    return _with_outputs(model.poles + np.diag(moved), frame.full + frame.full @ mixed, left - mixed @ left, rows, None)
+    shift = np.diag(moved)
+    # A real pole stays real: an imaginary part by rounding would make half of a pair of it.
+    poles = model.poles + np.where(model.poles.imag == 0.0, shift.real, shift)
+    return _with_outputs(poles, frame.full + frame.full @ mixed, left - mixed @ left, rows, None)
 
 
 def _with_outputs(

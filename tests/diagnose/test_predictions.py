@@ -27,6 +27,7 @@ from nmt_diagnose.prediction.influence import Source
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.record_predictor import stepped_model
 from nmt_diagnose.prediction.rig_parts import rig_parts
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.model.forced_response import ForcedProblem
@@ -725,3 +726,19 @@ def test_a_backbone_table_is_the_modes_own_whatever_the_sensors_do():
         Forward([louder], rows_of(own, 24.0)).predict(rig).values,
         rtol=1e-9,
     )
+
+
+def test_real_poles_of_overdamped_modes_stay_real_when_they_are_followed():
+    """Half of a record's poles would be lost to imaginary parts that are rounding."""
+    rig, basis = with_value(load_rig("beam"), ("structure", "stiffness_damping_s"), 3e-4), FourierBasis.up_to(3)
+    channels = channels_of(rig)
+    parts = rig_parts(rig, channels, basis, PLAIN)
+    real = parts.linear.poles.imag == 0.0
+    assert real.sum() > 4
+    moved = with_value(rig, ("structure", "density_kg_m3"), rig.structure.density_kg_m3 * (1.0 + 1e-7))
+    followed = rig_parts(moved, channels, basis, PLAIN, near=parts)
+    assert followed.linear.frame is None
+    np.testing.assert_array_equal(followed.linear.poles.imag == 0.0, real)
+    rows = np.arange(parts.coordinates)
+    before, after = (stepped_model(it.linear, it.coordinates, rows, 1e-4) for it in (parts, followed))
+    np.testing.assert_allclose(after.decay, before.decay, rtol=1e-4)

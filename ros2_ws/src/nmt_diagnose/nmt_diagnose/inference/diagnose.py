@@ -601,7 +601,8 @@ def _closed(
 ) -> ClosedShare:
     """How much of the gap an explanation closes on rows that its fit did not see.
 
-    A split whose fit leaves open what the explanation does to the rows held out says nothing of it.
+    A split whose fit leaves open what the explanation does to the rows held out says nothing of it, nor does one from
+    which the model alone knows less of them than what it is off by.
     """
     null, scale = findings.null, scale_of(best)
     fits = [
@@ -616,6 +617,8 @@ def _closed(
         if before is None or after is None or not rows.any():
             continue
         uncertain = after[1] * scale
+        if rms(before[1][rows]) > rms(before[0][rows]):
+            continue
         if rms(uncertain[rows]) <= THRESHOLDS.verdict.open_prediction_share * rms(change[rows]):
             silent = no_worse_than_silence(data.observations, before[0], data.sigma)
             pairs.append((silent * scale, after[0] * scale / np.hypot(1.0, uncertain), rows))

@@ -19,10 +19,11 @@ from nmt_diagnose.inference.comparison import Hypotheses, SourceEvidence
 from nmt_diagnose.inference.diagnose import diagnose_observations, free_parameters, model_alone
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
+from nmt_diagnose.inference.explanations import FittedExplanation, Score
 from nmt_diagnose.inference.fitting import best_chain_errors, data_about, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups, groups_of
-from nmt_diagnose.inference.search import FittedExplanation, Score, Search
+from nmt_diagnose.inference.search import Search
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable

@@ -15,8 +15,8 @@ from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference import look_ahead
 from nmt_diagnose.inference.comparison import Comparison, EquivalentClass
+from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.look_ahead import Proposal, next_tests
-from nmt_diagnose.inference.search import FittedExplanation
 
 RIG = chain()
 SIGMA = 0.5

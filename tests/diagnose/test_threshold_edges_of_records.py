@@ -19,11 +19,12 @@ from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.effects.sensor_effects import _late
 from nmt_diagnose.inference.comparison import Comparison, EquivalentClass
 from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.inference.explanations import Score
 from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.look_ahead import _competing
 from nmt_diagnose.inference.low_level_modes import Modes, disorder, modes_that_lack
 from nmt_diagnose.inference.misfit import misfit_of
-from nmt_diagnose.inference.search import Score, Search
+from nmt_diagnose.inference.search import Search
 from nmt_diagnose.inference.warnings import warned
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.kinds.record_observations import refinement

@@ -13,7 +13,7 @@ from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.inference.search import FittedExplanation
+from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.warnings import warned, without_observables
 from nmt_diagnose.observations.origin import Origin
 

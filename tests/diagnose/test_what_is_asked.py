@@ -12,8 +12,9 @@ from scipy.stats import chi2, norm
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.inference.diagnose import free_parameters, model_alone
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.search import FittedExplanation, Search
+from nmt_diagnose.inference.search import Search
 from nmt_diagnose.inference.size import implausible_parameters, leaves_something, needed, relieves, strained, tension
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.prediction.operating_range import operating_range

@@ -35,9 +35,10 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import starts_of
 from nmt_diagnose.inference.diagnose import about, find, free_parameters, model_alone, observed
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import FitError, approach, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.search import FittedExplanation, Search
+from nmt_diagnose.inference.search import Search
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_rig.rig import Rig, load_rig

@@ -12,8 +12,8 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Location
+from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import Data, Metric
-from nmt_diagnose.inference.search import FittedExplanation
 from nmt_diagnose.inference.size import (
     Objection,
     change_size,

@@ -20,6 +20,7 @@ from nmt_diagnose.inference.chain import SharedDelay, shared_delays
 from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, sources
 from nmt_diagnose.inference.diagnosis import DetectableEffect, Diagnosis, Gap, Value, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.inference.explanations import FittedExplanation, Score, best_of
 from nmt_diagnose.inference.fitting import (
     ChainErrors,
     Data,
@@ -47,7 +48,7 @@ from nmt_diagnose.inference.result_rows import (
     place_rows,
     ranked_rows,
 )
-from nmt_diagnose.inference.search import FittedExplanation, Score, Search, best_of
+from nmt_diagnose.inference.search import Search
 from nmt_diagnose.inference.sentences import likeness, sentences
 from nmt_diagnose.inference.size import (
     change_size,

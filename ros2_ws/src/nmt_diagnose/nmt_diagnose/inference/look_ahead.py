@@ -27,8 +27,8 @@ from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.location import joined
 from nmt_diagnose.inference.comparison import Comparison
 from nmt_diagnose.inference.diagnosis import NULL, NextTest
+from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import Metric
-from nmt_diagnose.inference.search import FittedExplanation
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
 from nmt_diagnose.prediction.forward import Forward

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,13 @@ from nmt_diagnose.inference.candidate_starts import (
     strength_parameter,
     strength_position,
 )
+from nmt_diagnose.inference.explanations import (
+    FittedExplanation,
+    Score,
+    best_by_effect,
+    best_of,
+    leaves_noise_only,
+)
 from nmt_diagnose.inference.fitting import Data, FitError, FitResult, Metric, approach, fit, predicted, without_rows
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.observations.conditions import RandomTest, RecordTest
@@ -33,75 +40,6 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
 ProgressSentence = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class FittedExplanation:
-    """A fitted explanation.
-
-    Attributes:
-        candidates: its effects at their places; none for the model alone.
-        fit: the fit.
-        small: numbers of those candidates without which what is left would not matter: nothing is said of them.
-    """
-
-    candidates: tuple[Candidate, ...]
-    fit: FitResult
-    small: frozenset[int] = frozenset()
-
-    @cached_property
-    def fitted(self) -> Explanation:
-        """All its effects at their places as values that compare."""
-        return Explanation(tuple(candidate.cause for candidate in self.candidates))
-
-    @property
-    def stated(self) -> tuple[int, ...]:
-        """Numbers of the candidates that it needs."""
-        return tuple(k for k in range(len(self.candidates)) if k not in self.small)
-
-    @cached_property
-    def explanation(self) -> Explanation:
-        """The effects that it needs, at their places."""
-        return Explanation(tuple(self.candidates[k].cause for k in self.stated))
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Names of its effects, sorted."""
-        return self.explanation.effects
-
-    def strength(self, member: int) -> float:
-        """Strength of one effect over its standard uncertainty."""
-        selected = self.fit.parametrisation.index_of(member)
-        parameters = self.candidates[member].effect.parameters
-        sizes = np.abs(self.fit.theta[selected]) / self.fit.std[selected]
-        return max((float(s) for s, p in zip(sizes, parameters, strict=True) if p.kind == "strength"), default=0.0)
-
-    @property
-    def sigmas(self) -> float:
-        """Strength of the weakest effect that it needs, of all where it needs none; 0 without effects."""
-        members = self.stated or range(len(self.candidates))
-        return min((self.strength(member) for member in members), default=0.0)
-
-
-@dataclass(frozen=True)
-class Score:
-    """What a candidate promises on top of a fit.
-
-    Attributes:
-        candidate: its number.
-        start: its parameters, strength included.
-        gain: fall of the cost.
-        reach: standard deviations for each unit of strength.
-        column: change of the rows over the strength, over σ, (m,).
-        relief: part of the gain by parameters and chain that return to what is believed of them.
-    """
-
-    candidate: int
-    start: FloatArray
-    gain: float
-    reach: float
-    column: FloatArray
-    relief: float = 0.0
 
 
 class Search:
@@ -680,33 +618,6 @@ class Search:
             elif kind == RecordTest.__name__ and others:
                 rank[selected] = 1.0  # how low they are beside other tests nobody knows
         return rank < 1.0 / 3.0, rank < 2.0 / 3.0, np.ones(len(rows), dtype=bool)
-
-
-def best_of(found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
-    """The best fit of each explanation, the best first."""
-    best: dict[Explanation, FittedExplanation] = {}
-    for explanation in found:
-        known = best.get(explanation.explanation)
-        if known is None or explanation.fit.log_evidence > known.fit.log_evidence:
-            best[explanation.explanation] = explanation
-    return sorted(best.values(), key=lambda explanation: -explanation.fit.log_evidence)
-
-
-def best_by_effect(found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
-    """The first of each set of effects."""
-    heads: dict[tuple[str, ...], FittedExplanation] = {}
-    for explanation in found:
-        heads.setdefault(explanation.effects, explanation)
-    return list(heads.values())
-
-
-def leaves_noise_only(data: Data, found: FittedExplanation) -> bool:
-    """Whether a fit leaves noise only and bends neither parameters nor measuring chain: nothing asks for more."""
-    fitted = found.fit
-    pulls = np.concatenate([fitted.theta[: len(fitted.parametrisation.calibration)], fitted.errors.chain])
-    return not data.groups.excess(fitted.errors.squares, data.counts).any() and bool(
-        np.all(np.abs(pulls) < THRESHOLDS.comparison.credible_sigmas)
-    )
 
 
 def _spread_of(strength: float) -> float:

@@ -11,8 +11,8 @@ from scipy.stats import chi2, norm
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.text.number_words import significant
 from nmt_diagnose.inference.candidate_starts import at_zero
+from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import Data, predicted
-from nmt_diagnose.inference.search import FittedExplanation
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.thresholds import THRESHOLDS
 

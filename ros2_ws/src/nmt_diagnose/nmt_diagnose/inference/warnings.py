@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.inference.search import FittedExplanation
+from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 

@@ -42,7 +42,7 @@ ON_THE_CHAIN = {
     "one_sided_stop@2": (2.0, math.log(0.5)),
     "two_sided_gap@1": (2.0, math.log(0.4)),
     "microslip@2": (4.0, -0.3),
-    "second_friction_contact@1": (3.0, math.log(0.3)),
+    "second_friction_contact@1": (0.9, math.log(3.0)),
     "preload_loss@time": (-40.0,),
     "preload_loss@cycles": (-0.05,),
     "temperature_drift": (0.5,),
@@ -69,8 +69,8 @@ ON_THE_CHAIN = {
 ON_THE_BEAM = {
     "clamp_compliance@rotation": (3.0,),
     "clamp_compliance@lateral": (1.0,),
-    "clamp_friction@lateral": (2.0, math.log(0.3)),
-    "clamp_friction@rotation": (2.0, math.log(0.3)),
+    "clamp_friction@lateral": (0.6, math.log(3.0)),
+    "clamp_friction@rotation": (0.6, math.log(3.0)),
     "stinger_stiffness@rotation": (3.0,),
     "shared_delay@displacement channels": (5.0,),
 }

@@ -188,8 +188,8 @@ def relieves(data: Data, more: FittedExplanation, less: FittedExplanation, wante
 
 def tension(found: FittedExplanation) -> float:
     """How far a fit takes parameters of the model and errors of the chain from what is believed of them, −2 ln p."""
-    own = found.fit.theta[: len(found.fit.parametrisation.calibration)]
-    return float(own @ own + found.fit.errors.chain @ found.fit.errors.chain)
+    parameters = found.fit.theta[: len(found.fit.parametrisation.calibration)]
+    return float(parameters @ parameters + found.fit.errors.chain @ found.fit.errors.chain)
 
 
 def relief_that_counts(found: FittedExplanation) -> float:
@@ -208,13 +208,16 @@ def leaves_something(data: Data, found: FittedExplanation, wanted: Mapping[str, 
 def strained(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> float:
     """Probability that a parameter of the model or an error of the chain that matters is as far off (Bonferroni)."""
     fitted, chain = found.fit, found.fit.errors.chain
-    own = np.abs(fitted.theta[: len(fitted.parametrisation.calibration)])
+    parameters = np.abs(fitted.theta[: len(fitted.parametrisation.calibration)])
     far = np.flatnonzero(np.abs(chain) > THRESHOLDS.comparison.credible_sigmas)
     moved = (data.chain + data.added) * chain
     farthest = max(
-        [float(own.max(initial=0.0)), *(abs(float(chain[j])) for j in far if _matters(data, moved[:, j], wanted))]
+        [
+            float(parameters.max(initial=0.0)),
+            *(abs(float(chain[j])) for j in far if _matters(data, moved[:, j], wanted)),
+        ]
     )
-    return min(1.0, (own.size + chain.size) * 2.0 * float(norm.sf(farthest)))
+    return min(1.0, (parameters.size + chain.size) * 2.0 * float(norm.sf(farthest)))
 
 
 def _matters(data: Data, change: FloatArray, wanted: Mapping[str, float]) -> bool:

@@ -76,8 +76,8 @@ def out_of_scale(
             continue
         places = np.array([frequency, frequency / nearest_ratio(frequency, view.frequencies_hz)])
         expected = np.abs(view.responses(model_channels, places, terms)).T
-        own, next_mode = (_ratios(names, model_channels, measured, each) for each in expected)
-        for recorded, value in min(own, next_mode, key=_spread).items():
+        target_mode, next_mode = (_ratios(names, model_channels, measured, each) for each in expected)
+        for recorded, value in min(target_mode, next_mode, key=_spread).items():
             logs.setdefault(recorded, []).append(value)
     ratios = {recorded: float(np.median(values)) for recorded, values in logs.items()}
     if len(ratios) < 3:

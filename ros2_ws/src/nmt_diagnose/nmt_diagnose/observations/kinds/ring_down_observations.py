@@ -110,7 +110,7 @@ def ring_down_observations(
                 continue
             place = Place(level, stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
             size = math.log(abs(ratio) * node.amplitude)
-            std = math.hypot(std, 2.0 * _shift(node, _rest(decay.good), decay.others[level]))
+            std = math.hypot(std, 2.0 * _shift(node, _lowest(decay.good), decay.others[level]))
             table.add(Part.LOG_MAGNITUDE, size, std, floors.decay_shape, place, index, 1)
             table.add(Part.PHASE, cmath.phase(ratio), std, floors.decay_shape, place, index, 1)
     notes += _notes(name, decay)
@@ -130,7 +130,7 @@ def _add_nodes(
     table: RowTable, good: list[Node], stretch: SampleStretch, settings: ObservationSettings, others: FloatArray
 ) -> list[float]:
     """Rows of frequency and damping of every node; returns their amplitudes."""
-    floors, small_amplitude = settings.floors, _rest(good)
+    floors, small_amplitude = settings.floors, _lowest(good)
     for level, (node, bend, other) in enumerate(zip(good, _bends(good), others, strict=True)):
         place = Place(level, stretch.start_s + node.time_s, node.omega / (2.0 * math.pi), node.amplitude)
         shift = _shift(node, small_amplitude, other)
@@ -147,7 +147,7 @@ def _add_nodes(
     return [node.amplitude for node in good]
 
 
-def _rest(good: list[Node]) -> Node:
+def _lowest(good: list[Node]) -> Node:
     return min(good, key=lambda node: node.amplitude)
 
 

@@ -15,7 +15,15 @@ from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.search import Search
-from nmt_diagnose.inference.size import implausible_parameters, leaves_something, needed, relieves, strained, tension
+from nmt_diagnose.inference.size import (
+    Size,
+    implausible_parameters,
+    leaves_something,
+    needed,
+    relieves,
+    strained,
+    tension,
+)
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -136,3 +144,25 @@ def test_errors_that_share_a_reason_count_together() -> None:
     assert relieves(search.data, free, strained_by(null, 1.01 * edge), wanted)
     assert not relieves(search.data, free, strained_by(null, 0.99 * edge), wanted)
     assert not relieves(search.data, free, strained_by(null, 1.01 * edge), dict.fromkeys(wanted, 1e9))
+
+
+def test_a_strong_effect_is_climbed_with_at_the_place_that_low_levels_say() -> None:
+    spring = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 5e9}
+    search, _ = searched(real(MODEL, local_elements=[spring]))
+    assert not search._stages[0].all()
+    # By the other orders it comes later or not at all: nothing was fitted, nothing is wanted.
+    labels = [search.candidates[number].label for number in search._fitted_by_levels_first([], [])]
+    assert any(label.startswith("cubic_stiffness@2") for label in labels), labels
+    assert len(labels) <= THRESHOLDS.search.climbed_effects
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [
+        (Size({"response": 0.07}, False), "hint at a difference of up to 7 % of a response, which lies within"),
+        (Size({}, True), "hint at a difference, which lies within"),
+        (Size({"response": 0.01}, False), "smaller than what matters: 1 % of a response"),
+    ],
+)
+def test_a_difference_is_told_as_small_only_where_it_is_smaller_than_what_matters(size: Size, words: str) -> None:
+    assert words in size.sentence(DiagnosisSettings().matters)

@@ -23,8 +23,7 @@ class Parametrisation:
 
     Calibration: value · exp(std θ), prior N(0, 1). Strength: scale · θ, prior a mixture of N(0, (3 s)²) with weights
     1/s over the spreads s = 1, 10, 100, of which each parametrisation takes one; one that cannot be negative is absent
-    for θ ≤ 0. Shape: scale · exp(θ), prior N(0, 1), or wider where a
-    shape is free over decades.
+    for θ ≤ 0. Shape: scale · exp(θ), prior N(0, 1), or wider where a shape is free over decades.
 
     Attributes:
         base: the model as given.

@@ -392,8 +392,8 @@ def diagnose_observations(
     )
     if alone.diagnosis.verdict not in (Verdict.EFFECT, Verdict.UNKNOWN):
         return outcome
-    settings_stated = {**alone.diagnosis.inputs, "withheld": list(settings.withheld)}
-    return replace(alone, diagnosis=replace(alone.diagnosis, inputs=settings_stated))
+    stated_inputs = {**alone.diagnosis.inputs, "withheld": list(settings.withheld)}
+    return replace(alone, diagnosis=replace(alone.diagnosis, inputs=stated_inputs))
 
 
 def stands_out(observations: Observations, which: BoolArray) -> bool:

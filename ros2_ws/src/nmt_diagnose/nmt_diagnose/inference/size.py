@@ -41,7 +41,8 @@ class Size:
         """The size in words, beside the size that matters by kind."""
         parts = ", ".join(f"{_PERCENT * value:.2g} % of {SIZE_NAMES[kind]}" for kind, value in self.values.items())
         if matters(self, wanted):
-            return f"The recordings show a difference that their noise and tolerances would hide: {parts or 'no size'}."
+            size = f" of up to {parts}" if parts else ""
+            return f"The recordings hint at a difference{size}, which lies within their noise and tolerances."
         return f"The recordings show a difference beyond their noise that is smaller than what matters: {parts}."
 
 

@@ -12,6 +12,7 @@ from tiers import with_quick
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.library import candidates
+from nmt_diagnose.inference.diagnose import large_lines
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
@@ -77,6 +78,15 @@ def test_a_humming_channel_of_a_bag_is_named_and_the_twin_knows_its_line(tmp_pat
     line, own = rows.part == Part.LINE, rows.channel == names.index("x4")
     assert [note for note in observations.notes if "60 Hz" in note]
     assert sorted({float(hz) for hz in rows.frequency_hz[line & own]}) == [50.0, 60.0]
+    # It is as large as a harmonic that matters where it is more than a thousandth of the median level's fundamental.
+    middle = observations.tests[0].levels[1].fundamentals[names.index("x4")]  # type: ignore[union-attr]
+    share = float(np.median(observations.values[line & own & (rows.frequency_hz == 60.0)])) / middle
+    assert share == pytest.approx(2e-7 / middle, rel=0.1)
+    assert (
+        np.flatnonzero(large_lines(observations, 0.5 * share)).tolist()
+        == np.flatnonzero(line & own & (rows.frequency_hz == 60.0)).tolist()
+    )
+    assert not large_lines(observations, 2.0 * share).any()
     # The other mains is observed where it is, and only there.
     assert set(rows.frequency_hz[line & ~own]) == {50.0}
     forward = Forward(observations.tests, rows)

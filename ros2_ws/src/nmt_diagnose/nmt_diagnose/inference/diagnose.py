@@ -59,6 +59,7 @@ from nmt_diagnose.inference.size import (
     relief_that_counts,
 )
 from nmt_diagnose.inference.warnings import warned, without_observables
+from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
@@ -375,7 +376,8 @@ def diagnose_observations(
     """Diagnose observations that have been read already; see :func:`diagnose_bags`.
 
     Lines of the mains depend on nothing but the hum of their channel. They are left out where causes compete: a sum of
-    independent evidence orders causes by their own part. Where no cause is found they are judged alone.
+    independent evidence orders causes by their own part. Where no cause is found, those that are as large as harmonics
+    that matter are judged alone.
 
     Raises:
         BenchError: the model has no solution for most of the observations.
@@ -384,16 +386,38 @@ def diagnose_observations(
     observations = replace(observations, matters=dict(settings.matters))
     hum = observations.rows.part == Part.LINE
     outcome = _diagnosed(rig, observations, settings, tell, ~hum)
-    if outcome.diagnosis.verdict in (Verdict.EFFECT, Verdict.UNKNOWN) or not stands_out(observations, hum):
+    large = large_lines(observations, settings.matters.get("harmonics", 0.0))
+    if outcome.diagnosis.verdict in (Verdict.EFFECT, Verdict.UNKNOWN) or not stands_out(observations, large):
         return outcome
     others = tuple(effect.name for effect in library() if effect.name != MAINS_HUM)
-    alone = _diagnosed(
-        rig, observations, replace(settings, withheld=(*settings.withheld, *others)), tell, np.ones_like(hum)
-    )
+    alone = _diagnosed(rig, observations, replace(settings, withheld=(*settings.withheld, *others)), tell, ~hum | large)
     if alone.diagnosis.verdict not in (Verdict.EFFECT, Verdict.UNKNOWN):
         return outcome
     stated_inputs = {**alone.diagnosis.inputs, "withheld": list(settings.withheld)}
     return replace(alone, diagnosis=replace(alone.diagnosis, inputs=stated_inputs))
+
+
+def large_lines(observations: Observations, wanted: float) -> BoolArray:
+    """Lines of the mains, (m,), of channels where they are a share of the fundamental in the median level.
+
+    Args:
+        observations: what was read.
+        wanted: that share.
+    """
+    rows = observations.rows
+    lines = np.flatnonzero(rows.part == Part.LINE)
+    share = np.full(lines.size, np.inf)
+    for number, row in enumerate(lines):
+        test = observations.tests[rows.test[row]]
+        fundamentals = test.levels[rows.level[row]].fundamentals if isinstance(test, PhaseResonanceTest) else ()
+        if fundamentals and fundamentals[rows.channel[row]] > 0.0:
+            share[number] = observations.values[row] / fundamentals[rows.channel[row]]
+    large = np.zeros(len(rows), dtype=bool)
+    keys = np.stack([rows.test[lines], rows.channel[lines], np.round(rows.frequency_hz[lines]).astype(np.int64)])
+    for key in np.unique(keys, axis=1).T:
+        same = np.all(keys == key[:, None], axis=0)
+        large[lines[same]] = np.median(share[same]) >= wanted
+    return large
 
 
 def stands_out(observations: Observations, which: BoolArray) -> bool:

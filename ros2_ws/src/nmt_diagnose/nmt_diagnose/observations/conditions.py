@@ -69,6 +69,7 @@ class LockedLevel:
         terms: what drove the structure, voltage of each exciter, or its force where that is held.
         amplitude_leans: of each channel of the test, how far its amplitude may still be from where it would have
             settled, its transient taken out, relative; empty = nowhere.
+        fundamentals: |Y₁| of each channel of the test, in its unit; empty = not known.
     """
 
     index: int
@@ -84,6 +85,7 @@ class LockedLevel:
     phase_lean: float = 0.0
     terms: Terms = PURE_TONE
     amplitude_leans: tuple[float, ...] = ()
+    fundamentals: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

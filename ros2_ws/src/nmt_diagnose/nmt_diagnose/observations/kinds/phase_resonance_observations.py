@@ -102,6 +102,10 @@ class LockedWindow:
         """What the ln of a channel's fundamental may still be off by; 0 where there is no such channel."""
         return self.leans[self.row(name)] if name in self.rows else 0.0
 
+    def fundamental(self, name: str) -> float:
+        """|Y₁| of a channel in its unit; NaN where there is no such channel."""
+        return float(abs(self.amplitudes[self.row(name), 1])) if name in self.rows else math.nan
+
 
 def analyse_window(
     segment: Segment,
@@ -417,7 +421,11 @@ def phase_resonance_observations(
     recorded = {model_channel.name: theirs for theirs, model_channel in channels.items()}
     response = _response(kept[0].stretch, drive_point, response_quantity)
     levels = [
-        replace(level, amplitude_leans=tuple(window.lean(recorded[channel.name]) for channel in present))
+        replace(
+            level,
+            amplitude_leans=tuple(window.lean(recorded[channel.name]) for channel in present),
+            fundamentals=tuple(window.fundamental(recorded[channel.name]) for channel in present),
+        )
         for level, window in zip(levels, kept, strict=True)
     ]
     test = PhaseResonanceTest(

@@ -233,23 +233,26 @@ def _step_all(
     return result
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"reassoc", "contract", "nsz"})
 def _step_one(
     drive: FloatArray, substeps: int, model: SteppedModel, elements: ElementTables, start: ComplexArray
 ) -> FloatArray:
-    """Channels (c, samples) of one coordinate without force factor: the same steps, without arrays in the loop."""
-    decay, early, late, outputs, velocities, direct = model
-    jenkins, _, contacts, _, kinds, parameters, _ = elements
-    count = decay.size
-    c = outputs.shape[0] - 1
-    result = np.empty((c, (drive.size + substeps - 1) // substeps))
-    state = start.copy()
-    sliders = np.zeros(jenkins.shape[0])
-    moved = np.zeros(jenkins.shape[0])
-    dw = dv = 0.0
-    for k in range(count):
-        dw += (outputs[0, k] * late[k, 0]).real
-        dv += (velocities[0, k] * late[k, 0]).real
+    """Channels (c, samples) of one coordinate without force factor: the same steps, without arrays in the loop.
+
+    All that a step reads lies in one table and its state in one array, real and imaginary parts apart: that is what the
+    compiler makes vector instructions of.
+    """
+    contacts, kinds, parameters = elements.contacts, elements.kinds, elements.parameters
+    table, dw, dv = _table_of_one(model)
+    channels, by_force = _channels_of_one(model)
+    direct = model.direct[1:, 1].copy()
+    count = model.decay.size
+    result = np.empty((direct.size, (drive.size + substeps - 1) // substeps))
+    state = np.concatenate((start.real, start.imag))
+    stiffnesses = elements.jenkins[:, SLIDER_STIFFNESS].copy()
+    slips = elements.jenkins[:, SLIDER_SLIP].copy()
+    limits = slips / stiffnesses
+    sliders = np.zeros(slips.size)
     g = 0.0
     before = 0.0
     largest = 1e-300
@@ -259,34 +262,32 @@ def _step_one(
         free_w = 0.0
         free_v = 0.0
         for k in range(count):
-            x = decay[k] * state[k] + early[k, 1] * previous + late[k, 1] * u
-            x -= early[k, 0] * g
-            state[k] = x
-            free_w += (outputs[0, k] * x).real
-            free_v += (velocities[0, k] * x).real
+            re = state[k]
+            im = state[count + k]
+            a = table[k] * re - table[count + k] * im
+            b = table[k] * im + table[count + k] * re
+            a += table[2 * count + k] * previous + table[4 * count + k] * u - table[6 * count + k] * g
+            b += table[3 * count + k] * previous + table[5 * count + k] * u - table[7 * count + k] * g
+            state[k] = a
+            state[count + k] = b
+            free_w += table[8 * count + k] * a - table[9 * count + k] * b
+            free_v += table[10 * count + k] * a - table[11 * count + k] * b
         previous = u
         # Where the force seems to go: a step of the iteration saved.
         trial = 2.0 * g - before
         before = g
+        w = free_w
         for _ in range(ITERATIONS):
             w = free_w - dw * trial
             v = free_v - dv * trial
             g = 0.0
             by_displacement = 0.0
             by_velocity = 0.0
-            for e in range(jenkins.shape[0]):
-                stiffness, slip = jenkins[e, SLIDER_STIFFNESS], jenkins[e, SLIDER_SLIP]
-                element_force = stiffness * (w - sliders[e])
-                if element_force > slip:
-                    g += slip
-                    moved[e] = w - slip / stiffness
-                elif element_force < -slip:
-                    g -= slip
-                    moved[e] = w + slip / stiffness
-                else:
-                    g += element_force
-                    by_displacement += stiffness
-                    moved[e] = sliders[e]
+            for e in range(slips.size):
+                stretch = w - sliders[e]
+                held = min(max(stretch, -limits[e]), limits[e])
+                g += stiffnesses[e] * held
+                by_displacement += stiffnesses[e] if held == stretch else 0.0
             for e in range(contacts.shape[0]):
                 side, stiffness = contacts[e, CONTACT_SIDE], contacts[e, CONTACT_STIFFNESS]
                 overlap = side * w - contacts[e, CONTACT_GAP]
@@ -301,19 +302,51 @@ def _step_one(
             if abs(g - trial) <= TOLERANCE * max(largest, abs(g)):
                 break
             trial += (g - trial) / (1.0 + by_displacement * dw + by_velocity * dv)
-        for e in range(sliders.size):
-            sliders[e] = moved[e]
+        for e in range(slips.size):
+            sliders[e] = min(max(sliders[e], w - limits[e]), w + limits[e])
         largest = max(largest, abs(g))
-        for k in range(count):
-            state[k] -= late[k, 0] * g
         if n % substeps == 0:
-            for o in range(c):
-                y = direct[1 + o, 1] * u
-                y -= direct[1 + o, 0] * g
-                for k in range(count):
-                    y += (outputs[1 + o, k] * state[k]).real
+            for o in range(direct.size):
+                y = direct[o] * u - by_force[o] * g
+                for k in range(2 * count):
+                    y += channels[o, k] * state[k]
                 result[o, n // substeps] = y
     return result
+
+
+@njit(cache=True)
+def _table_of_one(model: SteppedModel) -> tuple[FloatArray, float, float]:
+    """Coefficients of a step of one coordinate, (12 k,), and what a force at its end does to w and v.
+
+    The state is that before the force at the end of the step acts, which the next step takes into account.
+    """
+    early, late, w, v = model.early, model.late, model.outputs[0], model.velocities[0]
+    count = model.decay.size
+    table = np.empty(12 * count)
+    dw = dv = 0.0
+    for k in range(count):
+        force = model.decay[k] * late[k, 0] + early[k, 0]
+        for row, value in enumerate((model.decay[k], early[k, 1], late[k, 1], force, w[k], v[k])):
+            table[2 * row * count + k] = value.real
+            table[(2 * row + 1) * count + k] = value.imag
+        dw += (w[k] * late[k, 0]).real
+        dv += (v[k] * late[k, 0]).real
+    return table, dw, dv
+
+
+@njit(cache=True)
+def _channels_of_one(model: SteppedModel) -> tuple[FloatArray, FloatArray]:
+    """Shares of the parts of the state in the channels, (c, 2 k), and of the force at the end of a step, (c,)."""
+    count, c = model.decay.size, model.outputs.shape[0] - 1
+    channels, by_force = np.empty((c, 2 * count)), np.empty(c)
+    for o in range(c):
+        by_force[o] = model.direct[1 + o, 0]
+        for k in range(count):
+            share = model.outputs[1 + o, k]
+            channels[o, k] = share.real
+            channels[o, count + k] = -share.imag
+            by_force[o] += (share * model.late[k, 0]).real
+    return channels, by_force
 
 
 def step_through(
@@ -338,9 +371,8 @@ def step_through(
     """
     elements = tables.elements
     state = np.zeros(model.decay.size, dtype=np.complex128) if start is None else start
-    acting = elements.jenkins.shape[0] + elements.contacts.shape[0] + elements.kinds.size
     found: FloatArray
-    if r == 1 and elements.jenkins_start.size == 2 and acting:
+    if r == 1 and elements.jenkins_start.size == 2:
         found = _step_one(drive, substeps, model, elements, state)
     else:
         found = _step_all(drive, substeps, r, model, factor, elements, state)

@@ -10,9 +10,10 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import OrderedDict
+from functools import lru_cache
 
 import numpy as np
-from scipy.fft import next_fast_len
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.signal import resample_poly
 
 from nmt_core.messages.blocks import Quantity
@@ -23,7 +24,7 @@ from nmt_diagnose.prediction.converter import expected_quantised
 from nmt_diagnose.prediction.initial_state import InitialState, at_rest, initial_state
 from nmt_diagnose.prediction.linear_model import LinearModel
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
-from nmt_diagnose.prediction.periodic_kernel import GAIN
+from nmt_diagnose.prediction.periodic_kernel import DELAY, GAIN
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.record_kernel import SteppedModel, step_through
 from nmt_diagnose.prediction.rig_parts import RigParts
@@ -205,23 +206,33 @@ class RecordPredictor:
         return self._inputs[substeps]
 
 
-def _through_sensor(values: FloatArray, rate: float, chain: FloatArray) -> FloatArray:
-    """Recorded values of a channel: gain, delay and filters, in the frequency domain.
+def _through_sensors(values: FloatArray, rate: float, chains: FloatArray) -> FloatArray:
+    """Recorded values of channels, (channels, samples): gain, delay and filters, in the frequency domain.
 
     A straight line from the last value back to the first makes them periodic, and of a length that transforms fast.
     """
-    gain, delay, low_pass, high_pass = (float(value) for value in chain)
-    if delay == 0.0 and low_pass == 0.0 and high_pass == 0.0:
-        return gain * values
-    size = next_fast_len(values.size + 1, real=True)
-    back = np.linspace(values[-1], values[0], size - values.size + 2)[1:-1]
-    closed = np.concatenate((values, back))
-    s = 2j * np.pi * np.fft.rfftfreq(size, 1.0 / rate)
-    response = gain * np.exp(-s * delay) / (1.0 + s * low_pass)
+    result = values * chains[:, GAIN, None]
+    filtered = np.flatnonzero(np.any(chains[:, DELAY:] != 0.0, axis=1))
+    if not filtered.size:
+        return result
+    own, count = result[filtered], values.shape[1]
+    size = next_fast_len(count + 1, real=True)
+    back = np.linspace(own[:, -1], own[:, 0], size - count + 2, axis=1)[:, 1:-1]
+    lines = rfft(np.concatenate((own, back), axis=1), axis=1)
+    for position, channel in enumerate(filtered):
+        lines[position] *= _sensor_response(size, rate, *map(float, chains[channel, DELAY:]))
+    result[filtered] = irfft(lines, size, axis=1)[:, :count]
+    return result
+
+
+@lru_cache(maxsize=16)
+def _sensor_response(size: int, rate: float, delay: float, low_pass: float, high_pass: float) -> ComplexArray:
+    """Frequency response of a delay (s) and of filters (time constant in s, angular frequency in rad/s)."""
+    s = 2j * np.pi * rfftfreq(size, 1.0 / rate)
+    response = np.exp(-s * delay) / (1.0 + s * low_pass)
     if high_pass > 0.0:
         response = response * s / (s + high_pass)
-    result: FloatArray = np.fft.irfft(response * np.fft.rfft(closed), size)[: values.size]
-    return result
+    return np.asarray(response)
 
 
 def substeps_of(model: LinearModel, rate: float) -> int:
@@ -242,16 +253,14 @@ def recorded(raw: FloatArray, parts: RigParts, channels: IntArray, rate: float) 
         channels: position of each among the channels of the parts, (channels,).
         rate: of the samples, Hz.
     """
-    result = np.empty_like(raw)
+    result = _through_sensors(raw, rate, parts.channels[channels])
     for position, index in enumerate(channels):
-        values = _through_sensor(raw[position], rate, parts.channels[index])
         level, step, noise = parts.limits[index]
         if math.isfinite(level):
-            values = np.clip(values, -level, level)
+            result[position] = np.clip(result[position], -level, level)
         if step > 0.0 and noise < 0.7 * step:
-            values = expected_quantised(values, step, noise)
-        result[position] = values
-    return np.asarray(result, dtype=np.float64)
+            result[position] = expected_quantised(result[position], step, noise)
+    return result
 
 
 def stepped_model(model: LinearModel, coordinates: int, rows: np.ndarray, step: float) -> SteppedModel:

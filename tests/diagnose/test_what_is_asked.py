@@ -140,7 +140,11 @@ def test_errors_that_share_a_reason_count_together() -> None:
     theta[:-1] = 0.0
     errors = replace(cubic.fit.errors, chain=np.zeros_like(cubic.fit.errors.chain))
     free = FittedExplanation(cubic.candidates, replace(cubic.fit, theta=theta, errors=errors))
-    assert tension(strained_by(null, 2.0)) == pytest.approx(16.0)
+    assert tension(search.data, strained_by(null, 2.0)) == pytest.approx(16.0)
+    # Of the state in which a record begins nobody believes anything before.
+    begins = tuple(f"start {k} of a record" for k in range(4))
+    record = replace(search.data, chain_names=(*begins, *search.data.chain_names[4:]))
+    assert tension(record, strained_by(null, 2.0)) == 0.0
     assert relieves(search.data, free, strained_by(null, 1.01 * edge), wanted)
     assert not relieves(search.data, free, strained_by(null, 0.99 * edge), wanted)
     assert not relieves(search.data, free, strained_by(null, 1.01 * edge), dict.fromkeys(wanted, 1e9))

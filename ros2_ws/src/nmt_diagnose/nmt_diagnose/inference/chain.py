@@ -49,6 +49,7 @@ from nmt_rig.rig import BeamSection, Rig, SensorSection
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
 _COVERED = (PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest)
 _IMAGE = "image"
+_OF_A_TEST = ("start ", "settling ", "phase of ")  # as well known as the test's own samples tell them
 # Orders of images that are followed, the nearest first; those beyond them are one constant for each channel.
 _IMAGE_ORDERS = (-1, 1, -2, 2)
 _GAIN_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-5, 1e-6
@@ -97,6 +98,11 @@ class Chain:
     names: tuple[str, ...]
     columns: FloatArray
     added: BoolArray
+
+
+def is_tolerance(name: str) -> bool:
+    """Whether an error of the chain is one that something is believed of before a test."""
+    return not name.startswith(_OF_A_TEST)
 
 
 def shared_delays(observations: Observations, rig: Rig) -> tuple[SharedDelay, ...]:

@@ -216,7 +216,7 @@ def find(
     tell(f"scanning {len(candidates)} candidates")
     scores = search.scores(null)
     relief = max((score.relief for score in scores), default=0.0)
-    if leaves_something(data, null, settings.matters) or relief > relief_that_counts(null):
+    if leaves_something(data, null, settings.matters) or relief > relief_that_counts(search.data, null):
         singles, pairs = _searched(search, null, scores, modes, rig)
     else:  # one fit tells what a difference that does not matter looks like
         singles, pairs = search.fitted(null, scores[:1]), []

@@ -15,7 +15,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.inference.chain import linear_chain
+from nmt_diagnose.inference.chain import is_tolerance, linear_chain
 from nmt_diagnose.inference.misfit import Whitening, misfit_of
 from nmt_diagnose.inference.noise import Groups, groups_of, sigma_of
 from nmt_diagnose.observations.conditions import RandomTest
@@ -102,6 +102,11 @@ class Data:
         for rows, change in zip(self.lines, (z.real, z.imag), strict=True):
             result[rows] = np.where(self.used[rows, None], change / self.sigma[rows, None], 0.0) + added[rows]
         return self._whitenings[1](result)
+
+    @cached_property
+    def tolerances(self) -> BoolArray:
+        """Which errors of the measuring chain something is believed of before the tests, (r,)."""
+        return np.array([is_tolerance(name) for name in self.chain_names], dtype=bool)
 
     @cached_property
     def _phases(self) -> BoolArray:

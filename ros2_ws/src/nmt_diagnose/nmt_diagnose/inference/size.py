@@ -182,21 +182,27 @@ def relieves(data: Data, more: FittedExplanation, less: FittedExplanation, wante
 
     Errors of 3 standard deviations that share one reason are credible one by one and not together.
     """
-    if tension(less) - tension(more) <= relief_that_counts(less):
+    if tension(data, less) - tension(data, more) <= relief_that_counts(data, less):
         return False
     return matters(measured_size(data, more), wanted)
 
 
-def tension(found: FittedExplanation) -> float:
+def tension(data: Data, found: FittedExplanation) -> float:
     """How far a fit takes parameters of the model and errors of the chain from what is believed of them, −2 ln p."""
-    parameters = found.fit.theta[: len(found.fit.parametrisation.calibration)]
-    return float(parameters @ parameters + found.fit.errors.chain @ found.fit.errors.chain)
+    believed = _believed(data, found)
+    return float(believed @ believed)
 
 
-def relief_that_counts(found: FittedExplanation) -> float:
+def relief_that_counts(data: Data, found: FittedExplanation) -> float:
     """Fall of the tension of a fit by one effect more that is no chance: χ² of one degree of freedom, Bonferroni."""
-    count = len(found.fit.parametrisation.calibration) + found.fit.errors.chain.size
+    count = _believed(data, found).size
     return float(chi2.isf(THRESHOLDS.comparison.incredible_probability / max(count, 1), 1))
+
+
+def _believed(data: Data, found: FittedExplanation) -> FloatArray:
+    """Parameters of the model and errors of the chain that have a tolerance, in standard deviations of that."""
+    parameters = found.fit.theta[: len(found.fit.parametrisation.calibration)]
+    return np.concatenate([parameters, found.fit.errors.chain[data.tolerances]])
 
 
 def leaves_something(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> bool:
@@ -210,7 +216,7 @@ def strained(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) 
     """Probability that a parameter of the model or an error of the chain that matters is as far off (Bonferroni)."""
     fitted, chain = found.fit, found.fit.errors.chain
     parameters = np.abs(fitted.theta[: len(fitted.parametrisation.calibration)])
-    far = np.flatnonzero(np.abs(chain) > THRESHOLDS.comparison.credible_sigmas)
+    far = np.flatnonzero((np.abs(chain) > THRESHOLDS.comparison.credible_sigmas) & data.tolerances)
     moved = (data.chain + data.added) * chain
     farthest = max(
         [

@@ -44,6 +44,9 @@ def searched(truth: Rig) -> tuple[Search, FittedExplanation]:
     return Search(data, MODEL, parameters, library), null
 
 
+NEVER = ("frequency", "damping", "response", "harmonics")
+
+
 def moved(found: FittedExplanation, to: float) -> FittedExplanation:
     theta = np.zeros_like(found.fit.theta)
     theta[1] = to
@@ -51,16 +54,19 @@ def moved(found: FittedExplanation, to: float) -> FittedExplanation:
 
 
 def test_a_parameter_that_nobody_believes_is_named_with_its_distance() -> None:
-    _, null = searched(MODEL)
+    search, null = searched(MODEL)
     count = len(null.fit.parametrisation.calibration)
     edge = float(norm.isf(THRESHOLDS.comparison.incredible_probability / (2.0 * count)))  # Bonferroni
     assert edge > THRESHOLDS.comparison.credible_sigmas - 0.5
-    assert implausible_parameters(moved(null, 0.99 * edge))[0] == ()
-    (left,), chance = implausible_parameters(moved(null, -1.01 * edge))
+    assert implausible_parameters(search.data, moved(null, 0.99 * edge))[0] == ()
+    (left,), chance = implausible_parameters(search.data, moved(null, -1.01 * edge))
     assert left.group == null.fit.parametrisation.calibration[1].name
     assert left.size == pytest.approx(1.01 * edge)
     assert 0.0 < chance < THRESHOLDS.comparison.incredible_probability
     assert left.sentence.endswith("standard deviations from what is believed of it")
+    # Where it goes back to what is credible without a change that matters, it says nothing.
+    never = replace(search.data, observations=replace(search.data.observations, matters=dict.fromkeys(NEVER, 1e9)))
+    assert implausible_parameters(never, moved(null, -1.01 * edge)) == ((), 1.0)
 
 
 def test_an_effect_stands_in_for_an_error_of_the_chain_that_nobody_believes() -> None:

@@ -197,6 +197,7 @@ class Hypotheses:
     ) -> None:
         self.data, self.null, self.named = data, null, list(named)
         self.alone, self.behind = alone, behind
+        self._implausible_of: dict[int, tuple[tuple[Objection, ...], float]] = {}  # by fit
         spots: dict[str, set[object]] = {}
         for candidate in candidates:
             spots.setdefault(candidate.effect.name, set()).add(candidate.site.location)
@@ -228,12 +229,18 @@ class Hypotheses:
         if left_over(self.data, found, self.data.observations.matters):
             chance = self.data.groups.chance(errors.squares, self.data.counts)
             total += min(0.0, math.log(max(chance, 1e-300) / THRESHOLDS.comparison.noise_probability))
-        bent, chance = implausible_parameters(found)
+        bent, chance = self._implausible(found)
         return total + math.log(max(chance, 1e-300) / THRESHOLDS.comparison.incredible_probability) if bent else total
 
     def _against(self, found: FittedExplanation) -> tuple[Objection, ...]:
         """What speaks against an explanation as the whole of the gap."""
-        return (*left_over(self.data, found, self.data.observations.matters), *implausible_parameters(found)[0])
+        return (*left_over(self.data, found, self.data.observations.matters), *self._implausible(found)[0])
+
+    def _implausible(self, found: FittedExplanation) -> tuple[tuple[Objection, ...], float]:
+        key = id(found.fit)
+        if key not in self._implausible_of:
+            self._implausible_of[key] = implausible_parameters(self.data, found)
+        return self._implausible_of[key]
 
     @staticmethod
     def _evidence(found: FittedExplanation) -> float:

@@ -230,6 +230,8 @@ def find(
         near, far = search.in_reach(named)
         left_out = [LeftOut(explanation, first_null, FAR_BEHIND) for explanation in far]
         null, named = search.again(null), search.all_again(near)
+        beside_leader = _beside(search, named)
+        named = sorted([*named, *beside_leader], key=lambda explanation: -explanation.fit.log_evidence)
     named = [needed(data, explanation, [null, *named], settings.matters) for explanation in named]
     leading = Hypotheses(data, null, named, candidates, [], []).best
     if leading is not None and leading.small:
@@ -272,6 +274,17 @@ def _searched(
         before = {explanation.explanation for explanation in pairs}
         pairs += [it for it in search.pairs(reached, first) if it.explanation not in before]
     return singles, pairs
+
+
+def _beside(search: Search, named: Sequence[FittedExplanation]) -> list[FittedExplanation]:
+    """Second effects on top of the best explanation where none was looked for: it was not among the first."""
+    leader = named[0]
+    causes = set(leader.fitted.causes)
+    if len(causes) != 1 or any(causes < set(found.fitted.causes) for found in named):
+        return []
+    search.tell("looking for second effects beside the best explanation")
+    found = search.pairs([leader])
+    return search.all_again(search.in_reach(found)[0]) if found else []
 
 
 def free_parameters(rig: Rig, observations: Observations) -> tuple[CalibrationParameter, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,7 +20,7 @@ from nmt_diagnose.thresholds import THRESHOLDS
 _KINDS: dict[str, tuple[Part, ...]] = {
     "frequency": (Part.LOG_FREQUENCY,),
     "damping": (Part.DAMPING,),
-    "response": (Part.LOG_MAGNITUDE, Part.PHASE, Part.SAMPLE),
+    "response": (Part.LOG_MAGNITUDE, Part.PHASE, Part.PHASE_ERROR, Part.SAMPLE),
     "harmonics": (Part.REAL, Part.IMAG),
 }
 _PERCENT = 100.0
@@ -122,14 +123,17 @@ def left_over(data: Data, found: FittedExplanation, wanted: Mapping[str, float])
 
 
 def left_without_size(data: Data, found: FittedExplanation) -> bool:
-    """Whether phases that the loop held, lines of the mains, steps, limits or lost samples are left that stand out."""
+    """Whether lines of the mains, steps, limits or lost samples are left that stand out."""
     sized = np.isin(data.observations.rows.part, [part for parts in _KINDS.values() for part in parts])
     left = np.abs(data.residual(found.fit.prediction.values, found.fit.errors.chain)[data.used & ~sized])
     return bool(left.max(initial=0.0) > THRESHOLDS.verdict.visible_sigmas)
 
 
-def implausible_parameters(found: FittedExplanation) -> tuple[tuple[Objection, ...], float]:
+def implausible_parameters(data: Data, found: FittedExplanation) -> tuple[tuple[Objection, ...], float]:
     """The model's own parameter furthest from what is believed of it, where that is improbable (Bonferroni).
+
+    Beyond some value a parameter may do nothing more, such as the damping of modes that do not show at all: what does
+    not matter where it goes back to what is credible is no objection.
 
     Returns:
         None or one, and the probability that any of them is as far.
@@ -142,6 +146,13 @@ def implausible_parameters(found: FittedExplanation) -> tuple[tuple[Objection, .
     chance = min(1.0, len(parameters) * 2.0 * float(norm.sf(theta[worst])))
     if chance >= THRESHOLDS.comparison.incredible_probability:
         return (), chance
+    credible = found.fit.theta.copy()
+    credible[worst] = math.copysign(THRESHOLDS.comparison.credible_sigmas, credible[worst])
+    there = predicted(data, found.fit.parametrisation, credible, found.fit.prediction)
+    if there is not None:
+        change = data.forward.difference(found.fit.prediction.values, there.values)
+        if not _matters(data, change, data.observations.matters):
+            return (), 1.0
     return (Objection(parameters[worst].name, "", float(theta[worst])),), chance
 
 

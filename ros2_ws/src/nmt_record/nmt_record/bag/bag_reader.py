@@ -106,7 +106,7 @@ class Bag:
             if self._types.setdefault(name, channel.message_type) != channel.message_type:
                 raise BenchError(f"The bag {path} holds two types of message on topic '{name}'; split it by type.")
             self.topics[name] = (channel.message_type, self.topics.get(name, ("", 0))[1] + count)
-        self._typestore: Any = None
+        self._typestores: dict[str, Any] = {}
         self.run_start: dict[str, Any] | None = None
         self.run_stop: dict[str, Any] | None = None
         self.rig_yaml: str | None = None
@@ -384,19 +384,32 @@ class Bag:
         Raises:
             BenchError: the bytes do not fit the definition in the bag, or that is malformed.
         """
-        if self._typestore is None:
-            definitions = {channel.message_type: channel.definition for channel, _ in self._source.channels()}
-            for kind, definition in definitions.items():
-                if is_translated(kind, definition):
-                    definitions[kind] = local_definitions().definition(kind)
-            self._typestore = typestore_of(definitions, str(self.path))
+        typestore = self._typestore(self._types[topic])
         try:
-            return self._typestore.deserialize_cdr(raw, self._types[topic])
+            return typestore.deserialize_cdr(raw, self._types[topic])
         except Exception as error:  # generated code raises whatever the bytes lead it to
             raise BenchError(
                 f"A message of topic '{topic}' in the bag {self.path} cannot be read ({error}); it does "
                 f"not fit the definition of {self._types[topic]} in the bag."
             ) from error
+
+    def field_definitions(self, topic: str) -> Any:
+        """Fields by message type, of the type of a topic and all that it contains, as ``rosbags`` has them.
+
+        Raises:
+            BenchError: there is no definition of the type in the bag or on this machine, or it is malformed.
+        """
+        return self._typestore(self._types[bench_name(topic)]).fielddefs
+
+    def _typestore(self, kind: str) -> Any:
+        """Type store of one message type: what another lacks does not close it."""
+        if kind not in self._typestores:
+            every = [channel.definition for channel, _ in self._source.channels() if channel.message_type == kind]
+            definition = next((one for one in every if one.text), every[0])
+            if is_translated(kind, definition):
+                definition = local_definitions().definition(kind)
+            self._typestores[kind] = typestore_of({kind: definition}, str(self.path))
+        return self._typestores[kind]
 
     def _read_records(self) -> None:
         run_json, rig_yaml = self._custom.get(RUN_JSON_KEY), self._custom.get(RIG_YAML_KEY)

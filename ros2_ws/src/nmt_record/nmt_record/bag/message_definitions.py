@@ -127,7 +127,7 @@ def _compiled_store(definitions: tuple[tuple[str, MessageDefinition], ...]) -> A
         parse = get_types_from_idl if definition.encoding == "ros2idl" else get_types_from_msg
         try:
             if parse is get_types_from_idl:
-                store.register(parse(definition.text))
+                store.register(parse(_idl_of(definition.text)))
             else:
                 store.register(parse(definition.text, message_type))
             store.get_msgdef(message_type)
@@ -151,6 +151,12 @@ def _contained_type(description: Any) -> str | None:
     if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) and detail[0][0] == Nodetype.NAME:
         return str(detail[0][1])
     return None
+
+
+def _idl_of(text: str) -> str:
+    """The definitions in a text as a recorder writes it: each behind a line of signs and one with its name."""
+    lines = text.splitlines()
+    return "\n".join(line for line in lines if line != _SECTION and not line.startswith("IDL: "))
 
 
 def _first_line(error: Exception) -> str:

@@ -31,6 +31,7 @@ _STEP_TOLERANCE = 0.3
 _LARGEST_LOSS = 0.05
 _SAME_RATE = 1e-3
 _NOTED_DIFFERENCE = 2e-5
+_EXACT = 1e-8  # relative: a rate known to that is exact
 _COARSE = 0.2  # of a step: stamps rounded more coarsely do not say which sample they belong to
 _RISING = 0.8  # share of rising steps of a column that is a clock, faulty or not
 _SLOW = 20.0  # Hz: below it a time without a unit may be one in ms, or a number of samples
@@ -114,10 +115,12 @@ def find_clock(table: SourceTable, sidecar: Sidecar, place: str) -> Clock:
         BenchError: no clock, two clocks, a time column that jumps back or is uneven, or clocks that contradict each
             other.
     """
-    header = _header_claim(table, place)
     given = None
     if sidecar.sample_rate is not None:
         given = _Claim("sample_rate", "sample_rate of the sidecar", sidecar.sample_rate, _digits(sidecar.sample_rate))
+    if table.judged:
+        return _judged_clock(table, given, sidecar, place)
+    header = _header_claim(table, place)
     axis = _time_axis(table, sidecar, place)
     notes: list[str] = []
     column = None if axis is None else _column_claim(table, axis)
@@ -138,6 +141,26 @@ def find_clock(table: SourceTable, sidecar: Sidecar, place: str) -> Clock:
         if axis is not None or table.start is not None:
             _check_first_sample(clock, start, sidecar, place)
         clock.start = start
+    return clock
+
+
+def _judged_clock(table: SourceTable, given: _Claim | None, sidecar: Sidecar, place: str) -> Clock:
+    """The clock that a bag's reader has found, beside a rate that the sidecar gives."""
+    assert table.step is not None
+    measured = 1.0 / table.step
+    spread = max(_SAME_RATE, 5.0 * table.step_std)
+    if given is not None and sidecar.clock != "sample_rate" and abs(given.rate / measured - 1.0) > spread:
+        raise BenchError(
+            f"{place}: sample_rate is {given.rate:g} Hz, but the {table.judged} of {table.file} give {measured:.6g} "
+            "Hz; which of the two is it? Correct sample_rate, or say 'clock: sample_rate'."
+        )
+    rate = given.rate if given is not None else _shortest(measured, max(1e-9, table.step_std))
+    clock = Clock(rate, table.start or 0.0, table.rows)
+    if given is None:
+        clock.std = table.step_std if table.step_std > _EXACT else 0.0
+        clock.notes.append(f"The sampling rate is {rate:.10g} Hz by the {table.judged} of {table.file}.")
+    if "first_sample" in sidecar.model_fields_set:
+        clock.start = sidecar.first_sample / rate
     return clock
 
 
@@ -363,6 +386,8 @@ def is_clock(table: SourceTable, index: int) -> bool:
     """Whether a column is a clock by its name or its stamps, and not by its unit or its course something else."""
     if index in table.stamps:
         return True
+    if table.judged:
+        return False
     other = quantity_of_unit(table.units[index]) is not Quantity.UNKNOWN
     return not other and _names_time(bare_name(table, index), table.columns[index])
 

@@ -201,10 +201,13 @@ class Sidecar(_Section):
         rig: what the data is a test of: name or path of a rig file, or any name.
         file: the data, beside the sidecar.
         sample_rate: Hz; left out if there is a time column.
-        time: the time column, if there is one that is not called time or t.
+        time: the time column, if there is one that is not called time or t; of a bag the field that counts time.
         time_unit: its unit.
         clock: what to believe where the file contradicts itself or this sidecar: sample_rate, header (step or rate in
-            the file) or column.
+            the file, header stamps of a bag), column, or log (log times of a bag).
+        stretch: number from 1 of the stretch of a bag that paused or whose clock jumped; left out = all.
+        elements: what the elements of an array without names are in a bag: samples, one after the other, or channels;
+            left out = as the file tells.
         channels: the columns to import.
         segments: what was done when, and tables of others.
         linear: linear.json with the linear modes.
@@ -226,7 +229,9 @@ class Sidecar(_Section):
     sample_rate: Positive | None = None
     time: str | int | None = None
     time_unit: Literal["s", "ms", "us", "ns", "min"] = "s"
-    clock: Literal["sample_rate", "header", "column"] | None = None
+    clock: Literal["sample_rate", "header", "column", "log"] | None = None
+    stretch: Annotated[int, Field(ge=1)] | Literal["all"] = "all"
+    elements: Literal["samples", "channels"] | None = None
     channels: list[ChannelSection] = []
     segments: list[SignalSection | TableSection] = []
     linear: str | None = None

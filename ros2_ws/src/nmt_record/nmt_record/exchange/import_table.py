@@ -98,6 +98,10 @@ class SourceTable:
         breaks: rows before which the header was repeated.
         stamps: columns that were written as dates or times of day; they hold seconds.
         constants: single numbers beside the columns (MATLAB).
+        judged: words for the clock that its reader has judged already (a bag); no column is another one.
+        question: what the sidecar must say of that clock: sentence and key; None = it is clear.
+        fields: bare names of columns whose names hold what somebody called a thing, for what they mean.
+        stretches: first row and row after the last one of each stretch, where recording paused.
     """
 
     file: str
@@ -115,6 +119,10 @@ class SourceTable:
     breaks: tuple[int, ...] = ()
     stamps: tuple[int, ...] = ()
     constants: dict[str, float] = field(default_factory=dict)
+    judged: str = ""
+    question: tuple[str, str] | None = None
+    fields: tuple[str, ...] = ()
+    stretches: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         self.units = self.units or ("",) * len(self.columns)
@@ -124,6 +132,12 @@ class SourceTable:
     def rows(self) -> int:
         """Number of rows."""
         return int(self.columns[0].shape[0])
+
+    def recorded(self, column: FloatArray) -> FloatArray:
+        """A column without the rows of pauses between stretches."""
+        if len(self.stretches) < 2:
+            return column
+        return np.concatenate([column[first:stop] for first, stop in self.stretches])
 
     def place(self, row: int) -> str:
         """Where a row is, for messages."""

@@ -23,6 +23,7 @@ from nmt_core.vocabulary import ControlKind, LoopState, TestKind
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import BENCH_TOPICS
 from nmt_record.bag.message_definitions import local_definitions
+from nmt_record.exchange.bag_clock import ClockChoice
 from nmt_record.exchange.frf_checks import ShapeSign, check_responses
 from nmt_record.exchange.import_checks import CheckedStretch, ImportedChannel, check_columns, check_names, check_physics
 from nmt_record.exchange.import_clock import Clock, find_clock
@@ -38,7 +39,7 @@ from nmt_record.exchange.import_sidecar import (
 )
 from nmt_record.exchange.import_table import SourceTable, read_table
 from nmt_record.exchange.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
-from nmt_record.exchange.ros_bag_table import is_bag
+from nmt_record.exchange.ros_bag_table import is_bag, read_bag
 from nmt_record.exchange.side_tables import BlockRow, read_block_table, read_records
 from nmt_record.exchange.unit_table import channel_factor
 
@@ -257,7 +258,10 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
     sidecar = run.sidecar
     file = run.beside(sidecar.file, document.place(("file",)))
     names = [channel.column for channel in sidecar.channels]
-    table = read_table(file, [*names, *([] if sidecar.time is None else [sidecar.time])])
+    if is_bag(file):
+        table = read_bag(file, names, _choice(sidecar))
+    else:
+        table = read_table(file, [*names, *([] if sidecar.time is None else [sidecar.time])])
     places = [document.place(("channels", number)) for number in range(len(sidecar.channels))]
     factors = [
         channel_factor(channel.quantity, channel.unit, f"{place}: column {channel.column}")
@@ -301,6 +305,18 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
         run.locks = read_records(run.beside(sidecar.locks, document.place(("locks",))), LockEvent)
     else:
         run.locks = [_lock(run, segment) for segment in run.segments if segment.window is not None]
+
+
+def _choice(sidecar: Sidecar) -> ClockChoice:
+    """What a sidecar says of the clock of a bag."""
+    return ClockChoice(
+        clock=sidecar.clock or "",
+        field="" if sidecar.time is None else "/" + str(sidecar.time).lstrip("/"),
+        unit=sidecar.time_unit if "time_unit" in sidecar.model_fields_set else "",
+        sample_rate=sidecar.sample_rate,
+        stretch=sidecar.stretch if isinstance(sidecar.stretch, int) else None,
+        elements=sidecar.elements or "",
+    )
 
 
 def _check_continuity(run: ImportedRun, table: SourceTable, clock: Clock, stretches: Sequence[CheckedStretch]) -> None:

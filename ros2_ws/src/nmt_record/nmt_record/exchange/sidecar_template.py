@@ -52,6 +52,10 @@ _LETTER = re.compile(r"([faxvui])_?(\d*)", re.I)
 _DECAYED = 0.8  # rms of the last fifth over that of the first
 _ASK = "'?'"
 _MOST_CHANNELS = 64
+_CLOCK_ANSWERS = {
+    "sample_rate": "Hz", "clock": "header or column; of a bag header or log", "time_unit": "s, ms, us, ns or min",
+    "stretch": "a number from 1", "elements": "samples or channels",
+}  # fmt: skip
 _DOUBTFUL = 200.0  # Hz: a time without a unit that gives less may be one in ms of a faster recording
 
 
@@ -91,6 +95,8 @@ def _checked(text: str, path: Path) -> str:
 def _texts(table: SourceTable, head: list[str]) -> tuple[str, ...]:
     head += [f"# {note}" for note in table.notes]
     every = range(len(table.names))
+    if table.judged:
+        return ("\n".join([*head, *_signal_lines(table, [], every)]) + "\n",)
     time = [i for i in every if is_clock(table, i)]
     named = [i for i in every if _FREQUENCY.fullmatch(bare_name(table, i) or "-")]
     named = named or [i for i in every if plain_unit(table.units[i]) in ("Hz", "kHz") if not time]
@@ -275,6 +281,8 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
     for index in channels:
         guess, values = guesses[index], table.columns[index]
         point, measured = guess.point, guess.quantity and measured_quantity(guess.quantity)
+        if table.judged and not guess.quantity:
+            point = 1  # whatever it measures, no other channel measures the same there
         while (measured, point) in taken:
             point += 1
         mark = "  - " if index in kept else "  # - "
@@ -293,25 +301,36 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
         why = "" if index in kept else left_out
         why = why or ("; the model's coordinate is then in rad or a strain" if coordinate_of_unit(guess.unit) else "")
         lines.append(f"{mark}{{{', '.join(words)}}}   # from {np.nanmin(values):.4g} to {np.nanmax(values):.4g}{why}")
-    stop = start + (table.rows if clock is None else clock.samples) / rate if rate else 0.0
-    kind = _kind([(guesses[index].quantity, table.columns[index]) for index in kept])
-    hit = _end_of_hit([(guesses[index].quantity, table.columns[index]) for index in kept]) if rate else 0
-    if rate and hit:
-        kind, start = "ring_down", start + hit / rate
-    elif rate and kind == "ring_down":
-        stop = min(stop, start + max(_moving(table.columns[index]) for index in kept) / rate)
-    begin, until = (_time_text(value, rate) if rate else _ASK for value in (start, stop))
-    lines += [
-        "segments:",
-        f"  - {{kind: {kind}, start: {begin if rate else 0}, stop: {until}}}   # guessed"
-        + ("; what follows the hit. With the hit it is a record of force and response" if hit else ""),
-        "    # kinds: phase_resonance, stepped_sine (with window: [begin, end]), random, ring_down, record",
-    ]
+    lines.append("segments:")
+    rows = table.rows if clock is None else clock.samples
+    for first, last in (table.stretches if rate else ()) or ((0, rows),):
+        pairs = [(guesses[index].quantity, table.columns[index][first:last]) for index in kept]
+        lines.append(_segment_line(pairs, start + (first / rate if rate else 0.0), last - first, rate))
+    lines.append("    # kinds: phase_resonance, stepped_sine (with window: [begin, end]), random, ring_down, record")
     return lines
+
+
+def _segment_line(channels: Sequence[tuple[str, FloatArray]], start: float, rows: int, rate: float | None) -> str:
+    """What was probably done in a stretch of the data that begins at a time (s)."""
+    channels = [(quantity, values) for quantity, values in channels if np.isfinite(values).any()]
+    kind, hit = _kind(channels), _end_of_hit(channels) if rate else 0
+    begin, until = "0", _ASK
+    if rate:
+        stop = start + rows / rate
+        if hit:
+            kind, start = "ring_down", start + hit / rate
+        elif kind == "ring_down":
+            stop = min(stop, start + max(_moving(values) for _, values in channels) / rate)
+        begin, until = _time_text(start, rate), _time_text(stop, rate)
+    why = "; what follows the hit. With the hit it is a record of force and response" if hit else ""
+    return f"  - {{kind: {kind}, start: {begin}, stop: {until}}}   # guessed{why}"
 
 
 def _clock_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]) -> tuple[list[str], Clock | None]:
     """Lines on the clock, and the clock as the import will find it; None where the sidecar must be completed."""
+    if table.question is not None:
+        sentence, key = table.question
+        return [f"# {sentence}", f"{key}: {_ASK}          # {_CLOCK_ANSWERS[key]}"], None
     others = [index for index in columns if index not in time]
     named = not time or bool(table.names[time[0]])
     if not others:
@@ -334,13 +353,13 @@ def _clock_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]
     except ClockQuestionError as question:
         if question.key != "sample_rate":
             lines.append(f"# {question}")
-        comment = {"sample_rate": "Hz", "clock": "header or column", "time_unit": "s, ms, us, ns or min"}
-        return [*lines, f"{question.key}: {_ASK}          # {comment[question.key]}"], None
+        return [*lines, f"{question.key}: {_ASK}          # {_CLOCK_ANSWERS[question.key]}"], None
     unsure = bool(time) and not own_header and not time_unit_of(table, time[0]) and table.abscissa is None
     if unsure and (not named or clock.sample_rate < _DOUBTFUL):
         told = f"# seconds would be {clock.sample_rate:.6g} Hz; s, ms, us, ns or min"
         return [*lines, f"time_unit: {_ASK}        {told}"], None
-    by = "the time column" if time and not own_header else "the file"
+    by = table.judged or "the file"
+    by = "the time column" if time and not own_header else by
     lines.append(f"# sample_rate: {clock.sample_rate:.10g}     # Hz, by {by}")
     return lines, clock
 
@@ -392,6 +411,8 @@ _SENSITIVITY = re.compile(r"([\d.]+)\s*(m?V)\s*/\s*\(?([a-zA-Zµ²/^0-9]+)")
 def _guess(table: SourceTable, index: int) -> _Guess:
     """Quantity, unit and point of a column; empty and 0 where nothing tells them."""
     name, unit, quantity = bare_name(table, index), table.units[index], table.quantities[index]
+    if table.fields:  # what somebody called a thing says not what it measures
+        name = table.fields[index].rpartition(".")[2]
     if not unit and quantity is Quantity.UNKNOWN:
         name, unit = unit_in_name(name)
     letter = _LETTER.fullmatch(name)
@@ -407,9 +428,9 @@ def _guess(table: SourceTable, index: int) -> _Guess:
             )
     if quantity is Quantity.UNKNOWN:
         quantity = quantity_of_unit(unit) if unit else Quantity.UNKNOWN
-    if quantity is Quantity.UNKNOWN:
+    if quantity is Quantity.UNKNOWN and not table.fields:
         quantity = hinted_quantity(name, point)
-    if quantity is Quantity.UNKNOWN and letter and not table.names[index].startswith("/"):
+    if quantity is Quantity.UNKNOWN and letter and not table.fields:
         quantity = QUANTITIES[letter.group(1).lower()]
     placed = quantity not in (Quantity.UNKNOWN, Quantity.VOLTAGE, Quantity.CURRENT)
     known = "" if quantity is Quantity.UNKNOWN else quantity.name.lower()

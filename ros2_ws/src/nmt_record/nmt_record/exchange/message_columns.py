@@ -1,0 +1,410 @@
+"""Numbers of messages as columns: each is called as the message that holds it calls it.
+
+A message type is looked at once. What may differ from message to message (lengths of arrays, names of their elements,
+what a message calls itself) is its layout; messages of one layout are read by one list of getters.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from array import array
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from nmt_core.messages.named_elements import distinct, label_fields, naming_sequences
+
+MOST_ELEMENTS = 64
+"""Of an array whose elements are columns of their own; a longer one may hold samples one after the other."""
+_MOST_SAMPLES = 65_536  # of an array that may hold samples
+_TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+_LEFT_OUT = re.compile(r"(.*_)?covariance$|layout$")
+_SECONDS = re.compile(r"(.*?)_?(sec|secs|seconds|s)$")
+_NANOSECONDS = ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds", "ns")
+_TEXTS = ("string", "wstring")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A number of a layout.
+
+    Attributes:
+        name: as columns are called.
+        field: the same without what messages call things, for what a field means.
+        stamp: name of the stamp that it has; empty = none.
+        array: path of the array whose element it is; empty = none, or its elements have names.
+    """
+
+    name: str
+    field: str
+    stamp: str
+    array: str = ""
+
+
+@dataclass(eq=False)
+class Layout:
+    """Messages of one topic that hold the same things, and what they hold.
+
+    Attributes:
+        label: what the messages call themselves; empty = nothing.
+        columns: of :attr:`values`, in order.
+        stamps: names of the columns of :attr:`times`.
+        shapes: of arrays whose elements have no names: sizes and labels of their dimensions.
+        numbers: position of each message among those of its topic.
+        logged: time of reception of each, ns.
+        values: a row for each message.
+        times: a row of stamps for each message, ns.
+    """
+
+    label: str
+    columns: list[Column]
+    stamps: list[str]
+    shapes: dict[str, tuple[tuple[str, int], ...]]
+    readers: list[Callable[[Any], Any]]
+    stamp_readers: list[Callable[[Any], int]]
+    numbers: array[int] = field(default_factory=lambda: array("q"))
+    logged: array[int] = field(default_factory=lambda: array("q"))
+    values: array[float] = field(default_factory=lambda: array("d"))
+    times: array[int] = field(default_factory=lambda: array("q"))
+
+
+@dataclass(frozen=True)
+class _Sequence:
+    """An array of a message: of numbers, or of messages of a structure."""
+
+    path: str
+    structure: _Structure | None
+    naming: tuple[str, ...]
+    fixed: bool
+    layout: bool
+
+
+@dataclass(frozen=True)
+class _Structure:
+    """What a message type holds; nested messages are part of the one that holds them.
+
+    Attributes:
+        numbers: paths.
+        sequences: arrays.
+        labels: paths of what may name the message.
+        stamps: paths of stamps, and of pairs of seconds and nanoseconds.
+        is_pair: a key and a value that is a text.
+    """
+
+    numbers: tuple[str, ...]
+    sequences: tuple[_Sequence, ...]
+    labels: tuple[str, ...]
+    stamps: tuple[tuple[str, str, str], ...]
+    is_pair: bool
+
+
+def structure_of(definitions: Any, kind: str, prefix: str = "", above: tuple[str, ...] = ()) -> _Structure:
+    """The structure of a message type.
+
+    Args:
+        definitions: fields by type, as a ``rosbags`` type store has them.
+        kind: message type.
+    """
+    from rosbags.interfaces import Nodetype
+
+    numbers: list[str] = []
+    sequences: list[_Sequence] = []
+    stamps: list[tuple[str, str, str]] = []
+    texts: list[str] = []
+    integers: list[str] = []
+    found: list[tuple[str, str, Any, bool]] = []
+    nested_labels: list[str] = []
+    items = definitions[kind][1]
+    for name, (node, detail) in items:
+        path = f"{prefix}{name}"
+        if _LEFT_OUT.match(name):
+            continue
+        if node == Nodetype.BASE:
+            base = detail[0]
+            if base in _TEXTS:
+                texts.append(name)
+            elif base not in ("bool", "octet", "char"):
+                numbers.append(path)
+                if "int" in base:
+                    integers.append(name)
+        elif node == Nodetype.NAME:
+            if detail in _TIMES:
+                stamps.append((path, f"{path}.sec", f"{path}.nanosec"))
+            elif detail not in above:
+                inner = structure_of(definitions, detail, f"{path}.", (*above, kind))
+                if name == "header" and detail.endswith("/Header"):
+                    nested_labels += [f"{path}.frame_id"]
+                    stamps += inner.stamps
+                    continue
+                numbers += inner.numbers
+                sequences += inner.sequences
+                stamps += inner.stamps
+        else:
+            (element, inner_detail), size = detail
+            found.append((name, path, (element, inner_detail), node == Nodetype.ARRAY and size > 0))
+    names = {name for name, *_ in found}
+    texts_of = [name for name, _, (node, detail), _ in found if node == Nodetype.BASE and detail[0] in _TEXTS]
+    integer_arrays = [name for name, _, (node, detail), _ in found if node == Nodetype.BASE and "int" in detail[0]]
+    naming = naming_sequences(texts_of, integer_arrays)
+    has_layout = any(name == "layout" for name, _ in items)
+    for name, path, (node, detail), fixed in found:
+        others = tuple(f"{prefix}{other}" for other in naming if other != name and other in names)
+        if node == Nodetype.BASE and detail[0] not in (*_TEXTS, "bool", "octet", "char") and name not in naming:
+            sequences.append(_Sequence(path, None, others, fixed, has_layout and name == "data"))
+        elif node == Nodetype.NAME and detail not in _TIMES and detail not in above:
+            sequences.append(
+                _Sequence(path, structure_of(definitions, detail, "", (*above, kind)), others, fixed, False)
+            )
+    stamps += _pairs(numbers, prefix)
+    labels = [f"{prefix}{name}" for name in label_fields([*texts, *(n for n in integers if n.endswith("id"))])]
+    fields = {name for name, _ in items}
+    return _Structure(
+        tuple(numbers), tuple(sequences), (*labels, *nested_labels), tuple(stamps),
+        fields == {"key", "value"} and set(texts) == fields,
+    )  # fmt: skip
+
+
+def _pairs(numbers: list[str], prefix: str) -> list[tuple[str, str, str]]:
+    """Seconds and nanoseconds beside each other are one stamp; they are taken out of the numbers."""
+    result = []
+    for path in list(numbers):
+        name = path.removeprefix(prefix)
+        match = _SECONDS.match(name)
+        if "." in name or match is None:
+            continue
+        for end in _NANOSECONDS:
+            other = next((f"{prefix}{match[1]}{joint}{end}" for joint in ("", "_") if
+                          f"{prefix}{match[1]}{joint}{end}" in numbers), None)  # fmt: skip
+            if other is not None and path in numbers:
+                numbers.remove(path)
+                numbers.remove(other)
+                result.append((path, path, other))
+                break
+    return result
+
+
+class TopicReader:
+    """Takes the messages of one topic and sorts them by what they hold.
+
+    Args:
+        structure: of the type.
+    """
+
+    def __init__(self, structure: _Structure) -> None:
+        self._structure = structure
+        self._layouts: dict[Hashable, Layout] = {}
+        self._variable = bool(structure.labels) or any(not one.fixed or one.structure for one in structure.sequences)
+        self.count = 0
+
+    @property
+    def layouts(self) -> list[Layout]:
+        """Of the messages so far, in the order in which they came first."""
+        return list(self._layouts.values())
+
+    @property
+    def has_numbers(self) -> bool:
+        """Whether the type may hold any."""
+        return _may_hold_numbers(self._structure)
+
+    def add(self, message: Any, logged: int) -> None:
+        """Take a message that was received at a time (ns)."""
+        key = _key(self._structure, message) if self._variable else None
+        layout = self._layouts.get(key)
+        if layout is None:
+            layout = self._layouts[key] = _layout_of(self._structure, message)
+        for read in layout.readers:
+            layout.values.extend(read(message))
+        for read_stamp in layout.stamp_readers:
+            layout.times.append(read_stamp(message))
+        layout.numbers.append(self.count)
+        layout.logged.append(logged)
+        self.count += 1
+
+
+def _may_hold_numbers(structure: _Structure) -> bool:
+    return structure.is_pair or bool(structure.numbers) or any(
+        one.structure is None or _may_hold_numbers(one.structure) for one in structure.sequences
+    )  # fmt: skip
+
+
+def _key(structure: _Structure, message: Any) -> Hashable:
+    """What may differ between messages of one type."""
+    parts: list[Hashable] = [attrgetter(path)(message) for path in structure.labels]
+    for one in structure.sequences:
+        items = attrgetter(one.path)(message)
+        if one.structure is None:
+            parts.append(len(items))
+        else:
+            parts.append(tuple([_key(one.structure, item) for item in items]))
+        parts += [tuple(attrgetter(path)(message)) for path in one.naming]
+        if one.layout:
+            parts.append(_dimensions(message, one.path))
+    return tuple(parts)
+
+
+def _dimensions(message: Any, path: str) -> tuple[tuple[str, int], ...]:
+    head = path.rpartition(".")[0]
+    layout = attrgetter(f"{head}.layout" if head else "layout")(message)
+    return tuple((str(one.label).strip(), int(one.size)) for one in layout.dim)
+
+
+def _label_of(structure: _Structure, message: Any) -> str:
+    return next((label for path in structure.labels if (label := str(attrgetter(path)(message)).strip())), "")
+
+
+@dataclass
+class _Draft:
+    """A layout that is being made."""
+
+    columns: list[Column] = field(default_factory=list)
+    stamps: list[str] = field(default_factory=list)
+    shapes: dict[str, tuple[tuple[str, int], ...]] = field(default_factory=dict)
+    readers: list[Callable[[Any], Any]] = field(default_factory=list)
+    stamp_readers: list[Callable[[Any], int]] = field(default_factory=list)
+
+
+def _layout_of(structure: _Structure, message: Any) -> Layout:
+    draft = _Draft()
+    if structure.is_pair:
+        draft.columns.append(Column("value", "value", ""))
+        draft.readers.append(_text_reader(lambda this: this))
+    else:
+        _describe(structure, message, "", "", "", lambda this: this, draft)
+    label = _label_of(structure, message)
+    dimensions = next(iter(draft.shapes.values()), ())
+    if not label and len(dimensions) == 1 and len(draft.shapes) == 1 and not is_time_label(dimensions[0][0]):
+        label = dimensions[0][0]
+    return Layout(label, draft.columns, draft.stamps, draft.shapes, draft.readers, draft.stamp_readers)
+
+
+def _describe(
+    structure: _Structure, message: Any, prefix: str, bare: str, stamp: str, get: Callable[[Any], Any], draft: _Draft
+) -> None:
+    """Columns and readers of a message or of an element of one.
+
+    Args:
+        message: an example.
+        prefix, bare: of names of columns, and of fields.
+        stamp: that of the message which holds this one.
+        get: fetches this message from the topic's.
+    """
+    for path, seconds, nanoseconds in structure.stamps:
+        draft.stamps.append(f"{prefix}{path}")
+        draft.stamp_readers.append(_stamp_reader(get, seconds, nanoseconds))
+    stamp = f"{prefix}{structure.stamps[0][0]}" if structure.stamps else stamp
+    if structure.numbers:
+        fetch = attrgetter(*structure.numbers)
+        draft.readers.append(_scalar_reader(get, fetch, len(structure.numbers)))
+        draft.columns += [Column(f"{prefix}{path}", f"{bare}{path}", stamp) for path in structure.numbers]
+    for one in structure.sequences:
+        items = attrgetter(one.path)(message)
+        labels = _labels(one, message, items)
+        if one.structure is not None:
+            for number, item in enumerate(items[:MOST_ELEMENTS]):
+                name = labels[number] if labels else str(number + 1)
+                fetch_item = _item_reader(get, one.path, number)
+                inner, bare_inner = f"{prefix}{one.path}.{name}", f"{bare}{one.path}"
+                if one.structure.is_pair:
+                    draft.columns.append(Column(inner if labels else f"{inner}.value", bare_inner, stamp))
+                    draft.readers.append(_text_reader(fetch_item))
+                else:
+                    _describe(one.structure, item, f"{inner}.", f"{bare_inner}.", stamp, fetch_item, draft)
+        elif 0 < len(items) <= _limit(items):
+            array_path = "" if labels else f"{prefix}{one.path}"
+            if array_path:
+                draft.shapes[array_path] = _dimensions(message, one.path) if one.layout else ()
+            names = labels or [str(number + 1) for number in range(len(items))]
+            draft.columns += [
+                Column(f"{prefix}{one.path}.{name}", f"{bare}{one.path}", stamp, array_path) for name in names
+            ]
+            draft.readers.append(_array_reader(get, one.path))
+
+
+def _limit(items: Any) -> int:
+    """Bytes of a picture are no samples."""
+    return MOST_ELEMENTS if getattr(items, "dtype", np.dtype(float)).itemsize == 1 else _MOST_SAMPLES
+
+
+def _labels(one: _Sequence, message: Any, items: Sequence[Any]) -> list[str] | None:
+    """Names of the elements of an array; None where they are counted."""
+    for path in one.naming:
+        names = attrgetter(path)(message)
+        if len(names) == len(items) and (labels := distinct(list(names))):
+            return labels
+    if one.layout:
+        dimensions = _dimensions(message, one.path)
+        product = math.prod(size for _, size in dimensions)
+        if len(dimensions) == len(items) > 1 and product != len(items):
+            return distinct([label for label, _ in dimensions])
+    if one.structure is None:
+        return None
+    for path in one.structure.labels:
+        if labels := distinct([attrgetter(path)(item) for item in items]):
+            return labels
+    return None
+
+
+_TIME_LABEL = re.compile(r"(n_?)?(samples?|time|times|t|n|rows?|frames?|block|points?|length|scans?)$", re.I)
+
+
+def is_time_label(label: str) -> bool:
+    """Whether a dimension of an array is one of samples by its label."""
+    return bool(_TIME_LABEL.match(label.strip()))
+
+
+def _stamp_reader(get: Callable[[Any], Any], seconds: str, nanoseconds: str) -> Callable[[Any], int]:
+    fetch = attrgetter(seconds, nanoseconds)
+
+    def read(message: Any) -> int:
+        before, behind = fetch(get(message))
+        return int(before) * 10**9 + int(behind)
+
+    return read
+
+
+def _scalar_reader(get: Callable[[Any], Any], fetch: Callable[[Any], Any], count: int) -> Callable[[Any], Any]:
+    if count == 1:
+        return lambda message: (fetch(get(message)),)
+    return lambda message: fetch(get(message))
+
+
+def _array_reader(get: Callable[[Any], Any], path: str) -> Callable[[Any], Any]:
+    fetch = attrgetter(path)
+
+    def read(message: Any) -> Any:
+        items = fetch(get(message))
+        return items.tolist() if isinstance(items, np.ndarray) else items
+
+    return read
+
+
+def _item_reader(get: Callable[[Any], Any], path: str, number: int) -> Callable[[Any], Any]:
+    fetch = attrgetter(path)
+    return lambda message: fetch(get(message))[number]
+
+
+def _text_reader(get: Callable[[Any], Any]) -> Callable[[Any], tuple[float]]:
+    def read(message: Any) -> tuple[float]:
+        try:
+            return (float(get(message).value),)
+        except ValueError:
+            return (math.nan,)
+
+    return read
+
+
+def columns_by_name(layouts: Sequence[Layout], labelled: bool) -> Iterator[tuple[str, Column, int, int]]:
+    """All columns of a topic: full name, column, layout and position in it.
+
+    Args:
+        layouts: of the topic.
+        labelled: what messages call themselves is part of the name.
+    """
+    for number, layout in enumerate(layouts):
+        head = f"{layout.label}." if labelled and layout.label else ""
+        for position, column in enumerate(layout.columns):
+            yield head + column.name, column, number, position

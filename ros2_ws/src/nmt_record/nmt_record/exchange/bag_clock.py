@@ -110,6 +110,7 @@ def judged_clock(
     notes: list[str] = []
     if stamps is not None and stamps.any():
         header = _cleaned(name, "header stamps", stamps, strict=True)
+        _split_at_jumps(name, header, logged)
         if header.usable >= _USABLE:
             candidates.append(header)
         else:
@@ -164,7 +165,6 @@ def _finished(name: str, kept: _Cleaned, logged: IntArray, notes: list[str], use
     if not np.ptp(logged):
         _continued(result, None)
         return result
-    _split_at_jumps(name, result, logged[kept.rows])
     lead = (logged[kept.rows] - kept.time) * 1e-9
     result.lead, result.lead_scatter = float(np.median(lead)), 1.4826 * float(np.median(np.abs(lead - np.median(lead))))
     ratio, std, _ = _ratio_of(kept, logged)
@@ -283,16 +283,16 @@ def _distances(placed: IntArray) -> FloatArray:
     return np.asarray(np.minimum(before, after) / typical)
 
 
-def _split_at_jumps(name: str, clock: JudgedClock, logged: IntArray) -> None:
-    """Gaps of the clock that the log times do not have are jumps of the clock."""
-    steps = np.diff(clock.time)
-    if steps.size < 2 * _BESIDE:
+def _split_at_jumps(name: str, clock: _Cleaned, received: IntArray) -> None:
+    """Gaps of a clock that the log times do not have are jumps of the clock."""
+    logged, steps = received[clock.rows], np.diff(clock.time)
+    if steps.size < 2 * _BESIDE or not np.ptp(logged):
         return
     typical = float(np.median(steps))
     lead = (logged - clock.time).astype(np.float64)
     for place in np.flatnonzero(steps > 1.5 * typical) + 1:
         before, after = lead[max(0, place - _BESIDE) : place], lead[place : place + _BESIDE]
-        if min(before.size, after.size) < 3 or int(place) in clock.breaks:
+        if int(place) in clock.breaks:
             continue
         jump = float(steps[place - 1]) - typical
         shift = float(np.median(after) - np.median(before))
@@ -306,7 +306,7 @@ def _split_at_jumps(name: str, clock: JudgedClock, logged: IntArray) -> None:
     clock.breaks.sort()
 
 
-def _seconds(clock: JudgedClock, position: int) -> str:
+def _seconds(clock: _Cleaned, position: int) -> str:
     return f"{1e-9 * float(clock.time[position] - clock.time[0]):.6g} s"
 
 
@@ -431,6 +431,7 @@ def _counting_fields(
         # Only for the difference to the log times; times count from the first message.
         base = round(float(origin) * factor * 1e9)
         clock = _cleaned(name, f"field {label}", times, strict=True)
+        _split_at_jumps(name, clock, logged)
         clock.time = clock.time + base - 1
         if clock.usable >= _USABLE:
             found.append(clock)

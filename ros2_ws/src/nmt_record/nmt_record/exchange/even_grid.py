@@ -140,6 +140,10 @@ def _stretches(time: FloatArray, breaks: Sequence[int], name: str, clock: str, n
     typical = usual_step(time)
     steps = np.diff(time)
     pauses = np.flatnonzero(steps > max(_PAUSE, FEWEST * typical)) + 1
+    # What was only delayed comes at once, as soon as it comes.
+    behind = np.minimum(pauses + 2 * FEWEST, time.size - 1)
+    made_up = time[behind] - time[pauses] < (behind - pauses) * typical - 0.5 * steps[pauses - 1]
+    pauses = pauses[~made_up]
     edges = [0, *sorted({*breaks, *pauses.tolist()}), time.size]
     parts: list[slice] = []
     for first, stop in itertools.pairwise(edges):
@@ -210,6 +214,10 @@ def _numbered(time: FloatArray, part: slice, name: str, clock: str) -> _Stretch:
                 residual[gap + 1 :] -= missing[gap + 1] * step
         index = np.arange(t.size) + np.cumsum(missing)
         start, step, scatter = _line(index, t)
+        if bursts and missing.any():  # a delay is made up for, a loss is not: then the count is much straighter
+            plain = _line(np.arange(t.size), t)
+            if scatter > 0.5 * plain[2]:
+                index, (start, step, scatter) = np.arange(t.size), plain
     length = int(index[-1]) + 1
     if length > 1.5 * t.size:
         raise BenchError(
@@ -274,13 +282,18 @@ def _moved(
     length: int,
 ) -> list[FloatArray]:  # fmt: skip
     """Columns interpolated at even times, by stretch; NaN where samples are missing."""
+    if any((np.diff(time[one.part]) <= 0.0).any() for one in stretches):
+        return []  # samples are not taken at one time
     result = []
     for values in columns:
         column = np.full(length, np.nan)
         for place, one in zip(places, stretches, strict=True):
-            at: FloatArray = time[one.part].mean() + step * (one.index - one.index.mean())
-            there = interpolated(time[one.part], values[one.part], at, math.inf)
-            column[place + one.index] = np.where(np.isnan(values[one.part]), np.nan, there)
+            t, there = time[one.part], values[one.part]
+            at: FloatArray = t.mean() + step * (one.index - one.index.mean())
+            known = there[np.isfinite(there)]
+            if known.size and np.ptp(known) > 0.0:  # what does not move stays as it is, to the bit
+                there = np.where(np.isnan(there), np.nan, interpolated(t, there, at, math.inf))
+            column[place + one.index] = there
         result.append(column)
     return result
 

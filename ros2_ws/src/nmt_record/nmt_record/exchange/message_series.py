@@ -22,7 +22,8 @@ from nmt_record.exchange.message_columns import (
 _CONSECUTIVE = 0.8  # share of the messages of a series that follow each other
 _FEWEST_SAMPLES = 8  # elements of an array that may be samples
 _SMOOTH_SEAM = 2.0  # last to first element of the next message, in steps within one
-_FAR_ACROSS = 3.0  # the same element from message to message, in steps within one
+_FAR_ACROSS = 1.0  # the same element from message to message, in steps within one
+_SMOOTH = 0.5  # step within a message over the spread of all values
 
 
 @dataclass(eq=False)
@@ -269,4 +270,6 @@ def _goes_on(values: FloatArray) -> bool:
     within = float(np.median(np.abs(np.diff(values, axis=1))))
     seam = float(np.median(np.abs(values[1:, 0] - values[:-1, -1])))
     across = float(np.median(np.abs(np.diff(values, axis=0))))
-    return within > 0.0 and seam < _SMOOTH_SEAM * within and across > _FAR_ACROSS * within
+    spread = float(np.std(values))
+    smooth = 0.0 < within < _SMOOTH * spread and seam < _SMOOTH_SEAM * within
+    return smooth and across > _FAR_ACROSS * within

@@ -72,7 +72,7 @@ def sidecar_templates(path: Path) -> tuple[str, ...]:
     head = [f"# A sidecar for {path.name}; check every line, above all what was guessed.", f"file: {path.name}"]
     head.append("# rig: my_rig.yaml        # the rig file that it is a test of, beside this file")
     if is_bag(path):
-        return tuple(_checked(text, path) for table in bag_tables(path) for text in _texts(table, list(head)))
+        return tuple(_warned(text, path) for table in bag_tables(path) for text in _texts(table, list(head)))
     if kind_of(path) == "uff" and all(f.function_type == uff.FREQUENCY_RESPONSE for f in uff.read_uff(path)):
         lines = ["segments:", f"  - {{kind: frf, unit: {_ASK}}}   # unit of the responses, such as m/s^2/N or g/N"]
         return ("\n".join([*head, *lines]) + "\n",)
@@ -90,6 +90,14 @@ def _checked(text: str, path: Path) -> str:
     if _ASK not in text:
         check_proposal(text, path.with_suffix(".yaml"))
     return text
+
+
+def _warned(text: str, path: Path) -> str:
+    """A proposal for one topic of a bag; what the import would refuse in it does not close the others."""
+    try:
+        return _checked(text, path)
+    except BenchError as error:
+        return f"# As it stands, the import refuses this: {error}\n{text}"
 
 
 def _texts(table: SourceTable, head: list[str]) -> tuple[str, ...]:
@@ -276,6 +284,7 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
     kept = [i for i in channels if guesses[i].quantity != "voltage" or _is_drive(bare_name(table, i))] or channels
     if table.names[channels[0]].startswith("/"):  # messages have many fields that nobody fills
         kept = [i for i in kept if np.nanmax(table.columns[i]) > np.nanmin(table.columns[i])] or kept
+    kept = [i for i in kept if not any(_same(table.columns[i], table.columns[j]) for j in kept if j < i)]
     lines.append("channels:")
     taken: set[tuple[Quantity | str, int]] = set()
     for index in channels:
@@ -297,7 +306,14 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
             *([f"point: {point}"] if point else []),
         ]
         still = not np.nanmax(values) > np.nanmin(values)
-        left_out = "; it does not move" if still else "; volts of what? as a channel it needs quantity, unit and scale"
+        twice = any(_same(values, table.columns[other]) for other in kept if other < index)
+        left_out = (
+            "; it does not move"
+            if still
+            else "; the same numbers as another"
+            if twice
+            else "; volts of what? as a channel it needs quantity, unit and scale"
+        )
         why = "" if index in kept else left_out
         why = why or ("; the model's coordinate is then in rad or a strain" if coordinate_of_unit(guess.unit) else "")
         lines.append(f"{mark}{{{', '.join(words)}}}   # from {np.nanmin(values):.4g} to {np.nanmax(values):.4g}{why}")
@@ -310,9 +326,23 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
     return lines
 
 
+def _same(first: FloatArray, second: FloatArray) -> bool:
+    """Whether two columns hold the same numbers, which the import takes for one that was exported twice."""
+    return bool(np.nanmax(first) > np.nanmin(first)) and np.array_equal(first, second, equal_nan=True)
+
+
+def _filled(values: FloatArray) -> FloatArray:
+    """Values with straight lines over what is missing."""
+    good = np.isfinite(values)
+    if good.all():
+        return values
+    places = np.arange(values.size)
+    return np.asarray(np.interp(places, places[good], values[good]), dtype=np.float64)
+
+
 def _segment_line(channels: Sequence[tuple[str, FloatArray]], start: float, rows: int, rate: float | None) -> str:
     """What was probably done in a stretch of the data that begins at a time (s)."""
-    channels = [(quantity, values) for quantity, values in channels if np.isfinite(values).any()]
+    channels = [(quantity, _filled(values)) for quantity, values in channels if np.isfinite(values).any()]
     kind, hit = _kind(channels), _end_of_hit(channels) if rate else 0
     begin, until = "0", _ASK
     if rate:

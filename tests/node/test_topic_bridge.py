@@ -148,3 +148,14 @@ def test_a_type_that_is_not_installed_is_named(tmp_path: Path) -> None:
             TopicBridgeNode(TopicBridgeSettings(table=str(tmp_path / "table.yaml")), context=context)
     finally:
         rclpy.shutdown(context=context)
+
+
+def test_a_field_that_a_type_lacks_is_refused_at_the_start(tmp_path: Path) -> None:
+    (tmp_path / "table.yaml").write_text(TABLE.replace("linear_acceleration.x", "acceleration.x"))
+    context = Context()
+    rclpy.init(context=context, domain_id=DOMAIN)
+    try:
+        with pytest.raises(BenchError, match=r"sensor_msgs/msg/Imu has no field 'acceleration'; it has header, "):
+            TopicBridgeNode(TopicBridgeSettings(table=str(tmp_path / "table.yaml")), context=context)
+    finally:
+        rclpy.shutdown(context=context)

@@ -12,7 +12,9 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_plant.topic_bridge import BridgeTable, TopicBridge, read_channel_table
+from nmt_core.messages.named_elements import what_a_type_lacks
+from nmt_plant.topic_bridge import TopicBridge
+from nmt_plant.topic_bridge_table import BridgeTable, read_channel_table
 
 TABLE = """
 sample_rate: 1000
@@ -169,3 +171,148 @@ def test_a_wrong_table_is_refused_with_its_line(old: str, new: str, words: str, 
     (tmp_path / "table.yaml").write_text(TABLE.replace(old, new))
     with pytest.raises(BenchError, match=words):
         read_channel_table(tmp_path / "table.yaml")
+
+
+JOINT_TABLE = """
+sample_rate: 200
+block_samples: 10
+channels:
+  - {topic: /joints, type: sensor_msgs/msg/JointState, field: position.elbow, quantity: displacement, point: 1}
+"""
+
+
+def stamped(stamp: int, **fields: Any) -> Any:
+    head = SimpleNamespace(stamp=SimpleNamespace(sec=stamp // 10**9, nanosec=stamp % 10**9))
+    return SimpleNamespace(header=head, **fields)
+
+
+def bridge_of(folder: Path, text: str = JOINT_TABLE, patience: float = 0.5) -> TopicBridge:
+    (folder / "table.yaml").write_text(text)
+    return TopicBridge(read_channel_table(folder / "table.yaml"), patience)
+
+
+def run(bridge: TopicBridge, messages: list[tuple[str, int, Any]]) -> tuple[list[Any], list[str]]:
+    """Blocks and sentences of messages: topic, arrival (ns), message."""
+    blocks, sentences = [], []
+    for topic, arrived, message in messages:
+        bridge.add(topic, message, arrived)
+        blocks += bridge.take()
+        sentences += bridge.watch.findings(arrived)
+    return blocks, sentences
+
+
+def joints(count: int, offset: int = 0, zero: int = 0) -> list[tuple[str, int, Any]]:
+    """Two joints whose order changes; the elbow is a ramp of 1/s."""
+    messages = []
+    for k in range(count):
+        stamp = 0 if k < zero else BEGIN + offset + 5_000_000 * k
+        names, values = ["elbow", "wrist"], [k / 200.0, -7.0]
+        if k % 3:
+            names, values = names[::-1], values[::-1]
+        messages.append(("/joints", BEGIN + 5_000_000 * k, stamped(stamp, name=names, position=np.array(values))))
+    return messages
+
+
+def test_a_joint_is_taken_by_its_name(tmp_path: Path) -> None:
+    blocks, sentences = run(bridge_of(tmp_path), joints(100))
+    index, values = joined(blocks, Quantity.DISPLACEMENT)
+    assert values == pytest.approx(index / 200.0, abs=1e-9)
+    assert sentences == []
+
+
+def test_a_joint_that_does_not_come_is_named(tmp_path: Path) -> None:
+    _, sentences = run(bridge_of(tmp_path, JOINT_TABLE.replace("elbow", "knee")), joints(100))
+    assert "gives nothing for channel x1: position has no element knee; it has wrist, elbow" in " ".join(sentences)
+
+
+@pytest.mark.parametrize("offset", [0, 5 * 10**9 - BEGIN])
+def test_stamps_of_zero_before_others_are_left_out_with_a_sentence(tmp_path: Path, offset: int) -> None:
+    bridge = bridge_of(tmp_path)
+    blocks, sentences = run(bridge, joints(100, offset, zero=3))
+    index, values = joined(blocks, Quantity.DISPLACEMENT)
+    assert values == pytest.approx((index + 3) / 200.0, abs=1e-6)
+    assert bridge.late == 0
+    assert sentences == ["Messages of /joints have a stamp of zero; they are left out."]
+
+
+def test_messages_that_never_have_a_stamp_are_placed_by_their_arrival(tmp_path: Path) -> None:
+    blocks, sentences = run(bridge_of(tmp_path), joints(400, zero=400))
+    assert joined(blocks, Quantity.DISPLACEMENT)[1].size > 200
+    assert any("placed by their arrival" in sentence for sentence in sentences)
+
+
+def test_stamps_that_are_set_back_go_on_with_a_sentence(tmp_path: Path) -> None:
+    messages = joints(100) + [(topic, at + 500_000_000, message) for topic, at, message in joints(100, -3 * 10**9)]
+    blocks, sentences = run(bridge_of(tmp_path), messages)
+    assert any("were set back by" in sentence for sentence in sentences)
+    index, values = joined(blocks, Quantity.DISPLACEMENT)
+    assert index[-1] > 150
+    late = index > 125
+    assert values[late] == pytest.approx(index[late] / 200.0 - 0.5, abs=2e-3)
+
+
+TWO = (
+    JOINT_TABLE
+    + "  - {topic: /acc, type: geometry_msgs/msg/AccelStamped, field: accel.z, quantity: acceleration, point: 1}\n"
+)
+
+
+def test_clocks_that_count_from_different_times_are_said(tmp_path: Path) -> None:
+    both = [
+        one
+        for k, joint in enumerate(joints(1000))
+        for one in (joint, ("/acc", joint[1], stamped(5 * 10**9 + 5_000_000 * k, accel=SimpleNamespace(z=1.0))))
+    ]
+    _, sentences = run(bridge_of(tmp_path, TWO), both)
+    assert any("count from different times" in sentence and "clock: arrival" in sentence for sentence in sentences)
+    blocks, sentences = run(bridge_of(tmp_path, TWO.replace("sample_rate", "clock: arrival\nsample_rate", 1)), both)
+    assert np.isfinite(joined(blocks, Quantity.ACCELERATION)[1]).all()
+    assert sentences == []
+
+
+def test_a_silent_topic_is_named_where_no_block_can_be_made(tmp_path: Path) -> None:
+    bridge = bridge_of(tmp_path, TWO)
+    bridge.add("/acc", stamped(BEGIN, accel=SimpleNamespace(z=1.0)), BEGIN)
+    assert bridge.watch.findings(BEGIN + 10**9) == []
+    (sentence,) = bridge.watch.findings(BEGIN + 2 * 10**9)
+    assert sentence == "No block could be made yet: nothing that can be used came on /joints."
+
+
+def test_samples_that_are_mostly_missing_are_said(tmp_path: Path) -> None:
+    messages = []
+    for k, (topic, _, message) in enumerate(joints(1000)):
+        at = BEGIN + (k // 10 + 1) * 50_000_000 + (k % 10) * 30_000  # bursts, stamped on arrival
+        message.header.stamp = SimpleNamespace(sec=at // 10**9, nanosec=at % 10**9)
+        messages.append((topic, at, message))
+    _, sentences = run(bridge_of(tmp_path), messages)
+    assert any("of the samples of channel x1 are missing" in sentence for sentence in sentences)
+
+
+TYPES = {
+    "a/msg/Stamped": {"header": "std_msgs/Header", "accel": "a/Accel", "label": "string", "all": "sequence<a/Named>"},
+    "std_msgs/msg/Header": {"frame_id": "string"},
+    "a/msg/Accel": {"linear": "double", "many": "double[9]", "few": "sequence<double, 4>"},
+    "a/msg/Named": {"name": "string", "accel": "a/Accel"},
+}
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("accel.linear", ""),
+        ("accel.many.3", ""),
+        ("accel.few.left arm.2", ""),
+        ("all.tip.of.it.accel.linear", ""),
+        ("acc.linear", "a/msg/Stamped has no field 'acc'; it has header, accel, label, all"),
+        ("accel.angular", "a/msg/Accel has no field 'angular'"),
+        ("accel", "a/msg/Accel has no number of its own"),
+        ("label", "is a string and is no number"),
+        ("accel.linear.x", "is a double and has no 'x'"),
+        ("accel.many", "is an array; name one of its elements"),
+        ("all.tip.accel.angular", "no field"),
+    ],
+)
+def test_what_a_type_lacks_is_known_from_the_type(path: str, words: str) -> None:
+    lack = what_a_type_lacks(path, "a/msg/Stamped", lambda kind: TYPES[kind])
+    assert words in lack
+    assert bool(words) == bool(lack)

@@ -14,17 +14,16 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nmt_core.errors import BenchError
-from nmt_core.files.yaml_document import YamlDocument, read_document
-from nmt_core.messages.blocks import Quantity, SampleBlock
-from nmt_core.messages.stamped_samples import field_getter, interpolated
+from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.stamped_samples import interpolated
 from nmt_core.nodes.node_settings import NodeSettings
 from nmt_core.settings import setting
+from nmt_plant.stamp_watch import StampWatch
+from nmt_plant.topic_bridge_table import BridgeChannel, BridgeTable
 
 
 @dataclass(frozen=True)
@@ -43,127 +42,8 @@ class TopicBridgeSettings(NodeSettings):
     )
 
 
-_QUANTITIES = ("force", "displacement", "velocity", "acceleration", "voltage", "current")
-_KEYS = ("topic", "type", "field", "quantity", "point", "scale", "delay_s", "name")
 _BEHIND = 3  # messages that a cubic needs beyond the end of a block
 _ENVELOPE = 500  # blocks of the plant over which the least delay of its messages is sought
-
-
-@dataclass(frozen=True)
-class BridgeChannel:
-    """One line of the channel table.
-
-    Attributes:
-        topic: with its slash.
-        kind: message type, ``package/msg/Name``.
-        field: path of the number in the message, such as ``linear_acceleration.z`` or, of an array, ``data.1``.
-        quantity: what it measures.
-        point: measurement point; 0 = none.
-        scale: factor of the values to the SI unit of the quantity.
-        delay: by which the stamps are late, s.
-        name: of the channel.
-    """
-
-    topic: str
-    kind: str
-    field: str
-    quantity: Quantity
-    point: int
-    scale: float
-    delay: float
-    name: str
-
-    def value(self, message: Any) -> float:
-        """The number in a message, in SI units; NaN where the message has none."""
-        head, _, last = self.field.rpartition(".")
-        try:
-            found = field_getter(head, int(last) - 1)(message) if last.isdigit() else field_getter(self.field)(message)
-            return float(found) * self.scale
-        except (AttributeError, IndexError, TypeError, ValueError):
-            return math.nan
-
-
-@dataclass(frozen=True)
-class BridgeTable:
-    """The channel table.
-
-    Attributes:
-        sample_rate: of the grid, Hz.
-        block_samples: samples of a block.
-        channels: at least one.
-    """
-
-    sample_rate: float
-    block_samples: int
-    channels: tuple[BridgeChannel, ...]
-
-    @property
-    def topics(self) -> dict[str, str]:
-        """Message type by topic."""
-        return {channel.topic: channel.kind for channel in self.channels}
-
-
-def read_channel_table(path: Path) -> BridgeTable:
-    """Read a channel table.
-
-    Raises:
-        BenchError: not there, or the first thing that is wrong in it, with its line.
-    """
-    document = read_document(path, "channel table", "sample_rate and channels")
-    values = document.values
-    for key in values:
-        if key not in ("sample_rate", "block_samples", "channels"):
-            raise BenchError(f"{document.place((key,))}: '{key}' is not known; there are sample_rate, block_samples, "
-                             "channels.")  # fmt: skip
-    rate = _number(document, ("sample_rate",), values.get("sample_rate"), 0.1, 1e6)
-    block = _number(document, ("block_samples",), values.get("block_samples", max(16, round(0.05 * rate))), 8, 1e6)
-    sections = values.get("channels")
-    if not isinstance(sections, list) or not sections:
-        raise BenchError(f"{document.place(('channels',))}: channels must list at least one topic and field.")
-    channels = tuple(_channel(document, number, section) for number, section in enumerate(sections))
-    kinds: dict[str, str] = {}
-    for number, channel in enumerate(channels):
-        if kinds.setdefault(channel.topic, channel.kind) != channel.kind:
-            raise BenchError(f"{document.place(('channels', number))}: topic {channel.topic} has two types.")
-        if channel.name in (other.name for other in channels[:number]):
-            raise BenchError(f"{document.place(('channels', number))}: two channels are named {channel.name}.")
-    return BridgeTable(rate, round(block), channels)
-
-
-def _number(document: YamlDocument, path: tuple[str | int, ...], value: Any, low: float, high: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise BenchError(f"{document.place(path)}: {path[-1]} must be a number in {low:g}..{high:g}, got {value!r}.")
-    return float(value)
-
-
-def _channel(document: YamlDocument, number: int, section: Any) -> BridgeChannel:
-    path: tuple[str | int, ...] = ("channels", number)
-    place = document.place(path)
-    if not isinstance(section, dict):
-        raise BenchError(f"{place}: a channel needs topic, type, field and quantity.")
-    for key in section:
-        if key not in _KEYS:
-            raise BenchError(f"{place}: '{key}' is not known; a channel has {', '.join(_KEYS)}.")
-    missing = [key for key in _KEYS[:4] if not isinstance(section.get(key), str)]
-    if missing:
-        raise BenchError(f"{place}: '{missing[0]}' of the channel is missing or no text.")
-    parts = section["type"].split("/")
-    if len(parts) != 3 or parts[1] != "msg" or not all(parts):
-        raise BenchError(f"{place}: type must be written as package/msg/Name, got '{section['type']}'.")
-    if section["quantity"] not in _QUANTITIES:
-        raise BenchError(f"{place}: quantity must be one of {', '.join(_QUANTITIES)}, got '{section['quantity']}'.")
-    quantity = Quantity[section["quantity"].upper()]
-    point = _number(document, (*path, "point"), section.get("point", 0), 0, 10_000)
-    return BridgeChannel(
-        "/" + section["topic"].lstrip("/"),
-        section["type"],
-        section["field"],
-        quantity,
-        round(point),
-        _number(document, (*path, "scale"), section.get("scale", 1.0), -1e12, 1e12),
-        _number(document, (*path, "delay_s"), section.get("delay_s", 0.0), -10.0, 10.0),
-        str(section.get("name") or quantity.letter + (str(round(point)) if point else "")),
-    )
 
 
 @dataclass(eq=False)
@@ -174,6 +54,7 @@ class _Stream:
     times: deque[float] = field(default_factory=deque)
     rows: deque[list[float]] = field(default_factory=deque)
     step: float = math.nan
+    shift: int = 0  # ns that are added to stamps since their clock was set back
 
     @property
     def newest(self) -> float:
@@ -191,12 +72,14 @@ class TopicBridge:
     Attributes:
         late: messages whose stamps do not rise; they are left out.
         missing: samples that were made NaN.
+        watch: says in sentences what is wrong with the messages.
     """
 
     def __init__(self, table: BridgeTable, patience: float = 1.0, beside_plant: bool = False) -> None:
         self.table = table
         self.late = 0
         self.missing = 0
+        self.watch = StampWatch(table, patience)
         self._patience = patience
         self._streams: dict[str, _Stream] = {}
         for channel in table.channels:
@@ -215,16 +98,22 @@ class TopicBridge:
             message: with the fields of the table; its clock is ``header.stamp`` where there is one that is not zero.
             arrived_ns: when it came, on the same clock.
         """
-        stamp = getattr(getattr(message, "header", None), "stamp", None)
-        time = 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
-        time = time or arrived_ns
+        stream = self._streams[topic]
+        time = self.watch.time_of(topic, message, arrived_ns)
+        if time is None:
+            return
+        time += stream.shift
         if self._origin is None:
             self._origin = time
-        stream = self._streams[topic]
         seconds = (time - self._origin) * 1e-9
         if seconds <= stream.newest:
             self.late += 1
-            return
+            resumed = self.watch.late(topic, seconds - stream.newest, time, arrived_ns)
+            if resumed is None:
+                return
+            stream.shift += resumed - time
+            seconds = max((resumed - self._origin) * 1e-9, stream.newest + 1e-9)
+        self.watch.taken(topic, message, time, arrived_ns)
         if stream.times:
             step = seconds - stream.newest
             # A running median: a gap moves it by little.
@@ -297,6 +186,7 @@ class TopicBridge:
             own = [channel for channel in self.table.channels if channel.quantity is quantity]
             data = np.stack([rows[channel] for channel in own])
             self.missing += int(np.isnan(data).sum())
+            self.watch.cut(own, data)
             yield SampleBlock(
                 self._next,
                 self._rate,

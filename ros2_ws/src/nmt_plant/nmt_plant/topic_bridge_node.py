@@ -10,9 +10,11 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from nmt_core.base_node import SAMPLES_QOS, BenchNode, spin_node
 from nmt_core.errors import BenchError
+from nmt_core.messages.named_elements import what_a_type_lacks
 from nmt_core.messages.wire import BlockReader, BlockWriter
 from nmt_msgs.msg import SampleBlock
-from nmt_plant.topic_bridge import TopicBridge, TopicBridgeSettings, read_channel_table
+from nmt_plant.topic_bridge import TopicBridge, TopicBridgeSettings
+from nmt_plant.topic_bridge_table import BridgeTable, read_channel_table
 
 # Sensors are often published so; a reliable publisher is taken as well.
 _FOREIGN_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -27,7 +29,7 @@ class TopicBridgeNode(BenchNode):
         **kwargs: forwarded to :class:`rclpy.node.Node`.
 
     Raises:
-        BenchError: the channel table is wrong, or a message type is not installed.
+        BenchError: the channel table is wrong, a message type is not installed, or it has no such field.
     """
 
     BURST_PERIOD = 0.02
@@ -45,6 +47,7 @@ class TopicBridgeNode(BenchNode):
 
     def _set_up(self) -> None:
         table = read_channel_table(Path(self.settings.table))
+        _check_fields(table)
         reference = self.settings.reference
         self.bridge = TopicBridge(table, self.settings.patience, bool(reference))
         quantities = dict.fromkeys(channel.quantity for channel in table.channels)
@@ -82,12 +85,31 @@ class TopicBridgeNode(BenchNode):
         for block in self.bridge.take():
             self._outlets[block.quantity].publish(self._writers[block.quantity].write(block))
             self.counters["blocks"] = int(self.counters.get("blocks", 0)) + 1
+        for sentence in self.bridge.watch.findings(self.get_clock().now().nanoseconds):
+            self.get_logger().warning(sentence)
+            self.counters["finding"] = sentence
 
     def update_counters(self) -> None:
         """Messages taken, those out of order, and samples that are missing."""
         self.counters.update(
             messages=self.received, late_messages=self.bridge.late, missing_samples=self.bridge.missing
         )
+
+
+def _check_fields(table: BridgeTable) -> None:
+    """Refuse a channel whose message type has no such number.
+
+    Raises:
+        BenchError: there is one, or a type is not installed.
+    """
+    for channel in table.channels:
+        lack = what_a_type_lacks(channel.field, channel.kind, _fields_of)
+        if lack:
+            raise BenchError(f"Channel {channel.name} of {channel.topic}: {lack}; correct field {channel.field}.")
+
+
+def _fields_of(kind: str) -> dict[str, str]:
+    return dict(_message_type(kind).get_fields_and_field_types())
 
 
 def _message_type(kind: str) -> Any:

@@ -8,7 +8,8 @@ element may change from message to message; its name does not.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -97,9 +98,10 @@ def _found(value: Any, parent: Any, field: str, parts: Sequence[str]) -> Any:
             element = value[labels.index(label)]
             left = parts[length:]
             return element.value if not left and hasattr(element, "value") else _found(element, value, field, left)
-    if labels is None and parts[0].isdigit() and int(parts[0]) > 0:
+    if labels is None and parts[0].isdigit() and 0 < int(parts[0]) <= len(value):
         return _found(value[int(parts[0]) - 1], value, field, parts[1:])
-    raise LookupError(f"{field} has no element {'.'.join(parts)}")
+    there = labels if labels is not None else [str(number + 1) for number in range(len(value))]
+    raise LookupError(f"{field} has no element {'.'.join(parts)}; it has {', '.join(there[:8]) or 'none'}")
 
 
 def _none(field: str) -> Any:
@@ -114,11 +116,14 @@ def _is_sequence(value: Any) -> bool:
     return not isinstance(value, str | bytes) and hasattr(value, "__len__") and hasattr(value, "__getitem__")
 
 
-def _fields(message: Any) -> list[str]:
-    types = getattr(type(message), "get_fields_and_field_types", None)
-    if types is not None:
-        return list(types())
-    return [name for name in getattr(message, "__dict__", {}) if not name.startswith("_")]
+@lru_cache(maxsize=256)
+def _fields_of(kind: type) -> tuple[str, ...]:
+    types = getattr(kind, "get_fields_and_field_types", None)
+    return tuple(types()) if types is not None else ()
+
+
+def _fields(message: Any) -> Sequence[str]:
+    return _fields_of(type(message)) or [name for name in getattr(message, "__dict__", {}) if not name.startswith("_")]
 
 
 def labels_of(parent: Any, field: str, items: Any) -> list[str] | None:
@@ -156,3 +161,49 @@ def _candidates(parent: Any, field: str, items: Any) -> Iterator[Sequence[Any]]:
         labels = [getattr(item, name) for item in items]
         if all(isinstance(label, str | int | np.integer) for label in labels):
             yield labels
+
+
+_ARRAY = re.compile(r"sequence<(?P<inner>[^,>]+)(, *\d+)?>$|(?P<element>.+)\[\d*\]$")
+_NO_NUMBER = re.compile(r"(w?string|boolean|octet)(<.*>)?$")
+
+
+def what_a_type_lacks(path: str, kind: str, fields_of: Callable[[str], Mapping[str, str]]) -> str:
+    """A clause on why no message of a type has a number at a path; empty where one may.
+
+    Args:
+        path: as :class:`NamedField` takes it.
+        kind: message type, ``package/msg/Name``.
+        fields_of: gives the types of the fields of a message type, as ``get_fields_and_field_types`` does.
+    """
+    return _lack(path.split("."), kind, fields_of)
+
+
+def _lack(parts: Sequence[str], kind: str, fields_of: Callable[[str], Mapping[str, str]]) -> str:
+    fields = fields_of(kind)
+    if set(fields) == {"key", "value"} and not parts:
+        return ""
+    if not parts or parts[0] not in fields:
+        what = f"no field '{parts[0]}'" if parts else "no number of its own"
+        return f"{kind} has {what}; it has {', '.join(fields)}"
+    name, left = parts[0], parts[1:]
+    described = fields[name]
+    array = _ARRAY.match(described)
+    if array is None:
+        if "/" in described:
+            return _lack(left, _full(described), fields_of)
+        if left or _NO_NUMBER.match(described):
+            why = f"has no '{left[0]}'" if left else "is no number"
+            return f"field '{name}' of {kind} is a {described} and {why}"
+        return ""
+    element = array["inner"] or array["element"]
+    if not left:
+        return f"field '{name}' of {kind} is an array; name one of its elements, such as {name}.1 or {name}.joint_name"
+    if "/" not in element:
+        return f"field '{name}' of {kind} is an array of texts" if _NO_NUMBER.match(element) else ""
+    lacks = [_lack(left[length:], _full(element), fields_of) for length in range(1, len(left) + 1)]
+    return "" if "" in lacks else lacks[0]
+
+
+def _full(kind: str) -> str:
+    package, _, name = kind.rpartition("/")
+    return f"{package.removesuffix('/msg')}/msg/{name}"

@@ -21,6 +21,9 @@ _PAUSE = 0.5  # s: without samples for so long, and for 16 steps, recording paus
 _GAP = 1.5  # steps
 _BESIDE = 9  # samples on each side of a gap, by which it is judged
 _BURSTS = 0.5  # of a step: stamps that scatter so come in bursts
+_JITTER = 0.03  # of a step: scatter that may hide a loss
+_STRONG_JITTER = 0.15  # of a step
+_COUNTS = 12  # times that samples are counted again at most
 _OTHER_RATE = 0.02  # relative
 _LONGEST = 16  # samples of the grid for each that there is
 
@@ -218,6 +221,9 @@ def _numbered(time: FloatArray, part: slice, name: str, clock: str) -> _Stretch:
             plain = _line(np.arange(t.size), t)
             if scatter > 0.5 * plain[2]:
                 index, (start, step, scatter) = np.arange(t.size), plain
+    if not bursts and spread > _JITTER * step:
+        index = _recounted(t, missing, _BESIDE if spread < _STRONG_JITTER * step else 3 * _BESIDE)
+        start, step, scatter = _line(index, t)
     length = int(index[-1]) + 1
     if length > 1.5 * t.size:
         raise BenchError(
@@ -225,6 +231,37 @@ def _numbered(time: FloatArray, part: slice, name: str, clock: str) -> _Stretch:
             "it to one rate."
         )
     return _Stretch(part, index.astype(np.int64), start, step, scatter, bursts)
+
+
+def _recounted(t: FloatArray, missing: IntArray, width: int) -> IntArray:
+    """Numbers of samples whose stamps scatter: a loss that scatter hides shows in all stamps behind it.
+
+    Args:
+        t: stamps.
+        missing: samples that a first count found missing before each.
+        width: stamps on each side of a place, by whose middle ones it is judged.
+    """
+    missing = missing.copy()
+    places = np.arange(t.size)
+    steps = np.diff(t)
+    index = places + np.cumsum(missing)
+    if t.size < 4 * width:
+        return index
+    for _ in range(_COUNTS):
+        start, step, _scatter = _line(index, t)
+        middle = np.median(np.lib.stride_tricks.sliding_window_view(t - start - step * index, width), axis=1)
+        behind = middle[width:] - middle[:-width]  # of the step from place + width - 1 to the next
+        wrong = np.flatnonzero(np.abs(behind) > 0.5 * step)
+        if not wrong.size:
+            break
+        for run in np.split(wrong, np.flatnonzero(np.diff(wrong) > 1) + 1):
+            extra = round(float(behind[run[np.argmax(np.abs(behind[run]))]]) / step)
+            gaps = run + width - 1
+            left = steps[gaps] - step * missing[gaps + 1]
+            at = int(gaps[np.argmax(left) if extra > 0 else np.argmin(left)]) + 1
+            missing[at] = max(0, missing[at] + extra)
+        index = places + np.cumsum(missing)
+    return index
 
 
 def _common_step(stretches: Sequence[_Stretch], time: FloatArray, name: str, clock: str) -> float:

@@ -388,7 +388,8 @@ def test_a_bag_is_read_right_or_asked_about(part: int, tmp_path: Path) -> None:
         results.append((made.kind, made.fault, result, why))
     refused = [item for item in results if item[2] == "refused"]
     assert not refused, refused
-    # Only clocks that contradict each other (one that is set back by few steps too), and arrays of many elements that say nothing, are asked about.
+    # Only clocks that contradict each other (also one that is set back by few steps), and arrays of many elements that
+    # say nothing, are asked about.
     for kind, fault, result, why in results:
         assert result == "right" or fault in ("slow log", "set back") or (kind, why) == ("plain block", ["elements"]), (
             kind,

@@ -8,9 +8,9 @@ element may change from message to message; its name does not.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -117,13 +117,15 @@ def _is_sequence(value: Any) -> bool:
 
 
 @lru_cache(maxsize=256)
-def _fields_of(kind: type) -> tuple[str, ...]:
+def _fields_of(kind: Hashable) -> tuple[str, ...]:
     types = getattr(kind, "get_fields_and_field_types", None)
     return tuple(types()) if types is not None else ()
 
 
 def _fields(message: Any) -> Sequence[str]:
-    return _fields_of(type(message)) or [name for name in getattr(message, "__dict__", {}) if not name.startswith("_")]
+    return _fields_of(cast(Hashable, type(message))) or [
+        name for name in getattr(message, "__dict__", {}) if not name.startswith("_")
+    ]
 
 
 def labels_of(parent: Any, field: str, items: Any) -> list[str] | None:

@@ -11,6 +11,7 @@ import re
 from array import array
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from operator import attrgetter
 from typing import Any
 
@@ -197,7 +198,7 @@ class TopicReader:
     def __init__(self, structure: _Structure) -> None:
         self._structure = structure
         self._layouts: dict[Hashable, Layout] = {}
-        self._variable = bool(structure.labels) or any(not one.fixed or one.structure for one in structure.sequences)
+        self._key = _key_of(structure)
         self.count = 0
 
     @property
@@ -212,7 +213,7 @@ class TopicReader:
 
     def add(self, message: Any, logged: int) -> None:
         """Take a message that was received at a time (ns)."""
-        key = _key(self._structure, message) if self._variable else None
+        key = self._key(message)
         layout = self._layouts.get(key)
         if layout is None:
             layout = self._layouts[key] = _layout_of(self._structure, message)
@@ -231,19 +232,32 @@ def _may_hold_numbers(structure: _Structure) -> bool:
     )  # fmt: skip
 
 
-def _key(structure: _Structure, message: Any) -> Hashable:
-    """What may differ between messages of one type."""
-    parts: list[Hashable] = [attrgetter(path)(message) for path in structure.labels]
+def _key_of(structure: _Structure) -> Callable[[Any], Hashable]:
+    """What tells messages of one type apart: names, lengths of arrays, dimensions."""
+    parts: list[Callable[[Any], Hashable]] = [attrgetter(path) for path in structure.labels]
     for one in structure.sequences:
-        items = attrgetter(one.path)(message)
-        if one.structure is None:
-            parts.append(len(items))
-        else:
-            parts.append(tuple([_key(one.structure, item) for item in items]))
-        parts += [tuple(attrgetter(path)(message)) for path in one.naming]
+        if one.structure is not None:
+            parts.append(_inner_key(attrgetter(one.path), _key_of(one.structure)))
+        elif not one.fixed:
+            parts.append(_length(attrgetter(one.path)))
+        parts += [_names(attrgetter(path)) for path in one.naming]
         if one.layout:
-            parts.append(_dimensions(message, one.path))
-    return tuple(parts)
+            parts.append(partial(_dimensions, path=one.path))
+    if len(parts) == 1:
+        return parts[0]
+    return lambda message: tuple([part(message) for part in parts])
+
+
+def _inner_key(fetch: Callable[[Any], Any], key: Callable[[Any], Hashable]) -> Callable[[Any], Hashable]:
+    return lambda message: tuple([key(item) for item in fetch(message)])
+
+
+def _length(fetch: Callable[[Any], Any]) -> Callable[[Any], Hashable]:
+    return lambda message: len(fetch(message))
+
+
+def _names(fetch: Callable[[Any], Any]) -> Callable[[Any], Hashable]:
+    return lambda message: tuple(fetch(message))
 
 
 def _dimensions(message: Any, path: str) -> tuple[tuple[str, int], ...]:
@@ -271,14 +285,18 @@ def _layout_of(structure: _Structure, message: Any) -> Layout:
     draft = _Draft()
     if structure.is_pair:
         draft.columns.append(Column("value", "value", ""))
-        draft.readers.append(_text_reader(lambda this: this))
+        draft.readers.append(_text_reader(_itself))
     else:
-        _describe(structure, message, "", "", "", lambda this: this, draft)
+        _describe(structure, message, "", "", "", _itself, draft)
     label = _label_of(structure, message)
     dimensions = next(iter(draft.shapes.values()), ())
     if not label and len(dimensions) == 1 and len(draft.shapes) == 1 and not is_time_label(dimensions[0][0]):
         label = dimensions[0][0]
     return Layout(label, draft.columns, draft.stamps, draft.shapes, draft.readers, draft.stamp_readers)
+
+
+def _itself(message: Any) -> Any:
+    return message
 
 
 def _describe(
@@ -367,6 +385,8 @@ def _stamp_reader(get: Callable[[Any], Any], seconds: str, nanoseconds: str) -> 
 
 
 def _scalar_reader(get: Callable[[Any], Any], fetch: Callable[[Any], Any], count: int) -> Callable[[Any], Any]:
+    if get is _itself and count > 1:
+        return fetch
     if count == 1:
         return lambda message: (fetch(get(message)),)
     return lambda message: fetch(get(message))

@@ -382,6 +382,30 @@ def test_jitter_and_loss_are_told_apart(tmp_path: Path) -> None:
     assert np.flatnonzero(np.isnan(run.channels[0].data)).tolist() == lost.tolist()
 
 
+def test_messages_that_came_twice_count_once(tmp_path: Path) -> None:
+    rows = [(t + late, point(t, float(decay(t)))) for t in TIMES for late in (1e-4, 3e-4)]
+    run = imported(bag_of(tmp_path, {"/tip": rows}), "/tip.point.x")
+    assert (run.channels[0].data == decay(TIMES)).all()
+    assert any("2000 messages of /tip came twice" in note for note in run.notes)
+
+
+def test_stamps_that_many_messages_share_are_asked_about(tmp_path: Path) -> None:
+    rows = [(t + late, point(t, float(decay(t)) + late)) for t in TIMES for late in (1e-4, 1.1e-3)]
+    with pytest.raises(BenchError, match=r"2000 of 4000 .* 500 Hz, by its log times 1000 Hz.*'clock: log'"):
+        imported(bag_of(tmp_path, {"/tip": rows}), "/tip.point.x")
+
+
+def test_names_that_are_other_ones_in_each_message_are_no_columns(tmp_path: Path) -> None:
+    def rows(changes: bool) -> Rows:
+        for k, t in enumerate(TIMES):
+            yield t, point(t, float(decay(t)), f"picture {k}") if not changes else joints(t, {f"joint {k}": 1.0})
+
+    bag = bag_of(tmp_path, {"/tip": rows(False), "/joint_states": rows(True)})
+    check(imported(bag, "/tip.point.x", **RING))
+    with pytest.raises(BenchError, match="/joint_states was left out: names or lengths of arrays are other"):
+        read_bag(bag, ["/joint_states.position.a"])
+
+
 def test_topics_whose_clocks_count_from_different_times_are_asked_about(tmp_path: Path) -> None:
     wall = [(t, point(t, float(decay(t)))) for t in TIMES]
     simulated = [(t + 1e-4, point(t - 1e9, float(decay(t, 3.0)))) for t in TIMES]

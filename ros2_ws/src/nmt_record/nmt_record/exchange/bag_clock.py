@@ -114,6 +114,11 @@ def judged_clock(
         if header.usable >= _USABLE:
             candidates.append(header)
         else:
+            doubled = _doubled(name, stamps, logged)
+            if doubled and not choice.clock and not choice.field:
+                return JudgedClock(
+                    "log times", log.rows, log.time, log.breaks, notes=notes, question=(doubled, "clock")
+                )
             notes.append(
                 f"{stamps.size - header.rows.size} of {stamps.size} header stamps of {name} repeat, go back or are "
                 "zero; the log times are its clock."
@@ -364,6 +369,20 @@ def _ratio(one: _Cleaned, other: _Cleaned, logged: IntArray) -> tuple[float, flo
     both = np.isin(one.rows, other.rows)
     reduced = _Cleaned(one.words, one.rows[both], one.time[both], [], [], one.usable)
     return _ratio_of(reduced, times)
+
+
+def _doubled(name: str, stamps: IntArray, logged: IntArray) -> str:
+    """A question where many messages have the stamp of another one; empty where they have not."""
+    known = stamps[stamps > 0]
+    different = np.unique(known)
+    if different.size > _USABLE * known.size or different.size < _LONG_RUN or not np.ptp(logged):
+        return ""
+    by_stamps, by_log = (1e9 / _typical_step(times) for times in (different, logged))
+    return (
+        f"{known.size - different.size} of {stamps.size} header stamps of {name} are those of another message: by them "
+        f"it has {by_stamps:.6g} Hz, by its log times {by_log:.6g} Hz (stamps that are rounded, "
+        "or two publishers on one topic). If they are one recording, say 'clock: log'."
+    )
 
 
 def _contradiction(name: str, clock: _Cleaned, logged: IntArray) -> tuple[str, str] | None:

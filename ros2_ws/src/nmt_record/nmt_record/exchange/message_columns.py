@@ -10,7 +10,7 @@ import math
 import re
 from array import array
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -22,6 +22,7 @@ from nmt_core.messages.named_elements import distinct, label_fields, naming_sequ
 MOST_ELEMENTS = 64
 """Of an array whose elements are columns of their own; a longer one may hold samples one after the other."""
 _MOST_SAMPLES = 65_536  # of an array that may hold samples
+_MOST_LAYOUTS = 1024
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _LEFT_OUT = re.compile(r"(.*_)?covariance$|layout$")
 _SECONDS = re.compile(r"(.*?)_?(sec|secs|seconds|s)$")
@@ -197,9 +198,12 @@ class TopicReader:
 
     def __init__(self, structure: _Structure) -> None:
         self._structure = structure
-        self._layouts: dict[Hashable, Layout] = {}
-        self._key = _key_of(structure)
+        self._layouts: dict[tuple[Hashable, Hashable], Layout] = {}
+        self._labels = [attrgetter(path) for path in structure.labels]
+        self._key = _key_of(replace(structure, labels=()))
         self.count = 0
+        self.is_anonymous = False
+        """Names are other ones in each message, so that they name nothing that could be a column."""
 
     @property
     def layouts(self) -> list[Layout]:
@@ -211,12 +215,31 @@ class TopicReader:
         """Whether the type may hold any."""
         return _may_hold_numbers(self._structure)
 
+    def _forget_labels(self) -> None:
+        """What a message calls itself counts no longer, where each one calls itself otherwise."""
+        merged: dict[tuple[Hashable, Hashable], Layout] = {}
+        for (_, key), layout in self._layouts.items():
+            first = merged.setdefault(((), key), layout)
+            if first is not layout:
+                first.label = ""
+                for name in ("numbers", "logged", "values", "times"):
+                    getattr(first, name).extend(getattr(layout, name))
+        self._labels = []
+        self._layouts = merged
+        self.is_anonymous = len(merged) > _MOST_LAYOUTS // 2
+
     def add(self, message: Any, logged: int) -> None:
         """Take a message that was received at a time (ns)."""
-        key = self._key(message)
+        if self.is_anonymous:
+            return
+        labels = tuple([get(message) for get in self._labels])
+        key = labels, self._key(message)
         layout = self._layouts.get(key)
         if layout is None:
             layout = self._layouts[key] = _layout_of(self._structure, message)
+            if len(self._layouts) > _MOST_LAYOUTS:
+                self._forget_labels()
+                layout = self._layouts[(), key[1]]
         for read in layout.readers:
             layout.values.extend(read(message))
         for read_stamp in layout.stamp_readers:

@@ -95,6 +95,7 @@ def series_of(topic: str, reader: TopicReader, choice: ClockChoice) -> tuple[lis
             by_key.setdefault((frozenset(positions_of), example[name].stamp), []).append(name)
     for (numbers, _), columns in by_key.items():
         groups.append(_gathered(topic, columns, sorted(numbers), places, example, layouts, tables))
+    groups = [_once(one) for one in groups]
     joined = _joined(sorted(groups, key=lambda one: -one.logged.size))
     kept = [one for one in joined if one.logged.size >= FEWEST]
     brief = [name.removeprefix(f"{topic}.") for one in joined if one.logged.size < FEWEST for name in one.columns]
@@ -137,6 +138,27 @@ def _gathered(
     return Series(
         topic, topic, messages[order], logged, np.concatenate(there)[order] if len(there) == len(stamps) else None,
         columns, {f"{topic}.{name}": example[name].field for name in names},
+    )  # fmt: skip
+
+
+def _once(one: Series) -> Series:
+    """A series without the messages that came twice: with the same stamp and the same values."""
+    if one.stamps is None or one.stamps.size < 2:
+        return one
+    order = np.lexsort((one.numbers, one.stamps))
+    same = np.zeros(order.size, dtype=bool)
+    same[1:] = (np.diff(one.stamps[order]) == 0) & (one.stamps[order][1:] > 0)
+    for values in one.columns.values():
+        if not same.any():
+            return one
+        ordered = values[order]
+        equal = (ordered[1:] == ordered[:-1]) | (np.isnan(ordered[1:]) & np.isnan(ordered[:-1]))
+        same[1:] &= equal if equal.ndim == 1 else equal.all(axis=1)
+    kept = np.sort(order[~same])
+    return Series(
+        one.topic, one.name, one.numbers[kept], one.logged[kept], one.stamps[kept],
+        {name: values[kept] for name, values in one.columns.items()}, one.fields, one.block,
+        [*one.notes, f"{int(same.sum())} messages of {one.topic} came twice; they count once."],
     )  # fmt: skip
 
 

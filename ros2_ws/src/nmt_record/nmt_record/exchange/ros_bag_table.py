@@ -184,6 +184,9 @@ def _read(bag: Bag, topics: Sequence[str], notes: list[str]) -> dict[str, TopicR
             odd[topic] = odd.get(topic, 0) + 1
             continue
         readers[topic].add(message, received)
+    for topic in [topic for topic, reader in readers.items() if reader.is_anonymous]:
+        del readers[topic]
+        notes.append(f"Topic /{topic} was left out: names or lengths of arrays are other ones in each of its messages.")
     for topic, why in unreadable.items():
         if readers[topic].count < FEWEST:
             del readers[topic]

@@ -419,6 +419,24 @@ def test_topics_whose_clocks_count_from_different_times_are_asked_about(tmp_path
     assert np.isfinite(table.columns[table.names.index("/root.point.x")]).mean() > 0.99
 
 
+def test_a_message_that_another_topic_lost_is_a_hole_at_the_times_of_the_first(tmp_path: Path) -> None:
+    slow = [(t, point(t, float(decay(t)))) for k, t in enumerate(TIMES[::2]) if k != 400]
+    bag = bag_of(tmp_path, {"/tip": [(t, point(t, 1.0 + t)) for t in TIMES], "/root": slow})
+    table = read_bag(bag, ["/tip.point.x", "/root.point.x"])
+    column = table.columns[table.names.index("/root.point.x")]
+    assert np.flatnonzero(np.isnan(column[:-2])).tolist() == [799, 800, 801]
+    assert np.abs(column - decay(TIMES))[np.isfinite(column)].max() < 1e-4
+
+
+def test_publishers_without_names_on_one_topic_are_said(tmp_path: Path) -> None:
+    rows = [
+        (t + late, point(t + late, float(decay(t, f)) + late)) for t in TIMES for late, f in ((0, 3.0), (7e-4, 6.0))
+    ]
+    rows = [(at, point(at, message.point.x + (5.0 if k % 2 else 0.0))) for k, (at, message) in enumerate(rows)]
+    (table,) = bag_tables(bag_of(tmp_path, {"/tip": rows}))
+    assert any("alternate from message to message" in note for note in table.notes)
+
+
 def test_blocks_without_a_layout_are_samples_where_they_go_on(tmp_path: Path) -> None:
     random = np.random.default_rng(0)
     time = np.arange(10_000) / 2000.0

@@ -138,6 +138,21 @@ def even_grid(
     return EvenGrid(float(first.start), step, std, tuple(placed), notes, ends, true, rows, sources)
 
 
+def sampled_at(grid: EvenGrid, values: FloatArray, places: FloatArray) -> FloatArray:
+    """A column of a grid at other times (s); NaN beyond its ends and where samples are missing."""
+    there = values[grid.rows]
+    good = np.isfinite(there)
+    time, rows = grid.time[good], grid.rows[good]
+    if time.size < 4 or (np.diff(time) <= 0.0).any():
+        return np.full(places.size, np.nan)
+    result = interpolated(time, there[good], places, math.inf)
+    right = np.clip(np.searchsorted(time, places), 1, time.size - 1)
+    beside = np.minimum(np.abs(places - time[right - 1]), np.abs(time[right] - places)) > 1e-3 * grid.step
+    hole = beside & (rows[right] - rows[right - 1] > 1)
+    outside = (places < time[0] - 0.5 * grid.step) | (places > time[-1] + 0.5 * grid.step)
+    return np.where(hole | outside, np.nan, result)
+
+
 def _stretches(time: FloatArray, breaks: Sequence[int], name: str, clock: str, notes: list[str]) -> list[_Stretch]:
     """Stretches that are long enough, each with the numbers of its samples."""
     typical = usual_step(time)

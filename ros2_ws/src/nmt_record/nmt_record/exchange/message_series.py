@@ -20,6 +20,7 @@ from nmt_record.exchange.message_columns import (
 )
 
 _CONSECUTIVE = 0.8  # share of the messages of a series that follow each other
+_ALTERNATING = 0.2  # change over two messages, in that over one
 _FEWEST_SAMPLES = 8  # elements of an array that may be samples
 _SMOOTH_SEAM = 2.0  # last to first element of the next message, in steps within one
 _FAR_ACROSS = 1.0  # the same element from message to message, in steps within one
@@ -50,6 +51,17 @@ class Series:
     fields: dict[str, str]
     block: int = 1
     notes: list[str] = field(default_factory=list)
+
+    def alternates(self) -> bool:
+        """Whether every other message is like the one before the last, and unlike the last."""
+        if self.block > 1:
+            return False
+        verdicts = []
+        for values in self.columns.values():
+            next_one, after_next = np.abs(np.diff(values)), np.abs(values[2:] - values[:-2])
+            if np.isfinite(next_one).sum() >= FEWEST and np.nanmedian(next_one) > 0.0:
+                verdicts.append(float(np.nanmedian(after_next)) < _ALTERNATING * float(np.nanmedian(next_one)))
+        return bool(verdicts) and all(verdicts)
 
     @property
     def samples(self) -> int:

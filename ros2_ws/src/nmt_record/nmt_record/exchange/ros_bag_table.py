@@ -15,12 +15,11 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_core.messages.stamped_samples import interpolated
 from nmt_core.numerics.arrays import FloatArray
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK, bench_name
 from nmt_record.exchange.bag_clock import ClockChoice, JudgedClock, judged_clock
-from nmt_record.exchange.even_grid import FEWEST, EvenGrid, even_grid
+from nmt_record.exchange.even_grid import FEWEST, EvenGrid, even_grid, sampled_at
 from nmt_record.exchange.import_clock import ClockQuestionError
 from nmt_record.exchange.import_table import SourceTable
 from nmt_record.exchange.message_columns import TopicReader, structure_of
@@ -242,6 +241,12 @@ def _table_of(path: Path, series: Sequence[Series], choice: ClockChoice, bag: Ba
     grid = _gridded(head, clocks[0], origin, choice, path.name)
     question = next((clock.question for clock in clocks if clock.question is not None), None)
     notes = [*head.notes, *clocks[0].notes, *grid.notes]
+    for one in series:
+        if one.alternates():
+            notes.append(
+                f"The values of {one.name} alternate from message to message, as if two publishers without names sent "
+                "on one topic; if they do, nothing that follows from them is right: record them apart."
+            )
     began = origin * 1e-9 + grid.start
     notes.append(
         f"Times of {path.name} count from {began:.6f} s, the first sample of {head.name} by its {clocks[0].words}."
@@ -259,8 +264,7 @@ def _table_of(path: Path, series: Sequence[Series], choice: ClockChoice, bag: Ba
             f"{theirs.step:.6g} s. Above a fifth of its rate this changes amplitude and phase."
         )
         for name, values in zip(other.columns, theirs.columns, strict=True):
-            # Stamps that scatter leave no gap; missing samples do.
-            columns[name] = interpolated(theirs.time, values[theirs.rows], places, 1.15 * theirs.step)
+            columns[name] = sampled_at(theirs, values, places)
         fields.update(other.fields)
     used = {f"{one.topic}.{clock.used_field}" for one, clock in zip(series, clocks, strict=True)}
     names = [name for name, values in columns.items() if name not in used and np.isfinite(values).any()]

@@ -217,8 +217,8 @@ def _through_sensors(values: FloatArray, rate: float, chains: FloatArray) -> Flo
         return result
     own, count = result[filtered], values.shape[1]
     size = next_fast_len(count + 1, real=True)
-    back = np.linspace(own[:, -1], own[:, 0], size - count + 2, axis=1)[:, 1:-1]
-    lines = rfft(np.concatenate((own, back), axis=1), axis=1)
+    back = np.linspace(filtered_values[:, -1], filtered_values[:, 0], size - count + 2, axis=1)[:, 1:-1]
+    lines = rfft(np.concatenate((filtered_values, back), axis=1), axis=1)
     for position, channel in enumerate(filtered):
         lines[position] *= _sensor_response(size, rate, *map(float, chains[channel, DELAY:]))
     result[filtered] = irfft(lines, size, axis=1)[:, :count]

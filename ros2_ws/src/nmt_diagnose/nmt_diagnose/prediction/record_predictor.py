@@ -215,7 +215,7 @@ def _through_sensors(values: FloatArray, rate: float, chains: FloatArray) -> Flo
     filtered = np.flatnonzero(np.any(chains[:, DELAY:] != 0.0, axis=1))
     if not filtered.size:
         return result
-    own, count = result[filtered], values.shape[1]
+    filtered_values, count = result[filtered], values.shape[1]
     size = next_fast_len(count + 1, real=True)
     back = np.linspace(filtered_values[:, -1], filtered_values[:, 0], size - count + 2, axis=1)[:, 1:-1]
     lines = rfft(np.concatenate((filtered_values, back), axis=1), axis=1)

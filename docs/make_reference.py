@@ -86,6 +86,8 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "extraction": "what the modal properties are computed from",
         "pll": "settings of the loop by name, see [parameters](parameters.md#pll), and `loop: adaptive` or "
         "`paper`; empty = derived from the linear modes",
+        "coordinate": "what the structure's coordinates are; `angle`: in every key rad stands for m, N·m for N, kg·m² "
+        "for kg. The diagnosis takes it from its recordings",
         "clock_error": "relative error e of the clock: real rates are (1 + e) times the nominal, so whatever happens "
         "at f appears at f / (1 + e)",
         "drift": "slow changes with bench time",

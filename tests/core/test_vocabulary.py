@@ -107,9 +107,10 @@ def test_unit_of_a_level_by_what_is_held():
     assert ControlKind.RESPONSE.level_unit(Quantity.VELOCITY) == "m/s"
     assert ControlKind.RESPONSE.level_unit(Quantity.ACCELERATION) == "m/s^2"
     assert ControlKind.RESPONSE.level_unit() == ""
-    expected = {"V": ControlKind.VOLTAGE, "N": ControlKind.FORCE}
+    expected = {"V": ControlKind.VOLTAGE, "N": ControlKind.FORCE, "N*m": ControlKind.FORCE}
     assert {unit: ControlKind.of_unit(unit) for unit in LEVEL_UNITS} == {
-        unit: expected.get(unit, ControlKind.RESPONSE) for unit in ("V", "N", "m", "m/s", "m/s^2")
+        unit: expected.get(unit, ControlKind.RESPONSE)
+        for unit in ("V", "N", "m", "m/s", "m/s^2", "N*m", "rad", "rad/s", "rad/s^2")
     }
     with pytest.raises(BenchError, match="cannot be in 'A'"):
         ControlKind.of_unit("A")

@@ -24,7 +24,9 @@ MASS = Recalibrated("structure.masses_kg.0", 0.5, 0.52, 1e-3, "kg", 0.01, 4.0)
 
 def best(theta: float = 0.0, promised: float = 0.5, candidates: tuple[Candidate, ...] = (CUBIC,)) -> FittedExplanation:
     """A fit of a model with one parameter of its own and an effect."""
-    own = SimpleNamespace(values=lambda values, _: {p: float(values[1]) for p in ("k", "c2")})
+    own = SimpleNamespace(
+        values=lambda values, _: {p: float(values[1]) for p in ("k", "c2")}, base=SimpleNamespace(coordinate="length")
+    )
     fit = SimpleNamespace(theta=np.array([theta, 1.0]), promised=promised, parametrisation=own)
     return FittedExplanation(candidates, fit)  # type: ignore[arg-type]
 

@@ -151,7 +151,7 @@ def test_what_follows_a_hit_is_a_decay(tmp_path: Path) -> None:
 
 def test_a_backbone_is_asked_whether_its_amplitudes_are_peak_or_rms(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("frequency,amplitude [mm]\n10,1\n10.1,2\n", newline="")
-    assert "amplitudes: '?'       # peak or rms" in sidecar_templates(tmp_path / "b.csv")[0]
+    assert "amplitudes: '?'       # peak, rms or peak_to_peak" in sidecar_templates(tmp_path / "b.csv")[0]
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ OTHERS = {
     "frequency": {**_multiples("Hz", "km"), "rad/s": 1.0 / (2.0 * math.pi), "rpm": 1.0 / constants.minute},
     "ratio": {"1": 1.0, "%": constants.centi},
     "phase": {"rad": 1.0, "deg": constants.degree, "cycles": 2.0 * math.pi},
-    "time": {**_multiples("s", "mun"), "min": constants.minute},
+    "time": {**_multiples("s", "mun"), "min": constants.minute, "h": constants.hour, "d": constants.day},
     "modal amplitude": _multiples("m*sqrt(kg)", "mu"),
 }
 

@@ -14,7 +14,14 @@ _OTHER = {
 }  # fmt: skip
 _QUOTIENT = re.compile(r"_(n|ns|ns2|nm|kg|m|v)_(m|s|rad|a|n)([2-9]?)$")
 _SINGLE = re.compile(r"_(n|kg|m|s|v|pa|hz|ohm|h)$")
+_WORD = re.compile(r"[A-Za-zΩµ]+")
+_TURNED = {"m": "rad", "N": "N·m", "kg": "kg·m²"}
 _POWERS = str.maketrans("23456789", "²³⁴⁵⁶⁷⁸⁹")
+
+
+def of_rotation(unit: str) -> str:
+    """Unit of a parameter where the coordinate is an angle: rad for m, N·m for N, kg·m² for kg."""
+    return _WORD.sub(lambda found: _TURNED.get(found[0], found[0]), unit)
 
 
 def unit_of_key(key: str) -> str:

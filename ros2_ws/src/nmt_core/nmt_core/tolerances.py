@@ -24,6 +24,12 @@ class ChainTolerances:
         "Calibration certificates of force cells and accelerometers state 0.5 to 1 %, cables and mounting come on top.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.gain]",
     )  # fmt: skip
+    force_factor: float = threshold(
+        0.03, "1",
+        "Force of a shaker per ampere: it falls by some percent where the coil leaves the middle of its gap, and with "
+        "the warmth of the magnet.",
+        "tests/record/test_current_as_force.py::test_the_factor_of_a_current_is_in_the_budget",
+    )  # fmt: skip
     zero: float = threshold(
         0.1, "1",
         "Zero of a channel over the largest value that it recorded: a bridge that was not tared, a generator with an "

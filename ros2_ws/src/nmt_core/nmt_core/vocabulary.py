@@ -27,6 +27,10 @@ class Quantity(IntEnum):
         """SI unit of the quantity, empty for ``UNKNOWN``."""
         return _UNITS[self]
 
+    def accepts(self, unit: str) -> bool:
+        """Whether it is an SI unit of the quantity: its own, that of a rotation in its place, or 1 of a strain."""
+        return unit in (self.unit, ROTATION_UNITS.get(self)) or (self is Quantity.DISPLACEMENT and unit == "1")
+
     @property
     def topic(self) -> str:
         """Name of the topic that carries the quantity."""
@@ -55,6 +59,14 @@ _UNITS = {
     Quantity.VOLTAGE: "V",
     Quantity.CURRENT: "A",
 }
+
+ROTATION_UNITS = {
+    Quantity.FORCE: "N*m",
+    Quantity.DISPLACEMENT: "rad",
+    Quantity.VELOCITY: "rad/s",
+    Quantity.ACCELERATION: "rad/s^2",
+}
+"""SI units where an angle stands for a displacement and a torque for a force."""
 
 SAMPLE_TOPICS = tuple(quantity.topic for quantity in Quantity if quantity is not Quantity.UNKNOWN)
 
@@ -200,7 +212,8 @@ class ControlKind(IntEnum):
         """
         if unit not in LEVEL_UNITS:
             raise BenchError(f"A level cannot be in '{unit}'; use {', '.join(LEVEL_UNITS)}.")
-        return {Quantity.VOLTAGE.unit: cls.VOLTAGE, Quantity.FORCE.unit: cls.FORCE}.get(unit, cls.RESPONSE)
+        forces = dict.fromkeys((Quantity.FORCE.unit, ROTATION_UNITS[Quantity.FORCE]), cls.FORCE)
+        return {Quantity.VOLTAGE.unit: cls.VOLTAGE, **forces}.get(unit, cls.RESPONSE)
 
     @property
     def label(self) -> str:
@@ -219,15 +232,9 @@ class ControlKind(IntEnum):
         return Quantity.FORCE.unit if self is ControlKind.FORCE else Quantity.VOLTAGE.unit
 
 
-LEVEL_UNITS = tuple(
-    quantity.unit
-    for quantity in (
-        Quantity.VOLTAGE,
-        Quantity.FORCE,
-        Quantity.DISPLACEMENT,
-        Quantity.VELOCITY,
-        Quantity.ACCELERATION,
-    )
+LEVEL_UNITS = (
+    *(quantity.unit for quantity in (Quantity.VOLTAGE, Quantity.FORCE, *MOTIONS)),
+    *ROTATION_UNITS.values(),
 )
 """Units that a level can have."""
 

@@ -365,9 +365,7 @@ def _check_samples(signals: Signals, channels: _Channels) -> None:
             raise BenchError(f"Channel {name} shows no signal; check its sensor and the drive.")
         clipped_at = clipping_level(values)
         if clipped_at:
-            raise BenchError(
-                f"Channel {name} is clipped at {clipped_at:.4g} {signals.quantities[name].unit}; lower the level."
-            )
+            raise BenchError(f"Channel {name} is clipped at {clipped_at:.4g} {signals.units[name]}; lower the level.")
 
 
 def _averages(signals: Signals, channels: _Channels, settings: LinearTestSettings) -> AveragedSpectra:

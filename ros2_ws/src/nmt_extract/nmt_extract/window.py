@@ -27,6 +27,12 @@ class Channel(NamedTuple):
     name: str
     quantity: Quantity
     point: int
+    stated_unit: str = ""
+
+    @property
+    def unit(self) -> str:
+        """SI unit, as its block has it."""
+        return self.stated_unit or self.quantity.unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +155,7 @@ def _joined(cut: CutWindow, sample_rate: float) -> Window | SpoiledWindow:
         return SpoiledWindow(lock, sample_rate, cut.verdict.reason)
     heads = [stretch.blocks[0] for stretch in cut.stretches]
     channels = tuple(
-        Channel(name, head.quantity, point)
+        Channel(name, head.quantity, point, head.unit)
         for head in heads
         for name, point in zip(head.channels, head.points, strict=True)
     )

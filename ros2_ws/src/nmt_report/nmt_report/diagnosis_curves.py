@@ -111,7 +111,7 @@ def drive_label(test: Test) -> str:
         return "frequency / Hz"
     if isinstance(test, RecordTest):
         return "time / s"
-    return f"{test.channel.quantity.name.lower()} amplitude / {test.channel.quantity.unit}"
+    return f"{test.channel.quantity.name.lower()} amplitude / {test.channel.unit}"
 
 
 def courses(observations: Observations, models: Models, test: int, part: Part) -> list[Course]:
@@ -165,7 +165,7 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
         title, unit, deviation_unit, factor = "damping ratio", "%", "% of critical", 100.0
         measured, *computed = (100.0 * values for values in (measured, *computed))
     else:
-        unit = own.quantity.unit if own is not None else ""
+        unit = own.unit if own is not None else ""
         deviation_unit, factor = unit, 1.0
     joined = not isinstance(kind, RandomTest | SteppedSineTest) or x.size >= _FEW_LINES
     exponent = engineering_exponent(measured) if logarithmic or part in (Part.SAMPLE, Part.LINE) else 0
@@ -182,11 +182,11 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
 def _magnitude_unit(kind: Test, channel: MeasuredChannel | None) -> str:
     if channel is None:
         return ""
-    unit = channel.quantity.unit.replace("m/s^2", "m/s²")
+    unit, force = channel.unit.replace("s^2", "s²"), "N·m" if channel.turns else "N"
     if isinstance(kind, RandomTest):
-        return f"{unit} / {'V' if kind.reference == 'voltage' else 'N'}"
+        return f"{unit} / {'V' if kind.reference == 'voltage' else force}"
     if isinstance(kind, SteppedSineTest):
-        return f"{unit} / {({'force': 'N', 'base': '(m/s²)'}).get(kind.reference, 'V')}"
+        return f"{unit} / {({'force': force, 'base': '(m/s²)'}).get(kind.reference, 'V')}"
     return unit
 
 

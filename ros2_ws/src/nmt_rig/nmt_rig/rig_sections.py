@@ -275,6 +275,7 @@ class Rig(Section):
     test: TestSection = TestSection()
     extraction: ExtractionSection = ExtractionSection()
     pll: Annotated[dict[str, Annotated[Any, AfterValidator(_plain_setting)]], Field(default_factory=dict)]
+    coordinate: Literal["length", "angle"] = "length"
     clock_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
     drift: DriftSection = DriftSection()
     recording: RecordingSection | None = None

@@ -114,8 +114,6 @@ def _channel_table(imported: ImportedRun) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from nmt_record.exchange.unit_table import si_unit
-
     seconds = imported.samples / imported.sample_rate
     table = Table(
         title=f"{imported.samples} samples at {imported.sample_rate:.10g} Hz ({seconds:.6g} s)",
@@ -125,11 +123,11 @@ def _channel_table(imported: ImportedRun) -> Table:
     for head in ("channel", "column", "quantity", "point", "lowest", "highest", "missing"):
         table.add_column(head, justify="left" if head in ("channel", "column", "quantity") else "right")
     for channel in imported.channels:
-        unit = si_unit(channel.section.quantity)
+        unit, words = channel.section.si_unit, channel.section.quantity.replace("_", " ")
         table.add_row(
             channel.name,
             channel.source,
-            channel.section.quantity.replace("_", " "),
+            words if channel.section.force_factor is None else f"{words} as force",
             str(channel.point or ""),
             f"{np.nanmin(channel.data):.4g} {unit}",
             f"{np.nanmax(channel.data):.4g} {unit}",

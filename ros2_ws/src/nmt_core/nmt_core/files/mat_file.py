@@ -217,6 +217,52 @@ def _numbered(element: int, shape: tuple[int, ...]) -> str:
     return ".".join(str(int(n) + 1) for n in np.unravel_index(element, shape, order="F"))
 
 
+_STATED = ("units", "unit", "scale_factor", "add_offset", "_FillValue", "missing_value", "point")
+
+
+def read_attributes(path: Path) -> dict[str, dict[str, str | float]]:
+    """What the data sets of an HDF5 file say of themselves after the CF conventions, by the path of their name: unit,
+    scale_factor, add_offset, fill values and point; empty for other files.
+
+    Raises:
+        BenchError: the file cannot be read.
+    """
+    import h5py
+
+    found: dict[str, dict[str, str | float]] = {}
+
+    def visit(group: Any, prefix: str, depth: int) -> None:
+        for name in group if depth < _DEEPEST else ():
+            if name == "#refs#" or not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                continue
+            entry = group[name]
+            if isinstance(entry, h5py.Group):
+                visit(entry, f"{prefix}{name}.", depth + 1)
+            elif stated := {key: value for key in _STATED if (value := _plain(entry.attrs.get(key))) is not None}:
+                found[prefix + name] = stated
+
+    with path.open("rb") as start:
+        if not is_hdf5(start.read(520)):
+            return {}
+    try:
+        with h5py.File(path, "r") as file:
+            visit(file, "", 0)
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
+        first = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
+        raise BenchError(f"The attributes of {path.name} cannot be read ({first}); save it again.") from error
+    return found
+
+
+def _plain(value: Any) -> str | float | None:
+    """A text or a number of an attribute; None where it is neither."""
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    if isinstance(value, str):
+        return value
+    number = np.asarray(value) if value is not None else np.empty(0)
+    return float(number.reshape(-1)[0]) if number.size == 1 and number.dtype.kind in "iuf" else None
+
+
 def _read_hdf5(path: Path, what: str, largest: int) -> dict[str, Array]:
     import h5py
 

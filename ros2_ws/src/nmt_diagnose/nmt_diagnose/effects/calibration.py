@@ -8,7 +8,7 @@ from math import exp, pi
 import numpy as np
 from scipy.linalg import eigh
 
-from nmt_core.key_units import unit_of_key
+from nmt_core.key_units import of_rotation, unit_of_key
 from nmt_core.tolerances import MODEL_PRIORS
 from nmt_diagnose.effects.location import LocationKind
 from nmt_diagnose.effects.modal_calibration import model_paths
@@ -94,8 +94,11 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
         if isinstance(value, int | float) and value != 0.0:
             name = ".".join(str(part) for part in path)
             offset = _OFFSETS.get(key, 0.0)
+            # A clamp's rotational stiffness names its rotation itself.
+            turns = rig.coordinate == "angle" and not key.endswith("_nm_rad")
+            unit = of_rotation(unit_of_key(key)) if turns else unit_of_key(key)
             std = MODEL_PRIORS[key].std * abs(float(value) / (float(value) + offset))
-            found.append(CalibrationParameter(name, unit_of_key(key), path, std, place, float(value), offset))
+            found.append(CalibrationParameter(name, unit, path, std, place, float(value), offset))
 
     structure = rig.structure
     if isinstance(structure, BeamSection):

@@ -9,8 +9,10 @@ from math import exp, log
 
 import numpy as np
 
+from nmt_core.key_units import of_rotation
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import ROTATION_UNITS
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate, EffectParameter, Reported, Site
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -140,10 +142,11 @@ class Parametrisation:
 def _unit_at(unit: str, site: Site, rig: Rig) -> str:
     """Unit at a site: of its channel, or out of alternatives for displacement and rotation, or time and periods."""
     if unit == "channel":
-        return Quantity[rig.sensors[site.index].quantity.upper()].unit
+        quantity = Quantity[rig.sensors[site.index].quantity.upper()]
+        return quantity.unit if rig.coordinate == "length" else ROTATION_UNITS.get(quantity, quantity.unit)
     found = unit.split(" or ")
     if len(found) == 1:
-        return unit
+        return unit if rig.coordinate == "length" else of_rotation(unit)
     rotation, periods = site.option == "rotation", site.option == "slip_force_per_cycle"
     exact = [u for u in found if ("rad" in u) == rotation and ("period" in u) == periods]
     return exact[0] if exact else found[0]

@@ -396,6 +396,8 @@ def diagnose_observations(
         BenchError: the model has no solution for most of the observations.
     """
     settings, tell = settings or DiagnosisSettings(), progress or (lambda _: None)
+    if observations.turns:
+        rig = rig.model_copy(update={"coordinate": "angle"})
     observations = replace(observations, matters=dict(settings.matters))
     hum = observations.rows.part == Part.LINE
     outcome = _diagnosed(rig, observations, settings, tell, ~hum)

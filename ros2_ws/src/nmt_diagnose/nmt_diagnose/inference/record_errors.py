@@ -1,4 +1,5 @@
-"""Errors of records among those of the measuring chain: zeros of their sensors, and the state in which each begins."""
+"""Errors of records among those of the measuring chain: zeros and gains of their sensors, and the state in which each
+begins."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ from nmt_rig.rig import Rig
 def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]:
     """What a standard deviation of each error adds to the observables, (m,) each, about the motion of a rig.
 
-    Sensors of the bench's own simulator have no zeros.
+    Sensors of the bench's own simulator have neither zeros nor gains that are off.
 
     Args:
         observations: the real side.
@@ -39,7 +40,7 @@ def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]
             if isinstance(test, ImposedMotionTest)
             else RecordPredictor(test, part, settings)
         )
-        for name, column in predictor.errors(rig, cache, chain is not None).items():
+        for name, column in predictor.errors(rig, cache, chain).items():
             found[name] = np.zeros(len(rows))
             found[name][selected] = column
     return found

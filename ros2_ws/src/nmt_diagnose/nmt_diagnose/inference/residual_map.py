@@ -129,4 +129,4 @@ def per_observable(
 
 def unit_of_kind(observations: Observations, test: int, channel: int) -> str:
     """Unit of the rows of a channel that have that of the channel; empty for those that belong to none."""
-    return channels_of(observations.tests[test])[channel].quantity.unit if channel >= 0 else ""
+    return channels_of(observations.tests[test])[channel].unit if channel >= 0 else ""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from nmt_core.key_units import of_rotation
 from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
 from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.observations.observables import Observations
@@ -101,6 +102,7 @@ def _beyond_physics(found: FittedExplanation) -> list[str]:
             candidate = found.candidates[index]
             value = found.fit.parametrisation.values(found.fit.theta, index)[name]
             unit = next(p.unit for p in candidate.effect.parameters if p.name == name)
+            unit = of_rotation(unit) if found.fit.parametrisation.base.coordinate == "angle" else unit
             result.append(
                 f"As {candidate.label} the gap would take {name} = {value:.3g} {unit}, "
                 f"{abs(value) / candidate.site.limits[name]:.2g} times the largest that physics allows there: it is "

@@ -10,7 +10,7 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import MOTIONS
+from nmt_core.vocabulary import MOTIONS, ROTATION_UNITS
 
 
 @dataclass(frozen=True)
@@ -22,12 +22,19 @@ class MeasuredChannel:
         quantity: what it measures.
         point: measurement point, 0 for voltage and current.
         ideal: it is the motion or force itself, whatever sensors the rig has.
+        turns: an angle stands for its displacement, a torque for its force.
     """
 
     name: str
     quantity: Quantity
     point: int
     ideal: bool = False
+    turns: bool = field(default=False, compare=False)
+
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+        return ROTATION_UNITS.get(self.quantity, self.quantity.unit) if self.turns else self.quantity.unit
 
 
 class Driven:

@@ -70,7 +70,12 @@ class ModelView:
         """Channels that the model predicts."""
         rig = self.rig
         return tuple(
-            MeasuredChannel(rig.sensor_channel(sensor), Quantity[sensor.quantity.upper()], rig.sensor_point(sensor))
+            MeasuredChannel(
+                rig.sensor_channel(sensor),
+                Quantity[sensor.quantity.upper()],
+                rig.sensor_point(sensor),
+                turns=rig.coordinate == "angle",
+            )
             for sensor in rig.sensors
         )
 

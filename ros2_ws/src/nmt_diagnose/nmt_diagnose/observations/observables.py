@@ -96,6 +96,13 @@ class Observations:
     matters: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def turns(self) -> bool:
+        """Whether angles and torques were recorded."""
+        channels = [channel for test in self.tests for channel in getattr(test, "channels", ())]
+        channels += [test.channel for test in self.tests if hasattr(test, "channel")]
+        return any(channel.turns for channel in channels)
+
+    @property
     def sigma(self) -> FloatArray:
         """What residuals are divided by, √(std² + floor²), shape (m,)."""
         return np.hypot(self.std, self.floor)

@@ -14,7 +14,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
-from nmt_core.vocabulary import MOTIONS, TestKind
+from nmt_core.vocabulary import MOTIONS, ROTATION_UNITS, TestKind
 from nmt_diagnose.coverage import NotCoveredError, covers
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch, read_windows
 from nmt_diagnose.observations.channels.measuring_chain import measuring_chain, table_chain
@@ -40,7 +40,7 @@ from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, strangers
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange.observables import observable_tables
+from nmt_record.exchange.observables import ObservableTable, observable_tables
 from nmt_record.windows.recorded_tests import recorded_tests
 from nmt_record.windows.segments import Segment, segments
 from nmt_rig.rig import Rig
@@ -128,6 +128,18 @@ def _read_all(
     return joined(parts)
 
 
+def _turns(bag: Bag, tables: Sequence[ObservableTable]) -> bool:
+    """Whether all motions and forces of a bag are angles and torques."""
+    firsts: dict[str, tuple[Quantity, str]] = {}
+    for topic, block in bag.heads():
+        firsts.setdefault(topic, (block.quantity, block.unit))
+        if len(firsts) == len(bag.sample_topics):
+            break
+    turning = [unit == ROTATION_UNITS[kind] for kind, unit in firsts.values() if kind in ROTATION_UNITS]
+    turning += [table.turns for table in tables]
+    return bool(turning) and all(turning)
+
+
 def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> Observations:
     """All observables of one bag.
 
@@ -142,6 +154,9 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
     """
     notes: list[str] = [bag.loss] if bag.loss else []
     run = bag.run_start or {}
+    tables = observable_tables(bag) if "observables" in bag.topics else []
+    if _turns(bag, tables):
+        model = model.model_copy(update={"coordinate": "angle"})
     rig = run.get("rig")
     if isinstance(rig, str) and rig and rig != model.name:
         notes.append(f"{name} was recorded on rig '{rig}', the model is '{model.name}'.")
@@ -149,7 +164,6 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
     found = segments(bag)
     tests = recorded_tests(bag, found)
     refused = {test.kind: sentence for test in tests if (sentence := covers(test))}
-    tables = observable_tables(bag) if "observables" in bag.topics else []
     if len(refused) == len(tests) and not tables:
         raise NotCoveredError(f"{name}: {next(iter(refused.values()))}")
     notes += [f"{name}: {sentence}" for sentence in refused.values()]

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import ImposedMotionTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.imposed_kernel import MOTIONS_GIVEN, follow
@@ -59,15 +60,15 @@ class ImposedMotionPredictor:
         """Observables of the test's rows."""
         return self._of_rows(self._responses(rig, cache, self.test.motion), np.nan)
 
-    def errors(self, rig: Rig, cache: PartsCache, zeros: bool) -> dict[str, FloatArray]:
+    def errors(self, rig: Rig, cache: PartsCache, chain: MeasuringChain | None) -> dict[str, FloatArray]:
         """What a standard deviation of each error of the record adds to its rows, (rows,) each.
 
         Args:
             rig: about whose motion they act.
             cache: of the prediction.
-            zeros: whether the sensors may have zeros and gains of their own; those of the bench's simulator have none.
+            chain: of the record; None = that of the bench's simulator, whose sensors have no zeros and no gains.
         """
-        if not zeros or not self.test.zeros.size:
+        if chain is None or not self.test.zeros.size:
             return {}
         test = self.test
         base = self._responses(rig, cache, test.motion)
@@ -78,7 +79,9 @@ class ImposedMotionPredictor:
         for number, channel in enumerate(self.channels):
             selected = (self.rows.part == Part.SAMPLE) & (self.rows.channel == number)
             found[f"zero of {channel.name} in {test.name}"] = test.zeros[1 + number] * selected
-            found[f"gain of {channel.name} in {test.name}"] = test.gain_std * self._of_rows(base) * selected
+            found[f"gain of {channel.name} in {test.name}"] = (
+                chain.of(channel.name).gain * self._of_rows(base) * selected
+            )
         return found
 
     def _of_rows(self, responses: FloatArray, other: float = 0.0) -> FloatArray:

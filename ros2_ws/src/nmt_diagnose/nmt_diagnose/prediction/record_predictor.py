@@ -18,6 +18,7 @@ from scipy.signal import resample_poly
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import RecordTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.converter import expected_quantised
@@ -76,15 +77,15 @@ class RecordPredictor:
         parts, rate, substeps = self._stepping(rig, cache)
         return self._recorded(self._raw(parts, rate, substeps)[0], parts, rate)
 
-    def errors(self, rig: Rig, cache: PartsCache, zeros: bool) -> dict[str, FloatArray]:
+    def errors(self, rig: Rig, cache: PartsCache, chain: MeasuringChain | None) -> dict[str, FloatArray]:
         """What a standard deviation of each error of the record adds to its rows, (rows,) each.
 
-        Errors are the zero of each sensor and the state in which the record begins.
+        Errors are the zero and the gain of each sensor and the state in which the record begins.
 
         Args:
             rig: about whose motion they act.
             cache: of the prediction.
-            zeros: whether the sensors may have zeros.
+            chain: of the record; None = that of the bench's simulator, whose sensors have no zeros and no gains.
         """
         parts, rate, substeps = self._stepping(rig, cache)
         raw, initial = self._raw(parts, rate, substeps, errors=True)
@@ -94,14 +95,20 @@ class RecordPredictor:
             return self._of_rows((self._recorded(moved, parts, rate) - base) / _ERROR_STEP)
 
         found: dict[str, FloatArray] = {}
-        if zeros and self.test.zeros.size:
+        if chain is not None and self.test.zeros.size:
             source, *responses = (float(zero) for zero in self.test.zeros)
             if source > 0.0:
                 moved = self._stepped(parts, rate, substeps, offset=_ERROR_STEP * source)[0]
                 found[f"zero of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
+            louder = _ERROR_STEP * chain.of(self.test.input_channel.name).gain
+            if louder > 0.0:
+                moved = self._stepped(parts, rate, substeps, louder=louder)[0]
+                found[f"gain of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
             for number, (channel, zero) in enumerate(zip(self.channels, responses, strict=True)):
                 selected = (self.rows.part == Part.SAMPLE) & (self.rows.channel == number)
                 found[f"zero of {channel.name} in {self.test.name}"] = zero * selected
+                gain = chain.of(channel.name).gain * self._of_rows(base) * selected
+                found[f"gain of {channel.name} in {self.test.name}"] = gain
         for number, error in enumerate(initial.errors):
             moved = self._stepped(parts, rate, substeps, initial.state + _ERROR_STEP * error)[0]
             found[f"start {number} of {self.test.name}"] = change(moved)
@@ -151,6 +158,7 @@ class RecordPredictor:
         substeps: int,
         state: ComplexArray | None = None,
         offset: float = 0.0,
+        louder: float = 0.0,
         errors: bool = True,
     ) -> tuple[FloatArray, InitialState]:
         """What the channels would record without their sensors (channels, samples), and the state they begin in.
@@ -161,13 +169,14 @@ class RecordPredictor:
             substeps: steps per sample of it.
             state: of the poles, to begin with, (k,); None = as the first samples tell.
             offset: what is added to the input, in its unit.
+            louder: share of the input that is added to it.
             errors: whether those of the begin are wanted where the model starts at rest.
         """
         saturation = math.inf if self.ideal_force else float(parts.saturation[0])
         gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
         rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
         model = stepped_model(parts.linear, parts.coordinates, rows, 1.0 / (rate * substeps))
-        drive = self._interpolated(substeps) + offset
+        drive = (1.0 + louder) * self._interpolated(substeps) + offset
         if math.isfinite(saturation):
             drive = saturation * np.tanh(drive / saturation)
         drive = gain * drive

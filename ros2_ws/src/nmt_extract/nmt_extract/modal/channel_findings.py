@@ -41,7 +41,7 @@ def still_or_cut(window: Window, rows: Sequence[int], samples_per_period: Mappin
         elif row in samples_per_period:
             flat = clipping.flat_top(window.data[row], samples_per_period[row])
             if flat is not None:
-                faults[row] = f"is flat-topped at {flat:.4g} {window.channels[row].quantity.unit}"
+                faults[row] = f"is flat-topped at {flat:.4g} {window.channels[row].unit}"
     return faults
 
 

@@ -187,7 +187,7 @@ class FittedWindow(NamedTuple):
 def _per_displacement(unit: str, fits: Sequence[Phasors], order: int) -> float:
     """Amplitude of the level's quantity for a unit displacement."""
     omega = float(np.median([fit.exponent.imag for fit in fits]))
-    return omega ** next((power for quantity, power in MOTIONS.items() if quantity.unit == unit), order)
+    return omega ** next((power for quantity, power in MOTIONS.items() if quantity.accepts(unit)), order)
 
 
 def _fits(data: FloatArray, rate: float, frequency_hz: float, inverse: FloatArray) -> list[FittedWindow]:

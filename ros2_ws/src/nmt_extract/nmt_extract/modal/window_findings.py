@@ -27,8 +27,7 @@ def remarks_on_drift(evaluation: WindowEvaluation, fields: dict[str, float], mov
         return []
     channels = motion.window.channels
     names = ", ".join(
-        f"{channels[row].name} drifts by {height:.2g} {channels[row].quantity.unit}"
-        for row, height in motion.drifted.items()
+        f"{channels[row].name} drifts by {height:.2g} {channels[row].unit}" for row, height in motion.drifted.items()
     )
     order = signal_faults.drift_orders(motion.periods)[0]
     what = (

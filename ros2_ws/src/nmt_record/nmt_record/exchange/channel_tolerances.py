@@ -18,6 +18,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import QUANTITIES
 from nmt_record.bag.bag_keys import SIMULATED_RIG
+from nmt_record.exchange.unit_table import is_quantity, measured_quantity
 
 if TYPE_CHECKING:
     from nmt_record.exchange.calibration_file import CalibrationSheet
@@ -98,7 +99,7 @@ def tolerances(
     for place, stated, source in _stated(run, rig_yaml):
         found[place] = _changed(found.get(place, default), stated, source)
     for channel in sheet.channels if sheet is not None else ():
-        place = Quantity[channel.quantity.upper()], -1 if channel.point is None else channel.point
+        place = measured_quantity(channel.quantity), -1 if channel.point is None else channel.point
         found[place] = _changed(found.get(place, default), channel.model_dump(), channel.source)
     clock = 0.0 if simulated else math.hypot(TOLERANCES.clock, _clock_of_import(run))
     if sheet is not None and sheet.clock_std is not None:
@@ -137,9 +138,11 @@ def _stated(run: Mapping[str, Any], rig_yaml: str | None) -> Iterator[tuple[Plac
     if isinstance(imported, dict):
         sidecar = imported.get("sidecar")
         for section in _mappings(sidecar.get("channels") if isinstance(sidecar, dict) else None):
-            quantity = str(section.get("quantity", "")).upper()
-            if quantity in Quantity.__members__:
-                yield (Quantity[quantity], int(section.get("point", 0))), section, "sidecar"
+            quantity = str(section.get("quantity", ""))
+            if section.get("force_factor") is not None:
+                yield (Quantity.FORCE, int(section.get("point", 0))), _of_current(section), "sidecar"
+            elif is_quantity(quantity):
+                yield (measured_quantity(quantity), int(section.get("point", 0))), section, "sidecar"
         return
     if is_simulated(run) or not rig_yaml:
         return
@@ -156,6 +159,13 @@ def _stated(run: Mapping[str, Any], rig_yaml: str | None) -> Iterator[tuple[Plac
             source = "rig file, section device" + (f" ({date})" if date else "")
             stated = {"gain_std": section.get("uncertainty")}
             yield (kind, int(point or 0)), stated, source
+
+
+def _of_current(section: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Tolerances of a force that is a current times a factor: both are uncertain."""
+    gain, factor = section.get("gain_std"), section.get("force_factor_std")
+    gain = TOLERANCES.gain if gain is None else float(gain)
+    return {**section, "gain_std": math.hypot(gain, TOLERANCES.force_factor if factor is None else float(factor))}
 
 
 def _mappings(sections: Any) -> Iterator[Mapping[str, Any]]:

@@ -22,15 +22,18 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.messages.wire import LEVEL, read_status
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import LEVEL_UNITS, ControlKind, TestKind
+from nmt_core.vocabulary import LEVEL_UNITS, ROTATION_UNITS, ControlKind, TestKind
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange import FORMATS, uff
 from nmt_record.exchange.frf_table import read_frf_table
 from nmt_record.exchange.side_tables import BlockRow, write_block_table, write_records
+from nmt_record.exchange.unit_table import coordinate_of_unit
 from nmt_record.windows.segments import Segment, Signals, read_signals, segments
 
 LATERAL = 3
 """Direction of every channel with a point: +z."""
+TURNING = 6
+"""The same of a rotation: about +z."""
 
 _CSV_ROWS = 50_000
 _LARGEST_MAT = 2**31
@@ -260,8 +263,9 @@ def export_bag(
 
 
 def _channel(name: str, signals: Signals) -> dict[str, Any]:
-    quantity = signals.quantities[name]
-    entry = {"column": name, "quantity": quantity.topic, "unit": signals.units[name], "scale": 1.0}
+    unit = signals.units[name]
+    quantity = coordinate_of_unit(unit) if unit != "1" else "strain"
+    entry = {"column": name, "quantity": quantity or signals.quantities[name].topic, "unit": unit, "scale": 1.0}
     if signals.points[name]:
         entry["point"] = signals.points[name]
     return {**entry, "name": name}
@@ -344,12 +348,17 @@ def write_time_uff(path: Path, signals: Signals, binary: bool = True) -> None:
                 1.0 / signals.sample_rate,
                 lines=(name, f"sample rate {signals.sample_rate!r} Hz, first sample {signals.first_sample}"),
                 response_node=point,
-                response_direction=LATERAL if point else 0,
+                response_direction=_direction(signals.units[name]) if point else 0,
                 abscissa_axis=uff.Axis(uff.TIME, "Time", "s"),
                 ordinate_axis=_axis(quantity, signals.units[name]),
             )
         )
     uff.write_uff(path, functions, binary)
+
+
+def _direction(unit: str) -> int:
+    """+z, or about z where the unit is that of a rotation."""
+    return TURNING if unit in ROTATION_UNITS.values() else LATERAL
 
 
 def _axis(quantity: Quantity, unit: str) -> uff.Axis:

@@ -32,7 +32,7 @@ def check_responses(section: TableSection, table: ObservableTable, place: str, s
     """Refuse frequency responses of the other convention or sign, unless the sidecar states that they are meant so.
 
     Args:
-        section: what the sidecar says; ``conjugate`` or ``scale`` in it, whatever their value, ends the check of each.
+        section: what the sidecar says; ``conjugate``, ``scale`` or ``turned`` in it, whatever the value, ends a check.
         table: as read.
         place: of the segment in the sidecar, for messages.
         sign: what the model says.
@@ -54,13 +54,14 @@ def check_responses(section: TableSection, table: ObservableTable, place: str, s
     turn = _turn(response, peak)
     if abs(turn) < _LEAST_TURN:
         return
-    where = f"{place}: {table.source}: at the resonance near {frequency[peak]:.4g} Hz"
+    source = f"dataset {table.dataset} of {table.source}" if table.dataset else table.source
+    where = f"{place}: {source}: at the resonance near {frequency[peak]:.4g} Hz"
     if turn > 0.0 and "conjugate" not in section.model_fields_set:
         raise BenchError(
             f"{where} the phase rises with frequency, as in the convention exp(−iωt) or with a phase lag counted "
             "positive; write 'conjugate: true' (or 'conjugate: false' if it is meant so)."
         )
-    if "scale" in section.model_fields_set:
+    if "scale" in section.model_fields_set or (table.dataset and section.turned is not None):
         return
     own = _expected_sign(table, float(frequency[peak]), sign)
     if own == 0.0:
@@ -70,10 +71,12 @@ def check_responses(section: TableSection, table: ObservableTable, place: str, s
     off = abs(cmath.phase(complex(response[peak]) / expected))
     if off > _WRONG:
         other = "base" if table.reference == "base" else "force"
+        # A universal file has many points, and one sensor may be the wrong way round.
+        keys = f"'turned: [{table.point}]' (or 'turned: []'" if table.dataset else "'scale: -1' (or 'scale: 1'"
         raise BenchError(
             f"{where} the response has a phase of {math.degrees(cmath.phase(complex(response[peak]))):.0f}° to the "
             f"{other}, where {math.degrees(cmath.phase(expected)):.0f}° belong: a sensor is the other way round; write "
-            "'scale: -1' (or 'scale: 1' if it is meant so)."
+            f"{keys} if it is meant so)."
         )
 
 

@@ -16,7 +16,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, QUANTITIES
 from nmt_record.exchange.import_sidecar import STEADY_KINDS, ChannelSection, SignalSection
-from nmt_record.exchange.import_table import SourceTable, split_name
+from nmt_record.exchange.source_table import SourceTable, split_name
 from nmt_record.exchange.unit_table import coordinate_of_unit, plain_unit, quantity_of_unit
 from nmt_signals.spectral_lines import line_amplitude, piece_spectra
 
@@ -24,7 +24,7 @@ _WORDS = (
     (Quantity.FORCE, r"force|kraft|load|loadcell"),
     (Quantity.ACCELERATION, r"acc|accel|acceleration|beschl\w*|accelerometer"),
     (Quantity.VELOCITY, r"vel|velocity|geschw\w*|vibrometer"),
-    (Quantity.DISPLACEMENT, r"disp|displ|displacement|weg|laser"),
+    (Quantity.DISPLACEMENT, r"disp|displ|displacement|weg"),
     (Quantity.VOLTAGE, r"volt|voltage|spannung"),
     (Quantity.CURRENT, r"current|strom"),
 )
@@ -89,15 +89,15 @@ def check_names(channels: Sequence[ChannelSection], table: SourceTable, places: 
                     f"{place}: {shown} has the unit {unit} by the file, but {channel.unit} by the sidecar; correct "
                     f"one of them."
                 )
-        if own is not Quantity.UNKNOWN and own is not channel.measures:
+        if own is not Quantity.UNKNOWN and own is not channel.recorded:
             raise BenchError(
                 f"{place}: {shown} holds {own.name.lower()} by its dataset, but {channel.quantity} by the sidecar; are "
                 "columns swapped?"
             )
-        if isinstance(channel.column, int):
-            continue
+        if isinstance(channel.column, int) or quantity_of_unit(unit) is channel.recorded:
+            continue  # a unit says more than a name
         hinted = hinted_quantity(split_name(name)[0], channel.point)
-        if hinted not in (Quantity.UNKNOWN, channel.measures):
+        if hinted not in (Quantity.UNKNOWN, channel.recorded):
             raise BenchError(
                 f"{place}: {shown} is called like {_article(hinted)}, but the sidecar says {channel.quantity}; are "
                 "columns swapped? (if the name misleads, give the column by its number)"
@@ -132,7 +132,8 @@ def check_columns(channels: Sequence[ImportedChannel], table: SourceTable, place
     """
     notes: list[str] = []
     for channel, place in zip(channels, places, strict=True):
-        raw = table.recorded(table.columns[table.index(channel.section.column, place)])
+        index = table.index(channel.section.column, place)
+        raw = table.recorded(table.columns[index])
         finite = raw[np.isfinite(raw)]
         # What a bag names has holes where it did not come.
         if finite.size < (1.0 - _LONGEST_GAP) * raw.size and not table.judged:
@@ -142,7 +143,8 @@ def check_columns(channels: Sequence[ImportedChannel], table: SourceTable, place
             )
         if finite.size < raw.size:
             notes.append(_gap_note(channel, table, raw))
-        if "scale" not in channel.section.model_fields_set and looks_like_counts(finite):
+        stated = "scale" in channel.section.model_fields_set or table.scalings[index].has_scale
+        if not stated and looks_like_counts(finite):
             raise BenchError(
                 f"{place}: column {channel.source} holds whole numbers from {finite.min():.0f} to {finite.max():.0f}, "
                 f"which looks like raw counts; give 'scale: …' ({channel.quantity.unit} per count, or 1 if they are "

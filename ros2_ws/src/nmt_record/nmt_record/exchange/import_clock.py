@@ -8,7 +8,6 @@ used; those that contradict each other are named, and the sidecar says which it 
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, field
 from decimal import Decimal
 
@@ -19,13 +18,10 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_record.exchange.import_sidecar import Sidecar
-from nmt_record.exchange.import_table import SourceTable, split_name
-from nmt_record.exchange.unit_table import other_factor, plain_unit, quantity_of_unit, unit_in_name
+from nmt_record.exchange.source_table import SourceTable, split_name
+from nmt_record.exchange.time_columns import TIME_NAME, day_numbers, unit_of_word
+from nmt_record.exchange.unit_table import TIME_UNITS, other_factor, plain_unit, quantity_of_unit, unit_in_name
 
-_TIME_NAME = re.compile(
-    r"(time|t|zeit|timestamp|seconds|date[ /_-]?time|elapsed([ _]time)?|zeitstempel|stamp|x_value)(\.?\d+)?([_ ].*)?$",
-    re.I,
-)
 # Steps may scatter by this share (rounded or jittering time stamps); above it they are another clock's.
 _STEP_TOLERANCE = 0.3
 _LARGEST_LOSS = 0.05
@@ -35,6 +31,7 @@ _EXACT = 1e-8  # relative: a rate known to that is exact
 _COARSE = 0.2  # of a step: stamps rounded more coarsely do not say which sample they belong to
 _RISING = 0.8  # share of rising steps of a column that is a clock, faulty or not
 _SLOW = 20.0  # Hz: below it a time without a unit may be one in ms, or a number of samples
+_FAST = 1e5  # Hz: above it one in hours or minutes
 _EPOCH = (1e9, 5e9)  # s since 1970: 2001 to 2128
 
 
@@ -269,12 +266,14 @@ def _refuse_unknown_unit(
     axis: _Axis, column: _Claim | None, stated: _Claim | None, table: SourceTable, place: str
 ) -> None:
     """A slow clock without a unit may be in ms or count samples."""
-    if axis.sure or stated is not None or column is None or math.isinf(column.spread) or column.rate >= _SLOW:
+    if axis.sure or stated is not None or column is None or math.isinf(column.spread):
+        return
+    if _SLOW <= column.rate <= _FAST:
         return
     raise ClockQuestionError(
         f"{axis.name} of {table.file} goes in steps of {1.0 / column.rate:.6g} and says no unit: seconds, ms or "
-        f"numbers of samples? Give 'time_unit: s' (or ms, us, ns, min), or sample_rate and 'clock: sample_rate', in "
-        f"{place}.",
+        f"numbers of samples? Give 'time_unit: s' (or {', '.join(TIME_UNITS[1:])}), or sample_rate and 'clock: "
+        f"sample_rate', in {place}.",
         "time_unit",
     )
 
@@ -352,11 +351,17 @@ def _time_axis(table: SourceTable, sidecar: Sidecar, place: str) -> _Axis | None
     others = [index for index in candidates if index != chosen]
     if others and not _equal_columns(table, [chosen, *others], sidecar, place):
         raise BenchError(_two_clocks(table, [chosen, *others]))
-    factor = other_factor("time", _time_unit(table, chosen, sidecar, place), f"{place}: time")
+    if sidecar.clock in ("sample_rate", "header") and unit_in_doubt(table, chosen):
+        return None
+    unit = _time_unit(table, chosen, sidecar, place)
+    factor = other_factor("time", unit, f"{place}: time")
     column = table.columns[chosen]
+    quantum = quantum_of(column)
+    if unit == "d":  # dates, as stamps: from the first on, with all digits that they have
+        column = column - column[0]
     sure = bool(time_unit_of(table, chosen)) or "time_unit" in sidecar.model_fields_set
     name = f"column {table.names[chosen] or chosen + 1}"
-    return _Axis(column * factor, name, quantum_of(column) * factor, sure)
+    return _Axis(column * factor, name, quantum * factor, sure)
 
 
 def quantum_of(values: FloatArray) -> float:
@@ -386,7 +391,7 @@ def is_clock(table: SourceTable, index: int) -> bool:
     """Whether a column is a clock by its name or its stamps, and not by its unit or its course something else."""
     if index in table.stamps:
         return True
-    if table.judged:
+    if table.judged or index in table.parts:
         return False
     other = quantity_of_unit(table.units[index]) is not Quantity.UNKNOWN
     return not other and _names_time(bare_name(table, index), table.columns[index])
@@ -394,7 +399,7 @@ def is_clock(table: SourceTable, index: int) -> bool:
 
 def _names_time(name: str, column: FloatArray) -> bool:
     """Whether a column is a clock by its name; t1 may be a temperature too, unless it only rises."""
-    found = _TIME_NAME.match(name)
+    found = TIME_NAME.match(name)
     if not found:
         return False
     steps = np.diff(column)
@@ -408,22 +413,42 @@ def time_unit_of(table: SourceTable, index: int) -> str:
     """Unit of a time column by its brackets, its name or, since 1970, its size; empty if nothing tells it."""
     if index in table.stamps:
         return "s"
-    if table.units[index]:
-        return plain_unit(table.units[index])
+    stated = plain_unit(table.units[index])
+    if stated in TIME_UNITS or stated.lower() in TIME_UNITS:
+        return stated if stated in TIME_UNITS else stated.lower()
     name = bare_name(table, index).strip()
-    unit = unit_in_name(name, time=True)[1]
+    unit = unit_of_word(name) or unit_in_name(name, time=True)[1]
     if unit and name.lower() not in ("s", "min"):
         return unit
     first = table.columns[index][0] if table.rows else math.nan
     for unit, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         if _EPOCH[0] <= first / factor < _EPOCH[1]:
             return unit
+    return "d" if table.rows and day_numbers(name, table.columns[index]) else ""
+
+
+def unit_in_doubt(table: SourceTable, index: int) -> str:
+    """Why the unit of a time column must be asked for although it has the size of a clock's; empty if it need not."""
+    name = bare_name(table, index).strip()
+    if index in table.stamps or time_unit_of(table, index):
+        return ""
+    if table.units[index]:
+        return f"has the unit '{table.units[index]}', which is none of a time"
+    if table.rows and day_numbers(name, table.columns[index]) is None:
+        return f"begins with {table.columns[index][0]:.10g}, which may be a number of days"
     return ""
 
 
 def _time_unit(table: SourceTable, chosen: int, sidecar: Sidecar, place: str) -> str:
     own = time_unit_of(table, chosen)
     if "time_unit" not in sidecar.model_fields_set:
+        doubt = unit_in_doubt(table, chosen)
+        if doubt:
+            raise ClockQuestionError(
+                f"Column {table.names[chosen] or chosen + 1} of {table.file} {doubt}; give time_unit "
+                f"({', '.join(TIME_UNITS)}; d are days), or sample_rate and 'clock: sample_rate', in {place}.",
+                "time_unit",
+            )
         return own or "s"
     if own and own != sidecar.time_unit:
         raise BenchError(

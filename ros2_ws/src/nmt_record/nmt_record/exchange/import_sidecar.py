@@ -18,7 +18,7 @@ from nmt_core.files.validation_sentence import validation_sentence
 from nmt_core.files.yaml_document import YamlDocument, read_document
 from nmt_core.kinds import KINDS
 from nmt_core.messages.blocks import Quantity
-from nmt_record.exchange.unit_table import measured_quantity
+from nmt_record.exchange.unit_table import measured_quantity, si_unit
 
 Positive = Annotated[float, Field(gt=0)]
 Span = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -52,7 +52,14 @@ class ChannelSection(_Section):
             torque where it has a force.
         unit: unit of the values after ``scale``.
         point: measurement point; left out where it belongs to none (drive voltage).
-        scale: factor of the values before the unit applies: N per count, −1 for a sensor mounted the other way round.
+        scale: factor of the values before the unit applies: N per count. Left out = as the file says (scale_factor of
+            netCDF, scale in a heading), else 1.
+        sign: −1 for a sensor mounted the other way round; left out = as the file says (direction of UFF), else 1.
+        delay_s: by how much the channel is late, s; it is taken out.
+        force_factor: of a current that is to serve as a force: N per A (N·m per A with ``force_unit``). It then stands
+            wherever a measured force does.
+        force_factor_std: its relative standard uncertainty; left out = 3 %.
+        force_unit: N, or N*m where the current turns.
         name: channel name in the bag; left out = letter of the quantity and point, such as a2.
         gain_std: relative standard uncertainty of its calibration; left out = 1 %.
         phase_std_deg: standard uncertainty of a phase that is the same at all frequencies, degrees; left out = 0.2.
@@ -65,15 +72,30 @@ class ChannelSection(_Section):
     unit: str
     point: Annotated[int, Field(ge=0)] = 0
     scale: float = 1.0
+    sign: Literal[1, -1] | None = None
+    delay_s: float = 0.0
+    force_factor: Positive | None = None
+    force_factor_std: Annotated[float, Field(ge=0, lt=1)] | None = None
+    force_unit: Literal["N", "N*m"] = "N"
     name: Annotated[str, Field(min_length=1, max_length=60)] | None = None
     gain_std: Annotated[float, Field(ge=0)] | None = None
     phase_std_deg: Annotated[float, Field(ge=0)] | None = None
     delay_std_s: Annotated[float, Field(ge=0)] | None = None
 
     @property
-    def measures(self) -> Quantity:
-        """The quantity."""
+    def recorded(self) -> Quantity:
+        """The quantity that the column holds."""
         return measured_quantity(self.quantity)
+
+    @property
+    def measures(self) -> Quantity:
+        """The quantity that it serves as: a current with a force factor is a force."""
+        return Quantity.FORCE if self.force_factor is not None else self.recorded
+
+    @property
+    def si_unit(self) -> str:
+        """Unit in the bag."""
+        return si_unit(self.quantity) if self.force_factor is None else self.force_unit
 
     @property
     def channel(self) -> str:
@@ -92,7 +114,7 @@ class SignalSection(_Section):
             the first sample.
         stop: end, s.
         level: amplitude that was asked for; in ``level_unit``.
-        level_unit: V, N, m or m/s^2.
+        level_unit: V, N, m, m/s or m/s^2; of rotations N*m, rad, rad/s or rad/s^2.
         window: begin and end of the steady part of a phase_resonance or stepped_sine, s; of others the part to use.
         locked: false = a level that did not lock; it has no window.
         reason: why it did not lock.
@@ -113,7 +135,7 @@ class SignalSection(_Section):
     start: float
     stop: float
     level: float | None = None
-    level_unit: Literal["V", "N", "m", "m/s", "m/s^2"] = "V"
+    level_unit: Literal["V", "N", "m", "m/s", "m/s^2", "N*m", "rad", "rad/s", "rad/s^2"] = "V"
     window: Span | None = None
     locked: bool = True
     reason: str = ""
@@ -133,14 +155,15 @@ class TableSection(_Section):
     """A table that someone else has already reduced.
 
     Attributes:
-        kind: backbone (frequency_hz, amplitude, [damping_ratio], […_std]) or frf (frequency_hz, real and imag or
-            magnitude and phase, [level], […_std]).
+        kind: backbone (frequency_hz, amplitude, [damping_ratio, loss_factor or quality_factor], […_std]) or frf
+            (frequency_hz, real and imag or magnitude and phase, [level], […_std]).
         file: left out = the sidecar's file.
         columns: column of the file for each name, if it is called otherwise.
         unit: of the amplitude (m, mm, m/s^2, g, … or m*sqrt(kg) for a modal amplitude) or of the frequency response:
             per force (m/s^2/N), per acceleration of the base (m/s^2/(m/s^2), g/g, m/(m/s^2)) or per drive (m/s^2/V); of
-            a response alone (m/s) where ``level`` and ``level_unit`` say what was held.
-        units: of other columns, if not Hz, 1, rad: ``{frequency_hz: rad/s, damping_ratio: '%', phase: deg}``.
+            a response alone (m/s) where ``level`` and ``level_unit`` say what was held. Left out = as the file says.
+        units: of other columns, if not Hz, 1, rad: ``{frequency_hz: rad/s, damping_ratio: '%', phase: deg}``; of
+            magnitudes in dB re 1 ``unit``, ``{magnitude: dB}``.
         point: point of the response.
         drive_point: point of the force.
         level: of the whole table, if it has no such column. Of a frequency response: the amplitude (peak) that was held
@@ -154,12 +177,13 @@ class TableSection(_Section):
         scale: factor of the values before the unit applies; −1 for a sensor the other way round.
         conjugate: whether the phase is that of the convention exp(−iωt), or a lag.
         phase_shift_deg: what is added to the phase, after ``conjugate``.
-        amplitudes: whether amplitudes and level are peak or rms values.
+        turned: points of a universal file whose responses are turned (−1); left out = by its directions.
+        amplitudes: whether amplitudes and level are peak, rms or peak-to-peak values.
         name: for reports.
     """
 
     kind: TableKind
-    unit: str
+    unit: str = ""
     file: str | None = None
     columns: dict[str, str | int] = {}
     units: dict[str, str] = {}
@@ -174,7 +198,8 @@ class TableSection(_Section):
     scale: float = 1.0
     conjugate: bool = False
     phase_shift_deg: float = 0.0
-    amplitudes: Literal["peak", "rms"] = "peak"
+    turned: list[Annotated[int, Field(ge=0)]] | None = None
+    amplitudes: Literal["peak", "rms", "peak_to_peak"] = "peak"
     name: str = ""
 
 
@@ -202,7 +227,7 @@ class Sidecar(_Section):
         file: the data, beside the sidecar.
         sample_rate: Hz; left out if there is a time column.
         time: the time column, if there is one that is not called time or t; of a bag the field that counts time.
-        time_unit: its unit.
+        time_unit: its unit; d = days, such as the numbers of spreadsheets and MATLAB, which count from the first row.
         clock: what to believe where the file contradicts itself or this sidecar: sample_rate, header (step or rate in
             the file, header stamps of a bag), column, or log (log times of a bag).
         stretch: number from 1 of the stretch of a bag that paused or whose clock jumped; left out = all.
@@ -228,7 +253,7 @@ class Sidecar(_Section):
     rig: str | None = None
     sample_rate: Positive | None = None
     time: str | int | None = None
-    time_unit: Literal["s", "ms", "us", "ns", "min"] = "s"
+    time_unit: Literal["s", "ms", "us", "ns", "min", "h", "d"] = "s"
     clock: Literal["sample_rate", "header", "column", "log"] | None = None
     stretch: Annotated[int, Field(ge=1)] | Literal["all"] = "all"
     elements: Literal["samples", "channels"] | None = None
@@ -371,6 +396,13 @@ def _check_channels(sidecar: Sidecar, document: YamlDocument) -> None:
         place = document.place(("channels", number))
         if channel.scale == 0.0:
             raise BenchError(f"{place}: the scale of column {channel.column} is zero; give the factor or leave it out.")
+        if channel.force_factor is not None and channel.quantity != "current":
+            raise BenchError(
+                f"{place}: force_factor makes a force of a current, but column {channel.column} measures "
+                f"{channel.quantity}; leave it out."
+            )
+        if channel.force_factor is None and {"force_factor_std", "force_unit"} & channel.model_fields_set:
+            raise BenchError(f"{place}: column {channel.column} has no force_factor; give it, in N or N*m per A.")
         if isinstance(channel.column, int) and channel.column < 1:
             raise BenchError(f"{place}: columns are counted from 1, got {channel.column}.")
         if channel.column in columns:

@@ -24,6 +24,7 @@ from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import BENCH_TOPICS
 from nmt_record.bag.message_definitions import local_definitions
 from nmt_record.exchange.bag_clock import ClockChoice
+from nmt_record.exchange.channel_values import channel_values, without_delay
 from nmt_record.exchange.frf_checks import ShapeSign, check_responses
 from nmt_record.exchange.import_checks import CheckedStretch, ImportedChannel, check_columns, check_names, check_physics
 from nmt_record.exchange.import_clock import Clock, find_clock
@@ -37,11 +38,11 @@ from nmt_record.exchange.import_sidecar import (
     read_sidecar,
     sidecar_of,
 )
-from nmt_record.exchange.import_table import SourceTable, read_table
+from nmt_record.exchange.import_table import read_table
 from nmt_record.exchange.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
 from nmt_record.exchange.ros_bag_table import is_bag, read_bag
 from nmt_record.exchange.side_tables import BlockRow, read_block_table, read_records
-from nmt_record.exchange.unit_table import channel_factor
+from nmt_record.exchange.source_table import SourceTable
 
 _BLOCK_SECONDS, _LEAST_BLOCK = 0.02, 200  # s, samples: each block costs a message, however slow the clock is
 
@@ -261,25 +262,21 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
     if is_bag(file):
         table = read_bag(file, names, _choice(sidecar))
     else:
-        table = read_table(file, [*names, *([] if sidecar.time is None else [sidecar.time])])
+        table = read_table(file, [*names, *([] if sidecar.time is None else [sidecar.time])], sidecar.time)
     places = [document.place(("channels", number)) for number in range(len(sidecar.channels))]
-    factors = [
-        channel_factor(channel.quantity, channel.unit, f"{place}: column {channel.column}")
-        for channel, place in zip(sidecar.channels, places, strict=True)
-    ]
     check_names(sidecar.channels, table, places)
     clock = find_clock(table, sidecar, document.name)
     indices = [table.index(channel.column, place) for channel, place in zip(sidecar.channels, places, strict=True)]
     _refuse_shared_columns(indices, places, table.names)
-    for channel, index, factor in zip(sidecar.channels, indices, factors, strict=True):
-        values = table.columns[index]
-        # Multiplying by one would be exact too, but this keeps the bits visibly untouched.
-        scaled = values if channel.scale * factor == 1.0 else values * (channel.scale * factor)
-        source = table.names[index] or str(index + 1)
-        run.channels.append(ImportedChannel(channel, channel.channel, source, clock.spread(scaled)))
+    scaled: list[str] = []
+    for channel, index, place in zip(sidecar.channels, indices, places, strict=True):
+        values = clock.spread(channel_values(channel, table, index, place, scaled))
+        if channel.delay_s != 0.0:
+            values = without_delay(values, channel.delay_s * clock.sample_rate)
+        run.channels.append(ImportedChannel(channel, channel.channel, table.names[index] or str(index + 1), values))
     run.sample_rate, run.clock_std = clock.sample_rate, clock.std
     run.first_sample = sidecar.first_sample
-    run.notes += [*table.notes, *clock.notes]
+    run.notes += [*table.notes, *clock.notes, *scaled]
     run.segments = _segments(run, clock, document)
     run.notes += check_columns(run.channels, table, places)
     stretches = [
@@ -452,6 +449,7 @@ class _Messages:
             for quantity in Quantity
             if any(channel.quantity is quantity for channel in run.channels)
         }
+        self._units = {quantity: _unit(group, quantity) for quantity, group in self._groups.items()}
         self._codecs = {quantity: BlockWriter(rig) for quantity in self._groups}
         self._stacks = {
             quantity: np.array([channel.data for channel in group]) for quantity, group in self._groups.items()
@@ -496,7 +494,7 @@ class _Messages:
                 row.first_sample,
                 self._run.sample_rate,
                 quantity,
-                quantity.unit,
+                self._units[quantity],
                 tuple(channel.name for channel in group),
                 tuple(channel.point for channel in group),
                 self._stacks[quantity][:, first : first + row.samples],
@@ -514,6 +512,12 @@ class _Messages:
     def _put_state(self, status: LoopStatus) -> None:
         time = self._time(status.last_sample)
         self._writer.write("frequency", write_status(status, self._run.sample_rate), time, time)
+
+
+def _unit(group: Sequence[ImportedChannel], quantity: Quantity) -> str:
+    """Unit of a topic: that of a rotation or a strain where all its channels are such, else that of lengths."""
+    units = {channel.section.si_unit for channel in group}
+    return units.pop() if len(units) == 1 else quantity.unit
 
 
 def _level(run: ImportedRun, segment: ImportedSegment) -> LevelCommand:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,20 +17,22 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import json_value
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import MOTIONS
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange import uff
 from nmt_record.exchange.import_sidecar import TableSection
-from nmt_record.exchange.import_table import SourceTable, kind_of, read_table, split_name
+from nmt_record.exchange.import_table import kind_of, read_table
+from nmt_record.exchange.source_table import SourceTable, split_name
+from nmt_record.exchange.uff_observables import frequency_responses, response_values, stated_unit
 from nmt_record.exchange.unit_table import (
     REFERENCE_UNITS,
+    decibels,
     factor_to_si,
     other_factor,
     plain_unit,
     quantity_of_unit,
     response_over_reference,
-    response_per_force,
     response_unit,
+    si_unit_of,
+    unit_size,
 )
 
 OBSERVABLES_TOPIC = "observables"
@@ -42,11 +45,17 @@ _STORED = (
 
 _REQUIRED = {"backbone": ("frequency_hz", "amplitude"), "frf": ("frequency_hz",)}
 _OPTIONAL = {
-    "backbone": ("damping_ratio", "level", "force_n", "phase"),
+    "backbone": ("damping_ratio", "loss_factor", "quality_factor", "level", "force_n", "phase"),
     "frf": ("real", "imag", "magnitude", "phase", "level", "force_n", "coherence"),
 }
 _RESPONSES = ("real", "imag", "magnitude", "real_std", "imag_std", "magnitude_std")
-_KINDS = {"frequency_hz": "frequency", "damping_ratio": "ratio", "phase": "phase", "coherence": "ratio"}
+_KINDS = {
+    "frequency_hz": "frequency",
+    "damping_ratio": "ratio",
+    "loss_factor": "ratio",
+    "phase": "phase",
+    "coherence": "ratio",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +82,7 @@ class ObservableTable:
             the unit of the level.
         direction: ``up`` or ``down``, the way the frequency was stepped; empty = not known.
         noise: relative standard uncertainty of every line; NaN if not given.
+        dataset: number in a universal file; 0 = of none.
     """
 
     kind: str
@@ -90,11 +100,17 @@ class ObservableTable:
     held: str = ""
     direction: str = ""
     noise: float = math.nan
+    dataset: int = 0
 
     @property
     def rows(self) -> int:
         """Number of rows."""
         return int(self.columns["frequency_hz"].shape[0])
+
+    @property
+    def turns(self) -> bool:
+        """Whether the response is an angle or a derivative of one."""
+        return any(unit.startswith("rad") for name, unit in self.units.items() if name in (*_RESPONSES, "amplitude"))
 
     @property
     def phase_known(self) -> bool:
@@ -175,14 +191,17 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
     units = {name: "Hz" if name.startswith("frequency") else "1" for name in columns}
     quantity, reference = Quantity.UNKNOWN, "force"
     notes = list(table.notes)
+    _check_amplitudes(section, table, place)
     if section.kind == "backbone":
+        columns = _with_damping_ratio(columns)
         quantity, factor, unit = _amplitude_unit(section, table, place)
         factor *= _peak(section)
         for name in ("amplitude", "amplitude_std"):
             if name in columns:
                 columns[name], units[name] = columns[name] * factor * abs(section.scale), unit
     else:
-        unit = section.unit or _own_unit(table, section, "real", "magnitude")
+        columns = _linear(section, columns, table, place, notes)
+        unit = _stated_unit(section, table, place, "real", "magnitude")
         if section.per is not None and quantity_of_unit(unit) is not Quantity.UNKNOWN:
             unit = f"{unit}/N"
         held = 1.0
@@ -208,11 +227,7 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
         if "magnitude" in columns:
             factor = abs(factor)
             notes.append(f"{place}: {table.file} has no phase; magnitudes alone are compared.")
-        unit = (
-            f"{quantity.unit}/({REFERENCE_UNITS[reference]})"
-            if reference == "base"
-            else (f"{quantity.unit}/{REFERENCE_UNITS[reference]}")
-        )
+        unit = si_unit_of(unit) or f"{quantity.unit}/{REFERENCE_UNITS[reference]}"
         for name in _RESPONSES:
             if name in columns:
                 own = abs(factor) if name.endswith("_std") else factor
@@ -258,7 +273,7 @@ def _divided(
 
 def _peak(section: TableSection) -> float:
     """Peak over what the file gives as amplitude."""
-    return math.sqrt(2.0) if section.amplitudes == "rms" else 1.0
+    return {"peak": 1.0, "rms": math.sqrt(2.0), "peak_to_peak": 0.5}[section.amplitudes]
 
 
 def _level(section: TableSection, place: str) -> tuple[float, float, str]:
@@ -271,7 +286,7 @@ def _level(section: TableSection, place: str) -> tuple[float, float, str]:
                 f"{place}: the unit of the level, '{section.level_unit}', is not known; use one of a force, a motion "
                 "or a voltage, such as N, g, m/s^2, mm or V."
             )
-        factor, unit = factor_to_si(quantity, section.level_unit, f"{place}: level"), quantity.unit
+        factor, unit = factor_to_si(quantity, section.level_unit, f"{place}: level"), si_unit_of(section.level_unit)
     factor *= _peak(section)
     return math.nan if section.level is None else section.level * factor, factor, unit
 
@@ -329,6 +344,8 @@ def _columns(section: TableSection, table: SourceTable, place: str) -> dict[str,
         else:
             continue
         base = name.removesuffix("_std")
+        if _KINDS.get(base) == "ratio" and percent_by_name(table.names[index]):
+            unit_of_name = "%"
         values = table.columns[index]
         if base in _KINDS:
             default = {"frequency": "Hz", "ratio": "1", "phase": "rad"}[_KINDS[base]]
@@ -343,6 +360,114 @@ def _columns(section: TableSection, table: SourceTable, place: str) -> dict[str,
     return found
 
 
+def _check_amplitudes(section: TableSection, table: SourceTable, place: str) -> None:
+    """Names such as disp_pp or acc_rms tell what kind of amplitude a column holds.
+
+    Raises:
+        BenchError: one does, and the sidecar says nothing.
+    """
+    member = "amplitude" if section.kind == "backbone" else "magnitude"
+    if "amplitudes" in section.model_fields_set or section.columns.get(member) is None:
+        return
+    name = table.names[table.index(section.columns[member], place)]
+    hinted = amplitudes_by_name(name)
+    if hinted not in ("", "peak"):
+        raise BenchError(
+            f"{place}: column {name} of {table.file} is called {hinted.replace('_', ' ')}; say 'amplitudes: {hinted}', "
+            "or 'amplitudes: peak' if the name misleads."
+        )
+
+
+def amplitudes_by_name(name: str) -> str:
+    """``peak_to_peak``, ``rms`` or ``peak`` as far as a column's name tells; else empty."""
+    words = re.split(r"[\s_\-/\[\](){},.]+", name.lower())
+    joined = " ".join(words)
+    if re.search(r"\b(pp|p2p|pkpk|pk pk|p p|peak to peak|peak2peak|pp?k to pp?k)\b", joined):
+        return "peak_to_peak"
+    if "rms" in words or "eff" in words:
+        return "rms"
+    return "peak" if {"peak", "pk", "0pk", "0p"} & set(words) else ""
+
+
+def percent_by_name(name: str) -> bool:
+    """Whether a column's name ends as zeta_percent does."""
+    return re.search(r"[ _]?(percent|pct|%)$", name.strip(), re.I) is not None
+
+
+def _with_damping_ratio(columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Loss factor (2 ζ) or quality factor (1/(2 ζ)) as damping ratio."""
+    result = {name: v for name, v in columns.items() if name.split("_std")[0] not in ("loss_factor", "quality_factor")}
+    if "damping_ratio" in columns:
+        return result
+    if "loss_factor" in columns:
+        result["damping_ratio"] = 0.5 * columns["loss_factor"]
+        if "loss_factor_std" in columns:
+            result["damping_ratio_std"] = 0.5 * columns["loss_factor_std"]
+    elif "quality_factor" in columns:
+        with np.errstate(divide="ignore"):
+            result["damping_ratio"] = 0.5 / columns["quality_factor"]
+        if "quality_factor_std" in columns:
+            relative = columns["quality_factor_std"] / columns["quality_factor"]
+            result["damping_ratio_std"] = result["damping_ratio"] * relative
+    return result
+
+
+def _linear(
+    section: TableSection, columns: dict[str, FloatArray], table: SourceTable, place: str, notes: list[str]
+) -> dict[str, FloatArray]:
+    """Columns whose magnitudes are no dB any more."""
+    if "magnitude" not in columns:
+        return columns
+    heading = decibels(_heading(table, section, "magnitude"))
+    stated = section.units.get("magnitude", "")
+    if stated and (decibels(stated) is None) != (heading is None) and heading is not None:
+        notes.append(f"{place}: {table.file} has magnitudes in dB by its heading; the sidecar says {stated}.")
+    if (decibels(stated) if stated else heading) is None:
+        return columns
+    result = {**columns, "magnitude": 10.0 ** (columns["magnitude"] / 20.0)}
+    if "magnitude_std" in columns:
+        result["magnitude_std"] = result["magnitude"] * columns["magnitude_std"] * math.log(10.0) / 20.0
+    notes.append(f"Magnitudes of {table.file} are in dB (20 log of the amplitude); they were read so.")
+    return result
+
+
+def _heading(table: SourceTable, section: TableSection, member: str) -> str:
+    """Unit of a column by its heading or the end of its name."""
+    column = section.columns.get(member, member)
+    index = column - 1 if isinstance(column, int) else next(
+        (i for i, name in enumerate(table.names) if column in (name, split_name(name)[0])), None
+    )  # fmt: skip
+    if index is None or not 0 <= index < len(table.names):
+        return ""
+    name = table.names[index]
+    return table.units[index] or ("dB" if re.search(r"[ _]db$", name, re.I) else "")
+
+
+def _stated_unit(section: TableSection, table: SourceTable, place: str, *members: str) -> str:
+    """Unit by the sidecar, else by the heading of one of the columns.
+
+    Raises:
+        BenchError: both say one, and they differ.
+    """
+    stated = ""
+    for member in members:
+        heading = _heading(table, section, member)
+        reference = decibels(heading)
+        stated = stated or (heading if reference is None else reference)
+    if not section.unit:
+        return stated
+    theirs, sidecar = unit_size(stated), unit_size(section.unit)
+    alone = sidecar is not None and theirs is not None and sidecar[2:] != theirs[2:] and section.per is not None
+    if theirs is None or sidecar is None or alone or "scale" in section.model_fields_set:
+        return section.unit
+    if sidecar[0] is not theirs[0] or sidecar[2] != theirs[2] or not math.isclose(sidecar[1], theirs[1], rel_tol=1e-9):
+        raise BenchError(
+            f"{place}: the responses of {table.file} are in {stated} by its heading, in {section.unit} by the sidecar; "
+            "correct one of them, or state 'scale: 1' if the heading is wrong."
+        )
+    return section.unit
+
+
 def _own_unit(table: SourceTable, section: TableSection, *names: str) -> str:
     for name in names:
         for index, column in enumerate(table.names):
@@ -352,11 +477,11 @@ def _own_unit(table: SourceTable, section: TableSection, *names: str) -> str:
 
 
 def _amplitude_unit(section: TableSection, table: SourceTable, place: str) -> tuple[Quantity, float, str]:
-    text = section.unit or _own_unit(table, section, "amplitude")
+    text = _stated_unit(section, table, place, "amplitude")
     if "kg" in plain_unit(text):
         return Quantity.UNKNOWN, other_factor("modal amplitude", text, place), "m*sqrt(kg)"
     quantity, factor = response_unit(text, place)
-    return quantity, factor, quantity.unit
+    return quantity, factor, si_unit_of(text)
 
 
 def _complex(
@@ -376,7 +501,9 @@ def _complex(
         return {name: values for name, values in columns.items() if not name.startswith("magnitude")}
     if (columns["magnitude"] < 0.0).any():
         row = int(np.argmax(columns["magnitude"] < 0.0))
-        raise BenchError(f"{place}: the magnitude is negative at {table.place(row)}; is it in dB? give it linear.")
+        raise BenchError(
+            f"{place}: the magnitude is negative at {table.place(row)}; if it is in dB, say units: {{magnitude: dB}}."
+        )
     if "phase" not in columns:
         return columns
     named = "phase" not in section.columns and "phase" not in (split_name(name)[0] for name in table.names)
@@ -429,32 +556,24 @@ def _plausible(columns: dict[str, FloatArray], table: SourceTable, place: str) -
 def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableTable]:
     if section.kind != "frf":
         raise BenchError(f"{place}: {path.name} is a universal file; only 'kind: frf' is read from those.")
-    functions = [f for f in uff.read_uff(path) if f.function_type == uff.FREQUENCY_RESPONSE]
+    functions = frequency_responses(path)
     if not functions:
         raise BenchError(f"{place}: {path.name} has no frequency response (function type 4).")
     tables = []
     level, _, level_unit = _level(section, place)
     for function in functions:
-        where = f"{place}: dataset {function.number} of {path.name}"
-        quantity, factor = response_per_force(section.unit, where)
-        own = uff.QUANTITIES.get(function.ordinate_axis.data_type)
-        if own in MOTIONS and own is not quantity:
-            raise BenchError(f"{where} holds {own.name.lower()} per force, but the sidecar says {section.unit}.")
-        if function.denominator_axis.data_type not in (0, uff.GENERAL, uff.FORCE, 9):
-            raise BenchError(f"{where} is not referred to a force; leave it out.")
-        values = np.asarray(function.values, dtype=np.complex128) * (factor * section.scale)
-        values = values.conj() if section.conjugate else values
-        if not np.isfinite(values).all() or not np.isfinite(function.x).all():
-            raise BenchError(f"{where} holds values that are not finite; export it again.")
-        columns = {"frequency_hz": function.x, "real": values.real, "imag": values.imag}
         notes: list[str] = []
-        if (function.x > 0.0).any():
+        where = f"{place}: dataset {function.number} of {path.name}"
+        quantity, frequency, values = response_values(section, function, where, notes)
+        columns = {"frequency_hz": frequency, "real": values.real, "imag": values.imag}
+        if (frequency > 0.0).any():
             columns = _without_still_line(columns, path.name, notes)
-        unit = f"{quantity.unit}/N"
+        unit = si_unit_of(section.unit or stated_unit(function))
         units = {"frequency_hz": "Hz", "real": unit, "imag": unit}
         table = _table(
             section, columns, units, quantity, path.name, tuple(notes), point=function.response_node,
             drive_point=function.reference_node, name=function.name or section.name, level=level, level_unit=level_unit,
+            dataset=function.number,
         )  # fmt: skip
         tables.append(table)
     return tables

@@ -13,7 +13,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import MOTIONS, QUANTITIES
+from nmt_core.vocabulary import QUANTITIES
 from nmt_record.exchange import uff
 from nmt_record.exchange.import_checks import hinted_quantity, looks_like_counts
 from nmt_record.exchange.import_clock import (
@@ -26,34 +26,26 @@ from nmt_record.exchange.import_clock import (
     time_unit_of,
 )
 from nmt_record.exchange.import_sidecar import Sidecar
-from nmt_record.exchange.import_table import SourceTable, kind_of, read_table
+from nmt_record.exchange.import_table import kind_of, read_table
 from nmt_record.exchange.imported_run import check_proposal
 from nmt_record.exchange.ros_bag_table import bag_tables, is_bag
+from nmt_record.exchange.source_table import SourceTable
+from nmt_record.exchange.table_template import ASK, column_of, frequency_columns, quoted, table_proposal, uff_lines
+from nmt_record.exchange.uff_observables import frequency_responses
 from nmt_record.exchange.unit_table import (
     coordinate_of_unit,
+    is_channel_unit,
     measured_quantity,
     plain_unit,
     quantity_of_unit,
     unit_in_name,
 )
 
-_FREQUENCY = re.compile(r"(f|fr?eq(uency)?)(_?hz)?|hz|hertz", re.I)
-# In this order: a damping ratio is no magnitude.
-_MEMBERS = {
-    "damping_ratio": r"damp(ing)?(_?ratio)?|zeta|delta",
-    "real": r"re(al)?(_?part)?",
-    "imag": r"im(ag)?(inary)?(_?part)?",
-    "magnitude": r"(\w+_)?(mag(nitude)?|abs(olute)?|modulus|ratio)(_\w+)?",
-    "phase": r"(pha(se)?|phi|arg(ument)?)(_?(deg(rees)?|rad))?",
-    "amplitude": r"amp(l|litude)?|level|disp(lacement)?|acc(eleration)?|a|q",
-    "force_n": r"force|load|f_?n",
-}
 _LETTER = re.compile(r"([faxvui])_?(\d*)", re.I)
 _DECAYED = 0.8  # rms of the last fifth over that of the first
-_ASK = "'?'"
 _MOST_CHANNELS = 64
 _CLOCK_ANSWERS = {
-    "sample_rate": "Hz", "clock": "header or column; of a bag header or log", "time_unit": "s, ms, us, ns or min",
+    "sample_rate": "Hz", "clock": "header or column; of a bag header or log", "time_unit": "s, ms, us, ns, min, h or d",
     "stretch": "a number from 1", "elements": "samples or channels",
 }  # fmt: skip
 _DOUBTFUL = 200.0  # Hz: a time without a unit that gives less may be one in ms of a faster recording
@@ -74,8 +66,7 @@ def sidecar_templates(path: Path) -> tuple[str, ...]:
     if is_bag(path):
         return tuple(_warned(text, path) for table in bag_tables(path) for text in _texts(table, list(head)))
     if kind_of(path) == "uff" and all(f.function_type == uff.FREQUENCY_RESPONSE for f in uff.read_uff(path)):
-        lines = ["segments:", f"  - {{kind: frf, unit: {_ASK}}}   # unit of the responses, such as m/s^2/N or g/N"]
-        return ("\n".join([*head, *lines]) + "\n",)
+        return (_checked("\n".join([*head, *uff_lines(frequency_responses(path))]) + "\n", path),)
     table = read_table(path)
     texts = _texts(table, head)
     return tuple(_checked(text, path) for text in texts)
@@ -85,10 +76,15 @@ def _checked(text: str, path: Path) -> str:
     """A proposal that the import takes, or that asks.
 
     Raises:
-        BenchError: the import would refuse it, as it says.
+        BenchError: the data themselves are refused, whatever a sidecar says.
     """
-    if _ASK not in text:
-        check_proposal(text, path.with_suffix(".yaml"))
+    while ASK not in text:
+        sidecar = path.with_suffix(".yaml")
+        try:
+            check_proposal(text, sidecar)
+            return text
+        except BenchError as refusal:
+            text = _asking(text, str(refusal), sidecar.name) or _raised(refusal)
     return text
 
 
@@ -100,17 +96,51 @@ def _warned(text: str, path: Path) -> str:
         return f"# As it stands, the import refuses this: {error}\n{text}"
 
 
+def _raised(refusal: BenchError) -> str:
+    raise refusal
+
+
+def _asking(text: str, sentence: str, name: str) -> str:
+    """The proposal with a question in the place of what the import refuses; empty where that is not a part of it.
+
+    The key that is asked is the one that the refusal names, else quantity, unit or columns of the entry.
+    """
+    found = re.search(rf"{re.escape(name)} line (\d+)", sentence)
+    lines = text.splitlines()
+    if found is None or not 0 < int(found[1]) <= len(lines):
+        return ""
+    place = int(found[1]) - 1
+    keys = [key for key in re.findall(r"'(\w+): [^']*'", sentence) if key not in ("kind", "file")]
+    for key in dict.fromkeys([*keys, "quantity", "unit", "columns"]):
+        for number in range(place, min(place + 6, len(lines))):
+            value = rf"\b{key}: ('[^']*'|{{[^}}]*}}|\[[^\]]*\]|[^,}}#]+?)(?=\s*(?:[,}}#]|$))"
+            asked = re.sub(value, f"{key}: {ASK}", lines[number], count=1)
+            if asked != lines[number] or (number > place and lines[number].lstrip().startswith("- ")):
+                break
+        else:
+            asked, number = "", place
+        if asked and asked != lines[number]:
+            lines[number] = asked
+        elif key not in keys:
+            continue
+        elif "}" in lines[place]:
+            lines[place] = re.sub(r"\}(?=[^}]*$)", f", {key}: {ASK}}}", lines[place], count=1)
+        else:
+            lines.insert(place + 1, f"    {key}: {ASK}")
+        lines.insert(place, f"# {sentence}")
+        return "\n".join(lines) + "\n"
+    return ""
+
+
 def _texts(table: SourceTable, head: list[str]) -> tuple[str, ...]:
     head += [f"# {note}" for note in table.notes]
     every = range(len(table.names))
     if table.judged:
         return ("\n".join([*head, *_signal_lines(table, [], every)]) + "\n",)
     time = [i for i in every if is_clock(table, i)]
-    named = [i for i in every if _FREQUENCY.fullmatch(bare_name(table, i) or "-")]
-    named = named or [i for i in every if plain_unit(table.units[i]) in ("Hz", "kHz") if not time]
-    if named and not time and len(table.columns) > 1 and bool((table.columns[named[0]] >= 0.0).all()):
-        lines = _held_lines(table, named) or _table_lines(table, named[0])
-        return ("\n".join([*head, *lines]) + "\n",)
+    named = frequency_columns(table, time)
+    if named:
+        return ("\n".join([*head, *table_proposal(table, named)]) + "\n",)
     groups: dict[str, list[int]] = {}
     for index in every:
         groups.setdefault(table.names[index].rpartition(".")[0], []).append(index)
@@ -142,153 +172,28 @@ def _even(table: SourceTable, index: int) -> bool:
     return bool(np.abs(values - line).max() <= max(1.01 * quantum_of(values), 1e-3 * steps.mean()))
 
 
-def _held_lines(table: SourceTable, frequencies: Sequence[int]) -> list[str]:
-    """Amplitudes and phases of a response at held levels, one segment each; empty where the table is another one."""
-    lines: list[str] = []
-    used = list(frequencies)
-    for index, name in enumerate(table.names):
-        if index in frequencies or index in used:
-            continue
-        prefix = "" if table.lines else name.rpartition(".")[0]
-        own = [i for i in range(len(table.names)) if not prefix or table.names[i].startswith(prefix + ".")]
-        frequency = next((i for i in frequencies if i in own), None)
-        bare, quantity = bare_name(table, index), quantity_of_unit(table.units[index])
-        moves = quantity in MOTIONS and not _is_phase(table, index)
-        if frequency is None or not (moves or re.fullmatch(_MEMBERS["amplitude"], bare, re.I)):
-            continue
-        later = [i for i in own if i > index and i not in used]
-        phase = later[0] if later and _is_phase(table, later[0]) else None
-        if phase is None:
-            return []
-        used += [index, phase]
-        held = next((v for k, v in table.constants.items() if prefix and re.fullmatch(
-            re.escape(prefix) + r"\.(force|level)", k, re.I)), None)  # fmt: skip
-        columns = {"frequency_hz": frequency, "magnitude": index, "phase": phase}
-        named = ", ".join(f"{member}: {_column(table, column)}" for member, column in columns.items())
-        unit = table.units[index] if moves else f"{_ASK}   # of the response, such as mm or m/s"
-        level = _ASK if held is None else f"{held:g}"
-        rising = bool((np.diff(table.columns[frequency]) > 0.0).all())
-        lines += [
-            "  - kind: frf",
-            f"    columns: {{{named}}}",
-            f"    unit: {unit}",
-            f"    level: {level}            # what was held while the frequency was stepped",
-            "    level_unit: N         # guessed; of a force, a motion or a voltage: N, g, mm, V",
-            f"    amplitudes: {_ASK}       # of response and level: peak or rms",
-            *([f"    direction: {'up' if rising else 'down'}         # by the order of the rows"]),
-            *_phase_lines(table, phase, quantity),
-            "    point: 1              # guessed",
-            "    drive_point: 1        # guessed",
-        ]
-    return ["segments:", *lines] if lines else []
-
-
-def _is_phase(table: SourceTable, index: int) -> bool:
-    return bool(re.match(rf"({_MEMBERS['phase']})(?![a-z])", bare_name(table, index), re.I))
-
-
-_MIDWAY_DEG = {motion: 90.0 * (order - 1) for motion, order in MOTIONS.items()}
-
-
-def _phase_lines(table: SourceTable, index: int, quantity: Quantity) -> list[str]:
-    """Unit, sense and offset of a phase over a resonance at the drive point."""
-    values = table.columns[index]
-    degrees = plain_unit(table.units[index]) == "deg" or float(np.nanmax(np.abs(values))) > 7.0
-    lines = (
-        [] if plain_unit(table.units[index]) else [f"    units: {{phase: {'deg' if degrees else 'rad'}}}   # guessed"]
-    )
-    turn = np.unwrap(np.radians(values) if degrees else values)
-    ends = np.degrees([np.median(turn[: turn.size // 20 + 1]), np.median(turn[-(turn.size // 20) - 1 :])])
-    if abs(ends[1] - ends[0]) < 90.0:
-        return lines
-    lag = ends[1] > ends[0]
-    if lag:
-        lines.append("    conjugate: true       # guessed: the phase rises, so it is a lag")
-    if quantity in _MIDWAY_DEG:
-        midway = -ends.mean() if lag else ends.mean()
-        shift = (_MIDWAY_DEG[quantity] - midway + 180.0) % 360.0 - 180.0
-        if abs(shift) > 10.0:
-            why = f"guessed: midway a {quantity.name.lower()} at the drive point has {_MIDWAY_DEG[quantity]:g} deg"
-            lines.append(f"    phase_shift_deg: {shift:.1f}   # {why}")
-    return lines
-
-
-def _quoted(name: str) -> str:
-    """A name as YAML takes it."""
-    return name if re.fullmatch(r"[A-Za-z_][\w.]*", name) and name.lower() not in ("y", "n", "yes", "no", "on", "off",
-                                                                                  "true", "false", "null") else (
-        "'" + name.replace("'", "''") + "'"
-    )  # fmt: skip
-
-
-def _column(table: SourceTable, index: int) -> str:
-    name = table.names[index]
-    return _quoted(name) if name and table.names.count(name) == 1 else str(index + 1)
-
-
-def _table_lines(table: SourceTable, frequency: int) -> list[str]:
-    """A backbone or frequency responses."""
-    named: dict[str, int] = {"frequency_hz": frequency}
-    for member, words in _MEMBERS.items():
-        for index in range(len(table.names)):
-            if index not in named.values() and re.fullmatch(words, bare_name(table, index), re.I):
-                named[member] = index
-                break
-    groups = [{"real", "imag"}, {"magnitude", "phase"}]
-    if "damping_ratio" not in named:  # with one it is a backbone
-        groups.append({"magnitude"})
-    kept = next((group for group in groups if group <= set(named)), None)
-    if kept is not None:
-        kind, members = "frf", ["frequency_hz", *sorted(kept, reverse=True)]
-        unit = f"{_ASK}   # of the response, such as m/s^2/N, g/N, or g/g over the acceleration of a base"
-    else:
-        kind, members = (
-            "backbone",
-            ["frequency_hz", "amplitude", *(["damping_ratio"] if "damping_ratio" in named else [])],
-        )
-        rest = [i for i in range(len(table.names)) if i not in named.values()]
-        named.setdefault("amplitude", named.get("magnitude", rest[0] if rest else 1 - frequency))
-        own = table.units[named["amplitude"]]
-        unit = (
-            own
-            if quantity_of_unit(own) is not Quantity.UNKNOWN
-            else f"{_ASK}   # of the amplitude, such as mm or m/s^2"
-        )
-    columns = ", ".join(f"{member}: {_column(table, named[member])}" for member in members)
-    lines = ["segments:", f"  - kind: {kind}", f"    columns: {{{columns}}}", f"    unit: {unit}"]
-    if "phase" in members and float(np.nanmax(np.abs(table.columns[named["phase"]]))) > 7.0:
-        lines.append("    units: {phase: deg}   # guessed, because it exceeds a turn in rad")
-    if "damping_ratio" in members and float(np.nanmax(table.columns[named["damping_ratio"]])) > 0.3:
-        lines.append("    units: {damping_ratio: '%'}   # guessed, because it is large for a ratio")
-    if kind == "backbone":
-        lines.append(f"    amplitudes: {_ASK}       # peak or rms")
-    lines += ["    # point: 1               # of the response", "    # drive_point: 1         # of the force"]
-    if kind == "frf":
-        lines += [
-            "    # level: 0.5             # amplitude that was held while the frequency was stepped",
-            "    # level_unit: N          # of a force, a motion or a voltage: N, g, mm, V",
-        ]
-        if "force_n" in named:
-            lines.append(f"    # per: {_column(table, named['force_n'])}   # divide the response by this column")
-    return lines
-
-
 def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]) -> list[str]:
     """Channels over time."""
+    columns = [
+        i for i in columns if i in time or not (i in table.parts or _is_empty(table, i) or _numbers_rows(table, i))
+    ]
     lines, clock = _clock_lines(table, time, columns)
     rate = None if clock is None else clock.sample_rate
     start = 0.0 if clock is None else clock.start
     channels = [i for i in columns if i not in time][:_MOST_CHANNELS]
     guesses = {index: _guess(table, index) for index in channels}
     # Volts are the drive's or a sensor's; which, a name may say.
-    kept = [i for i in channels if guesses[i].quantity != "voltage" or _is_drive(bare_name(table, i))] or channels
+    kept = [i for i in channels if guesses[i].quantity != "voltage" or _is_drive(bare_name(table, i))]
+    if not kept:
+        guesses = {index: _Guess(point=1) for index in channels}
+        kept = channels
     if table.names[channels[0]].startswith("/"):  # messages have many fields that nobody fills
         kept = [i for i in kept if np.nanmax(table.columns[i]) > np.nanmin(table.columns[i])] or kept
     kept = [i for i in kept if not any(_same(table.columns[i], table.columns[j]) for j in kept if j < i)]
     lines.append("channels:")
     taken: set[tuple[Quantity | str, int]] = set()
     for index in channels:
-        guess, values = guesses[index], table.columns[index]
+        guess, values, scaling = guesses[index], table.columns[index], table.scalings[index]
         point, measured = guess.point, guess.quantity and measured_quantity(guess.quantity)
         if table.judged and not guess.quantity:
             point = 1  # whatever it measures, no other channel measures the same there
@@ -298,11 +203,12 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
         if index in kept:
             taken.add((measured, point))
         words = [
-            f"column: {_column(table, index)}",
-            f"quantity: {guess.quantity or _ASK}",
-            f"unit: {guess.unit or _ASK}",
-            *([f"scale: {_ASK}"] if looks_like_counts(values[np.isfinite(values)]) else []),
+            f"column: {column_of(table, index)}",
+            f"quantity: {guess.quantity or ASK}",
+            f"unit: {quoted(guess.unit) if guess.unit else ASK}",
+            *([f"scale: {ASK}"] if not scaling.has_scale and looks_like_counts(values[np.isfinite(values)]) else []),
             *([f"scale: {guess.scale:.9g}"] if guess.scale != 1.0 else []),
+            *(["sign: -1"] if scaling.sign < 0 else []),
             *([f"point: {point}"] if point else []),
         ]
         still = not np.nanmax(values) > np.nanmin(values)
@@ -315,6 +221,10 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
             else "; volts of what? as a channel it needs quantity, unit and scale"
         )
         why = "" if index in kept else left_out
+        why += f"; scale {scaling.scale:g} by {scaling.words}" if scaling.has_scale else ""
+        why += f"; by {scaling.words}" if scaling.sign < 0 else ""
+        why += _CURRENT if guess.quantity == "current" else ""
+        why += _unknown_unit(table, index) if not guess.unit else ""
         why = why or ("; the model's coordinate is then in rad or a strain" if coordinate_of_unit(guess.unit) else "")
         lines.append(f"{mark}{{{', '.join(words)}}}   # from {np.nanmin(values):.4g} to {np.nanmax(values):.4g}{why}")
     lines.append("segments:")
@@ -344,7 +254,7 @@ def _segment_line(channels: Sequence[tuple[str, FloatArray]], start: float, rows
     """What was probably done in a stretch of the data that begins at a time (s)."""
     channels = [(quantity, _filled(values)) for quantity, values in channels if np.isfinite(values).any()]
     kind, hit = _kind(channels), _end_of_hit(channels) if rate else 0
-    begin, until = "0", _ASK
+    begin, until = "0", ASK
     if rate:
         stop = start + rows / rate
         if hit:
@@ -356,11 +266,27 @@ def _segment_line(channels: Sequence[tuple[str, FloatArray]], start: float, rows
     return f"  - {{kind: {kind}, start: {begin}, stop: {until}}}   # guessed{why}"
 
 
+def _is_empty(table: SourceTable, index: int) -> bool:
+    return not np.isfinite(table.columns[index]).any()
+
+
+def _numbers_rows(table: SourceTable, index: int) -> bool:
+    """Whether a column only counts the rows."""
+    values = table.columns[index]
+    counts = values.size > 3 and bool((np.diff(values) == 1.0).all()) and values[0] in (0.0, 1.0)
+    return counts and _COUNTER.fullmatch(bare_name(table, index)) is not None and len(table.names) > 1
+
+
+def _unknown_unit(table: SourceTable, index: int) -> str:
+    own = table.units[index]
+    return f"; the file says '{own}'" if own else ""
+
+
 def _clock_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]) -> tuple[list[str], Clock | None]:
     """Lines on the clock, and the clock as the import will find it; None where the sidecar must be completed."""
     if table.question is not None:
         sentence, key = table.question
-        return [f"# {sentence}", f"{key}: {_ASK}          # {_CLOCK_ANSWERS[key]}"], None
+        return [f"# {sentence}", f"{key}: {ASK}          # {_CLOCK_ANSWERS[key]}"], None
     others = [index for index in columns if index not in time]
     named = not time or bool(table.names[time[0]])
     if not others:
@@ -373,7 +299,7 @@ def _clock_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]
     own_header = table.step is not None and bool(time) and table.names[time[0]].startswith("X_Value")
     if time and not own_header:
         values["time"] = time[0] + 1
-        lines.append(f"time: {_column(table, time[0])}")
+        lines.append(f"time: {column_of(table, time[0])}")
         unit = time_unit_of(table, time[0])
         if unit not in ("", "s"):
             values["time_unit"] = unit
@@ -383,11 +309,11 @@ def _clock_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]
     except ClockQuestionError as question:
         if question.key != "sample_rate":
             lines.append(f"# {question}")
-        return [*lines, f"{question.key}: {_ASK}          # {_CLOCK_ANSWERS[question.key]}"], None
+        return [*lines, f"{question.key}: {ASK}          # {_CLOCK_ANSWERS[question.key]}"], None
     unsure = bool(time) and not own_header and not time_unit_of(table, time[0]) and table.abscissa is None
     if unsure and (not named or clock.sample_rate < _DOUBTFUL):
-        told = f"# seconds would be {clock.sample_rate:.6g} Hz; s, ms, us, ns or min"
-        return [*lines, f"time_unit: {_ASK}        {told}"], None
+        told = f"# seconds would be {clock.sample_rate:.6g} Hz; s, ms, us, ns, min, h or d"
+        return [*lines, f"time_unit: {ASK}        {told}"], None
     by = table.judged or "the file"
     by = "the time column" if time and not own_header else by
     lines.append(f"# sample_rate: {clock.sample_rate:.10g}     # Hz, by {by}")
@@ -427,6 +353,10 @@ def _is_drive(name: str) -> bool:
     return bool(_LETTER.fullmatch(name) or re.search(r"drive|volt|input|source|signal|excit|\bu\b", name, re.I))
 
 
+_CURRENT = "; with force_factor: … (N per A) it stands where a force does"
+_COUNTER = re.compile(r"(x|n|no|nr|number|index|idx|sample|samples|sequence|seq|point|count|scan|row|#)\.?", re.I)
+
+
 @dataclass(frozen=True)
 class _Guess:
     quantity: str = ""
@@ -443,11 +373,13 @@ def _guess(table: SourceTable, index: int) -> _Guess:
     name, unit, quantity = bare_name(table, index), table.units[index], table.quantities[index]
     if table.fields:  # what somebody called a thing says not what it measures
         name = table.fields[index].rpartition(".")[2]
+    unit = unit if is_channel_unit(unit) else ""
     if not unit and quantity is Quantity.UNKNOWN:
         name, unit = unit_in_name(name)
     letter = _LETTER.fullmatch(name)
     digits = re.search(r"(\d+)$", name)
     point = int(digits.group(1)) if digits and 0 < len(digits.group(1)) < 4 and name != digits.group(1) else 1
+    point = table.points[index] or point
     found = _SENSITIVITY.search(table.names[index])
     if found and plain_unit(unit) in ("V", "mV", "") and float(found[1]) > 0.0:
         sensor = quantity_of_unit(found[3])
@@ -458,9 +390,11 @@ def _guess(table: SourceTable, index: int) -> _Guess:
             )
     if quantity is Quantity.UNKNOWN:
         quantity = quantity_of_unit(unit) if unit else Quantity.UNKNOWN
-    if quantity is Quantity.UNKNOWN and not table.fields:
-        quantity = hinted_quantity(name, point)
-    if quantity is Quantity.UNKNOWN and letter and not table.fields:
+    # Of a message: names of joints are no letters of quantities.
+    field = bool(table.fields) or table.names[index].startswith("/")
+    if quantity is Quantity.UNKNOWN:
+        quantity = hinted_quantity(name, 0 if field else point)
+    if quantity is Quantity.UNKNOWN and letter and not field:
         quantity = QUANTITIES[letter.group(1).lower()]
     placed = quantity not in (Quantity.UNKNOWN, Quantity.VOLTAGE, Quantity.CURRENT)
     known = "" if quantity is Quantity.UNKNOWN else quantity.name.lower()

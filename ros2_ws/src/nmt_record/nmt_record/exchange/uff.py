@@ -33,6 +33,8 @@ FUNCTION_NAMES = {
 }  # fmt: skip
 """Function types by number, as far as vibration tests have them."""
 
+_NUMBERS_OF_A_LINE = 6  # at most
+
 GENERAL, DISPLACEMENT, VELOCITY, ACCELERATION, FORCE, TIME, FREQUENCY = 1, 8, 11, 12, 13, 17, 18
 """Specific data types."""
 DATA_TYPES = {
@@ -103,9 +105,31 @@ class UffFunction:
         return self.abscissa_minimum + self.abscissa_increment * np.arange(self.values.shape[0], dtype=np.float64)
 
     @property
+    def direction_sign(self) -> int:
+        """−1 where the direction of the response, or of response or reference of a frequency response, is negative."""
+        response = -1 if self.response_direction < 0 else 1
+        reference = -1 if self.function_type == FREQUENCY_RESPONSE and self.reference_direction < 0 else 1
+        return response * reference
+
+    @property
+    def direction_words(self) -> str:
+        """The direction as a reader of the file has it, such as −Z; with that of the reference where it is one."""
+        named = [_direction(self.response_direction)]
+        if self.function_type == FREQUENCY_RESPONSE:
+            named.append(_direction(self.reference_direction))
+        return " over ".join(named)
+
+    @property
     def name(self) -> str:
         """First ID line, stripped; empty if it says NONE."""
         return "" if self.lines[0].strip().upper() == "NONE" else self.lines[0].strip()
+
+
+def _direction(number: int) -> str:
+    axes = ("", "X", "Y", "Z", "RX", "RY", "RZ")
+    if not 0 < abs(number) < len(axes):
+        return "no direction"
+    return ("−" if number < 0 else "+") + axes[abs(number)]
 
 
 def write_uff(path: Path, functions: Sequence[UffFunction], binary: bool = True) -> None:
@@ -281,9 +305,11 @@ def _ascii_values(payload: bytes, value_type: int, count: int, even: int, column
         values = np.array(text.split(), dtype=np.float64)
     except ValueError:
         values = np.empty(0)
-    if values.shape[0] != total:
+    if not total <= values.shape[0] < total + _NUMBERS_OF_A_LINE:
         # Numbers that fill their columns run into each other: cut by the widths of the format.
         values = np.array(list(_by_width(text, value_type, even, columns, where)), dtype=np.float64)
+    if total < values.shape[0] < total + _NUMBERS_OF_A_LINE and not values[total:].any():
+        values = values[:total]  # zeros that fill the last line
     if values.shape[0] != total:
         raise BenchError(
             f"{where} holds {values.shape[0]} numbers instead of {total}; it is cut off or damaged, export it again."

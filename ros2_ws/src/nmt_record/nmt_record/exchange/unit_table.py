@@ -47,11 +47,12 @@ _TORQUES = {
     "kgf*m": STANDARD_GRAVITY, "kgf*cm": 1e-2 * STANDARD_GRAVITY,
     "lbf*ft": _POUND * STANDARD_GRAVITY * 12.0 * _INCH, "lbf*in": _POUND * STANDARD_GRAVITY * _INCH,
 }  # fmt: skip
+_TORQUES |= {unit.replace("*", ""): value for unit, value in _TORQUES.items()}
 _COORDINATES = {
     "angle": (Quantity.DISPLACEMENT, "rad", {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": _DEGREE}),
     "angular_velocity": (Quantity.VELOCITY, "rad/s", {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE}),
     "angular_acceleration": (Quantity.ACCELERATION, "rad/s^2", {"rad/s^2": 1.0, "deg/s^2": _DEGREE}),
-    "torque": (Quantity.FORCE, "N*m", _TORQUES | {unit.replace("*", ""): value for unit, value in _TORQUES.items()}),
+    "torque": (Quantity.FORCE, "N*m", _TORQUES),
     "strain": (Quantity.DISPLACEMENT, "1", {"m/m": 1.0, "mm/m": 1e-3, "um/m": 1e-6, "strain": 1.0, "ustrain": 1e-6}),
 }
 """Coordinates of a model that are no lengths: in its equations they stand where a motion does, a torque where a force.
@@ -65,32 +66,43 @@ _OTHER = {
     "frequency": {"Hz": 1.0, "kHz": 1e3, "mHz": 1e-3, "rad/s": 1.0 / (2.0 * math.pi), "rpm": 1.0 / 60.0},
     "ratio": {"1": 1.0, "%": 1e-2},
     "phase": {"rad": 1.0, "deg": math.pi / 180.0, "cycles": 2.0 * math.pi},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0},
     "modal amplitude": {"m*sqrt(kg)": 1.0, "mm*sqrt(kg)": 1e-3, "um*sqrt(kg)": 1e-6},
 }
+
+TIME_UNITS = tuple(_OTHER["time"])
+"""Units of clocks."""
 
 _COUNTS = frozenset({"counts", "count", "lsb", "raw", "adc", "digits", "bits", "int", "int16", "int24", "int32"})
 _SPELLINGS = (
     ("µ", "u"), ("μ", "u"), ("²", "^2"), ("**", "^"), ("·", "*"), ("−", "-"), ("°", "deg"), ("√kg", "*sqrt(kg)"),
-    ("(m/s)/s", "m/s^2"), ("m/s/s", "m/s^2"), ("s^-2", "/s^2"), ("s^-1", "/s"), ("m/s2", "m/s^2"),
+    ("(m/s)/s", "m/s^2"), ("m/s/s", "m/s^2"), ("s^-2", "/s^2"), ("s^-1", "/s"),
 )  # fmt: skip
+_NEGATIVE_POWER = re.compile(r"(?<=[A-Za-z])[\s.·⋅*]+(s|kg|N)\s*(?:\^|\*\*)?\{?[-−⁻]([12¹²])\}?")
+_POWERS = {"1": "", "¹": "", "2": "^2", "²": "^2"}
 _NAMES = {
     "newton": "N", "newtons": "N", "volt": "V", "volts": "V", "metre": "m", "meter": "m", "ampere": "A", "amp": "A",
+    "amps": "A", "amperes": "A", "metres": "m", "meters": "m", "lb": "lbf", "lbs": "lbf", "mils": "mil", "inches": "in",
+    "lb*in": "lbf*in", "in*lbf": "lbf*in", "in*lb": "lbf*in", "lb*ft": "lbf*ft", "ft*lbf": "lbf*ft", "ft*lb": "lbf*ft",
     "gn": "g", "g0": "g", "micron": "um", "inch": "in", "ips": "in/s", "deg": "deg", "degree": "deg", "degrees": "deg",
-    "ue": "ustrain",
+    "ue": "ustrain", "microstrain": "ustrain", "radian": "rad", "radians": "rad", "db": "dB", "khz": "kHz",
     "sec": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms", "milliseconds": "ms", "usec": "us",
-    "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "minutes": "min",
-    "hertz": "Hz", "hz": "Hz", "percent": "%", "-": "1", "none": "1", "m*kg^(1/2)": "m*sqrt(kg)",
+    "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "hours": "h", "hour": "h", "hrs": "h",
+    "hr": "h", "days": "d", "day": "d",
+    "hertz": "Hz", "hz": "Hz", "percent": "%", "pct": "%", "-": "1", "none": "1", "m*kg^(1/2)": "m*sqrt(kg)",
 }  # fmt: skip
 
 
 def plain_unit(text: str) -> str:
     """A unit as the table spells it: no spaces or brackets, ``um`` for micrometre, ``^2`` for squares."""
-    unit = re.sub(r"\s+", "", text).strip("[]")
+    unit = _NEGATIVE_POWER.sub(lambda found: f"/{found[1]}{_POWERS[found[2]]}", text)
+    unit = re.sub(r"\s+", "", unit).strip("[]")
     for spelling, plain in _SPELLINGS:
         unit = unit.replace(spelling, plain)
     unit = unit.replace("**", "*").replace("*/", "/")
-    return _NAMES.get(unit.lower(), unit)
+    unit = re.sub(r"/s(?:ec)?\^?2(?![\w^])", "/s^2", re.sub(r"/sec(?![\w])", "/s", unit))
+    unit = re.sub(r"(?<=[A-Za-z])[-.](?=[A-Za-z])", "*", unit)  # N-m, N.m
+    return "g" if unit == "G" else _NAMES.get(unit.lower(), unit)
 
 
 def _as_in_names(units: Sequence[str]) -> dict[str, str]:
@@ -124,6 +136,11 @@ def coordinate_of_unit(unit: str) -> str:
     return next((name for name, (_, _, units) in _COORDINATES.items() if plain in units), "")
 
 
+def is_quantity(name: str) -> bool:
+    """Whether a channel may be said to measure it."""
+    return name in _COORDINATES or name.upper() in Quantity.__members__
+
+
 def measured_quantity(name: str) -> Quantity:
     """What a quantity of a channel, or a coordinate, is in the bag and in the equations."""
     return _COORDINATES[name][0] if name in _COORDINATES else Quantity[name.upper()]
@@ -134,23 +151,40 @@ def si_unit(name: str) -> str:
     return _COORDINATES[name][1] if name in _COORDINATES else Quantity[name.upper()].unit
 
 
+def si_unit_of(unit: str) -> str:
+    """SI unit of a unit's quantity or coordinate, or of a quotient of such; empty if it is not known."""
+    plain = plain_unit(unit)
+    coordinate = coordinate_of_unit(plain)
+    if coordinate:
+        return si_unit(coordinate)
+    if quantity_of_unit(plain) is not Quantity.UNKNOWN:
+        return quantity_of_unit(plain).unit
+    found = _quotient(plain)
+    if found is None:
+        return ""
+    above, below = _halves(plain)
+    over = si_unit_of(below) if below else REFERENCE_UNITS[found[2]]
+    return f"{si_unit_of(above) or found[0].unit}/" + (f"({over})" if "/" in over or "*" in over else over)
+
+
 def channel_factor(name: str, unit: str, where: str) -> float:
     """Factor from a unit to the SI unit of a quantity of a channel, or of a coordinate.
 
     Raises:
         BenchError: as :func:`factor_to_si`; a coordinate is given as a motion, or the other way round.
     """
-    own = coordinate_of_unit(unit)
-    if own == name:
+    coordinate = coordinate_of_unit(unit)
+    if coordinate == name:
         return _COORDINATES[name][2][plain_unit(unit)]
     if name in _COORDINATES:
         raise BenchError(
             f"{where} measures {name.replace('_', ' ')}, but its unit '{unit.strip()}' is none; use "
             f"{', '.join(_COORDINATES[name][2])}."
         )
-    if own and not (own == "torque" and name == "force"):
+    if coordinate and not (name == "force" and plain_unit(unit) in _FACTORS[Quantity.FORCE]):
         raise BenchError(
-            f"{where} measures {name}, but its unit {unit.strip()} is one of {own}; write quantity: {own}."
+            f"{where} measures {name}, but its unit {unit.strip()} is one of {coordinate}; write quantity: "
+            f"{coordinate}."
         )
     return factor_to_si(Quantity[name.upper()], unit, where)
 
@@ -167,11 +201,13 @@ def factor_to_si(quantity: Quantity, unit: str, where: str) -> float:
         BenchError: the unit is empty, raw counts, one of another quantity, or not known.
     """
     plain = plain_unit(unit)
-    own = _FACTORS[quantity]
-    if plain in own:
-        return own[plain]
+    units = _FACTORS[quantity]
+    if plain in units:
+        return units[plain]
+    if quantity is Quantity.FORCE and plain in _TORQUES:
+        return _TORQUES[plain]
     name = quantity.name.lower()
-    known = ", ".join(own)
+    known = ", ".join(units)
     if not plain:
         raise BenchError(f"{where} has no unit; say which one its {name} has ({known}).")
     if plain.lower() in _COUNTS:
@@ -188,7 +224,7 @@ def factor_to_si(quantity: Quantity, unit: str, where: str) -> float:
         raise BenchError(
             f"{where} measures {name}, but its unit {unit.strip()} is one of {others[0].name.lower()}; {hint}."
         )
-    raise BenchError(f"{where} has the unknown unit '{unit.strip()}'{_close(plain, own)}; {name} may be in {known}.")
+    raise BenchError(f"{where} has the unknown unit '{unit.strip()}'{_close(plain, units)}; {name} may be in {known}.")
 
 
 def other_factor(kind: str, unit: str, where: str) -> float:
@@ -197,16 +233,44 @@ def other_factor(kind: str, unit: str, where: str) -> float:
     Raises:
         BenchError: the unit is not known.
     """
-    own = _OTHER[kind]
+    units = _OTHER[kind]
     plain = plain_unit(unit)
-    if plain not in own:
-        raise BenchError(f"{where} has the unknown unit '{unit.strip()}'{_close(plain, own)}; use {', '.join(own)}.")
-    return own[plain]
+    if plain not in units:
+        raise BenchError(
+            f"{where} has the unknown unit '{unit.strip()}'{_close(plain, units)}; use {', '.join(units)}."
+        )
+    return units[plain]
+
+
+def is_known_unit(text: str) -> bool:
+    """Whether a text is a unit of a channel, a clock, a frequency, a phase or a frequency response."""
+    plain = plain_unit(text)
+    if not plain or plain == "1":
+        return False
+    known = (
+        quantity_of_unit(plain) is not Quantity.UNKNOWN
+        or coordinate_of_unit(plain)
+        or plain == "%"
+        or decibels(text) is not None
+    )
+    return bool(known or any(plain in units for units in _OTHER.values()) or _quotient(plain) is not None)
+
+
+def is_channel_unit(unit: str) -> bool:
+    """Whether it is the unit of a quantity or coordinate of a channel."""
+    return quantity_of_unit(unit) is not Quantity.UNKNOWN or bool(coordinate_of_unit(unit))
+
+
+def is_quotient(unit: str) -> bool:
+    """Whether it is the unit of a frequency response."""
+    return _quotient(unit) is not None
 
 
 def quantity_of_unit(unit: str) -> Quantity:
     """The quantity that a unit belongs to; ``UNKNOWN`` if none."""
     plain = plain_unit(unit)
+    if plain in _TORQUES:
+        return Quantity.FORCE
     return next((quantity for quantity, units in _FACTORS.items() if plain in units), Quantity.UNKNOWN)
 
 
@@ -259,19 +323,46 @@ def response_over_reference(unit: str, where: str) -> tuple[Quantity, float, str
     )
 
 
+def decibels(unit: str) -> str | None:
+    """Unit that dB refer to, empty where it is not told; None where a unit is no dB."""
+    found = re.fullmatch(
+        r"\[?\s*dB\s*(?:\(?\s*(?:re\.?|ref\.?|rel\.?|/)\s*(?:1(?![\d/]))?\s*(.*?)\)?)?\s*\]?", unit.strip(), re.I
+    )
+    return None if found is None else (found[1] or "").strip()
+
+
+def unit_size(unit: str) -> tuple[Quantity, float, str] | None:
+    """Response quantity, factor to SI and reference (empty for a response alone) of a unit; None if it is not known."""
+    quotient = _quotient(unit)
+    if quotient is not None:
+        return quotient
+    quantity = quantity_of_unit(unit)
+    return None if quantity is Quantity.UNKNOWN else (quantity, _FACTORS[quantity].get(plain_unit(unit), 1.0), "")
+
+
 def _quotient(unit: str) -> tuple[Quantity, float, str] | None:
     """Response quantity, factor to SI and reference of a unit; None if it is no quotient of these."""
     plain = plain_unit(unit)
     if plain in ("1", "m/m"):
         return Quantity.ACCELERATION, 1.0, "base"
+    above, below = _halves(plain)
+    if not above:
+        return None
+    quantity, reference = quantity_of_unit(above), quantity_of_unit(below)
+    return quantity, _FACTORS[quantity][above] / (_FACTORS[reference] | _TORQUES)[below], _REFERENCES[reference]
+
+
+_REFERENCES = {Quantity.FORCE: "force", Quantity.ACCELERATION: "base", Quantity.VOLTAGE: "voltage"}
+
+
+def _halves(plain: str) -> tuple[str, str]:
+    """Units of response and reference of a quotient; empty if it is none of these."""
     for slash in re.finditer("/", plain):
         halves = plain[: slash.start()], plain[slash.end() :]
         above, below = (half[1:-1] if half[:1] == "(" and half[-1:] == ")" else half for half in halves)
-        quantity, reference = quantity_of_unit(above), quantity_of_unit(below)
-        known = {Quantity.FORCE: "force", Quantity.ACCELERATION: "base", Quantity.VOLTAGE: "voltage"}.get(reference)
-        if known and quantity in MOTIONS:
-            return quantity, _FACTORS[quantity][above] / _FACTORS[reference][below], known
-    return None
+        if quantity_of_unit(above) in MOTIONS and quantity_of_unit(below) in _REFERENCES:
+            return above, below
+    return "", ""
 
 
 def _close(unit: str, known: dict[str, float]) -> str:

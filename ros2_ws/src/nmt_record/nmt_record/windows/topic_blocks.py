@@ -261,7 +261,7 @@ def _faults_of(topic: str, block: AnyBlock, head: AnyBlock | None, first_sample:
     if head is None or block.quantity is not head.quantity or block.unit != head.unit:
         if block.quantity is Quantity.UNKNOWN or block.quantity.topic != topic:
             yield finding(WindowFault.UNIT, f"The quantity of '{topic}' is {block.quantity.name.lower()}.")
-        elif block.unit != block.quantity.unit:
+        elif not block.quantity.accepts(block.unit):
             yield finding(
                 WindowFault.UNIT, f"The unit of '{topic}' is '{block.unit}' instead of {block.quantity.unit}."
             )

@@ -9,6 +9,7 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import ROTATION_UNITS
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Segment, Signals, needed_topics, read_stretches
@@ -101,7 +102,12 @@ def _stretch(window: Segment, signals: Signals, topics: Sequence[str]) -> Sample
         fault = by_topic.get(signals.topics[name]) or _fault_of(name, samples, signals)
         if fault:
             faults[name] = fault
-    channels = tuple(MeasuredChannel(name, signals.quantities[name], signals.points[name]) for name in signals.channels)
+    channels = tuple(
+        MeasuredChannel(
+            name, signals.quantities[name], signals.points[name], turns=signals.units[name] in ROTATION_UNITS.values()
+        )
+        for name in signals.channels
+    )
     return SampleStretch(
         signals.first_sample,
         signals.sample_rate,

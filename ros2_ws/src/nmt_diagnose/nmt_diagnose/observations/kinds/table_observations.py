@@ -61,7 +61,7 @@ def table_observations(
 def _channel(table: ObservableTable, view: ModelView, point: int) -> MeasuredChannel:
     return next(
         (c for c in view.channels if (c.quantity, c.point) == (table.quantity, point)),
-        MeasuredChannel(f"{table.quantity.letter}{point}", table.quantity, point),
+        MeasuredChannel(f"{table.quantity.letter}{point}", table.quantity, point, turns=table.turns),
     )
 
 

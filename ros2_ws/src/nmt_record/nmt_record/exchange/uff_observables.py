@@ -1,0 +1,116 @@
+"""Frequency responses of universal files, by what each dataset says of its axes, units and directions."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.vocabulary import MOTIONS
+from nmt_record.exchange import uff
+from nmt_record.exchange.import_sidecar import TableSection
+from nmt_record.exchange.unit_table import (
+    is_quotient,
+    other_factor,
+    plain_unit,
+    quantity_of_unit,
+    response_per_force,
+    unit_size,
+)
+
+_FORCES = (0, uff.GENERAL, uff.FORCE, 9)
+
+
+def stated_unit(function: uff.UffFunction) -> str:
+    """Unit of a frequency response by the axes of its dataset; empty where they do not tell it."""
+    above, below = function.ordinate_axis.unit, function.denominator_axis.unit
+    if is_quotient(above):
+        return above.strip()
+    if quantity_of_unit(above) in MOTIONS and quantity_of_unit(below) is Quantity.FORCE:
+        upper = plain_unit(above)
+        return f"({upper})/{plain_unit(below)}" if "/" in upper else f"{upper}/{plain_unit(below)}"
+    return ""
+
+
+def frequency_responses(path: Path) -> list[uff.UffFunction]:
+    """The datasets of function type 4."""
+    return [function for function in uff.read_uff(path) if function.function_type == uff.FREQUENCY_RESPONSE]
+
+
+def response_values(
+    section: TableSection, function: uff.UffFunction, where: str, notes: list[str]
+) -> tuple[Quantity, np.ndarray, np.ndarray]:
+    """Quantity, frequencies (Hz) and responses (SI units) of one dataset.
+
+    Args:
+        section: what the sidecar says.
+        function: the dataset.
+        where: it is, for messages.
+        notes: where sentences go.
+
+    Raises:
+        BenchError: no unit, one that contradicts the file, no response over a force, or values that are not finite.
+    """
+    unit = _unit(section, function, where)
+    quantity, factor = response_per_force(unit, where)
+    quantity_of_axis = uff.QUANTITIES.get(function.ordinate_axis.data_type)
+    if quantity_of_axis in MOTIONS and quantity_of_axis is not quantity:
+        raise BenchError(f"{where} holds {quantity_of_axis.name.lower()} per force, but the sidecar says {unit}.")
+    if function.denominator_axis.data_type not in _FORCES:
+        raise BenchError(f"{where} is not referred to a force; leave it out.")
+    if function.abscissa_axis.data_type == uff.TIME:
+        raise BenchError(f"{where} is a frequency response over time by its abscissa; export it again.")
+    sign = _sign(section, function, where, notes)
+    values = np.asarray(function.values, dtype=np.complex128) * (factor * section.scale * sign)
+    values = values.conj() if section.conjugate else values
+    if not np.isfinite(values).all() or not np.isfinite(function.x).all():
+        raise BenchError(f"{where} holds values that are not finite; export it again.")
+    return quantity, function.x * _frequency_factor(function, where, notes), values
+
+
+def _unit(section: TableSection, function: uff.UffFunction, where: str) -> str:
+    heading = stated_unit(function)
+    if not section.unit:
+        return heading
+    if "scale" in section.model_fields_set:
+        return section.unit
+    # Where the dataset does not tell the whole quotient, the axis of the response may tell its half.
+    by_file, by_sidecar = heading, section.unit
+    if not heading and section.unit.endswith("/N"):
+        by_file, by_sidecar = function.ordinate_axis.unit, section.unit.removesuffix("/N")
+    theirs, stated = unit_size(by_file), unit_size(by_sidecar)
+    known = theirs is not None and stated is not None and theirs[0] is stated[0]
+    if known and theirs is not None and stated is not None and not math.isclose(stated[1], theirs[1], rel_tol=1e-9):
+        raise BenchError(
+            f"{where} is in {by_file} by the file, but in {section.unit} by the sidecar; correct one of them (without "
+            "'unit' it is the file's), or state 'scale: 1' if the file is wrong."
+        )
+    return section.unit
+
+
+def _sign(section: TableSection, function: uff.UffFunction, where: str, notes: list[str]) -> int:
+    if section.turned is not None:
+        stated = -1 if function.response_node in section.turned else 1
+        if stated != function.direction_sign:
+            notes.append(f"{where} has the directions {function.direction_words}; the sidecar says sign {stated}.")
+        return stated
+    if function.direction_sign < 0:
+        if section.scale < 0.0:
+            raise BenchError(
+                f"{where} points the other way by its directions ({function.direction_words}), and scale is negative, "
+                f"too; say 'turned: [{function.response_node}]' if both turn it, 'turned: []' if the scale alone does."
+            )
+        notes.append(f"{where} points the other way ({function.direction_words}); its values were turned.")
+    return function.direction_sign
+
+
+def _frequency_factor(function: uff.UffFunction, where: str, notes: list[str]) -> float:
+    unit = plain_unit(function.abscissa_axis.unit)
+    if unit in ("NONE", "1", "", "Hz", "s"):
+        return 1.0
+    factor = other_factor("frequency", unit, f"{where}: its abscissa")
+    notes.append(f"The abscissa of {where.rpartition(': ')[2]} is in {unit}.")
+    return factor

@@ -230,8 +230,9 @@ def find(
         near, far = search.in_reach(named)
         left_out = [LeftOut(explanation, first_null, FAR_BEHIND) for explanation in far]
         null, named = search.again(null), search.all_again(near)
-        beside_leader = _beside(search, named)
-        named = sorted([*named, *beside_leader], key=lambda explanation: -explanation.fit.log_evidence)
+        named = [*named, *_beside(search, named)]
+        # A second effect that says nothing may have led the first on to its optimum.
+        named = best_of([*named, *search.pruned(named)])
     named = [needed(data, explanation, [null, *named], settings.matters) for explanation in named]
     leading = Hypotheses(data, null, named, candidates, [], []).best
     if leading is not None and leading.small:

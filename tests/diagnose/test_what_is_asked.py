@@ -19,12 +19,14 @@ from nmt_diagnose.inference.size import (
     Size,
     implausible_parameters,
     leaves_something,
+    left_over,
     needed,
     relieves,
     strained,
     tension,
 )
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -32,10 +34,13 @@ from nmt_rig.rig import Rig
 MODEL = chain()
 
 
-def searched(truth: Rig) -> tuple[Search, FittedExplanation]:
+def searched(truth: Rig, wandering: float = 0.0) -> tuple[Search, FittedExplanation]:
     """The search on recordings of a rig, and the fit of the model alone."""
     found = observations_of_model(truth, seed=3, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
-    observations = replace(found, chains=tuple(MeasuringChain() for _ in found.tests))
+    phases = np.flatnonzero(found.rows.part == Part.PHASE_ERROR)
+    values = found.values.copy()
+    values[phases] += wandering * (-1.0) ** np.arange(phases.size)
+    observations = replace(found, values=values, chains=tuple(MeasuringChain() for _ in found.tests))
     parameters = free_parameters(MODEL, observations)
     everything = np.ones(len(observations.rows), dtype=bool)
     modes = LowLevelModes(observations, MODEL)
@@ -154,6 +159,17 @@ def test_errors_that_share_a_reason_count_together() -> None:
     assert relieves(search.data, free, strained_by(null, 1.01 * edge), wanted)
     assert not relieves(search.data, free, strained_by(null, 0.99 * edge), wanted)
     assert not relieves(search.data, free, strained_by(null, 1.01 * edge), dict.fromkeys(wanted, 1e9))
+
+
+def test_where_a_loop_stood_speaks_against_its_controller_alone() -> None:
+    search, null = searched(MODEL, wandering=0.2)
+    wanted = DiagnosisSettings().matters
+    assert left_over(search.data, null, wanted) == ()
+    (left,) = left_over(search.data, null, wanted, loop=True)
+    assert left.group.endswith("phase of the loop")
+    assert left.size == pytest.approx(0.2, rel=0.3)
+    assert not leaves_something(search.data, null, wanted)
+    assert leaves_something(search.data, null, wanted, loop=True)
 
 
 def test_a_strong_effect_is_climbed_with_at_the_place_that_low_levels_say() -> None:

@@ -186,6 +186,7 @@ def test_a_unit_that_nobody_knows_is_asked_about(tmp_path: Path) -> None:
 
 def test_a_name_that_may_be_two_quantities_follows_the_unit(tmp_path: Path) -> None:
     run = proposed(
-        tmp_path / "a.csv", ["Time,Laser,Acc", "s,mm/s,g", *(f"{TIME[k]},{WAVE[k]},{2.0 * float(WAVE[k])}" for k in range(COUNT))]
+        tmp_path / "a.csv",
+        ["Time,Laser,Acc", "s,mm/s,g", *(f"{TIME[k]},{WAVE[k]},{2.0 * float(WAVE[k])}" for k in range(COUNT))],
     )
     assert [channel.name for channel in run.channels] == ["v1", "a1"]

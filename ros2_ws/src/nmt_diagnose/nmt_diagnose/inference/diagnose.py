@@ -35,7 +35,6 @@ from nmt_diagnose.inference.gap import ClosedShare, closed, no_worse_than_silenc
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
 from nmt_diagnose.inference.look_ahead import next_tests
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.noise import sigma_of
 from nmt_diagnose.inference.progress import Progress
 from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
@@ -52,14 +51,15 @@ from nmt_diagnose.inference.search import Search
 from nmt_diagnose.inference.sentences import likeness, sentences
 from nmt_diagnose.inference.size import (
     change_size,
+    large_lines,
     leaves_something,
     matters,
     measured_size,
     needed,
     relief_that_counts,
+    stands_out,
 )
 from nmt_diagnose.inference.warnings import warned, without_observables
-from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
@@ -216,7 +216,7 @@ def find(
     tell(f"scanning {len(candidates)} candidates")
     scores = search.scores(null)
     relief = max((score.relief for score in scores), default=0.0)
-    if leaves_something(data, null, settings.matters) or relief > relief_that_counts(search.data, null):
+    if leaves_something(data, null, settings.matters, loop=True) or relief > relief_that_counts(search.data, null):
         singles, pairs = _searched(search, null, scores, modes, rig)
     else:  # one fit tells what a difference that does not matter looks like
         singles, pairs = search.fitted(null, scores[:1]), []
@@ -228,9 +228,12 @@ def find(
         data = about(rig, observations, named[0].fit, data.used)
         search = Search(data, rig, parameters, candidates, tell)
         near, far = search.in_reach(named)
+        named = search.all_again(near)
+        # An effect that does nothing may have led the model's own parameters on to their optimum.
+        null = search.from_parameters_of(named[0], search.again(null))
+        more, far = search.other_laws(named[0], far)
         left_out = [LeftOut(explanation, first_null, FAR_BEHIND) for explanation in far]
-        null, named = search.again(null), search.all_again(near)
-        named = [*named, *_beside(search, named)]
+        named = [*named, *more, *_beside(search, named)]
         # A second effect that says nothing may have led the first on to its optimum.
         named = best_of([*named, *search.pruned(named)])
     named = [needed(data, explanation, [null, *named], settings.matters) for explanation in named]
@@ -411,35 +414,6 @@ def diagnose_observations(
         return outcome
     stated_inputs = {**alone.diagnosis.inputs, "withheld": list(settings.withheld)}
     return replace(alone, diagnosis=replace(alone.diagnosis, inputs=stated_inputs))
-
-
-def large_lines(observations: Observations, wanted: float) -> BoolArray:
-    """Lines of the mains, (m,), of channels where they are a share of the fundamental in the median level.
-
-    Args:
-        observations: what was read.
-        wanted: that share.
-    """
-    rows = observations.rows
-    lines = np.flatnonzero(rows.part == Part.LINE)
-    share = np.full(lines.size, np.inf)
-    for number, row in enumerate(lines):
-        test = observations.tests[rows.test[row]]
-        fundamentals = test.levels[rows.level[row]].fundamentals if isinstance(test, PhaseResonanceTest) else ()
-        if fundamentals and fundamentals[rows.channel[row]] > 0.0:
-            share[number] = observations.values[row] / fundamentals[rows.channel[row]]
-    large = np.zeros(len(rows), dtype=bool)
-    keys = np.stack([rows.test[lines], rows.channel[lines], np.round(rows.frequency_hz[lines]).astype(np.int64)])
-    for key in np.unique(keys, axis=1).T:
-        same = np.all(keys == key[:, None], axis=0)
-        large[lines[same]] = np.median(share[same]) >= wanted
-    return large
-
-
-def stands_out(observations: Observations, which: BoolArray) -> bool:
-    """Whether rows, (m,), that a model without effects predicts to be zero stand out of noise and tolerances."""
-    sizes = np.abs(observations.values[which]) / sigma_of(observations)[which]
-    return bool(sizes.max(initial=0.0) > THRESHOLDS.comparison.credible_sigmas)
 
 
 def _diagnosed(

@@ -253,9 +253,44 @@ class Search:
         return near, list(found[len(near) :])
 
     def all_again(self, found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
-        """Explanations fitted again, the best first."""
+        """Explanations fitted again, the best first; rivals also from the model's parameters of the best."""
         fitted = sorted((self.again(explanation) for explanation in found), key=lambda it: -it.fit.log_evidence)
-        return sorted([self.refitted_from_model(fitted[0]), *fitted[1:]], key=lambda it: -it.fit.log_evidence)
+        leader = self.refitted_from_model(fitted[0])
+        rivals = [self.from_parameters_of(leader, rival) for rival in fitted[1:]]
+        return sorted([leader, *rivals], key=lambda it: -it.fit.log_evidence)
+
+    def other_laws(
+        self, leader: FittedExplanation, far: Sequence[FittedExplanation]
+    ) -> tuple[list[FittedExplanation], list[FittedExplanation]]:
+        """Explanations far behind the best that one other law at its place makes, fitted from its parameters.
+
+        Returns:
+            Those that are not far behind any more, the best first, and all others as they were.
+        """
+        least = leader.fit.log_evidence - THRESHOLDS.search.far_behind_log_evidence
+        near, others = [], []
+        for explanation in far:
+            at_its_place = set(explanation.explanation.locations) <= set(leader.explanation.locations)
+            if len(explanation.candidates) == 1 and at_its_place:
+                moved = self.from_parameters_of(leader, explanation)
+                if moved.fit.log_evidence > least:
+                    near.append(moved)
+                    continue
+            others.append(explanation)
+        return near, others
+
+    def from_parameters_of(self, leader: FittedExplanation, rival: FittedExplanation) -> FittedExplanation:
+        """A rival fitted again from the model's parameters of the leader where its own are others; the better fit."""
+        count, theta = len(self.parameters), rival.fit.theta.copy()
+        if np.max(np.abs(theta[:count] - leader.fit.theta[:count]), initial=0.0) < THRESHOLDS.search.other_parameters:
+            return rival
+        theta[:count] = leader.fit.theta[:count]
+        try:
+            moved = fit(self.data, rival.fit.parametrisation, theta, leader.fit.prediction)
+        except FitError:
+            return rival
+        better = moved.log_evidence > rival.fit.log_evidence
+        return FittedExplanation(rival.candidates, moved) if better else rival
 
     def widened(self, found: FitResult) -> FitResult:
         """The fit with the part of its strengths' prior that makes it most probable."""

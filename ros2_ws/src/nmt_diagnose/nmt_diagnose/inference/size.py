@@ -9,12 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2, norm
 
-from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_core.text.number_words import significant
 from nmt_diagnose.inference.candidate_starts import at_zero
 from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import Data, predicted
-from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.inference.noise import sigma_of
+from nmt_diagnose.observations.conditions import PhaseResonanceTest
+from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _KINDS: dict[str, tuple[Part, ...]] = {
@@ -87,22 +89,28 @@ class Objection:
         return f"{size} ({self.group}) remain that it does not explain"
 
 
-def left_over(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> tuple[Objection, ...]:
+def left_over(
+    data: Data, found: FittedExplanation, wanted: Mapping[str, float], loop: bool = False
+) -> tuple[Objection, ...]:
     """What an explanation leaves that is more than noise and matters, the largest beside what matters first.
 
     A group counts where its scale is larger than its prior allows (Fisher's F, Bonferroni) and where what is left
-    beyond the noise of its rows, at some level or tenth of the lines, is as large as what matters.
+    beyond the noise of its rows, at some level or tenth of the lines, is as large as what matters. Where a loop truly
+    stood is an input of the model: it speaks against its controller and nothing else.
 
     Args:
         data: what was fitted.
         found: the explanation.
         wanted: what matters, by kind.
+        loop: whether the phases that loops held count.
     """
     errors, groups, rows = found.fit.errors, data.groups, data.observations.rows
     result = []
     raw = data.residual(found.fit.prediction.values, errors.chain)
     for number in np.flatnonzero(groups.excess(errors.squares, data.counts)):
         selected = data.used & (groups.of == number)
+        if not loop and np.all(rows.part[selected] == Part.PHASE_ERROR):
+            continue
         kind = next((k for k, parts in _KINDS.items() if np.isin(rows.part[selected], parts).any()), "")
         if not kind:
             continue
@@ -183,7 +191,9 @@ def worth(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: 
     It is where the other leaves more than noise that matters and its predictions differ by what matters, or where the
     other is that near only by parameters or a measuring chain that nobody believes and this one is not.
     """
-    if left_over(data, less, wanted) or left_without_size(data, less):
+    added = [candidate for candidate in more.candidates if candidate.cause not in less.fitted.causes]
+    loop = any(candidate.site.location.kind == "controller" for candidate in added)
+    if left_over(data, less, wanted, loop) or left_without_size(data, less):
         return _apart(data, more, less, wanted)
     return relieves(data, more, less, wanted)
 
@@ -216,9 +226,12 @@ def _believed(data: Data, found: FittedExplanation) -> FloatArray:
     return np.concatenate([parameters, found.fit.errors.chain[data.tolerances]])
 
 
-def leaves_something(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> bool:
-    """Whether a fit leaves more than noise that matters, or asks of model and chain what nobody believes."""
-    if left_over(data, found, wanted) or left_without_size(data, found):
+def leaves_something(data: Data, found: FittedExplanation, wanted: Mapping[str, float], loop: bool = False) -> bool:
+    """Whether a fit leaves more than noise that matters, or asks of model and chain what nobody believes.
+
+    Arguments as of :func:`left_over`.
+    """
+    if left_over(data, found, wanted, loop) or left_without_size(data, found):
         return True
     return strained(data, found, wanted) < THRESHOLDS.comparison.incredible_probability
 
@@ -303,3 +316,32 @@ def _band(level: np.ndarray, test: np.ndarray) -> np.ndarray:
 def matters(size: Size, wanted: Mapping[str, float]) -> bool:
     """Whether any kind of observable changes by as much as matters; what has no size always does."""
     return size.other or any(value >= wanted.get(kind, 0.0) for kind, value in size.values.items())
+
+
+def large_lines(observations: Observations, wanted: float) -> BoolArray:
+    """Lines of the mains, (m,), of channels where they are a share of the fundamental in the median level.
+
+    Args:
+        observations: what was read.
+        wanted: that share.
+    """
+    rows = observations.rows
+    lines = np.flatnonzero(rows.part == Part.LINE)
+    share = np.full(lines.size, np.inf)
+    for number, row in enumerate(lines):
+        test = observations.tests[rows.test[row]]
+        fundamentals = test.levels[rows.level[row]].fundamentals if isinstance(test, PhaseResonanceTest) else ()
+        if fundamentals and fundamentals[rows.channel[row]] > 0.0:
+            share[number] = observations.values[row] / fundamentals[rows.channel[row]]
+    large = np.zeros(len(rows), dtype=bool)
+    keys = np.stack([rows.test[lines], rows.channel[lines], np.round(rows.frequency_hz[lines]).astype(np.int64)])
+    for key in np.unique(keys, axis=1).T:
+        same = np.all(keys == key[:, None], axis=0)
+        large[lines[same]] = np.median(share[same]) >= wanted
+    return large
+
+
+def stands_out(observations: Observations, which: BoolArray) -> bool:
+    """Whether rows, (m,), that a model without effects predicts to be zero stand out of noise and tolerances."""
+    sizes = np.abs(observations.values[which]) / sigma_of(observations)[which]
+    return bool(sizes.max(initial=0.0) > THRESHOLDS.comparison.credible_sigmas)

@@ -48,6 +48,12 @@ class SearchThresholds:
         "of one.",
         "",
     )  # fmt: skip
+    other_parameters: float = threshold(
+        1.0, "σ of the prior",
+        "Distance of a parameter of the model between two explanations from which the worse is fitted again from the "
+        "better one's.",
+        "",
+    )  # fmt: skip
     weak_sigmas: float = threshold(
         3.0, "σ",
         "Strength below which a member of two effects contributes nothing.",

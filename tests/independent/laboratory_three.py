@@ -34,6 +34,7 @@ FAMILIES = (
     "healthy", "cubic_and_gain", "late", "quadratic", "unnamed", "drag",
 )  # fmt: skip
 _DEGREE, _MODES, _FINE = 17, 6, 8
+_TURNS, _IN_PHASE = 2000, 0.01  # at most; rad
 _MODULUS, _DENSITY, _WIDTH = 2.05e11, 7850.0, 0.03
 
 
@@ -170,14 +171,25 @@ class Run:
     def resonance(self, size: float, omega: float, settle: int, window: int) -> tuple[float, np.ndarray, np.ndarray]:
         """A level of phase resonance: force and velocity at the driven point brought into phase, then held.
 
+        Args:
+            size: amplitude of the force, N.
+            omega: angular frequency to begin with, rad/s.
+            settle: periods that a motion takes to die down: so long the phase must have been right.
+            window: periods of the window.
+
         Returns:
-            Angular frequency, force and accelerations; of the last ``window`` periods the frequency is constant.
+            Angular frequency, force and accelerations; of the last ``settle`` and ``window`` periods the frequency is
+            constant.
+
+        Raises:
+            RuntimeError: the phase does not come right.
         """
-        phase, forces, found, done = 0.0, [], [], 0
+        phase, forces, found, right = 0.0, [], [], 0
+        held = False
         beam, driven = self.beam, self.beam.shapes[DRIVEN - 1]
         first = 0.0  # time of the next sample after the begin of the turn
-        while done < settle + window:
-            turns = 4 if done < settle else window
+        for _ in range(_TURNS):
+            turns = window if held else 4 if right < settle else settle
             seconds = turns * 2.0 * math.pi / omega
             at = np.arange(first, seconds, 1.0 / RATE)
             states = self._run(seconds, at, np.zeros(0), np.array([size, omega, phase]))
@@ -188,12 +200,16 @@ class Run:
             part = np.linalg.lstsq(columns, states[:, _MODES:] @ driven, rcond=None)[0]
             first = at[-1] + 1.0 / RATE - seconds
             phase = float((omega * seconds + phase) % (2.0 * math.pi))
-            done += turns
-            if done < settle:
-                lag = math.atan2(part[1], part[0])  # of velocity behind force; above the resonance it lags
+            if held:
+                return omega, np.concatenate(forces), np.concatenate(found)
+            lag = math.atan2(part[1], part[0])  # of velocity behind force; above the resonance it lags
+            in_phase = abs(lag) < _IN_PHASE
+            held = in_phase and right >= settle
+            right = right + turns if in_phase else 0
+            if right < settle:
                 mode = int(np.argmin(np.abs(np.sqrt(beam.omega2) - omega)))
                 omega -= 0.25 * math.tan(float(np.clip(lag, -1.2, 1.2))) * beam.ratio(mode) * omega
-        return omega, np.concatenate(forces), np.concatenate(found)
+        raise RuntimeError(f"phase resonance at {size:.3g} N is not found")
 
 
 def draw_case(seed: int) -> dict[str, Any]:

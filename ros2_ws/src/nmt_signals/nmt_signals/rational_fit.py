@@ -14,6 +14,10 @@ by division: its poles are zeros of voltage → force, its residues N_x / N_f′
 force gives H1 where the force drops out at resonance. Without a voltage, u is the force and the structure's poles are
 the poles.
 
+Noise that enters with an input goes through the structure: what is left of the channels is larger where they resonate.
+Its variance, a_c + Σ_j b_j |H_cj|², is read off a first fit; the second weights the lines by it, as the maximum of the
+likelihood with noise of inputs and outputs does (section 9.11 there), and so do all uncertainties.
+
 Several inputs u_j add their terms H_cj U_j. Voltage → force is then a matrix N_f / D, and the structure is
 N_x adj(N_f) / det N_f. As residues of a pole have rank one, both contain D^(inputs − 1), which cancels.
 """
@@ -24,12 +28,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_signals.thresholds import SIGNAL_FITS
 
 _PRECISIONS = (1e-4, 1e-6, 1e-9)
+_NOISE_ROUNDS = 8  # of weights, until the powers of the noise stand still
+_NOISE_FLOOR = 1e-3  # power of a line's noise over the mean, at least, so that no line counts alone
 _STARTS = (0.1j, 0.35 + 0.2j, -0.35 + 0.2j, 0.6j)
 
 
@@ -45,6 +52,7 @@ class RationalFit:
         polynomial: coefficients from the constant up, shape ``(channels, inputs, order + 1)``.
         covariance: of (poles, then residues and polynomial by channel and input), complex circular.
         misfit: rms of what is left over rms of the channel, shape ``(channels,)``.
+        input_noise: power of the noise that enters with each input over the input's around the centre, ``(inputs,)``.
         lines: number of spectral lines fitted.
     """
 
@@ -55,6 +63,7 @@ class RationalFit:
     polynomial: ComplexArray
     covariance: ComplexArray
     misfit: FloatArray
+    input_noise: FloatArray
     lines: int
 
     @property
@@ -153,21 +162,18 @@ def fit_rational(
         poles,
         order,
     )
-    best: tuple[float, ComplexArray, FloatArray] | None = None
     spread = np.linspace(-0.5, 0.5, poles) if poles > 1 else np.zeros(1)
     starts = [np.asarray(first + spread, dtype=np.complex128) for first in _STARTS]
-    for first in starts if start is None else [start.poles]:
-        found = problem.solve(first)
-        if found is None:
-            continue
-        if best is not None and abs(found[0] - best[0]) < 1e-3:
-            break  # the same optimum from two starts
-        if best is None or found[0] < best[0]:
-            best = found
+    best = problem.best(starts if start is None else [start.poles])
     if best is None:
         raise BenchError(f"No damped resonance fits the spectra around {centre_hz:.4g} Hz.")
-    _, found_poles, weights = best
-    table, covariance, misfit = problem.statistics(found_poles, weights)
+    noise = problem.noise(best)
+    weighted = problem.weighted(noise.line_weights)
+    again = weighted.best([best.poles])
+    if again is not None:
+        problem, best, noise = weighted, again, problem.noise(again)
+    found_poles = best.poles
+    table, covariance, misfit = problem.statistics(best, noise)
     factor = scale[:, np.newaxis] / input_scale
     count = poles + order + 1
     response_rows = table[: factor.shape[1] * count].T.reshape(*factor.shape, count) * factor[:, :, np.newaxis]
@@ -180,22 +186,104 @@ def fit_rational(
         response_rows[:, :, poles:],
         covariance * np.outer(scaling, scaling),
         misfit,
+        noise.input_shares(problem, float(np.abs(found_poles[np.argmin(np.abs(found_poles))].imag))),
         lines,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """Poles of a fit, the weights of the channels, and what it leaves: logarithm of the likelihood, negative."""
+
+    cost: float
+    poles: ComplexArray
+    weights: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Noise:
+    """Noise of the channels line by line.
+
+    Attributes:
+        outputs: covariance of the part that is the same at all lines, shape ``(channels, channels)``.
+        inputs: power of the part that enters with each input, shape ``(inputs,)``.
+        responses: channels over inputs, shape ``(lines, inputs, channels)``.
+    """
+
+    outputs: ComplexArray
+    inputs: FloatArray
+    responses: ComplexArray
+
+    @property
+    def line_weights(self) -> FloatArray:
+        """Of the lines, the same for all channels: 1 where the outputs' noise is all there is, shape ``(lines,)``."""
+        through = np.einsum("j,ljc->lc", self.inputs, np.abs(self.responses) ** 2)
+        level = np.maximum(np.diagonal(self.outputs).real, 1e-24)
+        return np.asarray(1.0 / np.sqrt(np.mean(1.0 + through / level, axis=1)))
+
+    def terms(self) -> list[tuple[FloatArray | float, ComplexArray]]:
+        """(power, factors) of each part of the covariance at the lines beyond ``outputs``."""
+        return [(power, self.responses[:, j]) for j, power in enumerate(self.inputs) if power > 0.0]
+
+    def input_shares(self, problem: _Problem, half_power: float) -> FloatArray:
+        """Noise over power of each input within two half-power bandwidths of the centre, shape ``(inputs,)``."""
+        use = np.abs(problem.z) <= max(2.0 * half_power, float(np.sort(np.abs(problem.z))[min(4, problem.z.size - 1)]))
+        return np.array([b / np.mean(np.abs(u[use]) ** 2) for b, u in zip(self.inputs, problem.drives, strict=True)])
 
 
 class _Problem:
     """Scaled data of one band; lines lead, channels follow."""
 
     def __init__(
-        self, z: FloatArray, drives: Sequence[ComplexArray], data: ComplexArray, poles: int, order: int
+        self,
+        z: FloatArray,
+        drives: Sequence[ComplexArray],
+        data: ComplexArray,
+        poles: int,
+        order: int,
+        lines: FloatArray | None = None,
     ) -> None:
-        self.z, self.drives, self.data = z, drives, data
-        self.poles = poles
+        self.z, self.drives, self.plain = z, drives, data
+        self.poles, self.order = poles, order
+        self.lines = np.ones(z.size) if lines is None else lines
+        self.data = data * self.lines[:, np.newaxis]
         self.powers = np.power.outer(z, np.arange(order + 1)).astype(np.complex128)
         self.driven_powers = [self.powers * drive[:, np.newaxis] for drive in drives]
         self.each = poles + order + 1
         self.driven = len(drives) * self.each
+
+    def weighted(self, lines: FloatArray) -> _Problem:
+        """The same with weights of the lines, shape ``(lines,)``."""
+        return _Problem(self.z, self.drives, self.plain, self.poles, self.order, lines)
+
+    def best(self, starts: Sequence[ComplexArray]) -> _Solution | None:
+        """The best of several starts."""
+        best: _Solution | None = None
+        for first in starts:
+            found = self.solve(first)
+            if found is None:
+                continue
+            if best is not None and abs(found.cost - best.cost) < 1e-3:
+                break  # the same optimum from two starts
+            if best is None or found.cost < best.cost:
+                best = found
+        return best
+
+    def noise(self, solution: _Solution) -> _Noise:
+        """Noise of outputs and inputs, from what a fit without weights of the lines leaves with these poles."""
+        q, r, residual = self.split(solution.poles)
+        table = self.table(q, r)
+        partial = np.hstack([1.0 / (self.z[:, np.newaxis] - solution.poles), self.powers])
+        rows = [slice(j * self.each, (j + 1) * self.each) for j in range(len(self.drives))]
+        responses = np.stack([partial @ table[row] for row in rows], axis=1)
+        free = np.maximum(1.0 - np.sum(np.abs(q) ** 2, axis=1), 0.05)
+        inputs = _input_powers(np.abs(residual) ** 2 / free[:, np.newaxis], free, np.abs(responses) ** 2)
+        through = np.einsum("j,ljc->lc", inputs, np.abs(responses) ** 2)
+        level = np.mean(np.abs(residual) ** 2 / free[:, np.newaxis], axis=0)
+        share = 1.0 / np.sqrt(1.0 + through / np.maximum(level - through.mean(axis=0), 1e-3 * level))
+        left = residual * share
+        outputs = left.T @ left.conj() / max(1.0, float(np.sum(free)) - self.poles)
+        return _Noise(outputs, inputs, responses)
 
     def basis(self, poles: ComplexArray) -> ComplexArray:
         partial = 1.0 / (self.z[:, np.newaxis] - poles)
@@ -204,7 +292,7 @@ class _Problem:
             for drive, powers in zip(self.drives, self.driven_powers, strict=True)
             for part in (partial * drive[:, np.newaxis], powers)
         ]
-        return np.hstack([*driven, partial, self.powers])
+        return np.asarray(np.hstack([*driven, partial, self.powers]) * self.lines[:, np.newaxis], dtype=np.complex128)
 
     def split(self, poles: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         q, r = _orthonormal(self.basis(poles))
@@ -222,9 +310,9 @@ class _Problem:
             for number, drive in enumerate(self.drives):
                 slopes[p] += np.outer(partial[:, p] * drive, table[number * self.each + p])
             slopes[p] += np.outer(partial[:, p], table[self.driven + p])
-        return slopes
+        return np.asarray(slopes * self.lines[:, np.newaxis], dtype=np.complex128)
 
-    def solve(self, poles: ComplexArray) -> tuple[float, ComplexArray, FloatArray] | None:
+    def solve(self, poles: ComplexArray) -> _Solution | None:
         """Poles from a start, in rounds with channels weighted by what the round before left over."""
         weights = np.ones(self.data.shape[1])
         cost = np.inf
@@ -257,32 +345,71 @@ class _Problem:
         if not np.all(np.isfinite(poles)):
             return None
         # Comparable between starts: what is left of every channel, logarithms summed (likelihood of unknown noise).
-        return float(np.sum(np.log(np.maximum(level, 1e-12)))), poles, weights
+        return _Solution(float(np.sum(np.log(np.maximum(level, 1e-12)))), poles, weights)
 
-    def statistics(self, poles: ComplexArray, weights: FloatArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    def statistics(self, solution: _Solution, noise: _Noise) -> tuple[ComplexArray, ComplexArray, FloatArray]:
         """Linear parameters ``(unknown, channels)``, covariance of poles and response parameters, misfit."""
-        q, r, residual = self.split(poles)
+        poles, weights = solution.poles, solution.weights
+        q, r, _ = self.split(poles)
         table = self.table(q, r)
-        lines = self.data.shape[0]
-        noise = residual.T @ residual.conj() / max(1, lines - r.shape[0] - self.poles)
         slopes = self.derivative(poles, table)
         inside = np.linalg.solve(r, q.conj().T @ slopes)
         outside = slopes - q @ (q.conj().T @ slopes)
         weighted = outside * weights**2
         gain = np.linalg.inv(np.einsum("plc,qlc->pq", weighted.conj(), outside))
-        # δpoles = gain Σ_c weighted_cᴴ n_c with E n_c n_dᴴ = noise_cd.
-        middle = np.einsum("plc,qld,cd->pq", weighted.conj(), weighted, noise)
-        pole_covariance = gain @ middle @ gain.conj().T
-        inverse = np.linalg.inv(r)
         keep = slice(0, self.driven)
-        covariance_block = (inverse @ inverse.conj().T)[keep, keep]
+        solved = np.linalg.solve(r, q.conj().T)[keep]  # of the linear parameters by the weighted data
         along = -np.moveaxis(inside[:, keep], 0, -1)  # (kept, channels, P)
         along = np.moveaxis(along, 1, 0).reshape(-1, self.poles)
-        linear = np.kron(noise, covariance_block) + along @ pole_covariance @ along.conj().T
-        cross = pole_covariance @ along.conj().T
-        covariance = np.block([[pole_covariance, cross], [cross.conj().T, linear]])
-        misfit = np.sqrt(np.mean(np.abs(residual) ** 2, axis=0))
-        return table, np.asarray(covariance, dtype=np.complex128), np.asarray(misfit, dtype=np.float64)
+        count, channels = self.poles, self.data.shape[1]
+        covariance = np.zeros((count + channels * self.driven,) * 2, dtype=np.complex128)
+        # Noise of the outputs, and of each input as it comes out of them; δpoles = gain Σ_c weighted_cᴴ n_c.
+        root = _root(noise.outputs)
+        parts = [(1.0, np.broadcast_to(row, (self.z.size, channels))) for row in root.T]
+        for power, response in parts + noise.terms():
+            at_lines = response * self.lines[:, np.newaxis]
+            of_poles = gain @ np.einsum("plc,lc->pl", weighted.conj(), at_lines)
+            of_linear = np.concatenate([solved * at_lines[:, c] for c in range(channels)]) + along @ of_poles
+            both = np.concatenate([of_poles, of_linear])
+            covariance += power * (both @ both.conj().T)
+        left = self.plain - (q @ (r @ table)) / self.lines[:, np.newaxis]
+        misfit = np.sqrt(np.mean(np.abs(left) ** 2, axis=0))
+        return table, covariance, np.asarray(misfit, dtype=np.float64)
+
+
+def _root(covariance: ComplexArray) -> ComplexArray:
+    """A root C = R Rᴴ of a covariance, which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _input_powers(left: FloatArray, free: FloatArray, gains: FloatArray) -> FloatArray:
+    """Powers of the noise of the inputs that make what is left of the channels most likely.
+
+    Args:
+        left: power of what a fit leaves, shape ``(lines, channels)``.
+        free: share of each line that the fit did not take, shape ``(lines,)``.
+        gains: squared magnitudes of channels over inputs, shape ``(lines, inputs, channels)``.
+
+    Returns:
+        Powers, shape ``(inputs,)``, 0 where an input's noise explains nothing.
+    """
+    lines, inputs, channels = gains.shape
+    matrix = np.zeros((lines, channels, channels + inputs))
+    for c in range(channels):
+        matrix[:, c, c] = 1.0
+        matrix[:, c, channels:] = gains[:, :, c]
+    scale = np.maximum(left.mean(axis=0), 1e-24)
+    matrix, left = (matrix / scale[:, np.newaxis]).reshape(lines * channels, -1), (left / scale).ravel()
+    sizes = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+    matrix = matrix / sizes
+    share, variance = np.repeat(np.sqrt(free), channels), np.ones(lines * channels)
+    powers = np.zeros(channels + inputs)
+    for _ in range(_NOISE_ROUNDS):
+        weights = share / variance
+        powers, _ = nnls(matrix * weights[:, np.newaxis], left * weights)
+        variance = np.maximum(matrix @ powers, _NOISE_FLOOR)
+    return np.asarray((powers / sizes)[channels:])
 
 
 def _orthonormal(matrix: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

@@ -22,7 +22,8 @@ from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_extract.linear_evaluation import evaluate_linear_test
 from nmt_extract.linear_file import Linearity, description, frf_table, linear_mapping, linearity
-from nmt_extract.linear_identification import LinearTest, LinearTestSettings, _target_of, linear_test
+from nmt_extract.linear_identification import _target_of, linear_test
+from nmt_extract.linear_results import LinearTest, LinearTestSettings
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Signals
@@ -335,7 +336,7 @@ def test_a_recording_gives_what_its_windows_give(resonator, tmp_path):
     bag = imported(signals, tmp_path, seconds)
     asked = settings(rig)
     result = evaluate_linear_test(
-        bag, band_hz=BAND, modes=asked.modes, rig_mode=asked.rig_mode, drive_point=asked.drive_point,
+        bag, band_hz=BAND, modes=asked.modes, rig_mode=asked.rig_mode, exciter_points=asked.exciter_points,
         quantity=asked.quantity,
     )  # fmt: skip
     rate = round(signals.sample_rate)

@@ -15,12 +15,15 @@ from nmt_core.messages.wire import LEVEL
 from nmt_core.processes.work_progress import tell
 from nmt_extract.coverage import refuse_other_tests
 from nmt_extract.linear_file import Linearity, linear_mapping, linearity
-from nmt_extract.linear_identification import LinearTest, LinearTestSettings, linear_test
+from nmt_extract.linear_identification import linear_test
+from nmt_extract.linear_results import LinearTest, LinearTestSettings
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Segment, read_signals, segments
+from nmt_signals.thresholds import SIGNAL_FITS
 
 DEFAULT_BAND_HZ = (10.0, 2000.0)
-"""Band to look for modes in where neither the caller nor the recording says one, Hz."""
+"""Band to look for modes in where neither the caller nor the recording says one, as far as the sampling rate reaches,
+Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +77,8 @@ def evaluate_linear_test(
         rig_mode: the target's number among all modes of the rig, one of the suspension below the band included.
         exciter_points: points of the exciters, in the order of their voltages; None = what the recording says, else
             the point of its first force channel.
-        quantity: responses that give the shapes; None = acceleration where it is recorded, else displacement.
+        quantity: responses that give the shapes; None, or not recorded = acceleration where it is recorded, else
+            displacement, else velocity.
         segment_s: length of an averaged segment, s; None = a tenth of the record.
 
     Returns:
@@ -113,7 +117,7 @@ def evaluate_linear_test(
     main = max(whole, key=lambda segment: segment.level)
     settings = LinearTestSettings(
         exciter_points=_exciter_points(bag, run) if exciter_points is None else tuple(exciter_points),
-        quantity=quantity or (Quantity.ACCELERATION if "acceleration" in bag.topics else Quantity.DISPLACEMENT),
+        quantity=_quantity(bag, quantity),
         band_hz=_band(bag, run, main) if band_hz is None else band_hz,
         modes=modes,
         mode=mode,
@@ -134,11 +138,14 @@ def evaluate_linear_test(
         except BenchError as error:
             remarks.append(f"The lower level of {lowest.level:g} V rms could not be evaluated: {error}")
     if test.reference == "force":
-        remarks.append(
-            "No voltage was recorded: noise of the force biases the fit where the force drops out, and the exciter's "
-            "share of the plant is not known."
-        )
+        remarks.append("No voltage was recorded: the exciter's share of the plant is not known.")
     return LinearTestResult(test, main.level if main.level > 0.0 else None, check, run, tuple(remarks))
+
+
+def _quantity(bag: Bag, asked: Quantity | None) -> Quantity:
+    """The response quantity asked for where it is recorded, else one that is."""
+    order = [*([asked] if asked else []), Quantity.ACCELERATION, Quantity.DISPLACEMENT, Quantity.VELOCITY]
+    return next((quantity for quantity in order if quantity.name.lower() in bag.topics), order[0])
 
 
 def _band(bag: Bag, run: Mapping[str, Any], main: Segment) -> tuple[float, float]:
@@ -148,7 +155,10 @@ def _band(bag: Bag, run: Mapping[str, Any], main: Segment) -> tuple[float, float
     for level in bag.records("level", LEVEL):
         if level.index == main.level_index and 0.0 < level.band_low_hz < level.band_high_hz:
             return level.band_low_hz, level.band_high_hz
-    return DEFAULT_BAND_HZ
+    low, high = DEFAULT_BAND_HZ
+    rate = read_signals(bag, main.first_sample, main.samples).sample_rate
+    highest = SIGNAL_FITS.highest_share * rate
+    return (low, min(high, highest)) if highest > 2.0 * low else (0.05 * highest, highest)
 
 
 def covers(test: DrivenTest) -> str:

@@ -15,8 +15,8 @@ from nmt_core.files.whole_file import csv_text
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.text.number_words import significant
-from nmt_extract.linear_identification import LinearTest
 from nmt_extract.linear_residuals import Residuals
+from nmt_extract.linear_results import LinearTest
 from nmt_extract.modal import estimated_mass
 from nmt_extract.stabilisation import DAMPING_TOLERANCE, FREQUENCY_TOLERANCE, MINIMUM_RUN
 

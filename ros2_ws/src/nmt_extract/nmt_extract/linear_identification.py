@@ -17,15 +17,11 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_extract.linear_residuals import Residuals, fit_residuals, modal_receptance
-from nmt_extract.stabilisation import (
-    HIGHEST_DAMPING,
-    SAME_POLE,
-    OrderPoles,
-    StablePole,
-    order_poles,
-    stable_poles,
-)
+from nmt_extract.linear_judge import drive_points, hum_findings, phase_findings, with_phase_error
+from nmt_extract.linear_plant import plant_estimate
+from nmt_extract.linear_residuals import fit_residuals
+from nmt_extract.linear_results import LinearMode, LinearTest, LinearTestSettings, modal_term, receptance_of
+from nmt_extract.stabilisation import HIGHEST_DAMPING, SAME_POLE, OrderPoles, StablePole, order_poles, stable_poles
 from nmt_record.windows.segments import Signals
 from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.frequency_responses import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate
@@ -42,187 +38,6 @@ _ORDER = 3  # degree of the polynomials beside the poles
 _INVERTED = 0.1  # of the largest driving-point residue, from which on a negative one is no noise
 SEGMENTS = 10
 """Segments without overlap into which the record is cut for the averages, where nothing else is asked for."""
-
-
-@dataclass(frozen=True)
-class LinearTestSettings:
-    """What to look for.
-
-    Attributes:
-        exciter_points: points of the exciters, in the order of their voltages.
-        quantity: response quantity of the shapes.
-        band_hz: band of the excitation.
-        modes: most modes to keep (never more than response points).
-        mode: number of the target mode among those fitted in the band, from 1; None = see ``rig_mode``.
-        near_hz: the target is the fitted mode nearest to this frequency; goes before ``mode``.
-        rig_mode: number of the target mode among all modes of the rig, a suspension mode below the band included.
-        segment_s: length of an averaged segment, s; None = a tenth of the record.
-    """
-
-    exciter_points: tuple[int, ...]
-    quantity: Quantity
-    band_hz: tuple[float, float]
-    modes: int = 2
-    mode: int | None = None
-    near_hz: float | None = None
-    rig_mode: int = 1
-    segment_s: float | None = None
-
-    @property
-    def drive_point(self) -> int:
-        """Point of the first exciter."""
-        return self.exciter_points[0]
-
-
-@dataclass(frozen=True, eq=False)
-class LinearMode:
-    """One mode of the structure without exciters.
-
-    Attributes:
-        frequency_hz, damping_ratio: undamped frequency |λ|/2π and damping ratio.
-        frequency_std, damping_std: their standard uncertainties.
-        complex_shape: mass-normalised at the response points, 1/√kg.
-        shape: its real part, 1/√kg.
-        shape_std: standard uncertainty of ``shape``.
-        drive_shapes, drive_shape_stds: at the exciters' points, shape ``(exciters,)``.
-        averaged: the stable pole it was found by, from the averaged spectra.
-        coherence: share of the best response's power around the mode that the fit explains; free of leakage.
-        averaged_coherence: median γ² of the best force and response around the mode, from the averaged spectra.
-        fit: the fit of the whole record.
-    """
-
-    frequency_hz: float
-    damping_ratio: float
-    frequency_std: float
-    damping_std: float
-    complex_shape: ComplexArray
-    shape: FloatArray
-    shape_std: FloatArray
-    drive_shapes: FloatArray
-    drive_shape_stds: FloatArray
-    averaged: StablePole
-    coherence: float
-    averaged_coherence: float
-    fit: RationalFit
-
-    @property
-    def omega(self) -> float:
-        """Frequency, rad/s."""
-        return 2.0 * math.pi * self.frequency_hz
-
-    @property
-    def drive_shape(self) -> float:
-        """At the first exciter's point, 1/√kg."""
-        return float(self.drive_shapes[0])
-
-    @property
-    def drive_shape_std(self) -> float:
-        """Standard uncertainty of ``drive_shape``."""
-        return float(self.drive_shape_stds[0])
-
-    @property
-    def complexity(self) -> float:
-        """Share of the shape that is not in phase, ‖Im ψ‖ / ‖ψ‖."""
-        return float(np.linalg.norm(self.complex_shape.imag) / np.linalg.norm(self.complex_shape))
-
-
-@dataclass(frozen=True)
-class PlantEstimate:
-    """The target mode with the exciters attached, as the phase-locked loop needs it.
-
-    Attributes:
-        frequency_hz, damping_ratio: pole of voltage to response nearest to the target mode.
-        frequency_std, damping_std: their standard uncertainties.
-        force_per_volt: N/V of the first exciter at the target mode's frequency, with all exciters in the ratio that
-            isolates the mode.
-        displacement_per_volt: m/V at its point there.
-        moving_mass_kg: moving mass of the first exciter.
-    """
-
-    frequency_hz: float
-    damping_ratio: float
-    frequency_std: float
-    damping_std: float
-    force_per_volt: float
-    displacement_per_volt: float
-    moving_mass_kg: float
-
-
-@dataclass(frozen=True, eq=False)
-class LinearTest:
-    """Result of the test.
-
-    Attributes:
-        points: response points, rows of the shapes.
-        modes: kept modes, ascending frequency.
-        further_modes: modes found in the band that were not kept.
-        target: index of the target mode among ``modes``.
-        plant: the target with exciters; None without a voltage channel.
-        residuals: of everything but the kept modes; rows are the responses to the first force, then the next.
-        target_residuals: of everything but the target mode.
-        force_frfs: each force to responses, the other forces at zero.
-        voltage_frfs: each voltage to forces and responses; empty without voltage channels.
-        diagrams: stabilisation diagrams, that of the whole band first.
-        stable: poles that the diagrams give.
-        remarks: sentences on what was left out or noticed.
-        suspension_below_band: whether a mass line below the first mode shows a suspension (rigid body) mode.
-        settings: what was asked for.
-        duration_s: length of the record.
-        quantity: of the responses.
-        reference: ``voltage`` or ``force``: input of the fits.
-    """
-
-    points: tuple[int, ...]
-    modes: tuple[LinearMode, ...]
-    further_modes: tuple[LinearMode, ...]
-    target: int
-    plant: PlantEstimate | None
-    residuals: Residuals
-    target_residuals: Residuals
-    force_frfs: tuple[FrfEstimate, ...]
-    voltage_frfs: tuple[FrfEstimate, ...]
-    diagrams: tuple[tuple[OrderPoles, ...], ...]
-    stable: tuple[StablePole, ...]
-    remarks: tuple[str, ...]
-    suspension_below_band: bool
-    settings: LinearTestSettings
-    duration_s: float
-    quantity: Quantity
-    reference: str
-
-    @property
-    def shapes(self) -> FloatArray:
-        """Φ of the kept modes, 1/√kg, shape ``(points, modes)``."""
-        return np.column_stack([mode.shape for mode in self.modes])
-
-    @property
-    def target_mode(self) -> LinearMode:
-        """The mode under test."""
-        return self.modes[self.target]
-
-    @property
-    def frequency_hz(self) -> FloatArray:
-        """Lines of the averaged responses, Hz."""
-        return self.force_frfs[0].frequency_hz
-
-    def receptance(self) -> ComplexArray:
-        """Measured receptance of the responses, m/N, shape ``(exciters, points, lines)``."""
-        return np.array([_receptance(frf, self.quantity)[: len(self.points)] for frf in self.force_frfs])
-
-    def synthesis(self) -> ComplexArray:
-        """Receptance of kept modes and residuals, m/N, shape ``(exciters, points, lines)``."""
-        total = self.residuals.receptance(self.frequency_hz)
-        for mode in self.modes:
-            total = total + modal_receptance(*_term(mode), self.frequency_hz)
-        return total.reshape(len(self.force_frfs), len(self.points), -1)
-
-    def force_per_volt(self) -> tuple[ComplexArray, FloatArray]:
-        """Forces per volt of every exciter, N/V, shape ``(lines, forces, voltages)``, and their partial coherence."""
-        names = [frf.input for frf in self.force_frfs]
-        rows = [[frf.outputs.index(name) for name in names] for frf in self.voltage_frfs]
-        pairs = list(zip(self.voltage_frfs, rows, strict=True))
-        values = np.array([frf.h1[row] for frf, row in pairs]).transpose(2, 1, 0)
-        return values, np.array([frf.coherence[row] for frf, row in pairs]).transpose(2, 1, 0)
 
 
 @dataclass(frozen=True)
@@ -271,6 +86,8 @@ def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
     whole = _Record(signals, channels, settings)
     stable = _apart(whole, stable)
     found, remarks = _refine(whole, stable, force_frfs, rows)
+    drive_rows = [channels.outputs.index(name) for name in channels.drives]
+    found = [with_phase_error(mode, found, drive_rows) for mode in found]
     drive = channels.drives[0]
     suspension = _has_mass_line(force_frfs[0], drive, MOTIONS[signals.quantities[drive]], found)
     target = _target_of(found, settings, suspension)
@@ -284,27 +101,36 @@ def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
             f"half-power bandwidth is {half_power:.2g} Hz; record at least {LINES_PER_HALF_POWER / half_power:.0f} s."
         )
     index = kept.index(target)
-    receptance = np.vstack([_receptance(frf, settings.quantity)[rows] for frf in force_frfs])
+    motions = [MOTIONS[signals.quantities[name]] for name in channels.drives]
+    at_drives = drive_points(force_frfs, channels.drives, channels.outputs, motions)
+    taken = [mode.averaged for mode in found]
+    left_out = [pole.frequency_hz for pole in stable if pole not in taken]
+    findings = phase_findings(found, kept, left_out, at_drives, channels.outputs)
+    powers = np.array([spectra.cross(name, name).real for name in channels.outputs])
+    findings += hum_findings(force_frfs, powers, found)
+    receptance = np.vstack([receptance_of(frf, settings.quantity)[rows] for frf in force_frfs])
     variance = np.vstack([_variance(frf, settings.quantity)[rows] for frf in force_frfs])
     frequency = force_frfs[0].frequency_hz
-    terms = [_term(mode) for mode in kept]
+    terms = [modal_term(mode) for mode in kept]
     lumped = fit_residuals(frequency, receptance, variance, terms, _overall_band(kept, settings))
     neighbours = [mode for mode in found if mode is not target]
     band = _target_band(target, neighbours, settings, float(frequency[1] - frequency[0]))
-    alone = fit_residuals(frequency, receptance, variance, [_term(target)], band)
+    alone = fit_residuals(frequency, receptance, variance, [modal_term(target)], band)
     return LinearTest(
         points=channels.points,
+        forces=channels.forces,
+        outputs=channels.outputs,
         modes=kept,
         further_modes=further,
         target=index,
-        plant=_plant(whole, kept, index, voltage_frfs),
+        plant=plant_estimate(whole, kept, index, voltage_frfs),
         residuals=lumped,
         target_residuals=alone,
         force_frfs=force_frfs,
         voltage_frfs=voltage_frfs,
         diagrams=tuple(tuple(diagram) for diagram in diagrams),
         stable=tuple(stable),
-        remarks=tuple(remarks),
+        remarks=(*findings, *remarks),
         suspension_below_band=suspension,
         settings=settings,
         duration_s=duration,
@@ -397,15 +223,11 @@ def _s(frequency_hz: FloatArray | float) -> ComplexArray:
     return np.asarray(2j * np.pi * np.asarray(frequency_hz))
 
 
-def _receptance(frf: FrfEstimate, quantity: Quantity) -> ComplexArray:
-    return np.asarray(frf.best / _s(frf.frequency_hz) ** MOTIONS[quantity])
-
-
 def _variance(frf: FrfEstimate, quantity: Quantity) -> FloatArray:
     """Variance of the receptance from coherence and averages (Bendat and Piersol)."""
     coherence = np.clip(frf.coherence, 1e-6, 1.0 - 1e-9)
     relative = (1.0 - coherence) / (2.0 * coherence * frf.independent_averages)
-    return np.asarray(np.abs(_receptance(frf, quantity)) ** 2 * relative)
+    return np.asarray(np.abs(receptance_of(frf, quantity)) ** 2 * relative)
 
 
 def _diagrams(frfs: tuple[FrfEstimate, ...], settings: LinearTestSettings, rows: slice) -> list[list[OrderPoles]]:
@@ -603,6 +425,9 @@ def _scaled(
                 slopes[row, 1 + drive * weights.size + number] -= by_residue
         slopes[row, 0] += shapes[row] * (0.5 - powers[row] + 0.5 * powers[drives[strongest]]) / eigenvalue
     shape_std = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", slopes, covariance, slopes.conj()).real, 0.0) / 2.0)
+    product_stds = np.abs(factor)[:, np.newaxis] * np.sqrt(
+        np.maximum(np.diagonal(covariance).real[1:].reshape(mode.residues.shape), 0.0) / 2.0
+    )
     return LinearMode(
         frequency_hz=omega / (2.0 * math.pi),
         damping_ratio=-eigenvalue.real / omega,
@@ -613,6 +438,8 @@ def _scaled(
         shape_std=shape_std[:count],
         drive_shapes=sign * shapes[drives].real,
         drive_shape_stds=shape_std[drives],
+        products=products,
+        product_stds=product_stds,
         averaged=pole,
         coherence=coherence[0],
         averaged_coherence=coherence[1],
@@ -621,17 +448,25 @@ def _scaled(
 
 
 def _with_model_error(record: _Record, mode: LinearMode, others: list[StablePole]) -> LinearMode:
-    """Uncertainties widened by what a polynomial of one degree more changes: the model's own error."""
+    """Uncertainties widened by what a polynomial of one degree more changes, the model's own error, and by the bias.
+
+    Noise of a force that is the input takes its share of the power off the response (Bendat and Piersol, ch. 6), most
+    where the force drops out: off the residues, and off the resonance as if it were damped more.
+    """
     fit = record.fit(mode.averaged, others, _ORDER + 1, mode.fit)
     start = mode.frequency_hz * (1.0 + 1j * mode.damping_ratio)
     found = structure_mode(fit, start, record.force_rows)
     other = _scaled(record, found, mode.averaged, (mode.coherence, mode.averaged_coherence), fit)
+    bias = 0.0 if record.force_rows else float(mode.fit.input_noise.max())
     return replace(
         mode,
         frequency_std=math.hypot(mode.frequency_std, other.frequency_hz - mode.frequency_hz),
-        damping_std=math.hypot(mode.damping_std, other.damping_ratio - mode.damping_ratio),
-        shape_std=np.hypot(mode.shape_std, other.shape - mode.shape),
-        drive_shape_stds=np.hypot(mode.drive_shape_stds, other.drive_shapes - mode.drive_shapes),
+        damping_std=math.hypot(mode.damping_std, other.damping_ratio - mode.damping_ratio, bias * mode.damping_ratio),
+        shape_std=np.hypot(np.hypot(mode.shape_std, other.shape - mode.shape), 0.5 * bias * np.abs(mode.shape)),
+        drive_shape_stds=np.hypot(
+            np.hypot(mode.drive_shape_stds, other.drive_shapes - mode.drive_shapes),
+            0.5 * bias * np.abs(mode.drive_shapes),
+        ),
     )
 
 
@@ -678,10 +513,6 @@ def _kept(modes: list[LinearMode], target: LinearMode, count: int) -> tuple[Line
 # -- residuals and plant ----------------------------------------------------------------------------------------------
 
 
-def _term(mode: LinearMode) -> tuple[FloatArray, float, float]:
-    return np.outer(mode.drive_shapes, mode.shape).ravel(), mode.omega, mode.damping_ratio
-
-
 def _overall_band(modes: tuple[LinearMode, ...], settings: LinearTestSettings) -> tuple[float, float]:
     return max(settings.band_hz[0], 0.6 * modes[0].frequency_hz), min(settings.band_hz[1], 1.2 * modes[-1].frequency_hz)
 
@@ -694,81 +525,3 @@ def _target_band(
     width = min([0.25 * frequency, *(0.5 * abs(mode.frequency_hz - frequency) for mode in others)])
     width = max(width, 3.0 * spacing)
     return max(settings.band_hz[0], frequency - width), min(settings.band_hz[1], frequency + width)
-
-
-def _plant(
-    record: _Record, modes: tuple[LinearMode, ...], target: int, voltage_frfs: tuple[FrfEstimate, ...]
-) -> PlantEstimate | None:
-    if not voltage_frfs:
-        return None
-    mode = modes[target]
-    fit, drives = mode.fit, record.drive_rows
-    at = fit.response(np.array([mode.frequency_hz]))[:, :, 0]
-    forces = at[list(record.force_rows)]
-    ratio = _isolating_voltages(forces, np.array([other.drive_shapes for other in modes]), target)
-    eigenvalues = fit.eigenvalues
-    driven = np.einsum("djp,j->dp", fit.residues[drives], ratio)
-    chosen = int(np.argmax(np.linalg.norm(driven, axis=0) / np.abs(eigenvalues)))
-    eigenvalue = complex(eigenvalues[chosen])
-    scale = 2.0 * math.pi * fit.half_width_hz
-    std = scale * math.sqrt(max(fit.covariance[chosen, chosen].real, 0.0) / 2.0)
-    omega = abs(eigenvalue)
-    drive = record.outputs[drives[0]]
-    power = MOTIONS[record.quantities[drive]]
-    return PlantEstimate(
-        frequency_hz=omega / (2.0 * math.pi),
-        damping_ratio=-eigenvalue.real / omega,
-        frequency_std=std / (2.0 * math.pi),
-        damping_std=std / omega,
-        force_per_volt=float(abs(forces[0] @ ratio)),
-        displacement_per_volt=float(abs(at[drives[0]] @ ratio)) / mode.omega**power,
-        moving_mass_kg=moving_mass(voltage_frfs[0], record.outputs[0], drive, power, record.sample_rate / 16.0),
-    )
-
-
-def _isolating_voltages(forces: ComplexArray, excited: FloatArray, target: int) -> ComplexArray:
-    """Voltages over the first one that drive the target mode and, as far as they can, none of the others.
-
-    Args:
-        forces: per volt, shape ``(exciters, exciters)``.
-        excited: modes at the exciters' points, shape ``(modes, exciters)``.
-        target: index of the target mode.
-    """
-    wanted = np.linalg.pinv(excited)[:, target]
-    answer, *_ = np.linalg.lstsq(np.column_stack([forces[:, 1:], -wanted]), -forces[:, 0], rcond=None)
-    return np.concatenate([np.ones(1), answer[:-1]])
-
-
-def moving_mass(frf: FrfEstimate, force: str, drive: str, power: int, highest_hz: float) -> float:
-    """Moving mass of the exciter, kg, from voltage to force and voltage to drive-point response.
-
-    An exciter gives the force it would give to a blocked table less what its own impedance takes:
-    F = T u − Z x with T = g (1 + c s²) / (1 + s τ), Z = s² m + s d / (1 + s τ) + k. c allows for the roll-off of the
-    converter's hold. With τ (inductance over resistance of the coil) on a grid the rest is linear; lines are weighted
-    evenly over the logarithm of frequency. All damping is counted as electrical: mechanical damping d₀ adds d₀ τ to m
-    (3 % for the virtual experiment's shaker).
-
-    Args:
-        frf: voltage to force and drive-point response.
-        force, drive: their names.
-        power: 0, 1 or 2: the response is a displacement, velocity or acceleration.
-        highest_hz: lines to use, Hz.
-    """
-    use = frf.frequency_hz <= highest_hz
-    frequency = frf.frequency_hz[use]
-    s = _s(frequency)
-    left = frf.h1[frf.outputs.index(force)][use]
-    motion = frf.h1[frf.outputs.index(drive)][use] / s**power
-    weight = 1.0 / np.sqrt(frequency) / np.abs(left)
-    target = np.concatenate([(left * weight).real, (left * weight).imag])
-    best = (math.inf, 0.0)
-    for tau in np.concatenate([[0.0], np.geomspace(1e-6, 1e-2, 81)]):
-        coil = 1.0 / (1.0 + s * tau)
-        matrix = (np.array([coil, coil * s**2, -motion * s**2, -motion * s * coil, -motion]) * weight).T
-        stacked = np.vstack([matrix.real, matrix.imag])
-        norm = np.linalg.norm(stacked, axis=0)
-        solution, *_ = np.linalg.lstsq(stacked / norm, target, rcond=None)
-        cost = float(np.sum((stacked / norm @ solution - target) ** 2))
-        if cost < best[0]:
-            best = (cost, float(solution[2] / norm[2]))
-    return max(best[1], 0.0)

@@ -16,6 +16,8 @@ from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
+from nmt_extract.linear_evaluation import evaluate_linear_test
+from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import load_rig
 
 HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to"
@@ -82,3 +84,38 @@ def test_the_example_of_responses_at_levels_is_named(tmp_path: Path, monkeypatch
     k = found.ranking[0].parameters["k"]
     assert abs(k.value - 2.4e9) < 2.0 * k.std < 0.1 * k.value
     assert not found.warnings
+
+
+def example(page: str) -> str:
+    """The first example in Python of a page."""
+    text = (HOW_TO / page).read_text(encoding="utf-8")
+    start = text.index("```python\n") + len("```python\n")
+    return text[start : text.index("```", start)]
+
+
+def test_hits_of_a_hammer_give_the_modes_and_no_finding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example("impact-hammer.md"), "example", "exec"), {})
+    Path("hits.yaml").write_text(written("hits.yaml"))
+    import_data(Path("hits.yaml"), Path("hits"))
+    result = evaluate_linear_test(Bag.open("hits"), band_hz=(10.0, 200.0))
+    assert len(result.test.modes) == 2
+    for mode, hertz, ratio in zip(result.test.modes, (25.997243, 73.075910), (0.00138774, 0.00089474), strict=True):
+        assert abs(mode.frequency_hz - hertz) < 2.0 * mode.frequency_std < 1e-4 * hertz
+        assert abs(mode.damping_ratio - ratio) < 2.0 * mode.damping_std < 0.02 * ratio
+    assert result.remarks == ("No voltage was recorded: the exciter's share of the plant is not known.",)
+
+
+def test_the_friction_of_the_joint_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example("robot-joint.md"), "example", "exec"), {})
+    for name in ("arm.yaml", "elbow.yaml"):
+        Path(name).write_text(written(name, "robot-joint.md"))
+    import_data(Path("elbow.yaml"), Path("elbow"))
+    found = diagnose_bags("arm.yaml", [Path("elbow")], settings=DiagnosisSettings(look_ahead=False)).diagnosis
+    assert (found.verdict, found.ranking[0].effect) == (Verdict.EFFECT, "second_friction_contact")
+    assert found.ranking[0].probability > 0.99
+    limit = found.ranking[0].parameters["slip_force"]
+    assert abs(limit.value - 0.6) < 2.0 * limit.std < 0.02
+    stiffness = found.ranking[0].parameters["kt"]
+    assert abs(stiffness.value - 800.0) < 2.0 * stiffness.std

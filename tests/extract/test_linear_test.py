@@ -192,6 +192,16 @@ def test_an_ideal_force_as_exciter(tmp_path):
     assert test.plant.moving_mass_kg < 0.005
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("name", "rms"), [("joint_resonator", 0.25), ("strong_cubic", 0.02), ("internal_resonance", 0.05)]
+)
+def test_a_rig_without_faults_has_no_finding(name: str, rms: float, seed: int) -> None:
+    rig = load_rig(name).model_copy(update={"seed": seed})
+    test = linear_test(record(rig, rms, 10.0), settings(rig))
+    assert not [remark for remark in test.remarks if remark.startswith("Channel")]
+
+
 def test_without_voltage_the_force_is_the_input(resonator):
     rig, signals, _ = resonator
     bare = replace(

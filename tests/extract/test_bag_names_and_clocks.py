@@ -239,6 +239,35 @@ def test_a_type_without_a_definition_is_left_out_and_named(tmp_path: Path) -> No
         read_bag(path, ["/camera.x"])
 
 
+@pytest.mark.parametrize(
+    ("other", "encoding", "why"), [("/tf", "json", "'json' messages"), ("/mixed", "cdr", "two types")]
+)
+def test_a_topic_that_cannot_be_read_leaves_the_others(other: str, encoding: str, why: str, tmp_path: Path) -> None:
+    path = tmp_path / "bag.mcap"
+    kinds = ("geometry_msgs/msg/PointStamped", "lab_msgs/msg/Probe")
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start(profile="ros2", library="")
+        schemas = [
+            writer.register_schema(kind, "ros2msg", STORE.generate_msgdef(kind, ros_version=2)[0].encode())
+            for kind in kinds
+        ]
+        tip = writer.register_channel("/tip", "cdr", schemas[0])
+        others = [writer.register_channel(other, encoding, schema) for schema in schemas]
+        for t in TIMES:
+            message = point(t, float(decay(t)))
+            at = BEGIN + round(1e9 * t)
+            raw = bytes(STORE.serialize_cdr(message, message.__msgtype__))
+            for channel in (tip, *others):
+                writer.add_message(channel, at, raw, at)
+        writer.finish()
+    check(imported(path, "/tip.point.x", **RING))
+    (text_of_tip,) = sidecar_templates(path)
+    assert why in text_of_tip
+    with pytest.raises(BenchError, match=why):
+        read_bag(path, [f"{other}.x"])
+
+
 def test_a_definition_in_idl_is_read(tmp_path: Path) -> None:
     text = (
         "=" * 80 + "\nIDL: lab_msgs/msg/Gap\nmodule lab_msgs {\n  module msg {\n    struct Gap {\n"

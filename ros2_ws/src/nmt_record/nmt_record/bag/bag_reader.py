@@ -85,6 +85,7 @@ class Bag:
     Attributes:
         path: what was opened.
         topics: message type and number of messages by topic.
+        left_out: topics of a foreign bag that cannot be read, each with a sentence that says why.
         run_start: the run's self-description from the start record; None if the bag has none.
         run_stop: the stop record; None if the bag has none.
         rig_yaml: the rig file as used; None if the bag has none.
@@ -96,16 +97,23 @@ class Bag:
         self._custom = custom
         self._types: dict[str, str] = {}
         self.topics: dict[str, tuple[str, int]] = {}
+        self.left_out: dict[str, str] = {}
         for channel, count in source.channels():
             name = bench_name(channel.topic)
             if channel.serialization != "cdr":
-                raise BenchError(
+                self.left_out[name] = (
                     f"The bag {path} holds '{channel.serialization}' messages on topic '{name}', not "
                     "ROS 2 ones (cdr); convert it with 'rosbags-convert'."
                 )
-            if self._types.setdefault(name, channel.message_type) != channel.message_type:
-                raise BenchError(f"The bag {path} holds two types of message on topic '{name}'; split it by type.")
+            elif self._types.setdefault(name, channel.message_type) != channel.message_type:
+                self.left_out[name] = f"The bag {path} holds two types of message on topic '{name}'; split it by type."
             self.topics[name] = (channel.message_type, self.topics.get(name, ("", 0))[1] + count)
+        # A bench's own recording has every topic or none: what reads it counts on that.
+        if self.left_out and (SAMPLE_BLOCK in self._types.values() or self.left_out.keys() == self.topics.keys()):
+            raise BenchError(next(iter(self.left_out.values())))
+        for name in self.left_out:
+            del self.topics[name]
+            self._types.pop(name, None)
         self._typestores: dict[str, Any] = {}
         self.run_start: dict[str, Any] | None = None
         self.run_stop: dict[str, Any] | None = None
@@ -158,6 +166,8 @@ class Bag:
             BenchError: the bag cannot be read.
         """
         wanted = None if topics is None else {bench_name(name) for name in topics}
+        if self.left_out:
+            wanted = set(self.topics) if wanted is None else wanted & set(self.topics)
         total = sum(count for topic, (_, count) in self.topics.items() if wanted is None or topic in wanted)
         return iter(counted(f"reading {self.path.name}", self._source.raw(wanted, as_stored), total))
 

@@ -80,7 +80,7 @@ def bag_tables(path: Path) -> list[SourceTable]:
     """
     bag = _foreign(path)
     topics = [topic for topic, (_, count) in bag.topics.items() if count >= FEWEST]
-    notes: list[str] = []
+    notes: list[str] = list(bag.left_out.values())
     tables: list[SourceTable] = []
     for topic, reader in _read(bag, topics, notes).items():
         series, left_out = series_of(f"/{bench_name(topic)}", reader, ClockChoice())
@@ -122,6 +122,9 @@ def read_bag(path: Path, wanted: Sequence[str | int], choice: ClockChoice | None
         if isinstance(column, int):
             raise BenchError(f"{path.name} is a bag: name its columns by topic and field, not by number.")
         found = [topic for topic in bag.topics if column.lstrip("/").startswith(f"{topic}.")]
+        unread = [why for topic, why in bag.left_out.items() if column.lstrip("/").startswith(f"{topic}.")]
+        if unread and not found:
+            raise BenchError(unread[0])
         if not found:
             there = ", ".join(f"/{topic}" for topic in sorted(bag.topics))
             raise BenchError(f"{path.name} has no topic for column {column}; it has {there}.")

@@ -9,7 +9,7 @@ import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.stats import chi2, norm
 
-from nmt_diagnose.effects.library import candidates
+from nmt_diagnose.effects.library import candidates, effect_named
 from nmt_diagnose.inference.diagnose import free_parameters, model_alone
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.explanations import FittedExplanation
@@ -159,6 +159,30 @@ def test_errors_that_share_a_reason_count_together() -> None:
     assert relieves(search.data, free, strained_by(null, 1.01 * edge), wanted)
     assert not relieves(search.data, free, strained_by(null, 0.99 * edge), wanted)
     assert not relieves(search.data, free, strained_by(null, 1.01 * edge), dict.fromkeys(wanted, 1e9))
+
+
+def test_a_rival_is_fitted_again_from_the_parameters_of_the_leader() -> None:
+    search, null = searched(MODEL)
+
+    def lost_by(distance: float) -> FittedExplanation:
+        """The model alone with a parameter elsewhere, said to be far worse."""
+        theta = null.fit.theta.copy()
+        theta[1] += distance
+        return FittedExplanation((), replace(null.fit, theta=theta, log_evidence=null.fit.log_evidence - 100.0))
+
+    near, far = lost_by(0.99), lost_by(1.01)
+    assert search.from_parameters_of(null, near) is near
+    found = search.from_parameters_of(null, far)
+    assert found.fit.theta[1] == pytest.approx(null.fit.theta[1], abs=0.1)
+    assert found.fit.log_evidence == pytest.approx(null.fit.log_evidence, abs=0.1)
+
+
+def test_no_stinger_is_on_a_shaking_table() -> None:
+    table = real(MODEL, exciter={"kind": "shaking_table", "acceleration_per_volt_m_s2": 1.0})
+    operating = operating_range(MODEL, searched(MODEL)[0].data.observations.tests)
+    stinger = effect_named("stinger_stiffness")
+    assert stinger.sites(MODEL, operating)
+    assert not stinger.sites(table, operating)
 
 
 def test_where_a_loop_stood_speaks_against_its_controller_alone() -> None:

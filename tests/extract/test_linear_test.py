@@ -56,7 +56,7 @@ def record(rig: Rig, rms: float, seconds: float, settle: float = 2.0) -> Signals
         rig.sample_rate_hz,
         skip,
         channels,
-        {},
+        {name: Quantity[sensor.quantity.upper()].unit for name, sensor in sensors.items()},
         {name: rig.sensor_point(sensor) for name, sensor in sensors.items()},
         {name: Quantity[sensor.quantity.upper()] for name, sensor in sensors.items()},
         None,

@@ -10,12 +10,14 @@ from nmt_diagnose.effects.location import Location
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_rig.model.local_elements.springs import CubicSpringSection, LinearSpringSection
-from nmt_rig.rig import BeamSection, Rig, ShakerSection
+from nmt_rig.rig import BeamSection, Rig, ShakerSection, ShakingTableSection
 
 LARGE_SIGNAL = "Klippel, J. Audio Eng. Soc. 54 (2006) 907 (large-signal parameters of electrodynamic transducers)"
 
 
 def _stinger_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+    if isinstance(rig.exciter, ShakingTableSection):
+        return ()
     point = rig.drive_point
     scales = {"lateral": 0.02 * operating.effective_stiffness(point)}
     if isinstance(rig.structure, BeamSection):

@@ -52,7 +52,7 @@ class SearchThresholds:
         1.0, "σ of the prior",
         "Distance of a parameter of the model between two explanations from which the worse is fitted again from the "
         "better one's.",
-        "",
+        "tests/diagnose/test_what_is_asked.py::test_a_rival_is_fitted_again_from_the_parameters_of_the_leader",
     )  # fmt: skip
     weak_sigmas: float = threshold(
         3.0, "σ",

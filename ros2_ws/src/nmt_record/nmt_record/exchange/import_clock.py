@@ -18,7 +18,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_record.exchange.import_sidecar import Sidecar
-from nmt_record.exchange.source_table import SourceTable, split_name
+from nmt_record.exchange.source_table import ClockQuestionError, SourceTable, split_name
 from nmt_record.exchange.time_columns import TIME_NAME, day_numbers, unit_of_word
 from nmt_record.exchange.unit_table import TIME_UNITS, other_factor, plain_unit, quantity_of_unit, unit_in_name
 
@@ -66,18 +66,6 @@ class Clock:
     def sample(self, time: float) -> int:
         """Sample on the grid nearest to a time of the file's axis."""
         return round((time - self.start) * self.sample_rate)
-
-
-class ClockQuestionError(BenchError):
-    """What the sidecar must say of the clock.
-
-    Attributes:
-        key: of the sidecar.
-    """
-
-    def __init__(self, sentence: str, key: str) -> None:
-        super().__init__(sentence)
-        self.key = key
 
 
 @dataclass(frozen=True)

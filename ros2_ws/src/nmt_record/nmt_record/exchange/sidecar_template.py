@@ -18,7 +18,6 @@ from nmt_record.exchange import uff
 from nmt_record.exchange.import_checks import hinted_quantity, looks_like_counts
 from nmt_record.exchange.import_clock import (
     Clock,
-    ClockQuestionError,
     bare_name,
     find_clock,
     is_clock,
@@ -29,7 +28,7 @@ from nmt_record.exchange.import_sidecar import Sidecar
 from nmt_record.exchange.import_table import kind_of, read_table
 from nmt_record.exchange.imported_run import check_proposal
 from nmt_record.exchange.ros_bag_table import bag_tables, is_bag
-from nmt_record.exchange.source_table import SourceTable
+from nmt_record.exchange.source_table import ClockQuestionError, SourceTable
 from nmt_record.exchange.table_template import ASK, column_of, frequency_columns, quoted, table_proposal, uff_lines
 from nmt_record.exchange.uff_observables import frequency_responses
 from nmt_record.exchange.unit_table import (

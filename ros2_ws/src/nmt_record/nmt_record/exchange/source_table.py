@@ -23,6 +23,18 @@ _UNIT_BEHIND = (
 _OPENING = {"]": "[", ")": "(", "}": "{"}
 
 
+class ClockQuestionError(BenchError):
+    """What the sidecar must say of the clock.
+
+    Attributes:
+        key: of the sidecar.
+    """
+
+    def __init__(self, sentence: str, key: str) -> None:
+        super().__init__(sentence)
+        self.key = key
+
+
 @dataclass(frozen=True)
 class Scaling:
     """What the file says its numbers must undergo before their unit applies: ``sign (scale (value - zero) + offset)``.

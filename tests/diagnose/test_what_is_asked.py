@@ -29,7 +29,7 @@ from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_rig.rig import Rig
+from nmt_rig.rig import Rig, ShakingTableSection
 
 MODEL = chain()
 
@@ -178,7 +178,7 @@ def test_a_rival_is_fitted_again_from_the_parameters_of_the_leader() -> None:
 
 
 def test_no_stinger_is_on_a_shaking_table() -> None:
-    table = real(MODEL, exciter={"kind": "shaking_table", "acceleration_per_volt_m_s2": 1.0})
+    table = MODEL.model_copy(update={"exciter": ShakingTableSection(kind="shaking_table", point=2)})
     operating = operating_range(MODEL, searched(MODEL)[0].data.observations.tests)
     stinger = effect_named("stinger_stiffness")
     assert stinger.sites(MODEL, operating)

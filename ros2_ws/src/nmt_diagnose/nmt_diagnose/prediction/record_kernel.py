@@ -251,7 +251,8 @@ def _step_one(
     state = np.concatenate((start.real, start.imag))
     stiffnesses = elements.jenkins[:, SLIDER_STIFFNESS].copy()
     slips = elements.jenkins[:, SLIDER_SLIP].copy()
-    limits = slips / stiffnesses
+    # A slider without stiffness takes no force, however far it is stretched.
+    limits = np.where(stiffnesses > 0.0, slips / np.where(stiffnesses > 0.0, stiffnesses, 1.0), np.inf)
     sliders = np.zeros(slips.size)
     g = 0.0
     before = 0.0

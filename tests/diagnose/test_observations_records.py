@@ -66,6 +66,18 @@ def test_a_linear_record_leaves_the_noise(tmp_path: Path) -> None:
     assert ((observations.rows.time_s >= bounds[levels]) & (observations.rows.time_s < bounds[levels + 1])).all()
 
 
+@pytest.mark.parametrize("first", [0, 5000])
+def test_samples_begin_with_a_record_unless_that_begins_in_motion(tmp_path: Path, first: int) -> None:
+    """A record from rest has no initial state that is unknown; one cut in mid-motion loses its first decay times."""
+    u = np.concatenate([np.zeros(20), band_noise(20_000, 1, 0.02)])
+    y = oscillator(u, RATE, OMEGA**2, 2.0 * RATIO * OMEGA, OMEGA**2)
+    y = y + 1e-4 * y.std() * np.random.default_rng(2).standard_normal(u.size)
+    observations = read_observations([imported(tmp_path, u, y, [(first, u.size)])], rig_in(tmp_path))
+    earliest = observations.rows.time_s.min() - first / RATE
+    decay_s = 1.0 / (RATIO * OMEGA)
+    assert earliest < decay_s if first == 0 else earliest > 3.0 * decay_s
+
+
 def test_a_constant_input_is_no_record(tmp_path: Path) -> None:
     rig = rig_in(tmp_path)
     y = np.random.default_rng(1).standard_normal(4000)

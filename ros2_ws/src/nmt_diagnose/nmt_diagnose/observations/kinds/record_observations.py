@@ -134,8 +134,11 @@ def _one(
     if not present or stretch.samples < THRESHOLDS.reading.record_fewest_samples:
         why = "it has no response" if not present else f"{stretch.samples} samples are too few"
         return empty((*notes, f"{name}: the record is left out: {why}."))
+    responses = np.array([stretch.row(recorded[channel.name]) for channel in present])
+    first = _head(responses, stretch.sample_rate)
+    in_motion = _begins_in_motion(responses, first)
     slowest = _slowest(view)
-    start = _start(slowest, stretch)
+    start = _start(slowest, stretch) if in_motion else 0
     independent = max(
         THRESHOLDS.reading.record_fewest_rows, int((stretch.samples - start) / stretch.sample_rate * slowest)
     )
@@ -145,7 +148,6 @@ def _one(
     level = np.searchsorted(bounds, indices, side="right") - 1
     source_samples = stretch.row(source.name)
     amplitude = [float(np.std(source_samples[low:high])) for low, high in pairwise(bounds)]
-    responses = np.array([stretch.row(recorded[channel.name]) for channel in present])
     model_channel = channels.get(source.name, source)
     propagated = _from_input(source_samples, responses, stretch.sample_rate, model_channel, present, view)
     table = RowTable()
@@ -161,7 +163,7 @@ def _one(
                 row,
             )  # fmt: skip
     factor = 1 if linear_hold else refinement(stretch.row(recorded[present[0].name]), stretch.sample_rate)
-    head = responses[:, : _head(responses, stretch.sample_rate)] - responses.mean(axis=1, keepdims=True)
+    head = responses[:, :first] - responses.mean(axis=1, keepdims=True)
     test = RecordTest(
         name=name,
         drive_point=view.rig.drive_point,
@@ -175,7 +177,7 @@ def _one(
         limits=np.array([clipping_level(row) for row in responses]),
         head=head,
         head_stride=factor,
-        begins_in_motion=_begins_in_motion(responses, head.shape[1]),
+        begins_in_motion=in_motion,
     )
     return table.observations(test, notes)
 
@@ -235,7 +237,7 @@ def _slowest(view: ModelView) -> float:
 
 
 def _start(slowest: float, stretch: SampleStretch) -> int:
-    """First sample that the model's unknown initial state does not reach, at most a tenth of the record."""
+    """First sample that an unknown initial state does not reach, at most a tenth of the record."""
     longest = THRESHOLDS.reading.record_longest_start * stretch.samples
     return int(
         min(

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -65,3 +69,42 @@ def test_a_scheduler_that_does_not_answer_is_a_sentence(monkeypatch: pytest.Monk
     monkeypatch.setattr(distributed, "Client", nobody)
     with pytest.raises(BenchError, match="does not answer"):
         list(worked(fragile, [("", 1)], 1, "tcp://127.0.0.1:1"))
+
+
+_PARENT = """
+import sys, time, os
+from nmt_core.processes.workers import worked
+from pathlib import Path
+
+def slow(folder, number):
+    (Path(folder) / str(number)).write_text(str(os.getpid()))
+    time.sleep(600.0)
+
+if __name__ == "__main__":
+    list(worked(slow, [(sys.argv[1], 0), (sys.argv[1], 1)], 2, ""))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process that its parent died")
+def test_workers_end_with_a_killed_parent(tmp_path: Path) -> None:
+    (tmp_path / "parent.py").write_text(_PARENT, encoding="utf-8")
+    marks = [tmp_path / "0", tmp_path / "1"]
+    with subprocess.Popen([sys.executable, str(tmp_path / "parent.py"), str(tmp_path)]) as parent:
+        _until(lambda: all(mark.exists() and mark.read_text() for mark in marks))
+        parent.kill()
+    _until(lambda: not any(_runs(int(mark.read_text())) for mark in marks))
+
+
+def _until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def _runs(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import IO
 
 from nmt_bench.orchestration.adopted_process import AdoptedProcess
-from nmt_bench.orchestration.parent_death import begin_group
 from nmt_bench.orchestration.prepared_nodes import NodeCommand, NodeLoader
 from nmt_core.errors import BenchError
 from nmt_core.nodes.launcher_watch import LAUNCHER
+from nmt_core.processes.parent_death import begin_group
 from nmt_core.processes.process_watch import ProcessWatch
 from nmt_session.node_plan import NODES, NodePlan
 

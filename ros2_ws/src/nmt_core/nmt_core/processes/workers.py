@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from nmt_core.errors import BenchError
+from nmt_core.processes.parent_death import die_with_parent
 
 RETRIES = 5
 """How often work is given to another worker when the one that had it died."""
@@ -33,7 +34,13 @@ def worked(function: Callable[..., Any], work: Sequence[tuple[Any, ...]], jobs: 
 
         with parallel_config(backend="loky", inner_max_num_threads=1):
             parallel = Parallel(n_jobs=min(jobs, len(work)), return_as="generator_unordered")
-            yield from parallel(delayed(function)(*item) for item in work)
+            yield from parallel(delayed(_worked)(function, item) for item in work)
+
+
+def _worked(function: Callable[..., Any], item: tuple[Any, ...]) -> Any:
+    """What the function gives in a worker, which would go on after its parent was killed."""
+    die_with_parent()
+    return function(*item)
 
 
 def _over_machines(function: Callable[..., Any], work: Sequence[tuple[Any, ...]], scheduler: str) -> Iterable[Any]:

@@ -15,7 +15,7 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.chain import SharedDelay, linear_chain
-from nmt_diagnose.inference.comparison import Hypotheses, SourceEvidence
+from nmt_diagnose.inference.comparison import Hypotheses, SourceEvidence, imitates
 from nmt_diagnose.inference.diagnose import diagnose_observations, free_parameters, model_alone
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
@@ -24,6 +24,7 @@ from nmt_diagnose.inference.fitting import best_chain_errors, data_about, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups, groups_of
 from nmt_diagnose.inference.search import Search
+from nmt_diagnose.inference.size import IMITATION
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
@@ -323,3 +324,41 @@ def test_what_an_explanation_leaves_beyond_noise_is_something_unnamed() -> None:
     assert beside.unknown > 0.95
     assert next(iter(beside.places)) == next(iter(good.places))
     assert beside.places[little.location] == pytest.approx(0.01 / 1.01, rel=0.05)
+
+
+def test_two_laws_that_explain_everything_may_imitate_a_third() -> None:
+    """What the library lacks takes 0.1 of 0.15 of a pair's probability; a sensor beside a law is no imitation."""
+    truth = real(
+        MODEL,
+        local_elements=[
+            {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8},
+            {"kind": "quadratic_spring", "point": 2, "stiffness_n_m2": 3e5},
+        ],
+    )
+    observations = replace(observed(truth), matters=dict(MATTERS))
+    parameters = free_parameters(MODEL, observations)
+    everything = np.ones(len(observations.rows), dtype=bool)
+    null, data = model_alone(MODEL, observations, parameters, everything, LowLevelModes(observations, MODEL))[2:]
+    every = candidates(MODEL, operating_range(MODEL, observations.tests, observations=observations))
+    at_two = [
+        next(it for it in every if it.effect.name == name and it.site.location.points[:1] == (2,))
+        for name in ("cubic_stiffness", "quadratic_stiffness")
+    ]
+    gain = next(it for it in every if it.effect.name == "response_gain")
+    search = Search(data, MODEL, parameters, [*at_two, gain])
+    single = search.singles(null, search.scores(null))[0]
+
+    def beside(number: int) -> FittedExplanation:
+        score = next(it for it in search.scores(single) if it.candidate == number)
+        found = search.added(single, score)
+        assert found is not None
+        return search.again(found)
+
+    laws = beside(1 - search.candidates.index(single.candidates[0]))
+    assert imitates(laws)
+    assert not imitates(single)
+    assert not imitates(beside(2))
+    compared = Hypotheses(data, null, [laws], search.candidates, [], []).compared()
+    assert compared.classes[0].objections == (IMITATION,)
+    assert compared.classes[0].probability == pytest.approx(0.05 / 0.15, rel=1e-3)
+    assert compared.unknown == pytest.approx(0.1 / 0.15, rel=1e-3)

@@ -13,7 +13,7 @@ from diagnose.test_warnings import GAP
 from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Remainder, Share, Value, Verdict
 from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.sentences import sentences
-from nmt_diagnose.inference.size import Objection
+from nmt_diagnose.inference.size import IMITATION, Objection
 from nmt_diagnose.observations.observables import Observations, Part
 
 LEFT = replace(GAP, closed=0.94, low=0.9, high=0.97)
@@ -98,3 +98,14 @@ def test_what_leaves_more_than_noise_is_a_partial_explanation() -> None:
         "94.0 % of the gap acts like air drag, probability 70 % among the effects of the library; 0.4 % of the "
         "frequency (levels: frequency) remain that it does not explain, so something unnamed acts too."
     )
+
+
+def test_two_laws_are_told_as_what_they_imitate() -> None:
+    """Nothing is left that would have to be explained: the sentence says why it is a likeness."""
+    head = Ranked(
+        "one_sided_stop + second_friction_contact", "structure", "2", 0.99, (), {}, Share(0.98, 0.9, 1.0), 9.0,
+        adequate=False,
+    )  # fmt: skip
+    text = sentences(Verdict.EFFECT, (), (head,), None, LEFT, (), (), None, (IMITATION,))[1]
+    assert "acts like one sided stop + second friction contact" in text
+    assert text.endswith("; two laws together can imitate one that the library lacks.")

@@ -15,6 +15,7 @@ from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import Data, Metric
 from nmt_diagnose.inference.size import (
+    IMITATION,
     Objection,
     change_size,
     implausible_parameters,
@@ -174,6 +175,15 @@ def distance(left: FittedExplanation, right: FittedExplanation) -> float:
     return math.sqrt(float(apart @ (left.fit.errors.weights * apart)))
 
 
+def imitates(found: FittedExplanation) -> bool:
+    """Whether an explanation is two laws of the structure, which together take the shape of a third.
+
+    Recordings that two laws explain are explained as well by one that the library lacks.
+    """
+    kinds = [location.kind for location in found.explanation.locations]
+    return len(kinds) > 1 and all(kind in ("structure", "joint", "boundary") for kind in kinds)
+
+
 class Hypotheses:
     """All that competes.
 
@@ -230,11 +240,17 @@ class Hypotheses:
             chance = self.data.groups.chance(errors.squares, self.data.counts)
             total += min(0.0, math.log(max(chance, 1e-300) / THRESHOLDS.comparison.noise_probability))
         bent, chance = self._implausible(found)
-        return total + math.log(max(chance, 1e-300) / THRESHOLDS.comparison.incredible_probability) if bent else total
+        if bent:
+            total += math.log(max(chance, 1e-300) / THRESHOLDS.comparison.incredible_probability)
+        if imitates(found):
+            two, unnamed = THRESHOLDS.comparison.prior_two_effects, THRESHOLDS.comparison.prior_unnamed
+            total += math.log(two / (two + unnamed))
+        return total
 
     def _against(self, found: FittedExplanation) -> tuple[Objection, ...]:
         """What speaks against an explanation as the whole of the gap."""
-        return (*left_over(self.data, found, self.data.observations.matters), *self._implausible(found)[0])
+        left = (*left_over(self.data, found, self.data.observations.matters), *self._implausible(found)[0])
+        return left or ((IMITATION,) if imitates(found) else ())
 
     def _implausible(self, found: FittedExplanation) -> tuple[tuple[Objection, ...], float]:
         key = id(found.fit)

@@ -79,7 +79,7 @@ def sentences(
     if not head.adequate:
         which = (
             f"{_share_of(gap)} of the gap acts like {what}, probability {_sure(head.probability)} among the effects of "
-            f"the library; {_against(left)}, so something unnamed acts too"
+            f"the library; {_against(left)}"
         )
     else:
         sure = (
@@ -97,7 +97,9 @@ def _share_of(gap: Gap) -> str:
 
 def _against(left: Sequence[Objection]) -> str:
     """What speaks against an explanation as the whole of the gap."""
-    return left[0].sentence if left else "more than noise remains that it does not explain"
+    return (
+        left[0].sentence if left else "more than noise remains that it does not explain, so something unnamed acts too"
+    )
 
 
 def likeness(explanation: Explanation, found: Mapping[str, Value]) -> str:

@@ -68,11 +68,11 @@ def measured_size(data: Data, found: FittedExplanation) -> Size:
 
 @dataclass(frozen=True)
 class Objection:
-    """More than noise in a group of rows, or a parameter of the model where nobody believes it.
+    """More than noise in a group of rows, a parameter of the model where nobody believes it, or an imitation.
 
     Attributes:
-        group: test and kind of row; name of the parameter.
-        kind: kind of what matters; empty of a parameter.
+        group: test and kind of row; name of the parameter; empty of an imitation.
+        kind: kind of what matters; empty of a parameter and an imitation.
         size: relative, what noise makes taken off; of a parameter standard deviations of its prior.
     """
 
@@ -83,10 +83,17 @@ class Objection:
     @property
     def sentence(self) -> str:
         """What speaks against an explanation as the whole of a gap, without a full stop."""
+        if not self.group:
+            return "two laws together can imitate one that the library lacks"
+        consequence = ", so something unnamed acts too"
         if not self.kind:
-            return f"it takes {self.group} {self.size:.1f} standard deviations from what is believed of it"
+            return f"it takes {self.group} {self.size:.1f} standard deviations from what is believed of it{consequence}"
         size = f"{significant(_PERCENT * self.size, 2)} % of {SIZE_NAMES[self.kind]}"
-        return f"{size} ({self.group}) remain that it does not explain"
+        return f"{size} ({self.group}) remain that it does not explain{consequence}"
+
+
+IMITATION = Objection("", "", 0.0)
+"""Two laws of the structure, which take the shape of a third."""
 
 
 def left_over(

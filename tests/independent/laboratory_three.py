@@ -35,6 +35,7 @@ FAMILIES = (
 )  # fmt: skip
 _DEGREE, _MODES, _FINE = 17, 6, 8
 _TURNS, _IN_PHASE = 2000, 0.01  # at most; rad
+_FEWEST_LEVELS = 5
 _MODULUS, _DENSITY, _WIDTH = 2.05e11, 7850.0, 0.03
 
 
@@ -354,8 +355,14 @@ def make_case(out: Path, seed: int) -> str:
         force = 0.06 * top * np.fft.irfft(lines, round(24.0 * RATE))
         segments.append({"kind": "random", "start": 0.0, "stop": round(add(force, test.driven_by(force)), 6)})
     settle, window = round(6.0 / (2.0 * math.pi * beam.ratio(2))), 50
-    for level in np.geomspace(0.06, 1.0, 9):
-        omega, force, accelerations = test.resonance(float(level * top), omega, settle, window)
+    for number, level in enumerate(np.geomspace(0.06, 1.0, 9)):
+        try:
+            omega, force, accelerations = test.resonance(float(level * top), omega, settle, window)
+        except RuntimeError:
+            # A laboratory ends its plan at a level that its loop does not hold.
+            if number < _FEWEST_LEVELS:
+                raise
+            break
         start = begin
         stop = add(force, accelerations)
         seconds = window * 2.0 * math.pi / omega

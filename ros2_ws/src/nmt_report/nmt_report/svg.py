@@ -44,6 +44,7 @@ _STYLE: Any = {
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
     "axes.titleweight": "bold",
+    "axes.titley": 1.0,  # no axis has labels above it, which matplotlib would measure to keep clear of them
     "axes.labelsize": 9.0,
     "axes.edgecolor": MUTED,
     "axes.labelcolor": INK,

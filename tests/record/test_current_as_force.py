@@ -15,7 +15,6 @@ from nmt_bench.cli import main
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_core.tolerances import TOLERANCES
 from nmt_record import Bag
 from nmt_record.exchange.channel_tolerances import tolerances
 from nmt_record.exchange.imported_run import read_import
@@ -73,7 +72,7 @@ def test_the_factor_of_a_current_is_in_the_budget(tmp_path: Path) -> None:
     import_data(made(tmp_path), tmp_path / "bag")
     run = Bag.open(tmp_path / "bag").run_start or {}
     found = tolerances(run).of(Quantity.FORCE, 1)
-    assert found.gain == pytest.approx(np.hypot(TOLERANCES.gain, TOLERANCES.force_factor))
+    assert found.gain == pytest.approx(np.hypot(0.01, 0.03))
     import_data(made(tmp_path, force_factor_std=0.004, gain_std=0.003), tmp_path / "bag2")
     run = Bag.open(tmp_path / "bag2").run_start or {}
     assert tolerances(run).of(Quantity.FORCE, 1).gain == pytest.approx(0.005)

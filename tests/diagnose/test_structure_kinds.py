@@ -141,6 +141,25 @@ def test_absolute_accelerations_contain_the_table():
     np.testing.assert_allclose(found[1], found[0] + 1.0, rtol=1e-9)
 
 
+def test_sensors_that_a_recording_lacks_turn_no_absolute_acceleration():
+    """A displacement among the rig's sensors gives the table a position, whose suspension must not lead."""
+    found = []
+    for further in ([], [{"quantity": "displacement", "point": 1}]):
+        sensors = [
+            {"quantity": "force", "point": "drive"},
+            {"quantity": "acceleration", "point": 2},
+            {"quantity": "voltage"},
+        ]
+        table = {"kind": "shaking_table", "point": 1, "effective_mass_kg": 0.7, "responses": "absolute"}
+        extraction = {"quantity": "acceleration", "linear_modes": 1}
+        rig = modal(exciter=table, sensors=[*sensors, *further], extraction=extraction, local_elements=[])
+        if not found:
+            noise, rows = noise_test(rig, 5.0, 40.0, 5)
+        values = Forward([noise], rows_of(rows), PredictionSettings()).predict(rig).values
+        found.append(np.exp(values[::2] + 1j * values[1::2]))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-3)
+
+
 def test_absolute_displacements_contain_the_tables_position():
     """Over the equivalent force −m a the table itself moves by 1/(m ω²)."""
     sensors = [{"quantity": "force", "point": "drive"}, {"quantity": "displacement", "point": 2}]

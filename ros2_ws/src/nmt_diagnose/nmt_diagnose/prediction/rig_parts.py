@@ -68,7 +68,7 @@ _OUTPUTS = {
     Quantity.ACCELERATION: acceleration_output,
 }
 _INTEGRATED = (Quantity.DISPLACEMENT, Quantity.VELOCITY)
-_SOFT_HZ = 0.01  # far below every test
+_SOFT_HZ = 1e-3  # far below every test: at 10 Hz it leads by 0.01°
 IDLE = "idle"  # key of the coordinate of a rig without local forces
 
 
@@ -399,8 +399,10 @@ def _prepared(
                 "the model, or the voltage out of the recording."
             )
         # The effective mass is that of the whole rig: the joints are taken out of it later.
-        absolute = rig.exciter.responses == "absolute" and any(c.quantity in _INTEGRATED for c in channels)
-        # Where an absolute displacement is measured the table has a position: that of one on a very soft suspension.
+        # Where an absolute displacement is measured the table has a position: that of one on a suspension so soft that
+        # its lead is none. Sensors of the rig count, too, for which the bench's own table has a stiffer one.
+        quantities = {c.quantity for c in channels} | {Quantity[s.quantity.upper()] for s in rig.sensors}
+        absolute = rig.exciter.responses == "absolute" and not quantities.isdisjoint(_INTEGRATED)
         suspension = _SOFT_HZ if absolute else None
         ideal = {"bandwidth_hz": None, "suspension_hz": suspension, "effective_mass_kg": table.effective_mass}
         update["exciter"] = rig.exciter.model_copy(update=ideal)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 
@@ -245,6 +246,32 @@ def test_a_channel_may_turn_all_frequencies_by_the_same_angle() -> None:
     assert column[lines & (rows.part == Part.PHASE)] == pytest.approx(np.radians(0.2))
     assert not column[lines & (rows.part == Part.LOG_MAGNITUDE)].any()
     assert not column[(rows.test == 1) & (rows.channel == 1)].any()
+
+
+def test_errors_of_the_chain_that_no_row_shows_are_left_out() -> None:
+    observations = laboratory(observations_of_model(MODEL, drives=(0.1, 0.4)))
+    near = Forward(observations.tests, observations.rows).predict(MODEL)
+
+    def has_clock(share: float) -> bool:
+        column = full.columns[:, full.names.index("clock")]
+        std = np.full(column.size, math.sqrt(float(column @ column) / share))
+        noisy = replace(observations, std=std, floor=np.zeros_like(std))
+        return "clock" in linear_chain(noisy, MODEL, near).names
+
+    full = linear_chain(observations, MODEL, near)
+    assert has_clock(1.1e-3)
+    assert not has_clock(0.9e-3)
+
+
+def test_the_drives_of_two_tests_have_images_of_their_own() -> None:
+    observations = laboratory(observations_of_model(MODEL, drives=(0.1, 0.4)))
+    near = Forward(observations.tests, observations.rows).predict(MODEL)
+    found = linear_chain(observations, MODEL, near)
+    images = [k for k, name in enumerate(found.names) if name.startswith("image")]
+    assert images
+    for k in images:
+        tests = np.unique(observations.rows.test[found.columns[:, k] != 0.0])
+        assert tests.size == 1
 
 
 def test_where_the_loop_truly_stood_is_no_gap() -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
+from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.calibration import CalibrationParameter
@@ -139,7 +139,8 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
     found.update(_phase_at_lock(observations, rig, prediction))
     found.update(record_errors(observations, rig))
     found = {name: np.nan_to_num(column, posinf=0.0, neginf=0.0) for name, column in found.items()}
-    kept = [name for name, column in found.items() if np.any(column != 0.0)]
+    seen = {name: float(np.sum((column / observations.sigma) ** 2)) for name, column in found.items()}
+    kept = [name for name in found if seen[name] > THRESHOLDS.misfit.least_chain_error]
     columns = np.column_stack([found[name] for name in kept]) if kept else np.zeros((len(observations.rows), 0))
     return Chain(tuple(kept), columns, np.array([name.startswith(_IMAGE) for name in kept], dtype=bool))
 
@@ -361,35 +362,38 @@ class _Builder:
         """
         found: dict[str, FloatArray] = {}
         self._image_size = np.zeros(len(self.rows))
-        for name in self.tests.channels:
-            channel_rows = self.tests.rows_of(name)
-            added = np.zeros((len(_IMAGE_ORDERS) + 1, len(self.rows)), dtype=np.complex128)
-            late = next((s.delay_s for s in self.rig.sensors if self.rig.sensor_channel(s) == name), 0.0)
-            for number in self.tests.referred():
-                test, rate = self.tests.tests[number], self.tests.measuring_chains[number].hold_hz
-                selected = np.flatnonzero(self.tests.linear_rows(number) & channel_rows)
-                if not selected.size or not math.isfinite(rate):
+        for number in self.tests.referred():
+            rate = self.tests.measuring_chains[number].hold_hz
+            for name in self.tests.channels if math.isfinite(rate) else ():
+                selected = np.flatnonzero(self.tests.linear_rows(number) & self.tests.rows_of(name))
+                if not selected.size:
                     continue
-                channel = self.tests.channels[name]
-                view = ModelView.of(self.rig, test.drive_points)
-                frequency = self.rows.frequency_hz[selected]
-                high = view.responses([channel], rate * np.array([0.9, 1.1, 1.9, 2.1]))
-                size = float(np.max(np.abs(high)))
-                share = frequency / rate
-                plain = self._measured(number, selected)
-                turned = np.exp(-1j * np.pi * (share + 2.0 * frequency * late))
-                image = np.where(frequency < 0.5 * rate, np.sin(np.pi * share) * turned / plain, 0.0)
-                added[-1, selected] = TOLERANCES.image_share * size * image
-                for k, order in enumerate(_IMAGE_ORDERS):
-                    there = view.responses([channel], np.abs(order + share) * rate)[0]
-                    there = np.where(order + share < 0.0, np.conj(there), there)
-                    added[k, selected] = math.sqrt(0.5) * image * np.nan_to_num(there) / (np.pi * (order + share))
-            self._image_size = np.maximum(self._image_size, np.sqrt(np.sum(np.abs(added) ** 2, axis=0)))
-            for k, images in enumerate(added):
-                for part, turned in (("re", images), ("im", 1j * images)):
-                    column = self.tests.parts(turned)
-                    found[f"{_IMAGE} {k} {part} {name}"] = column + self.slopes * self._turned(name, turned)
+                images = self._images_of(number, name, selected)
+                self._image_size = np.maximum(self._image_size, np.sqrt(np.sum(np.abs(images) ** 2, axis=0)))
+                for k, image in enumerate(images):
+                    for part, turned in (("re", image), ("im", 1j * image)):
+                        # Generators of two tests may hold at different rates.
+                        key = f"{_IMAGE} {k} {part} {name} in {self.tests.tests[number].name}"
+                        found[key] = self.tests.parts(turned) + self.slopes * self._turned(name, turned)
         return found
+
+    def _images_of(self, number: int, name: str, selected: IntArray) -> ComplexArray:
+        """Images over what was measured, of a standard deviation of each constant, (constants, rows)."""
+        test, rate = self.tests.tests[number], self.tests.measuring_chains[number].hold_hz
+        late = next((s.delay_s for s in self.rig.sensors if self.rig.sensor_channel(s) == name), 0.0)
+        channel, view = self.tests.channels[name], ModelView.of(self.rig, test.drive_points)
+        frequency = self.rows.frequency_hz[selected]
+        share = frequency / rate
+        turned = np.exp(-1j * np.pi * (share + 2.0 * frequency * late))
+        image = np.where(frequency < 0.5 * rate, np.sin(np.pi * share) * turned / self._measured(number, selected), 0.0)
+        images = np.zeros((len(_IMAGE_ORDERS) + 1, len(self.rows)), dtype=np.complex128)
+        size = float(np.max(np.abs(view.responses([channel], rate * np.array([0.9, 1.1, 1.9, 2.1])))))
+        images[-1, selected] = TOLERANCES.image_share * size * image
+        for k, order in enumerate(_IMAGE_ORDERS):
+            there = view.responses([channel], np.abs(order + share) * rate)[0]
+            there = np.where(order + share < 0.0, np.conj(there), there)
+            images[k, selected] = math.sqrt(0.5) * image * np.nan_to_num(there) / (np.pi * (order + share))
+        return images
 
     def _measured(self, number: int, selected: Any) -> ComplexArray:
         """Fundamentals per volt as they were measured, by the other of magnitude and phase, shape of ``selected``."""

@@ -61,3 +61,9 @@ class MisfitThresholds:
         "Near a sharp resonance or zero the change by a finer mesh is not in proportion to the error.",
         "",
     )  # fmt: skip
+    least_chain_error: float = threshold(
+        1e-3, "1",
+        "What an error of a measuring chain changes in all rows together, squared and over their noise, below which it "
+        "is left out: its variance is the prior's to a thousandth.",
+        "tests/diagnose/test_measured_noise.py::test_errors_of_the_chain_that_no_row_shows_are_left_out",
+    )  # fmt: skip

@@ -14,7 +14,7 @@ from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.kinds.phase_resonance_observations import LockedWindow, analyse_window
-from nmt_diagnose.observations.kinds.stepped_table_observations import jumps_of
+from nmt_diagnose.observations.kinds.stepped_table_observations import jump_note, jumps_of
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -117,10 +117,9 @@ def _one(
     common.sort(key=lambda key: float(np.median(found[key][1])))
     kept = np.all([std <= settings.largest_std for _, std in found.values()], axis=0)
     notes = []
-    for jump in jumps_of(found[common[0]][0]):
-        kept[[jump, jump + 1]] = False
-        low, high = order[jump].frequency_hz, order[jump + 1].frequency_hz
-        notes.append(f"{name}: it jumps between {low:.5g} and {high:.5g} Hz; both lines are left out.")
+    for first, last in jumps_of(found[common[0]][0]):
+        kept[first : last + 1] = False
+        notes.append(jump_note(name, order[first].frequency_hz, order[last].frequency_hz))
     lines = np.flatnonzero(kept)
     if lines.size < THRESHOLDS.reading.stepped_fewest_lines:
         return empty((*notes, f"{name}: left out: {lines.size} of its lines can be used."))

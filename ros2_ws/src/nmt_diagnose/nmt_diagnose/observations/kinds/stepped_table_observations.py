@@ -202,9 +202,9 @@ def _one(
     std = np.column_stack([deviations for _, _, deviations, _ in measured])
     kept = np.all(std <= settings.largest_std, axis=1)
     if held != "response":
-        for jump in jumps_of(h[:, 0]):
-            kept[[jump, jump + 1]] = False
-            notes.append(f"{name}: it jumps between {f[jump]:.5g} and {f[jump + 1]:.5g} Hz; both lines are left out.")
+        for first, last in jumps_of(h[:, 0]):
+            kept[first : last + 1] = False
+            notes.append(jump_note(name, f[first], f[last]))
     if not kept.any():
         return empty((*notes, f"{name}: left out: no line is known to better than {100 * settings.largest_std:g} %."))
     order, f, h, std = order[kept], f[kept], h[kept], std[kept]
@@ -296,19 +296,28 @@ def scatter_of_lines(frequency: FloatArray, response: ComplexArray, phase_known:
     return max(float(np.median(found)) / 0.6745, 1e-4) if found.size else math.nan
 
 
-def jumps_of(response: ComplexArray) -> list[int]:
-    """Indices i of lines where a response jumps between i and i + 1."""
+def jumps_of(response: ComplexArray) -> list[tuple[int, int]]:
+    """First and last line of each jump of a response: neighbours, or with one between that had not settled."""
     steps = np.abs(np.log(np.abs(response[1:] / response[:-1])) + 1j * np.angle(response[1:] / response[:-1]))
-    result = []
-    for i, step in enumerate(steps):
-        around = [steps[k] for k in (i - 2, i - 1, i + 1, i + 2) if 0 <= k < steps.size]
-        if (
-            step > THRESHOLDS.reading.stepped_jump
-            and around
-            and step > THRESHOLDS.reading.stepped_jump_ratio * max(around)
-        ):
-            result.append(i)
-    return result
+    result: list[tuple[int, int]] = []
+    for width in (1, 2):
+        for i in range(steps.size - width + 1):
+            around = [steps[k] for k in (i - 2, i - 1, i + width, i + width + 1) if 0 <= k < steps.size]
+            step = float(np.mean(steps[i : i + width]))
+            known = any(low <= i + width and i <= high for low, high in result)
+            if (
+                step > THRESHOLDS.reading.stepped_jump
+                and around
+                and step > THRESHOLDS.reading.stepped_jump_ratio * max(around)
+                and not known
+            ):
+                result.append((i, i + width))
+    return sorted(result)
+
+
+def jump_note(name: str, low_hz: float, high_hz: float) -> str:
+    """What is said of a jump."""
+    return f"{name}: it jumps between {low_hz:.5g} and {high_hz:.5g} Hz; these lines and any between are left out."
 
 
 def spread_lines(frequency: FloatArray, response: ComplexArray, wanted: int) -> NDArray[np.int64]:

@@ -19,6 +19,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from typing import Any
 
 from .environment import command_environment, prepend
@@ -64,7 +65,7 @@ class KernelCompilation:
         """Wait for the end, then start the others in the background; a failure is a note and no more."""
         for runner, process in self._parts:
             runner.progress = progress
-            if not runner.finish(process, lambda log=runner: _how_far(log.text()), may_fail=True):
+            if not runner.finish(process, partial(_how_far_is, runner), may_fail=True):
                 progress.break_line()
                 log = os.path.relpath(runner.log, ROOT)
                 sys.stderr.write(f"note: the kernels could not be compiled beforehand ({log} says why)\n")
@@ -128,6 +129,10 @@ def later_progress() -> str:
         if _held(lock):
             return _how_far(log.read())
     return ""
+
+
+def _how_far_is(runner: StepRunner) -> str:
+    return _how_far(runner.text())
 
 
 def _how_far(log: str) -> str:

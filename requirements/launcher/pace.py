@@ -16,7 +16,9 @@ def estimated_seconds(steps: list[str], state: dict[str, Any]) -> float:
         state: the stamps; its ``seconds`` hold what finished steps took.
     """
     taken = state.get("seconds")
-    known = {step: taken[step] for step in SECONDS if step in taken} if isinstance(taken, dict) else {}
+    known: dict[str, float] = {}
+    if isinstance(taken, dict):
+        known = {step: float(taken[step]) for step in SECONDS if step in taken}
     pace = sum(known.values()) / sum(SECONDS[step] for step in known) if known else 1.0
     return sum(known.get(step, pace * SECONDS[step]) for step in steps)
 

@@ -256,3 +256,18 @@ def test_killed_launcher_leaves_its_lock_to_the_program_it_started(project):
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)
+
+
+@pytest.mark.parametrize(("source", "cpp"), [("wheels", "OFF"), ("system", "ON")])
+def test_messages_have_no_cpp_part_where_ros_comes_from_wheels(project, source, cpp):
+    asked = []
+
+    class Runner:
+        def run(self, command, *_, **__):
+            asked.extend(command)
+            raise KeyboardInterrupt
+
+    project.launcher.set_up.set_up(None)
+    with pytest.raises(KeyboardInterrupt):
+        project.launcher.workspace.build_workspace({"source": source, "python": "3.11"}, Runner())
+    assert f"-DNMT_MSGS_CPP={cpp}" in asked

@@ -75,7 +75,8 @@ def extract_bag(
         The same damping ratios as the run has, to the last bit on the machine that recorded it, and with more
         harmonics:
 
-        >>> [abs(a.damping_ratio / b.damping_ratio - 1) < 1e-9 for a, b in zip(result.points, nmt.open("out/demo").points)]
+        >>> recorded = nmt.open("out/demo").points
+        >>> [abs(a.damping_ratio / b.damping_ratio - 1) < 1e-9 for a, b in zip(result.points, recorded)]
         [True, True]
         >>> settings = dataclasses.replace(result.settings, harmonics=9)
         >>> nmt.extract("out/demo", settings=settings).points[0].force_harmonics.shape

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from functools import partial
 
 import pytest
-from report.synthetic_run import synthetic_run
 
-from nmt_report import shared_work
-from nmt_report.run_report import report_html
 from nmt_report.shared_work import FEWEST_CALLS, results_of
 
 
@@ -72,9 +71,30 @@ def test_a_failure_here_leaves_no_process(monkeypatch: pytest.MonkeyPatch) -> No
         os.kill(process, 0)
 
 
-@pytest.mark.usefixtures("_two_processors")
-def test_the_page_is_the_same_from_one_process_and_from_two(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = synthetic_run()
-    page = report_html(data)
-    monkeypatch.setattr(shared_work, "FEWEST_CALLS", 100)
-    assert report_html(data) == page
+PAGES = """
+import os
+os.sched_getaffinity = lambda _: {0, 1}
+forks, fork = [], os.fork
+os.fork = lambda: forks.append(1) or fork()
+from report.synthetic_run import synthetic_run
+from nmt_report.run_report import report_html
+from nmt_report.shared_work import font_is_open
+data = synthetic_run()
+assert not font_is_open()
+first = report_html(data)
+assert font_is_open()
+print(first == report_html(data), len(forks))
+"""
+
+
+def test_the_page_is_the_same_from_one_process_and_from_two() -> None:
+    """The second is drawn alone, since a font is open by then."""
+    words = [sys.executable, "-c", PAGES]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    answer = subprocess.run(words, env=environment, capture_output=True, text=True)
+    assert answer.stdout.split() == ["True", "1"], answer.stderr
+
+
+def test_a_process_that_cannot_be_copied_works_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fork", None)
+    assert results_of([partial(_process, 1)] * 8, alone=True) == [(1, os.getpid())] * 8

@@ -11,7 +11,7 @@ from pathlib import Path
 from nmt_core.files.whole_file import write_whole
 from nmt_report.run_data import FileEntry, ReferenceCurve, RunReportData, read_reference
 from nmt_report.run_data_from_bag import report_data_from_bag
-from nmt_report.shared_work import results_of
+from nmt_report.shared_work import font_is_open, results_of
 from nmt_report.stated_uncertainty import with_budgets
 from nmt_report.svg import ReportFigure, figure_style
 
@@ -78,7 +78,7 @@ def report_html(data: RunReportData) -> str:
         for function in functions
     ]
     with figure_style():
-        made = results_of([partial(function, data) for _, function in wanted])
+        made = results_of([partial(function, data) for _, function in wanted], alone=font_is_open())
         figures: dict[str, list[ReportFigure]] = {section: [] for section, _ in wanted}
         for (section, _), figure in zip(wanted, made, strict=True):
             if figure is not None:

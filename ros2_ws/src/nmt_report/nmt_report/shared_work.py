@@ -14,7 +14,7 @@ FEWEST_CALLS = 4
 """With fewer, a second process would take longer to start than it saves."""
 
 
-def results_of(calls: Sequence[Callable[[], Any]]) -> list[Any]:
+def results_of(calls: Sequence[Callable[[], Any]], alone: bool = False) -> list[Any]:
     """What functions without arguments return, in their order.
 
     Every second one is called in a copy of this process where there is another processor; what such a copy fails to
@@ -22,8 +22,9 @@ def results_of(calls: Sequence[Callable[[], Any]]) -> list[Any]:
 
     Args:
         calls: the functions.
+        alone: whether this process cannot be copied.
     """
-    if len(calls) < FEWEST_CALLS or len(os.sched_getaffinity(0)) < 2:
+    if alone or len(calls) < FEWEST_CALLS or len(os.sched_getaffinity(0)) < 2:
         return [call() for call in calls]
     with tempfile.TemporaryFile() as file:
         process = os.fork()
@@ -40,6 +41,15 @@ def results_of(calls: Sequence[Callable[[], Any]]) -> list[Any]:
         file.seek(0)
         other = pickle.load(file) if status == 0 else [call() for call in calls[1::2]]
     return [(other if number % 2 else own)[number // 2] for number in range(len(calls))]
+
+
+def font_is_open() -> bool:
+    """Whether this process reads a font: two copies of it would move each other's place in that file."""
+    for descriptor in os.listdir("/proc/self/fd"):
+        with contextlib.suppress(OSError):
+            if os.readlink(f"/proc/self/fd/{descriptor}").lower().endswith((".ttf", ".otf", ".pfb")):
+                return True
+    return False
 
 
 def _deliver(calls: Sequence[Callable[[], Any]], file: IO[bytes]) -> None:

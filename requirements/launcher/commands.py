@@ -28,9 +28,9 @@ USAGE = """usage: ./nmt [--wheels | --system] COMMAND [ARGUMENTS]
 
 The launcher's own commands:
   setup [--fresh]             set up and nothing else; --fresh throws the old set-up away first
-  doctor                      check this machine and the set-up, and say how to fix what is wrong
+  doctor [--json]             check this machine and the set-up, and say how to fix what is wrong
   test [PYTEST ARGUMENTS]     run the tests that protect a change; --all: every test, goes on where it stopped
-  shell                       a shell in the bench's environment
+  shell [-c COMMAND]          a shell in the bench's environment, or one command in it
   ros PACKAGE EXECUTABLE ...  start one node, as `ros2 run` does (without arguments: list them)
 
 Every other command (demo, run, extract, ...) belongs to the bench and is set up for at its first use.
@@ -65,12 +65,20 @@ def run_node(state: dict[str, Any], arguments: list[str]) -> int:
     os.execve(path, [path, *arguments[2:]], command_environment(state))
 
 
-def open_shell(state: dict[str, Any]) -> int:
-    """``shell``: an interactive shell in the bench's environment."""
+def open_shell(state: dict[str, Any], arguments: list[str]) -> int:
+    """``shell``: an interactive shell in the bench's environment; ``shell -c COMMAND``: one command in it.
+
+    Raises:
+        SetupError: other arguments.
+    """
     from .environment import command_environment
 
     environment = command_environment(state)
     shell = os.environ.get("SHELL") or "/bin/sh"
+    if arguments:
+        if arguments[0] != "-c" or len(arguments) < 2:
+            raise SetupError(f"shell takes nothing or -c COMMAND, not '{' '.join(arguments)}'.", MISUSED)
+        os.execvpe(shell, [shell, *arguments], environment)
     sys.stderr.write("In the bench's environment; 'exit' leaves it. One node: ./nmt ros PACKAGE EXECUTABLE\n")
     sys.stderr.flush()
     arguments = [shell]
@@ -155,10 +163,11 @@ def main(arguments: list[str]) -> int:
     if command == "doctor":
         from .doctor import doctor
 
-        if rest:
-            raise SetupError("doctor takes no arguments.", MISUSED)
-        return doctor(wanted)
+        if rest not in ([], ["--json"]):
+            raise SetupError(f"doctor knows --json and nothing else, not '{' '.join(rest)}'.", MISUSED)
+        return doctor(wanted, as_json=bool(rest))
 
+    from .kernels import PATIENT, wait_for_later
     from .set_up import discard_set_up, set_up
 
     if command == "setup":
@@ -179,10 +188,12 @@ def main(arguments: list[str]) -> int:
         set_up(wanted)
         return 0
     state = set_up(wanted)
+    if command in PATIENT:
+        wait_for_later()
     if command == "test":
         return run_tests(state, rest)
     if command == "shell":
-        return open_shell(state)
+        return open_shell(state, rest)
     if command == "ros":
         return run_node(state, rest)
     os.execve(VENV_PYTHON, [VENV_PYTHON, "-m", "nmt_bench", *([command, *rest])], command_environment(state))

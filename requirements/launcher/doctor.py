@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes.util
 import glob
+import json
 import os
 import re
 import shutil
@@ -16,7 +17,9 @@ from typing import Any
 
 from .distributions import installed, pins_of
 from .environment import command_environment
+from .kernels import later_progress
 from .machine import choose_python, choose_source, machine_troubles, sourced_python
+from .pace import estimated_seconds
 from .places import FAILED, ROOT, VENV_PYTHON, SetupError
 from .stamps import STEPS, expected_stamps, is_built, lock_file, packages, packages_to_build, pending_steps, read_state
 
@@ -55,10 +58,15 @@ sys.exit(0 if heard else 1)
 
 
 class Findings:
-    """The doctor's lines; counts those that need fixing."""
+    """The doctor's lines; counts those that need fixing.
 
-    def __init__(self) -> None:
-        self.bad = 0
+    Args:
+        quiet: keep the lines in ``lines`` and print none.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        self.bad, self.quiet = 0, quiet
+        self.lines: list[dict[str, str]] = []
 
     def ok(self, what: str) -> None:
         """Nothing to do."""
@@ -73,8 +81,10 @@ class Findings:
         """Good to know, nothing wrong."""
         self._line("note", what)
 
-    @staticmethod
-    def _line(mark: str, what: str) -> None:
+    def _line(self, mark: str, what: str) -> None:
+        self.lines.append({"kind": mark.lower(), "sentence": what})
+        if self.quiet:
+            return
         sys.stdout.write(f"{mark:>5}  {what}\n")
         sys.stdout.flush()
 
@@ -259,9 +269,19 @@ def examine_real_time(findings: Findings) -> None:
         )
 
 
-def doctor(wanted: str | None) -> int:
-    """Check everything; one line each; 0 if nothing needs fixing."""
-    findings = Findings()
+def set_up_left(state: dict[str, Any]) -> dict[str, Any]:
+    """Steps of the set-up that are to be done, minutes that they take, and how far the background is."""
+    pending = pending_steps(state)
+    return {
+        "pending": pending,
+        "minutes_left": round(estimated_seconds(pending, state) / 60.0, 1),
+        "kernels_in_background": later_progress(),
+    }
+
+
+def doctor(wanted: str | None, as_json: bool = False) -> int:
+    """Check everything; one line each, or one object in JSON; 0 if nothing needs fixing."""
+    findings = Findings(as_json)
     state = read_state()
     try:
         source = choose_source(wanted, state)
@@ -275,5 +295,9 @@ def doctor(wanted: str | None) -> int:
         examine_ros(findings, state)
     examine_real_time(findings)
     examine_hardware(findings)
+    if as_json:
+        document = {"in_order": not findings.bad, "findings": findings.lines, "set_up": set_up_left(state)}
+        sys.stdout.write(json.dumps(document, indent=1) + "\n")
+        return FAILED if findings.bad else 0
     sys.stdout.write("Everything is in order.\n" if not findings.bad else f"{findings.bad} to fix.\n")
     return FAILED if findings.bad else 0

@@ -1,26 +1,45 @@
 """Step 4: the compiled numerical kernels are cached.
 
 They need the requirements and the sources but no built workspace. Where both are to be made, the kernels are compiled
-while the workspace is built: the one keeps a single core busy, the other waits for one package through half its time.
+while the workspace is built. What a first test needs is compiled by two processes, which the set-up waits for. The
+others, of the diagnosis above all, are compiled afterwards in the background at low priority. A command that computes
+much with them waits for that; any other that meets one under way waits for this one (``nmt_core.numerics.kernels``), so
+that none is compiled twice.
 """
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import glob
 import os
+import re
 import shutil
+import signal
+import subprocess
 import sys
+import time
+from functools import partial
 from typing import Any
 
 from .environment import command_environment, prepend
-from .places import CAMPAIGNS, ROOT, SOURCE, VENV_PYTHON, WARM_UP, WORKSPACE
+from .places import CAMPAIGNS, ROOT, SOURCE, STATE_FOLDER, VENV_PYTHON, WARM_UP, WORKSPACE
 from .programs import StepRunner, end_group
 from .progress import Progress
 from .stamps import packages
 
+FIRST = ("test", "reference")
+"""Parts of ``nmt_bench.warm_up`` that a first test needs, a process each."""
+LATER = "others"
+"""The part that is compiled in the background."""
+LATER_LOCK = os.path.join(STATE_FOLDER, "kernels.lock")
+LATER_LOG = os.path.join(STATE_FOLDER, "log", "kernels-others.log")
+PATIENT = ("test", "diagnose", "blind", "study", "benchmark")
+"""Commands that compute with the kernels of the background, or beside which it would get no processor."""
+
 
 class KernelCompilation:
-    """Compiles the numerical kernels into their cache; without it the first run is slower.
+    """Compiles the numerical kernels of a first test into their cache; without it that test is slower.
 
     Starts at once, beside whatever else runs, and throws away what an older set-up has cached.
 
@@ -30,26 +49,111 @@ class KernelCompilation:
     """
 
     def __init__(self, state: dict[str, Any], guard: int) -> None:
+        end_later()
         for source in (SOURCE, CAMPAIGNS):
             for folder in glob.glob(os.path.join(source, "**", "__pycache__", "kernels-*"), recursive=True):
                 shutil.rmtree(folder, ignore_errors=True)
-        self._runner = StepRunner("kernels", None, guard)
-        self._process = None
+        self._state = state
+        self._parts: list[tuple[StepRunner, subprocess.Popen[bytes]]] = []
         if os.path.isfile(WARM_UP):
-            environment = command_environment(state)
-            prepend(environment, "PYTHONPATH", list(packages().values()))
-            command = [VENV_PYTHON, "-m", "nmt_bench.warm_up"]
-            self._process = self._runner.start(command, environment, WORKSPACE)
+            environment = _environment(state)
+            for part in FIRST:
+                runner = StepRunner(f"kernels-{part}", None, guard)
+                self._parts.append((runner, runner.start(_command(part), environment, WORKSPACE)))
 
     def finish(self, progress: Progress) -> None:
-        """Wait for the end; a failure is a note and no more."""
-        self._runner.progress = progress
-        if self._process and not self._runner.finish(self._process, may_fail=True):
-            progress.break_line()
-            log = os.path.relpath(self._runner.log, ROOT)
-            sys.stderr.write(f"note: the kernels could not be compiled beforehand ({log} says why)\n")
+        """Wait for the end, then start the others in the background; a failure is a note and no more."""
+        for runner, process in self._parts:
+            runner.progress = progress
+            if not runner.finish(process, partial(_how_far_is, runner), may_fail=True):
+                progress.break_line()
+                log = os.path.relpath(runner.log, ROOT)
+                sys.stderr.write(f"note: the kernels could not be compiled beforehand ({log} says why)\n")
+                return
+        if self._parts:
+            start_later(self._state)
 
     def end(self) -> None:
         """End the compilation if it is still under way."""
-        if self._process and self._process.poll() is None:
-            end_group(self._process)
+        for _, process in self._parts:
+            if process.poll() is None:
+                end_group(process)
+
+
+def start_later(state: dict[str, Any]) -> None:
+    """Compile the other kernels in the background; the program holds a lock as long as it is at work."""
+    with open(LATER_LOCK, "a+") as lock, open(LATER_LOG, "wb") as log:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return
+        # By a shell that ends at once: it is no child of the command that this process becomes.
+        process = subprocess.Popen(
+            ["sh", "-c", '"$@" &', "sh", *_command(LATER)], stdin=subprocess.DEVNULL, stdout=log,
+            stderr=subprocess.STDOUT, cwd=WORKSPACE, env=_environment(state), start_new_session=True,
+            pass_fds=(lock.fileno(),),
+        )  # fmt: skip
+        process.wait()
+        lock.truncate(0)
+        lock.write(str(process.pid))
+
+
+def end_later() -> None:
+    """End the compilation in the background: its kernels are to be discarded."""
+    with contextlib.suppress(OSError, ValueError), open(LATER_LOCK) as lock:
+        for wanted in (signal.SIGTERM, signal.SIGKILL):
+            if not _held(lock):
+                return
+            os.killpg(int(lock.read()), wanted)
+            lock.seek(0)
+            end = time.monotonic() + 5.0
+            while _held(lock) and time.monotonic() < end:
+                time.sleep(0.05)
+
+
+def wait_for_later() -> None:
+    """Wait for the compilation in the background, with a line that says how far it is."""
+    with contextlib.suppress(FileNotFoundError), open(LATER_LOCK) as lock:
+        if not _held(lock):
+            return
+        progress = Progress(1, 1, "numerical kernels")
+        while _held(lock):
+            progress.show(later_progress())
+            time.sleep(0.2)
+        progress.done()
+
+
+def later_progress() -> str:
+    """How far the compilation in the background is, "2 of 5"; empty where none is under way."""
+    with contextlib.suppress(OSError), open(LATER_LOCK) as lock, open(LATER_LOG, errors="replace") as log:
+        if _held(lock):
+            return _how_far(log.read())
+    return ""
+
+
+def _how_far_is(runner: StepRunner) -> str:
+    return _how_far(runner.text())
+
+
+def _how_far(log: str) -> str:
+    steps = re.findall(r"^\d+ of \d+.*$", log, re.M)
+    return steps[-1] if steps else ""
+
+
+def _held(lock: Any) -> bool:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    fcntl.flock(lock, fcntl.LOCK_UN)
+    return False
+
+
+def _command(part: str) -> list[str]:
+    return [VENV_PYTHON, "-m", "nmt_bench.warm_up", part]
+
+
+def _environment(state: dict[str, Any]) -> dict[str, str]:
+    environment = command_environment(state)
+    prepend(environment, "PYTHONPATH", list(packages().values()))
+    return environment

@@ -10,10 +10,12 @@ import shutil
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
-from .kernels import KernelCompilation
+from .kernels import KernelCompilation, end_later
 from .machine import choose_python, choose_source, machine_troubles
+from .pace import estimated_seconds, left
 from .places import (
     BUILD,
     INSTALL,
@@ -96,7 +98,8 @@ def set_up(wanted: str | None) -> dict[str, Any]:
         troubles = machine_troubles(source)
         if troubles:
             raise SetupError("\nnmt: ".join(troubles))
-        if len(pending) == len(STEPS):
+        complete = len(pending) == len(STEPS)  # a part of a step says little of how long all of it takes
+        if complete:
             sys.stderr.write(
                 f"First use: setting up in {ROOT} (once, about two minutes; Ctrl-C and go on later at will).\n"
             )
@@ -110,7 +113,8 @@ def set_up(wanted: str | None) -> dict[str, Any]:
                 if "kernels" in pending and step in ("workspace", "kernels") and kernels is None:
                     kernels = KernelCompilation(state, guard)
                     under_way.callback(kernels.end)
-                progress = Progress(number, len(pending), TITLES[step])
+                progress = Progress(number, len(pending), TITLES[step], partial(_left, pending[number - 1 :], state))
+                start = time.monotonic()
                 try:
                     if step == "environment":
                         make_environment(state, python, StepRunner(step, progress, guard))
@@ -125,10 +129,18 @@ def set_up(wanted: str | None) -> dict[str, Any]:
                     raise
                 if step != "workspace":
                     state[step] = expected_stamps(state)[step]
+                if complete:
+                    state.setdefault("seconds", {})[step] = round(time.monotonic() - start, 1)
                 write_state(state)
                 progress.done()
         sys.stderr.write(f"Set up in {clock(time.monotonic() - begun)}.\n")
     return state
+
+
+def _left(steps: list[str], state: dict[str, Any], elapsed: float) -> str:
+    """What is left of steps, the first of which has been at work for some seconds."""
+    first = estimated_seconds(steps[:1], state)
+    return left(max(first - elapsed, 0.1 * first) + estimated_seconds(steps[1:], state))
 
 
 def refuse_path(root: str) -> None:
@@ -149,6 +161,7 @@ def refuse_path(root: str) -> None:
 def discard_set_up() -> None:
     """Throw away the venv, the built workspace and the stamps."""
     with only_set_up():
+        end_later()
         for path in (STATE_FILE, INSTALLED_LOCK):
             with contextlib.suppress(FileNotFoundError):
                 os.remove(path)

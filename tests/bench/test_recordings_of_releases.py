@@ -64,6 +64,7 @@ def test_the_bag_says_what_its_table_says(run: Path) -> None:
 
 
 def test_extraction_finds_what_was_found(run: Path, tmp_path: Path) -> None:
+    """To the rounding of another processor: bit for bit holds on the machine that recorded."""
     assert main(["extract", str(run), "--out", str(tmp_path / "out")]) == 0
     before, _ = read_json(run / "modal.json")
     after, _ = read_json(tmp_path / "out" / "modal.json")

@@ -7,6 +7,7 @@ import importlib
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,22 @@ def test_a_formula_or_a_constant_in_another_file_counts(sample: Sample) -> None:
     sample.write("formulas", "def spring(x):\n    return x\n")
     sample.write("constants", "FACTOR = 10.0\n")
     assert sample.run() == (21.0, 1, folder)
+
+
+def test_of_two_processes_one_compiles_and_the_other_waits(sample: Sample) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        both = [future.result() for future in [pool.submit(sample.run) for _ in range(2)]]
+    assert [value for value, _, _ in both] == [21.0, 21.0]
+    assert sorted(hits for _, hits, _ in both) == [0, 1]
+
+
+def test_a_function_that_calls_itself_is_compiled(sample: Sample) -> None:
+    """With an argument of another type, while the first is being compiled."""
+    recursive = "def middle(x):\n    return FACTOR * formula(x) if x > 1 else middle(x + 1.0)\n"
+    text = MIDDLE.replace("@njit\ndef middle(x):\n    return FACTOR * formula(x)\n", f"@njit(cache=True)\n{recursive}")
+    assert recursive in text
+    sample.write("middle", text)
+    assert sample.run()[0] == 21.0
 
 
 def test_a_package_behind_a_link_shares_the_cache(sample: Sample, tmp_path: Path) -> None:

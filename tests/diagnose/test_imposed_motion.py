@@ -300,11 +300,11 @@ def test_a_table_of_held_motions_shows_friction(tmp_path: Path) -> None:
     """Force over motion far below the mode is k + c iω − m ω², and i 4F/(π A) of rigid friction beside it."""
     text = DRIVE.format(spring=2.0, damper=5e-3)  # 5 Hz
     rig_of(tmp_path, text)
-    frequency = np.geomspace(0.1, 1.0, 12)
+    frequency = np.geomspace(0.1, 1.0, 3)
     omega, rng, segments = 2.0 * np.pi * frequency, np.random.default_rng(8), ""
-    for level in (0.05, 0.1, 0.2, 0.4):
+    for level in (0.05, 0.1, 0.4):
         response = 1.0 / (2.0 + 5e-3j * omega - 2e-3 * omega**2 + 4j * 0.4 / (np.pi * level))
-        response = response * np.exp(0.005 * (rng.standard_normal(12) + 1j * rng.standard_normal(12)))
+        response = response * np.exp(0.005 * (rng.standard_normal(3) + 1j * rng.standard_normal(3)))
         table = np.column_stack((frequency, response.real, response.imag))
         np.savetxt(tmp_path / f"{level}.csv", table, delimiter=",", header="frequency_hz,real,imag", comments="")
         segments += (

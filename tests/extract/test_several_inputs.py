@@ -25,9 +25,11 @@ BAND = (20.0, 600.0)
 def motion_of(forces, frequencies=FREQUENCIES):
     """Accelerations (points, samples) under forces (inputs, samples) that are straight between the samples.
 
-    Each mode's equation is stepped by the matrix exponential of [η, η̇, f, ḟ].
+    Each mode's equation is stepped by the matrix exponential of [η, η̇, f, ḟ], in the coordinates in which the matrix of
+    η and η̇ is diagonal: two complex filters of first order.
     """
     from scipy.linalg import expm
+    from scipy.signal import lfilter
 
     result = np.zeros((3, forces.shape[1]))
     for k in range(3):
@@ -37,13 +39,12 @@ def motion_of(forces, frequencies=FREQUENCIES):
         matrix[0, 1], matrix[1, 0], matrix[1, 1], matrix[1, 2] = 1.0, -(omega**2), -2 * ZETA[k] * omega, 1.0
         matrix[2, 3] = 1.0
         step = expm(matrix / RATE)[:2]
-        state = np.zeros(2)
+        roots, vectors = np.linalg.eig(step[:, :2])
         slope = np.diff(modal, append=modal[-1]) * RATE
-        acceleration = np.empty(modal.size)
-        for n in range(modal.size):
-            acceleration[n] = modal[n] - 2 * ZETA[k] * omega * state[1] - omega**2 * state[0]
-            state = step @ np.array([state[0], state[1], modal[n], slope[n]])
-        result += SHAPES[:, k : k + 1] * acceleration
+        driven = np.linalg.solve(vectors, step[:, 2:] @ np.array([modal, slope]))
+        filtered = [lfilter([0.0, 1.0], [1.0, -root], row) for root, row in zip(roots, driven, strict=True)]
+        displacement, velocity = (vectors @ np.array(filtered)).real
+        result += SHAPES[:, k : k + 1] * (modal - 2 * ZETA[k] * omega * velocity - omega**2 * displacement)
     return result
 
 

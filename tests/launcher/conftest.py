@@ -48,7 +48,7 @@ elif words[:2] == ["-m", "pip"]:
                   else "install " + os.path.basename(words[-1])))
 elif words[0].endswith("colcon"):
     held = os.path.join(root, "held")
-    while os.path.exists(os.path.join(root, "hold-nmt_bench.warm_up")) and not os.path.exists(held):
+    while os.path.exists(os.path.join(root, "hold-test")) and not os.path.exists(held):
         time.sleep(0.01)
     names = words[words.index("--packages-select") + 1 : words.index("--cmake-args")]
     say("colcon " + " ".join(names))
@@ -58,7 +58,7 @@ elif words[0].endswith("colcon"):
         open(os.path.join(install, name, "share", name, "package.xml"), "w").close()
 elif words[:1] == ["-m"]:
     say(" ".join(words[1:]))
-    if os.path.exists(os.path.join(root, "hold-" + words[1])):
+    if os.path.exists(os.path.join(root, "hold-" + words[-1])):
         with open(os.path.join(root, "held.new"), "w") as file:
             file.write(str(os.getpid()))
         os.replace(os.path.join(root, "held.new"), os.path.join(root, "held"))

@@ -107,11 +107,35 @@ def test_kernels_are_cached_once_their_module_exists(project):
     project.calls()
     project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
     project.launcher.set_up.set_up(None)
+    project.launcher.kernels.wait_for_later()
     asked = project.calls()
-    assert asked[0] == "nmt_bench.warm_up"
+    parts = [line.partition(" ")[2] for line in asked if line.startswith("nmt_bench.warm_up")]
+    assert sorted(parts[:-1]) == ["reference", "test"]  # beside each other
+    assert parts[-1] == "others"
     assert "OPENBLAS_NUM_THREADS=1" in asked
     project.launcher.set_up.set_up(None)
     assert project.calls() == []
+
+
+def test_kernels_of_the_background_are_waited_for_by_who_needs_them_and_end_with_the_set_up(project, monkeypatch):
+    project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
+    project.write("hold-others", "")
+    kernels = project.launcher.kernels
+    kernels.start_later(project.launcher.set_up.set_up(None))
+    waiting = threading.Thread(target=kernels.wait_for_later)
+    waiting.start()
+    waiting.join(0.5)
+    assert waiting.is_alive()
+    kernels.start_later({})  # one is under way: nothing is started
+    held = project.root / "held"
+    end = time.monotonic() + 60
+    while not held.exists():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    kernels.end_later()
+    waiting.join(60)
+    assert not waiting.is_alive()
+    assert project.calls().count("nmt_bench.warm_up others") == 1
 
 
 @pytest.mark.parametrize("name", ["kernel.py", "local_elements/springs.py"])
@@ -131,23 +155,25 @@ def test_a_changed_kernel_discards_every_cached_one(project, name):
     project.calls()
     project.launcher.set_up.set_up(None)
     assert not cached.exists()
-    assert "nmt_bench.warm_up" in project.calls()
+    project.launcher.kernels.wait_for_later()
+    assert "nmt_bench.warm_up test" in project.calls()
 
 
 def test_kernels_are_compiled_beside_the_build_and_ended_with_it(project):
     """The build fails once the compilation, which would take minutes, is under way."""
     project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
-    project.write("hold-nmt_bench.warm_up", "")
+    project.write("hold-test", "")
     project.write("fail-at-colcon", "")
     with pytest.raises(project.launcher.places.SetupError):
         project.launcher.set_up.set_up(None)
     pid = int((project.root / "held").read_text())
     assert not Path(f"/proc/{pid}").exists()
-    (project.root / "hold-nmt_bench.warm_up").unlink()
+    (project.root / "hold-test").unlink()
     (project.root / "fail-at-colcon").unlink()
     project.calls()
     state = project.launcher.set_up.set_up(None)
-    assert "nmt_bench.warm_up" in project.calls()
+    project.launcher.kernels.wait_for_later()
+    assert "nmt_bench.warm_up test" in project.calls()
     assert project.launcher.stamps.pending_steps(state) == []
 
 
@@ -230,3 +256,18 @@ def test_killed_launcher_leaves_its_lock_to_the_program_it_started(project):
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)
+
+
+@pytest.mark.parametrize(("source", "cpp"), [("wheels", "OFF"), ("system", "ON")])
+def test_messages_have_no_cpp_part_where_ros_comes_from_wheels(project, source, cpp):
+    asked = []
+
+    class Runner:
+        def run(self, command, *_, **__):
+            asked.extend(command)
+            raise KeyboardInterrupt
+
+    project.launcher.set_up.set_up(None)
+    with pytest.raises(KeyboardInterrupt):
+        project.launcher.workspace.build_workspace({"source": source, "python": "3.11"}, Runner())
+    assert f"-DNMT_MSGS_CPP={cpp}" in asked

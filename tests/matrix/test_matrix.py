@@ -78,6 +78,14 @@ class Recording:
     def kind(self) -> type:
         return type(self.plan.kind)
 
+    @property
+    def report(self) -> Path:
+        """The page, made once."""
+        path = self.folder / "report.html"
+        if not path.exists():
+            write_report(report_data_from_bag(self.bag, list(self.result.points)), path)
+        return path
+
 
 def rows() -> Iterator[Any]:
     """Kind, exciters, and what is asked for."""
@@ -195,14 +203,13 @@ def opens(recording: Recording, _: Path) -> None:
     assert nmt.open(recording.folder).to_dataframe().shape[0] == len(recording.result.points)
 
 
-def reports(recording: Recording, folder: Path) -> None:
-    path = write_report(report_data_from_bag(recording.bag, list(recording.result.points)), folder / "report.html")
+def reports(recording: Recording, _: Path) -> None:
+    path = recording.report
     assert "nan" not in path.read_text(encoding="utf-8").partition("<body")[2].lower().replace("nanometre", "")[:2000]
 
 
-def draws(recording: Recording, folder: Path) -> None:
-    path = write_report(report_data_from_bag(recording.bag, list(recording.result.points)), folder / "drawn.html")
-    assert report_figures(path)
+def draws(recording: Recording, _: Path) -> None:
+    assert report_figures(recording.report)
 
 
 def shows(recording: Recording, _: Path) -> None:

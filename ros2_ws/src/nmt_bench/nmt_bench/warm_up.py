@@ -1,20 +1,21 @@
-"""Compiles the numerical kernels into their cache, so that no first run has to wait (``-m nmt_bench.warm_up``).
+"""Compiles the numerical kernels into their cache, so that no first run has to wait (``-m nmt_bench.warm_up PART``).
 
-The packages' byte code is written with them: every node is a process of its own.
+Part ``test`` is what a first test needs, and the packages' byte code: every node is a process of its own. Part
+``reference`` is what its report compares with, part ``others`` everything else; without a part all are compiled.
 """
 
 from __future__ import annotations
 
 import compileall
+import os
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from nmt_diagnose.prediction.warm_up import warm_up_predictions
 from nmt_extract.offline import extract_bag
 from nmt_plant.devices.simulated_rig import SimulatedRig
-from nmt_pll.phase_loop.paper_loop import PaperLoop
-from nmt_pll.phase_loop.paper_settings import PaperSettings
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import assemble, displacement_output
 from nmt_rig.model.beam import euler_bernoulli_beam
@@ -40,29 +41,49 @@ def write_byte_code(sources: Path = SOURCES) -> None:
         compileall.compile_dir(package.parent, quiet=2)
 
 
-def warm_up() -> None:
-    """Use every kernel once: plant, loop, extraction, harmonic balance, the diagnosis' model."""
-    rig = load_rig("beam")
-    with Session(plan_test(rig, [0.6], window_periods=6)) as session:
+def _measure() -> None:
+    """Plant, loop and extraction."""
+    with Session(plan_test(load_rig("beam"), [0.6], window_periods=6)) as session:
         session.run()
         extract_bag(session.out / "bag")
-    compute_reference(rig, harmonics=3, points=5)
-    single_point_reference(rig, levels=[0.1, 0.6], harmonics=3)
+
+
+def _reference() -> None:
+    """Nonlinear modes by harmonic balance."""
+    compute_reference(load_rig("beam"), harmonics=3, points=5)
+
+
+def _single_point_reference() -> None:
+    single_point_reference(load_rig("beam"), levels=[0.1, 0.6], harmonics=3)
+
+
+def _paper_loop() -> None:
+    from nmt_pll.phase_loop.paper_loop import PaperLoop
+    from nmt_pll.phase_loop.paper_settings import PaperSettings
+
+    rig = load_rig("beam")
     PaperLoop(linear_description(rig), PaperSettings(), rig.sample_rate_hz, rig.block_samples)
-    # Forces of two arguments have a time loop of their own, as have joints at several places; slow channels a filter.
-    _slide_at_two_places()
+
+
+def _other_plants() -> None:
+    """Slow channels have a filter, and the loop of a plant is compiled for each number of exciters."""
     slow = load_rig("beam", ["exciter.force_factor_linear_per_m=1.0", "sensors.0.delay_s=1e-5"])
-    for other in (slow, load_rig("frame")):  # the loop is compiled for each number of exciters
-        device = SimulatedRig(other)
+    for rig in (slow, load_rig("frame")):
+        device = SimulatedRig(rig)
         device.configure()
         device.start()
         device.read()
         device.close()
-    warm_up_predictions(rig)
+
+
+def _predictions() -> None:
+    from nmt_diagnose.prediction.warm_up import warm_up_predictions
+
+    warm_up_predictions(load_rig("beam"))
 
 
 def _slide_at_two_places() -> None:
-    """A block of a beam's motion with two sliders to the ground."""
+    """A block of a beam's motion with two sliders to the ground: joints at several places have their own time loop."""
     beam = euler_bernoulli_beam(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 50, 1e-4)
     sliders = [Jenkins(beam.selector(point), 4000.0, limit) for point, limit in ((2, 0.25), (50, 25.0))]
     system = assemble(beam, sliders, 14)
@@ -70,6 +91,29 @@ def _slide_at_two_places() -> None:
     integrator.advance(2.0 * np.sin(2 * np.pi * 20.0 * np.arange(201) / 10_000.0))
 
 
+PARTS: dict[str, tuple[Callable[[], None], ...]] = {
+    "test": (write_byte_code, _measure),
+    "reference": (_reference,),
+    "others": (_single_point_reference, _paper_loop, _slide_at_two_places, _other_plants, _predictions),
+}
+BACKGROUND = "others"
+NICENESS = 10
+"""Of the background: a run beside it has nine tenths of the processor."""
+
+
+def warm_up(*parts: str) -> None:
+    """Use every kernel of some parts once, and print how many steps are done.
+
+    Args:
+        parts: of ``PARTS``; all where none is named.
+    """
+    steps = [step for part in parts or PARTS for step in PARTS[part]]
+    for number, step in enumerate(steps, 1):
+        print(f"{number} of {len(steps)}", flush=True)
+        step()
+
+
 if __name__ == "__main__":
-    write_byte_code()
-    warm_up()
+    if sys.argv[1:] == [BACKGROUND]:
+        os.nice(NICENESS)
+    warm_up(*sys.argv[1:])

@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from nmt_core.files.whole_file import write_whole
 from nmt_report.run_data import FileEntry, ReferenceCurve, RunReportData, read_reference
 from nmt_report.run_data_from_bag import report_data_from_bag
+from nmt_report.shared_work import font_is_open, results_of
 from nmt_report.stated_uncertainty import with_budgets
 from nmt_report.svg import ReportFigure, figure_style
 
@@ -69,15 +71,20 @@ def report_html(data: RunReportData) -> str:
         ),
     }
     data = replace(data, points=with_budgets(data.points, data.budgets))
-    figures: dict[str, list[ReportFigure]] = {}
+    wanted = [
+        (section, function)
+        for section, functions in builders.items()
+        if section == "run" or data.good_points
+        for function in functions
+    ]
     with figure_style():
-        for section, functions in builders.items():
-            if section != "run" and not data.good_points:
-                continue
-            made = [function(data) for function in functions]
-            figures[section] = [figure for figure in made if figure is not None]
-            if section == "modal":
-                figures[section] += report_backbone.quantity_figures(data)
+        made = results_of([partial(function, data) for _, function in wanted], alone=font_is_open())
+        figures: dict[str, list[ReportFigure]] = {section: [] for section, _ in wanted}
+        for (section, _), figure in zip(wanted, made, strict=True):
+            if figure is not None:
+                figures[section].append(figure)
+        if data.good_points:
+            figures["modal"] += report_backbone.quantity_figures(data)
     return report_page.page(data, figures)
 
 

@@ -90,13 +90,14 @@ class RationalFit:
         denominator = np.poly(poles)
         table = values[count:].reshape(*self.residues.shape[:2], -1)
         residues = np.stack([_rank_one(table[..., p], self.residues[..., p]) for p in range(count)], axis=2)
+        others = [np.poly(np.delete(poles, index)) for index in range(count)]
         numerators: list[list[ComplexArray]] = []
         for channel, rows in enumerate(table):
             numerators.append([])
             for row, strengths in zip(rows, residues[channel], strict=True):
-                numerator = np.polymul(row[count:][::-1], denominator)
-                for index in range(count):
-                    numerator = np.polyadd(numerator, strengths[index] * np.poly(np.delete(poles, index)))
+                numerator = np.convolve(row[count:][::-1], denominator)
+                for strength, other in zip(strengths, others, strict=True):
+                    numerator = np.polyadd(numerator, strength * other)
                 numerators[-1].append(np.asarray(numerator, dtype=np.complex128))
         return np.asarray(denominator, dtype=np.complex128), numerators
 
@@ -469,7 +470,7 @@ def _mode_of(fit: RationalFit, values: ComplexArray, near: complex, force_rows: 
         forces = [numerators[row] for row in force_rows]
         shared = np.ones(1, dtype=np.complex128)
         for _ in force_rows[1:]:
-            shared = np.asarray(np.polymul(shared, below), dtype=np.complex128)
+            shared = np.asarray(np.convolve(shared, below), dtype=np.complex128)
         below = _quotient(_determinant(forces), shared)
         roots = np.asarray(np.roots(below), dtype=np.complex128)
         responses = [[_quotient(_determinant(forces, row, at), shared) for at in range(len(row))] for row in responses]
@@ -480,7 +481,14 @@ def _mode_of(fit: RationalFit, values: ComplexArray, near: complex, force_rows: 
 
 
 def _quotient(numerator: ComplexArray, denominator: ComplexArray) -> ComplexArray:
-    return np.asarray(np.polydiv(numerator, denominator)[0], dtype=np.complex128)
+    """Of polynomials, as ``np.polydiv``, which spends most of its time on the remainder that nobody needs."""
+    left = numerator.astype(np.complex128)
+    quotient = np.zeros(max(numerator.size - denominator.size + 1, 1), dtype=np.complex128)
+    scale = 1.0 / denominator[0]
+    for index in range(numerator.size - denominator.size + 1):
+        quotient[index] = scale * left[index]
+        left[index : index + denominator.size] -= quotient[index] * denominator
+    return quotient
 
 
 def _determinant(
@@ -494,5 +502,5 @@ def _determinant(
     total = np.zeros(1, dtype=np.complex128)
     for column, entry in enumerate(rows[0]):
         minor = [[*row[:column], *row[column + 1 :]] for row in rows[1:]]
-        total = np.asarray(np.polyadd(total, (-1) ** column * np.polymul(entry, _determinant(minor))), np.complex128)
+        total = np.asarray(np.polyadd(total, (-1) ** column * np.convolve(entry, _determinant(minor))), np.complex128)
     return total

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from nmt_bench.harness import Bench
-    from nmt_extract.uncertainty_budget import PointBudget
     from nmt_record.exchange.calibration_file import CalibrationSheet
     from nmt_report.run_data import ReferenceCurve
     from nmt_report.run_verdict import RunVerdict
@@ -249,15 +248,34 @@ def _run(options: RunOptions) -> int:
     with terminate_as_interrupt(), OutputFolder(options.out, options.force, live=True) as folder:
         result = measure(bench, console, options.quiet, options.page)
         with WorkDisplay(console, quiet=options.quiet):
-            reference, budgets, unwritten, interrupted = evaluate(
-                result, bench, folder, console, options.reference, not options.no_report, sheet
-            )
-        verdict = _summarise(result, bench, reference, budgets, console, folder, unwritten)
-    if result.interrupted or interrupted:
+            found = evaluate(result, bench, folder, console, options.reference, sheet)
+        verdict = _print_table(result, bench, found, console)
+        if not (options.no_report or found.unwritten):
+            with WorkDisplay(console, quiet=options.quiet):
+                write_report_of(result, folder, found)
+        _print_files(found, folder, console)
+    if result.interrupted or found.interrupted:
         return EXIT_INTERRUPTED
-    if verdict.tone == BAD or not result.complete or unwritten:
+    if verdict.tone == BAD or not result.complete or found.unwritten:
         return EXIT_FAILED
     return EXIT_DONE if verdict.tone == GOOD else EXIT_PARTLY
+
+
+@dataclass
+class Evaluation:
+    """What is computed from a test before its table is printed.
+
+    Attributes:
+        reference: to compare with, if any.
+        budgets: uncertainty budgets of the points, and what they were made from; empty where there are none.
+        unwritten: what could not be written, as a sentence.
+        interrupted: whether Ctrl-C came.
+    """
+
+    reference: ReferenceCurve | None = None
+    budgets: tuple[Any, ...] = ()
+    unwritten: str = ""
+    interrupted: bool = False
 
 
 def evaluate(
@@ -266,48 +284,58 @@ def evaluate(
     folder: Path,
     console: Any,
     choice: str | None,
-    report: bool = True,
     sheet: CalibrationSheet | None = None,
-) -> tuple[ReferenceCurve | None, Sequence[PointBudget], str, bool]:
-    """Write tables and report; the tables first, since Ctrl-C may end the rest.
+) -> Evaluation:
+    """Write the tables, then compute what they are compared with and their uncertainties; Ctrl-C leaves that out.
 
     Args:
         result, bench: what was measured, and where.
         folder: of the results.
         console: takes a sentence where there is no reference.
-        choice, report, sheet: as ``--reference``, ``--no-report`` and ``--calibration`` say.
-
-    Returns:
-        The reference; the uncertainty budgets; what could not be written, as a sentence; whether Ctrl-C came. One
-        leaves out the comparison that is being computed, a second one the report.
+        choice, sheet: as ``--reference`` and ``--calibration`` say.
     """
     from nmt_core.processes.work_progress import tell
 
-    reference, interrupted = None, False
+    found = Evaluation()
     with deferred_interrupts(patient=True) as deferred:
-        unwritten = _saving(folder, lambda: _write_tables(result, bench, folder))
+        found.unwritten = _saving(folder, lambda: _write_tables(result, bench, folder))
     try:
-        interrupted = deferred.came
-        if not interrupted:
+        found.interrupted = deferred.came
+        if not found.interrupted:
             tell("computing the reference")
-            reference = _reference(choice, bench, result, console)
+            found.reference = _reference(choice, bench, result, console)
     except KeyboardInterrupt:
-        interrupted = True
-    budgets: list[Any] = []
-    if unwritten:
-        return reference, (), unwritten, interrupted
+        found.interrupted = True
+    if found.unwritten:
+        return found
+
+    def write() -> None:
+        found.budgets = _write_budget(result, bench, folder, found.reference, sheet)
+
     try:
-        tell("writing the results")
-        unwritten = _saving(folder, lambda: budgets.extend(_write_budget(result, bench, folder, reference, sheet)))
-        if report and not unwritten:
-            unwritten = _saving(folder, lambda: _write_report(result, folder, reference, budgets))
+        tell("computing the uncertainties")
+        found.unwritten = _saving(folder, write)
     except KeyboardInterrupt:
-        interrupted = True
-        unwritten = (
-            f"Stopped before the report was written. The results so far are in {folder}; "
-            f"'./nmt extract {folder} --out DIR' goes on from the bag."
-        )
-    return reference, budgets[0] if budgets else (), unwritten, interrupted
+        found.interrupted, found.unwritten = True, _stopped(folder)
+    return found
+
+
+def write_report_of(result: RunResult, folder: Path, found: Evaluation) -> None:
+    """Write the report; Ctrl-C leaves it out. What went wrong stands in ``found``."""
+    from nmt_core.processes.work_progress import tell
+
+    try:
+        tell("drawing the report")
+        found.unwritten = _saving(folder, lambda: _write_report(result, folder, found.reference, found.budgets))
+    except KeyboardInterrupt:
+        found.interrupted, found.unwritten = True, _stopped(folder)
+
+
+def _stopped(folder: Path) -> str:
+    return (
+        f"Stopped before the report was written. The results so far are in {folder}; "
+        f"'./nmt extract {folder} --out DIR' goes on from the bag."
+    )
 
 
 def _levels(options: RunOptions) -> list[float] | str | None:
@@ -466,22 +494,15 @@ def pace_line(result: RunResult) -> str:
     )
 
 
-def _summarise(
-    result: RunResult,
-    bench: Bench,
-    reference: ReferenceCurve | None,
-    budgets: Sequence[PointBudget],
-    console: Any,
-    folder: Path,
-    unwritten: str,
-) -> RunVerdict:
+def _print_table(result: RunResult, bench: Bench, found: Evaluation, console: Any) -> RunVerdict:
+    """Print what was measured, without waiting for the report."""
     from nmt_bench.commands.terminal import print_modal_table, print_verdict
     from nmt_core.messages.linear_description import LinearDescription
     from nmt_core.vocabulary import ResultCode
     from nmt_extract.backbone_jumps import backbone_sentences
 
     if result.points:
-        print_modal_table(result.points, reference, console, budgets)
+        print_modal_table(result.points, found.reference, console, found.budgets[0] if found.budgets else ())
     if result.code != ResultCode.SUCCEEDED:
         console.print(result.message, style="yellow")
     if result.bench_time > 0:
@@ -492,10 +513,14 @@ def _summarise(
         )
     for line in (*result.remarks, *backbone_sentences(result.points)):
         console.print(line, soft_wrap=True)
-    if unwritten and folder.is_dir():
-        console.print(unwritten, style="red", soft_wrap=True)
-    if (folder / "report.html").exists():
-        console.print(f"Report: {(folder / 'report.html').resolve()}", soft_wrap=True)
     described = bench.plan.run.get("linear")
     linear = LinearDescription.from_mapping(dict(described)) if described else None
     return print_verdict(result.points, console, len(bench.test.levels), linear)
+
+
+def _print_files(found: Evaluation, folder: Path, console: Any) -> None:
+    """Print what could not be written, and where the report is."""
+    if found.unwritten and folder.is_dir():
+        console.print(found.unwritten, style="red", soft_wrap=True)
+    if (folder / "report.html").exists():
+        console.print(f"Report: {(folder / 'report.html').resolve()}", soft_wrap=True)

@@ -257,8 +257,11 @@ def force_lines(forces: Sequence[HeldForce]) -> list[str]:
 
 def comparison_lines(comparisons: Sequence[tuple[FrequencyResponseTable, ResonanceError]], what: str) -> list[str]:
     """Errors near resonance as sentences."""
+    from nmt_report.response_figures import channel_text
+
     return [
-        f"{table.level:g} {table.level_unit}, {error.channel}: peak {error.peak_amplitude:.4g} at "
+        f"{table.level:g} {table.level_unit}, {error.channel}: peak {error.peak_amplitude:.4g} "
+        f"{channel_text(error.channel)[1]} at "
         f"{error.peak_frequency_hz:.3f} Hz; {what}: peak {100 * error.amplitude_error:+.2f} %, frequency "
         f"{100 * error.frequency_error:+.3f} %, rms in the half-power band {100 * error.rms_error:.2f} % "
         f"(magnitudes {100 * error.modulus_rms_error:.2f} %)"
@@ -282,11 +285,12 @@ def comparison_rows(comparisons: Sequence[tuple[FrequencyResponseTable, Resonanc
 
     rows = []
     for table, e in comparisons:
+        channel, unit = channel_text(e.channel)
         way = "stepped" if table.rate_hz_s == 0 else "up" if table.rate_hz_s > 0 else "down"
         rows.append(
             [
-                f"{significant(table.level)} {table.level_unit}, {way}: {channel_text(e.channel)[0]}",
-                significant(e.peak_amplitude),
+                f"{significant(table.level)} {table.level_unit}, {way}: {channel}",
+                f"{significant(e.peak_amplitude)} {unit}",
                 plain(e.peak_frequency_hz, 3),
                 plain(100 * e.amplitude_error, 2),
                 plain(100 * e.frequency_error, 3),
@@ -300,7 +304,7 @@ def comparison_rows(comparisons: Sequence[tuple[FrequencyResponseTable, Resonanc
 
 COMPARISON_HEAD = (
     ("Measured", ""),
-    ("Peak", "m/s² or m"),
+    ("Peak", ""),
     ("at", "Hz"),
     ("Peak error", "%"),
     ("Frequency error", "%"),

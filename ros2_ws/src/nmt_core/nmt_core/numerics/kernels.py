@@ -5,20 +5,30 @@ so a formula that changed in another file would go on being computed as it was: 
 be integrated as one without force. Here the folder of the cache is named by the content of the function's file and of
 every module of the bench that this file imports, directly or through others, so that another formula is another folder
 for whoever runs it.
+
+Of several processes that need a function one compiles it and the others wait, then read it from the cache.
 """
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hashlib
 import os
 import re
 import sys
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.compiler_lock import global_compiler_lock
 
+from nmt_core.processes.work_progress import tell
+
+_held: set[Path] = set()
+"""Locks that this process holds; whoever changes it holds numba's own lock."""
 _IMPORT = re.compile(r"^(?:from (nmt[\w.]*) import (\([^)]*\)|[^\n]*)|import (nmt[\w.]*))", re.M)
 
 
@@ -37,9 +47,11 @@ def njit(*function: Any, **options: Any) -> Any:
         given = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(folder)  # read once, as the function is decorated
         try:
-            return numba.njit(cache=True, **options)(python_function)
+            dispatcher = numba.njit(cache=True, **options)(python_function)
         finally:
             numba.config.CACHE_DIR = given
+        _compile_in_one_process(dispatcher, folder / f"{code.co_name}-{code.co_firstlineno}.lock")
+        return dispatcher
 
     return compiled(*function) if function else compiled
 
@@ -51,6 +63,56 @@ def loop_step(function: Any) -> Any:
     around it, which allocates, takes arrays out of tuples before it begins.
     """
     return njit(function, cache=True, forceinline=True, _nrt=False)
+
+
+def _compile_in_one_process(dispatcher: Any, lock: Path) -> None:
+    """Have a function compiled by whoever holds its lock; the lock of a process that dies is free.
+
+    Args:
+        dispatcher: the compiled function with its cache.
+        lock: file that the processes share.
+    """
+    compile_here, load = dispatcher.compile, dispatcher._cache.load_overload
+
+    def compile_once(signature: Any) -> Any:
+        # numba's own lock comes first: its holder may need this function while another thread waits for the file.
+        with global_compiler_lock, _alone(lock):
+            return compile_here(signature)
+
+    def load_or_tell(signature: Any, target: Any) -> Any:
+        found = load(signature, target)
+        if found is None:
+            tell("compiling a numerical kernel (once)")
+        return found
+
+    dispatcher.compile = compile_once
+    dispatcher._cache.load_overload = load_or_tell
+
+
+@contextlib.contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold the lock of a file, once in a process; without one where the file system has none."""
+    if path in _held:  # the function calls itself, or another that does, with arguments of other types
+        yield
+        return
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    except OSError:
+        yield
+        return
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            tell("waiting for a numerical kernel that another program compiles")
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        except OSError:
+            pass
+        _held.add(path)
+        yield
+    finally:
+        _held.discard(path)
+        os.close(descriptor)
 
 
 def cache_folder(python_function: Any) -> Path | None:

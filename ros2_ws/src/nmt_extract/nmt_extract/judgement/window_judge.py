@@ -142,6 +142,25 @@ def judge_phase(values: Mapping[str, float]) -> list[Remark]:
     return remarks
 
 
+def judge_held_phase(values: Mapping[str, float], held: float) -> list[Remark]:
+    """Remark on the phase of a point of a response curve: it is where it was measured, and not where it was asked for.
+
+    Args:
+        values: of the point: phase_error, phase_error_std.
+        held: phase that the loop was to hold, rad.
+    """
+    away, std = math.remainder(values["phase_error"] - held, 2.0 * math.pi), values["phase_error_std"]
+    if abs(away) <= max(PHASE_LIMIT, 2.0 * std if math.isfinite(std) else 0.0):
+        return []
+    return [
+        Remark(
+            f"The lag is {math.degrees(abs(away)):.1f}° off the one that was held (limit "
+            f"{math.degrees(PHASE_LIMIT):.0f}°), so the channels of the loop are not those of the recording, or the "
+            "window began too early; wait longer before the window, or look at delays of the channels."
+        )
+    ]
+
+
 def judge_resonant_phase(values: Mapping[str, float]) -> list[Remark]:
     """Remark on the phase of the resonant order of a secondary resonance.
 

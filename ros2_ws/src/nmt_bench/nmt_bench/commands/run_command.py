@@ -435,10 +435,13 @@ def _write_budget(
     from nmt_core.vocabulary import PointStatus
     from nmt_extract.bag_budget import bag_budget
     from nmt_extract.extraction_settings import ExtractionSettings
+    from nmt_extract.response_curve import is_of_curve
     from nmt_extract.uncertainty_budget import write_budget
     from nmt_record.bag.bag_reader import Bag
 
     good = [point for point in result.points if point.status is PointStatus.OK and not point.force_order]
+    if is_of_curve(good):  # the budget is that of modal properties at phase resonance
+        return ()
     if not good or result.bag is None or not result.bag.exists():
         return ()
     budgets, inputs = bag_budget(
@@ -506,6 +509,7 @@ def _summarise(
     from nmt_core.messages.linear_description import LinearDescription
     from nmt_core.vocabulary import ResultCode
     from nmt_extract.backbone_jumps import backbone_sentences
+    from nmt_extract.response_curve import curve_sentences, is_of_curve, response_curves
 
     if result.points:
         print_modal_table(result.points, reference, console, budgets)
@@ -517,7 +521,8 @@ def _summarise(
             f"Bench time {result.bench_time:.1f} s ({result.bench_time / levels:.1f} s a level) in "
             f"{result.wall_time:.1f} s: {result.real_time_factor:.1f} × real time; bag {result.bag_state}."
         )
-    for line in (*result.remarks, *backbone_sentences(result.points)):
+    curves = response_curves(result.points) if is_of_curve(result.points) else ()
+    for line in (*result.remarks, *backbone_sentences(result.points), *curve_sentences(curves)):
         console.print(line, soft_wrap=True)
     if unwritten and folder.is_dir():
         console.print(unwritten, style="red", soft_wrap=True)

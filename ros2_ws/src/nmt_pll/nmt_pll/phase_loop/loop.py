@@ -185,6 +185,12 @@ class PhaseLockedLoop(LevelLoop):
         self._glided = share
         return self._phase
 
+    def _resting_frequency(self, level: LevelCommand) -> float:
+        """Frequency to start with from rest, rad/s; away from phase resonance that of the linear mode at the lag."""
+        if level.held_phase == 0.0:
+            return self._good_frequency
+        return self.start_frequency + self.plant.structure_decay * math.tan(level.held_phase)
+
     def _begin_glide(self, level: LevelCommand, end: int, ramp_end: int, was_quiet: bool) -> None:
         """Turn the held phase to that of the level along its ramp, and the frequency to the one foreseen there."""
         self._glide = (level.held_phase if was_quiet else self._phase, end, ramp_end)
@@ -220,7 +226,7 @@ class PhaseLockedLoop(LevelLoop):
 
     def _start(self, level: LevelCommand, end: int, was_quiet: bool) -> None:
         if was_quiet:
-            start = 2.0 * math.pi * level.frequency_hz or self._good_frequency
+            start = 2.0 * math.pi * level.frequency_hz or self._resting_frequency(level)
             self.controller.reset(start)
             self.filter.reset()
             self.decay = self.plant.structure_decay

@@ -498,6 +498,11 @@ class CurveThresholds:
         "Largest mean phase error at lock: a point lies where its lag was measured, so that it has to be steady only.",
         "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
     )  # fmt: skip
+    free_decays: float = threshold(
+        3.0, "1",
+        "Time constants of the free vibration that a start from rest waits before the loop is closed off resonance.",
+        "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
+    )  # fmt: skip
     largest_gain: float = threshold(
         1.5, "1",
         "Factor of the proportional gain between the folds: filter and dead time bear it.",

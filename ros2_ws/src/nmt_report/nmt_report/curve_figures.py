@@ -9,11 +9,17 @@ import numpy as np
 from nmt_extract.response_curve import ResponseCurve, curve_sentences, is_of_curve, response_curves
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import significant
+from nmt_report.response_page import ResponsePage, html_figures
 from nmt_report.run_data import RunReportData
-from nmt_report.svg import ReportFigure, level_colours
+from nmt_report.svg import ReportFigure, figure_style, level_colours
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.axes import Axes
+
+    from nmt_rig.response_reference import ReferenceResponse
+    from nmt_rig.rig import Rig
 
 
 def curve_figure(data: RunReportData) -> ReportFigure | None:
@@ -52,3 +58,45 @@ def _draw(axes: Axes, curve: ResponseCurve, colour: tuple[float, float, float]) 
         axes.errorbar(fold.frequency_hz, fold.response, fold.response_std, fold.frequency_hz_std, "k+")
     axes.ticklabel_format(axis="x", useOffset=False)
     axes.set_ylim(bottom=0.0, top=max(axes.get_ylim()[1], 1.05 * float(np.max(y))))
+
+
+def reference_sentences(responses: Sequence[ReferenceResponse]) -> list[str]:
+    """Folds, tip and stability of computed response curves, one sentence a curve."""
+    lines = []
+    for item in responses:
+        folds = " and ".join(f"{fold[0]:.4f} Hz" for fold in item.folds)
+        tip = int(np.argmax(item.response))
+        lines.append(
+            f"At {item.force:g} N the curve has {f'folds at {folds}' if folds else 'no fold'}; its tip is "
+            f"{item.response[tip]:.4g} m near {item.frequency_hz[tip]:.4f} Hz, and {int(np.sum(~item.stable))} of "
+            f"{item.stable.size} points are not stable."
+        )
+    return lines
+
+
+def reference_curve_page(rig: Rig, responses: Sequence[ReferenceResponse]) -> str:
+    """The page of computed response curves."""
+    with figure_style():
+        figure, axes = plot_panels((6.3, 4.0), left=0.12, right=0.97, bottom=0.13, top=0.97)
+        for item, colour in zip(responses, level_colours(len(responses)), strict=True):
+            for stable, look in ((True, "-"), (False, "--")):
+                shown = np.where(item.stable == stable, item.response, np.nan)
+                label = f"{significant(item.force)} N" if stable else None
+                axes.plot(item.frequency_hz, shown, look, color=colour, label=label)
+            axes.plot(item.folds[:, 0], item.folds[:, 1], "k+")
+        axes.set_xlabel("frequency / Hz")
+        axes.set_ylabel("response at the drive point / m")
+        axes.legend(loc="best")
+        caption = " ".join(reference_sentences(responses)) + " Dashed: not stable; crosses: folds."
+        drawn = report_figure(figure, "response-curve", "Response curves", caption, wide=True)
+    page = ResponsePage(
+        kicker="Computed response curves",
+        heading=rig.name,
+        subtitle=rig.description,
+        verdict=("Periodic responses of the rig's model under a pure force (harmonic balance)", "good"),
+        notices=[],
+        facts=[("Forces", ", ".join(f"{significant(item.force)} N" for item in responses))],
+        sections=[("curves", "Response over frequency", html_figures([drawn]))],
+        footer="Harmonic balance with continuation; stability by Floquet multipliers, with friction by the folds. SI.",
+    )
+    return page.html()

@@ -161,6 +161,25 @@ def judge_held_phase(values: Mapping[str, float], held: float) -> list[Remark]:
     ]
 
 
+def settling_part(values: Mapping[str, float], growth: float, frequency_rate: float) -> Remark:
+    """What a point of a response curve still has to go: what settles with the decay δ at a rate r is r / δ away.
+
+    Args:
+        values: of the point: damping_ratio, omega_rad_s, modal_amplitude.
+        growth: rate of ln of the response, 1/s.
+        frequency_rate: of the frequency, rad/s².
+    """
+    decay = abs(values["damping_ratio"]) * values["omega_rad_s"]
+    return Remark(
+        "",
+        {
+            "omega_rad_s": abs(frequency_rate) / decay,
+            "modal_amplitude": abs(growth) / decay * values["modal_amplitude"],
+        },
+        moving=True,
+    )
+
+
 def judge_resonant_phase(values: Mapping[str, float]) -> list[Remark]:
     """Remark on the phase of the resonant order of a secondary resonance.
 

@@ -187,6 +187,7 @@ class WindowEvaluation:
             velocity = 1j * motion.omega[0] * np.arange(drive.shape[1]) * drive[0]
             if self.on_curve:
                 remarks += window_judge.judge_held_phase(fields, motion.window.lock.held_phase)
+                remarks.append(self._settling(fields))
             elif not self.self_excited:
                 remarks += window_judge.judge_phase(fields)
             remarks += window_judge.judge_harmonics(
@@ -212,6 +213,17 @@ class WindowEvaluation:
         return window_judge.judge_steadiness(
             middle, force, velocity, fields, motion.window.samples / rate, of_damping=not self.self_excited
         )
+
+    def _settling(self, fields: dict[str, float]) -> Remark:
+        """What a point of a response curve still has to go, by its halves."""
+        motion = self.motion
+        middle, rate = motion.cycles.size // 2, motion.window.sample_rate
+        halves = np.diff([motion.cycles[0], motion.cycles[middle], motion.cycles[0] + motion.advance])
+        lengths = np.array([middle, motion.cycles.size - middle]) / rate
+        turning = 2.0 * np.pi * halves / lengths
+        sizes = np.abs(motion.part_amplitudes[:, self.rows.drive, 1]) if motion.parts else np.ones(2)
+        growth = math.log(sizes[-1] / sizes[0]) * sizes.size / (sizes.size - 1) / lengths.sum()
+        return window_judge.settling_part(fields, growth, float(turning[1] - turning[0]) / (0.5 * lengths.sum()))
 
     def _balance(self) -> BalancedMode:
         """Balance of power over parts of the window."""

@@ -22,7 +22,7 @@ from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.phase_loop.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.phase_loop.gains import LoopPlant
-from nmt_pll.thresholds import PHASE
+from nmt_pll.thresholds import CURVE, PHASE
 
 
 class PhaseLockedLoop(LevelLoop):
@@ -231,6 +231,8 @@ class PhaseLockedLoop(LevelLoop):
             self.filter.reset()
             self.decay = self.plant.structure_decay
         warm_up = 5.0 / self.cutoff if was_quiet else 0.0
+        if was_quiet and level.held_phase != 0.0:  # off resonance a fast loop would chase the free vibration
+            warm_up = max(warm_up, level.ramp + CURVE.free_decays / self.plant.plant_decay)
         ramp_end = end + round(level.ramp * self.sample_rate)
         self._closed_from = end + round(max(warm_up, 0.5 * level.ramp if was_quiet else 0.0) * self.sample_rate)
         self._judged_from = max(ramp_end, self._closed_from) + round(2.0 / self.cutoff * self.sample_rate)

@@ -17,7 +17,7 @@ from nmt_core.messages.records import LoopStatus
 
 MOST_PARTS = 256
 """Parts that the lags of a curve are cut into at most."""
-_GROWTH = 2.0  # of the step of the lag, from one to the next
+_GROWTH = 1.5  # of the step of the lag, from one to the next
 _SHORTEST_LAST = 0.5  # of the step: what is left before an end is not cut
 _Point = tuple[float, float, float]  # lag, ln |x/F|, w ln Ω
 

@@ -49,7 +49,7 @@ def test_neighbours_are_equally_far_apart_along_the_curve(backwards):
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
     away = np.abs(lengths[2:-1] / 0.2 - 1.0)
     assert np.quantile(away, 0.85) < 0.15
-    assert away.max() < 0.6  # at the tip, where the curve turns within a step
+    assert away.max() < 0.9  # at the tip, where the curve turns within a step
     assert np.median(lengths) == pytest.approx(0.2, rel=0.1)
 
 

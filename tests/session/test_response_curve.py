@@ -103,7 +103,7 @@ def test_at_a_held_response_the_force_is_that_of_the_balance(tmp_path):
 def test_light_damping_does_not_ask_for_endless_patience():
     light = linear_description(load_rig("strong_cubic", ["structure.ground_dampers_ns_m=[0.01]"]))
     usual = linear_description(load_rig("strong_cubic"))
-    asked = [curve_values(ResponseCurveTest(), linear, {}) for linear in (light, usual)]
+    asked = [curve_values(ResponseCurveTest(), linear, {}, "force") for linear in (light, usual)]
     assert asked[0]["amplitude_tolerance"] == CURVE.least_tolerance == 5e-5
     assert asked[1]["amplitude_tolerance"] == pytest.approx(CURVE.steadiness * 2.0 * math.pi * 10.0 * 0.01, rel=1e-3)
     assert asked[1]["cutoff"] == pytest.approx(CURVE.cutoff_share * OMEGA, rel=1e-3)
@@ -111,9 +111,10 @@ def test_light_damping_does_not_ask_for_endless_patience():
 
 def test_dead_time_bounds_the_cut_off():
     linear = linear_description(load_rig("strong_cubic"))
-    found = curve_values(ResponseCurveTest(), linear, {}, 0.02, 3)
+    found = curve_values(ResponseCurveTest(), linear, {}, "force", 0.02, 3)
     assert found["cutoff"] == pytest.approx(0.15 * OMEGA, rel=1e-3)  # never below the usual one
-    assert curve_values(ResponseCurveTest(), linear, {"cutoff": 5.0})["cutoff"] == 5.0
+    assert curve_values(ResponseCurveTest(), linear, {"cutoff": 5.0}, "force")["cutoff"] == 5.0
+    assert "cutoff" not in curve_values(ResponseCurveTest(), linear, {}, "response")
 
 
 @pytest.mark.parametrize(

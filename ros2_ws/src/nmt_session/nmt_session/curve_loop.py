@@ -14,6 +14,7 @@ from typing import Any
 
 from nmt_core.kinds import KindOfTest, ResponseCurveTest
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.vocabulary import ControlKind
 from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.phase_loop.gains import LoopPlant
 from nmt_pll.thresholds import CURVE, PHASE
@@ -26,6 +27,7 @@ def curve_values(
     kind: KindOfTest,
     linear: LinearDescription | None,
     values: Mapping[str, Any],
+    control: str,
     block_duration: float = 0.0,
     latency_blocks: int = 0,
 ) -> dict[str, Any]:
@@ -35,6 +37,7 @@ def curve_values(
         kind: of the test; the settings of another kind stay as they are.
         linear: linear description of the rig.
         values: what the rig and the test give.
+        control: what is held, ``force`` or ``response``; at a held response nothing folds over the frequency.
         block_duration: of the blocks, s; 0 = still open.
         latency_blocks: blocks between command and excitation.
     """
@@ -51,6 +54,8 @@ def curve_values(
         ("frequency_tolerance", CURVE.frequency_steadiness),
     ):
         chosen.setdefault(name, max(min(dwell, 1.0) * share, CURVE.least_tolerance))
+    if control != ControlKind.FORCE.label:
+        return chosen
     omega = linear.frequencies_rad_s[linear.target_mode]
     cutoff = CURVE.cutoff_share * omega
     if block_duration > 0.0:  # not more than the dead time lets the closed form have

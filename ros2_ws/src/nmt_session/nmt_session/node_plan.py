@@ -628,7 +628,7 @@ def _with_loops(pll: PllSettings, test: TestPlan, linear: LinearDescription | No
     """
     values = dict(test.rig.pll)
     block = float(test.rig.block_samples) / float(test.rig.sample_rate_hz)
-    values = curve_values(test.kind, linear, values, block, test.lead_blocks)
+    values = curve_values(test.kind, linear, values, test.control, block, test.lead_blocks)
     chosen = {**_node_values(values), **_paper_values(values)}
     if linear is not None:
         _add_floors(values, test, linear, response)

@@ -184,7 +184,7 @@ def _with_chosen_block(plan: TestPlan) -> TestPlan:
     linear = plan.used_linear
     assert linear is not None  # every test that closes the phase loop has one
     known = {item.name for item in fields(LoopSettings)}
-    values = curve_values(plan.kind, linear, _loop_values(plan))
+    values = curve_values(plan.kind, linear, _loop_values(plan), plan.control)
     settings = LoopSettings(**{name: value for name, value in values.items() if name in known})
     asked = plan.run_settings
     window = plan.kind.window_s or asked.window_periods / linear.frequency_hz
@@ -192,7 +192,7 @@ def _with_chosen_block(plan: TestPlan) -> TestPlan:
     rate = float(plan.rig.sample_rate_hz)
     quantities = [sensor.quantity for sensor in plan.rig.sensors]
     channels = max(quantities.count(quantity) for quantity in quantities)
-    unstable = isinstance(plan.kind, ResponseCurveTest)
+    unstable = isinstance(plan.kind, ResponseCurveTest) and plan.control == "force"
     choice = choose_block(linear, settings, level, rate, channels, SHORTEST_BLOCK if unstable else 0.0)
     rig = plan.rig.model_copy(update={"block_samples": choice.block_samples})
     return replace(

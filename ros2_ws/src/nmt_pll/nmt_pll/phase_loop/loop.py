@@ -197,7 +197,7 @@ class PhaseLockedLoop(LevelLoop):
         self._glided = self._foreseen = self._slope = 0.0
         if level.test is TestKind.RESPONSE_CURVE and level.frequency_hz > 0.0 and not was_quiet:
             self._foreseen = 2.0 * math.pi * level.frequency_hz - self.controller.integrator
-            if level.held_phase != self._phase:
+            if level.held_phase != self._phase and level.control == ControlKind.FORCE:
                 self._slope = self._foreseen / (level.held_phase - self._phase)
 
     def _ramp_from(self, end: int) -> float:

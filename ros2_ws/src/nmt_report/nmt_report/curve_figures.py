@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nmt_extract.force_surface import surface_sentences
 from nmt_extract.response_curve import ResponseCurve, curve_sentences, is_of_curve, response_curves
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import significant
@@ -37,7 +38,7 @@ def curve_figure(data: RunReportData) -> ReportFigure | None:
     caption = (
         " ".join(curve_sentences(curves)) + " Filled marks: stable in open loop; open marks, dashed: not stable."
         if held
-        else "Force that holds the response, over frequency."
+        else " ".join(["Force that holds the response, over frequency.", *surface_sentences(curves)])
     )
     return report_figure(figure, "response-curve", "Response curves", caption, wide=True)
 

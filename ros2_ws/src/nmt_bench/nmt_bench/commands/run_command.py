@@ -509,6 +509,7 @@ def _summarise(
     from nmt_core.messages.linear_description import LinearDescription
     from nmt_core.vocabulary import ResultCode
     from nmt_extract.backbone_jumps import backbone_sentences
+    from nmt_extract.force_surface import surface_sentences
     from nmt_extract.response_curve import curve_sentences, is_of_curve, response_curves
 
     if result.points:
@@ -522,7 +523,7 @@ def _summarise(
             f"{result.wall_time:.1f} s: {result.real_time_factor:.1f} × real time; bag {result.bag_state}."
         )
     curves = response_curves(result.points) if is_of_curve(result.points) else ()
-    for line in (*result.remarks, *backbone_sentences(result.points), *curve_sentences(curves)):
+    for line in (*result.remarks, *backbone_sentences(result.points), *curve_sentences(curves), *surface_sentences(curves)):
         console.print(line, soft_wrap=True)
     if unwritten and folder.is_dir():
         console.print(unwritten, style="red", soft_wrap=True)

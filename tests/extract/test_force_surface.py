@@ -87,6 +87,8 @@ def test_the_uncertainty_is_that_of_noise():
 def test_too_few_amplitudes_and_points_are_refused():
     with pytest.raises(BenchError, match="4 response amplitudes or more, got 3"):
         ForceSurface.of(CURVES[:3])
-    short = ResponseCurve(*(value[:3] if isinstance(value, np.ndarray) else value for value in vars(CURVES[0]).values()))
+    short = ResponseCurve(
+        *(value[:3] if isinstance(value, np.ndarray) else value for value in vars(CURVES[0]).values())
+    )
     with pytest.raises(BenchError, match="has 3 points"):
         ForceSurface.of([short, *CURVES[1:]])

@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from nmt_core.errors import BenchError
-from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_extract.response_curve import ResponseCurve
 
 LEAST_CURVES = 4
@@ -51,8 +51,8 @@ class Isola:
     def sentence(self) -> str:
         """What it is, for the report."""
         return (
-            f"An isola is born at {self.birth_force:.4g} ± {self.birth_force_std:.1g} N, {self.frequency_hz:.4f} Hz and a "
-            f"response of {self.response:.4g} m: beyond that force a branch exists which no sweep from rest reaches."
+            f"An isola is born at {self.birth_force:.4g} ± {self.birth_force_std:.1g} N, {self.frequency_hz:.4f} Hz and "
+            f"a response of {self.response:.4g} m: beyond that force a branch exists which no sweep from rest reaches."
         )
 
 
@@ -110,8 +110,8 @@ class ForceSurface:
             joined = [np.concatenate([getattr(c, name) for c in groups[level]]) for name in _NEEDED]
             if joined[0].size < _LEAST_POINTS:
                 raise BenchError(
-                    f"The curve at {level:g} {groups[level][0].level_unit} has {joined[0].size} points, a force surface "
-                    f"needs {_LEAST_POINTS}; give a smaller --spacing."
+                    f"The curve at {level:g} {groups[level][0].level_unit} has {joined[0].size} points, a force "
+                    f"surface needs {_LEAST_POINTS}; give a smaller --spacing."
                 )
             rows.append((joined[0], joined[1], joined[2], joined[3]))
         reference = 2.0 * math.pi * float(np.mean(np.concatenate([row[0] for row in rows])))
@@ -147,7 +147,7 @@ class ForceSurface:
             change = np.where(nearest == left_out, other - whole, change)
         return np.asarray(np.hypot(scatter, _COARSE_SHARE * change))
 
-    def _stiffness(self, kept: FloatArray, frequency_hz: FloatArray, response: FloatArray) -> ComplexArray:
+    def _stiffness(self, kept: IntArray, frequency_hz: FloatArray, response: FloatArray) -> ComplexArray:
         spline = CubicSpline(self.amplitude[kept] ** 2, self.coefficients[kept])
         found = spline(np.asarray(response) ** 2)
         place = 2.0 * math.pi * np.asarray(frequency_hz) / self.reference - 1.0

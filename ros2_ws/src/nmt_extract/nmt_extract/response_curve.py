@@ -27,7 +27,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from nmt_core.files.whole_file import csv_text, write_result
-from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_extract.modal_point import ModalPoint, Status
 
 LEAST_POINTS = 5
@@ -124,7 +124,8 @@ class ResponseCurve:
         """1 where the orbit is stable in open loop at this force, 0 where not, NaN where it is left open."""
         if not self.holds_force or self.lag.size < LEAST_POINTS:
             return np.full(self.lag.size, math.nan)
-        found = (CubicSpline(self.lag, self.frequency_hz)(self.lag, 1) > 0.0).astype(np.float64)
+        rises = CubicSpline(self.lag, self.frequency_hz)(self.lag, 1) > 0.0
+        found: FloatArray = np.where(rises, 1.0, 0.0)
         for fold in self.folds:
             near = COVERAGE * np.hypot(fold.lag_std, self.lag_std)
             found[np.abs(self.lag - fold.lag) <= near] = math.nan
@@ -153,13 +154,13 @@ class ResponseCurve:
             found.append(CurvePlace(place, lag, lag_std, one[0], stds[0], one[1], stds[1]))
         return tuple(found)
 
-    def _extremes(self, values: FloatArray, chosen: FloatArray) -> list[float]:
+    def _extremes(self, values: FloatArray, chosen: IntArray) -> list[float]:
         """Lags within the curve at which the spline through the chosen points has an extreme."""
         lag = self.lag[chosen]
         slope = CubicSpline(lag, values[chosen]).derivative()
         return [float(root) for root in slope.roots(extrapolate=False) if lag[0] < root < lag[-1]]
 
-    def _at(self, lag: float, chosen: FloatArray) -> tuple[float, float]:
+    def _at(self, lag: float, chosen: IntArray) -> tuple[float, float]:
         """Frequency and response on splines through the chosen points."""
         at = [float(CubicSpline(self.lag[chosen], v[chosen])(lag)) for v in (self.frequency_hz, self.response)]
         return at[0], at[1]
@@ -223,7 +224,9 @@ def _sentence(curve: ResponseCurve) -> str:
     ]
     unstable = int(np.count_nonzero(curve.stable == 0.0))
     words = f"At {curve.level:g} {curve.level_unit} the curve has {len(curve.points)} points"
-    words += f" and folds at {' and '.join(folds)}; {unstable} points between them are unstable" if folds else ", no fold"
+    words += (
+        f" and folds at {' and '.join(folds)}; {unstable} points between them are unstable" if folds else ", no fold"
+    )
     if curve.tip is not None:
         words += f"; its tip is {curve.tip.response:.4g} m at {curve.tip.frequency_hz:.4f} Hz"
     return f"{words}."

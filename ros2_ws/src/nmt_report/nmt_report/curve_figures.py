@@ -52,9 +52,7 @@ def _draw(axes: Axes, curve: ResponseCurve, colour: tuple[float, float, float]) 
         pair = [first, last]
         axes.plot(curve.frequency_hz[pair], y[pair], "--" if dashed else "-", color=colour, linewidth=0.9)
     axes.plot(curve.frequency_hz[~unstable], y[~unstable], "o", color=colour, markersize=3, label=label)
-    axes.plot(
-        curve.frequency_hz[unstable], y[unstable], "o", color=colour, markersize=3, markerfacecolor="white"
-    )
+    axes.plot(curve.frequency_hz[unstable], y[unstable], "o", color=colour, markersize=3, markerfacecolor="white")
     for fold in curve.folds:
         axes.errorbar(fold.frequency_hz, fold.response, fold.response_std, fold.frequency_hz_std, "k+")
     axes.ticklabel_format(axis="x", useOffset=False)

@@ -623,7 +623,12 @@ class RunMachine:
         self._put_in(levels, phases, record, report, effective)
 
     def _put_in(
-        self, levels: tuple[float, ...], phases: tuple[float, ...], record: LevelRecord, report: LoopStatus, effective: int
+        self,
+        levels: tuple[float, ...],
+        phases: tuple[float, ...],
+        record: LevelRecord,
+        report: LoopStatus,
+        effective: int,
     ) -> None:
         plan = self.plan
         assert plan is not None

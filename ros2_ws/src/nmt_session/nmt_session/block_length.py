@@ -110,9 +110,9 @@ def _with_all_bandwidth(
     length = min(max(allowed_bandwidth(settings, 1.0) / bandwidth, shortest), USUAL)
     samples = max(2, int(length * sample_rate))
     reason = (
-        f"the loop has to hold motions that are unstable without it; its closed form asks for {bandwidth:.3g} rad/s, its "
-        f"dead time of {PHASE.dead_time_blocks:g} blocks allows {allowed_bandwidth(settings, samples / sample_rate):.3g} "
-        "rad/s"
+        f"the loop has to hold motions that are unstable without it; its closed form asks for {bandwidth:.3g} rad/s, "
+        f"its dead time of {PHASE.dead_time_blocks:g} blocks allows "
+        f"{allowed_bandwidth(settings, samples / sample_rate):.3g} rad/s"
     )
     return BlockChoice(samples, tick_blocks(samples / sample_rate), f"chosen: {reason}")
 

@@ -2,8 +2,8 @@
 
 With the force held and the frequency as input, the lag of a mode answers as (s + δ) / (s² + 2 δ s + D), D = δ dΩ/dϑ
 along the curve: D is negative between the folds, and the plant then has a pole in the right half plane. The PI
-controller holds it where D + k_p δ + k_i > 0, so both gains are to be as large as filter and dead time allow. The closed
-form of the gains grows with the cut-off of the filter; the usual one is chosen against noise.
+controller holds it where D + k_p δ + k_i > 0, so both gains are to be as large as filter and dead time allow. The
+closed form of the gains grows with the cut-off of the filter; the usual one is chosen against noise.
 """
 
 from __future__ import annotations

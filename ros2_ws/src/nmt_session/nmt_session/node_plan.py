@@ -5,12 +5,9 @@ from __future__ import annotations
 import datetime
 import json
 import math
-import platform
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TypedDict, TypeVar
 
@@ -55,6 +52,7 @@ from nmt_sequencer.level_plan import LevelLimits
 from nmt_sequencer.sequencer_settings import SequencerSettings
 from nmt_session.coverage import covers
 from nmt_session.curve_loop import curve_values
+from nmt_session.versions import versions
 
 S = TypeVar("S", bound=NodeSettings)
 LOOP_TOPICS = ("drive", "frequency")
@@ -653,7 +651,9 @@ def _add_floors(values: dict[str, Any], test: TestPlan, linear: LinearDescriptio
         values["force_floor"] = 0.02 * lowest * force_per_volt
     if isinstance(test.kind, SecondaryResonanceTest):  # its response is not that of the mode in phase resonance
         return
-    if isinstance(test.kind, ResponseCurveTest) and test.control == "force":  # a stiff mode answers as a spring at least
+    if (
+        isinstance(test.kind, ResponseCurveTest) and test.control == "force"
+    ):  # a stiff mode answers as a spring at least
         response_per_volt *= 2.0 * linear.plant_damping_ratio
     if "response_floor" not in values and lowest * response_per_volt > 0:
         values["response_floor"] = 0.02 * lowest * response_per_volt
@@ -692,15 +692,3 @@ _FROM_RIG_AND_TEST = frozenset({item.name for item in fields(NodeSettings)}) | {
     "bundle_blocks", "joined_input", "self_excited_method", "response_limit",
 }  # fmt: skip
 """Settings of the loop's node that no rig file gives."""
-
-
-@cache
-def versions() -> dict[str, str]:
-    """Versions of what a run's result depends on."""
-    found = {"python": platform.python_version()}
-    for name in ("numpy", "scipy", "numba", "rosbags", "nmt_bench", "ros-jazzy-rclpy"):
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found

@@ -58,8 +58,8 @@ class ReferenceOptions:
     )
     band: tuple[float, float] | None = option(
         None,
-        "with --forces: lowest and highest frequency, Hz (default: the guard band of the loop, at least half to one and "
-        "a half of the mode's)",
+        "with --forces: lowest and highest frequency, Hz (default: the guard band of the loop, at least half to one "
+        "and a half of the mode's)",
         metavar="LOW:HIGH",
         parse=_band,
     )

@@ -72,8 +72,8 @@ class RunOptions:
     kind: str = option(
         "phase_resonance",
         "self_excited: a rig that feeds its motion is held at amplitudes of the response, or released and measured as "
-        "it passes them; the damping ratio may have either sign; response_curve: the response at each held force past its "
-        "folds, the phase lag stepped (default: phase_resonance)",
+        "it passes them; the damping ratio may have either sign; response_curve: the response at each held force past "
+        "its folds, the phase lag stepped (default: phase_resonance)",
         choices=("phase_resonance", "self_excited", "response_curve"),
     )
     method: str | None = option(
@@ -97,8 +97,8 @@ class RunOptions:
         None,
         "levels in the unit of --control: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or"
         " a "
-        "list a,b,c (default: the rig's, in V; of a self-excited test in the unit of the response); of a response curve "
-        "one for each curve, in N",
+        "list a,b,c (default: the rig's, in V; of a self-excited test in the unit of the response); of a response "
+        "curve one for each curve, in N",
         metavar="PLAN",
     )
     strategy: str | None = option(
@@ -112,8 +112,8 @@ class RunOptions:
         None,
         "what the levels are: drive voltage (V), amplitude of the drive-point response that is held (m or "
         "m/s^2),"
-        " or force fundamental that is held (N) (default: voltage; of a self-excited test response, of a response curve "
-        "force)",
+        " or force fundamental that is held (N) (default: voltage; of a self-excited test response, of a response "
+        "curve force)",
         choices=("voltage", "response", "force"),
     )
     refine: float | None = option(
@@ -523,7 +523,12 @@ def _summarise(
             f"{result.wall_time:.1f} s: {result.real_time_factor:.1f} × real time; bag {result.bag_state}."
         )
     curves = response_curves(result.points) if is_of_curve(result.points) else ()
-    for line in (*result.remarks, *backbone_sentences(result.points), *curve_sentences(curves), *surface_sentences(curves)):
+    for line in (
+        *result.remarks,
+        *backbone_sentences(result.points),
+        *curve_sentences(curves),
+        *surface_sentences(curves),
+    ):
         console.print(line, soft_wrap=True)
     if unwritten and folder.is_dir():
         console.print(unwritten, style="red", soft_wrap=True)

@@ -254,7 +254,8 @@ def solve_fold(system: System, branch: Branch, k: int, what: str = "branch") -> 
     length = float(np.linalg.norm(end - start))
     slopes = length * branch.tangents[k], length * branch.tangents[k + 1]
     low, high, rising = 0.0, 1.0, branch.tangents[k, -1] > 0.0
-    heading, point = branch.tangents[k], start
+    heading: FloatArray = branch.tangents[k]
+    point: FloatArray = start
     for _ in range(40):
         t = 0.5 * (low + high)
         solution = _correct(system, _hermite(start, end, *slopes, t), heading, StepControl())

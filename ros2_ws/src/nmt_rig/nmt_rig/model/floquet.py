@@ -27,7 +27,9 @@ STEPS = 256
 """Steps of a period."""
 
 
-def floquet_multipliers(system: ElectromechanicalSystem, response: PeriodicResponse, steps: int = STEPS) -> ComplexArray:
+def floquet_multipliers(
+    system: ElectromechanicalSystem, response: PeriodicResponse, steps: int = STEPS
+) -> ComplexArray:
     """Multipliers (2 n,) of a periodic response, the largest first.
 
     Args:

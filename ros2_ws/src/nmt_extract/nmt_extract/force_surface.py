@@ -51,8 +51,8 @@ class Isola:
     def sentence(self) -> str:
         """What it is, for the report."""
         return (
-            f"An isola is born at {self.birth_force:.4g} ± {self.birth_force_std:.1g} N, {self.frequency_hz:.4f} Hz and "
-            f"a response of {self.response:.4g} m: beyond that force a branch exists which no sweep from rest reaches."
+            f"An isola is born at {self.birth_force:.4g} ± {self.birth_force_std:.1g} N, {self.frequency_hz:.4f} Hz "
+            f"and a response of {self.response:.4g} m: beyond that force a branch exists which no sweep from rest reaches."
         )
 
 

@@ -52,7 +52,8 @@ class Isola:
         """What it is, for the report."""
         return (
             f"An isola is born at {self.birth_force:.4g} ± {self.birth_force_std:.1g} N, {self.frequency_hz:.4f} Hz "
-            f"and a response of {self.response:.4g} m: beyond that force a branch exists which no sweep from rest reaches."
+            f"and a response of {self.response:.4g} m: beyond that force a branch exists that no sweep from rest "
+            "reaches."
         )
 
 

@@ -7,10 +7,13 @@ import math
 import numpy as np
 import pytest
 
+from nmt_core.errors import BenchError
 from nmt_core.kinds import ResponseCurveTest
 from nmt_core.messages.records import LoopStatus
-from nmt_core.vocabulary import LoopState
+from nmt_core.vocabulary import ControlKind, LoopState
 from nmt_sequencer.curve_steps import CurveSteps
+from nmt_sequencer.run_machine import RunPlan
+from nmt_sequencer.steering import with_repetition, with_rest
 
 KIND = ResponseCurveTest(lag_from=math.radians(10.0), lag_to=math.radians(170.0), spacing=0.2)
 OMEGA, ZETA = 120.0, 0.01
@@ -75,3 +78,37 @@ def test_a_curve_whose_first_end_is_lost_begins_at_the_other_once():
     assert steps.begins_at_other_end(1.0)
     assert not steps.begins_at_other_end(1.0)
     assert steps.begins_at_other_end(2.0)
+
+
+def curve_plan(*forces: float) -> RunPlan:
+    return RunPlan(run_id="curve", levels=forces, control=ControlKind.FORCE, kind=KIND)
+
+
+def degrees(plan: RunPlan) -> list[int]:
+    """Lags of the steps."""
+    return [round(math.degrees(phase)) + 90 for phase in plan.phases]
+
+
+def test_a_plan_goes_along_each_curve_there_and_back():
+    plan = curve_plan(1.0, 2.0, 3.0)
+    assert plan.levels == (1.0, 1.0, 2.0, 2.0, 3.0, 3.0)
+    assert degrees(plan) == [10, 170, 170, 10, 10, 170]
+
+
+def test_new_levels_follow_the_rest_of_the_present_curve():
+    plan = curve_plan(1.0, 2.0)
+    changed = with_rest(plan, 0, (1.0, 3.0), ())
+    assert changed.levels == (1.0, 1.0, 3.0, 3.0)
+    assert degrees(changed) == [10, 170, 170, 10]
+    assert with_rest(plan, 0, (3.0,), ()).levels == (1.0, 3.0, 3.0)  # the present curve is given up
+
+
+def test_a_repeated_point_has_its_lag_again():
+    plan = with_repetition(curve_plan(1.0), 0, 0)
+    assert plan.levels == (1.0, 1.0, 1.0)
+    assert degrees(plan) == [10, 10, 170]
+
+
+def test_a_comparison_without_controlled_harmonics_is_refused():
+    with pytest.raises(BenchError, match="leave out --compare"):
+        RunPlan(levels=(1.0,), control=ControlKind.FORCE, kind=KIND, levels_without=frozenset({0}))

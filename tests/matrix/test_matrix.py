@@ -50,6 +50,7 @@ SETTINGS: dict[TestKind, dict[str, Any]] = {
     TestKind.STEPPED_SINE: {"levels": [0.5], "frequencies_hz": (19.0, 20.0, 21.0), "control": "force"},
     TestKind.RING_DOWN: {"duration": 2.0},
     TestKind.SELF_EXCITED: {},
+    TestKind.RESPONSE_CURVE: {"levels": [0.5], "lag_deg": (40.0, 140.0), "spacing": 0.7},
     TestKind.SECONDARY_RESONANCE: {"levels": [40.0], "resonance": "3:1", "control": "force"},
 }
 RELEASED: dict[str, Any] = {"levels": [9.6], "resonance": "1:3", "control": "force", "release": 0.75e-3}
@@ -254,7 +255,8 @@ def test_a_recording_of_itself_is_right_or_refused_by_every_consumer(
         assert not (tmp_path / "run" / "bag").exists()
         return
     recording = record(tmp_path, kind, exciters, settings)
-    assert recording.result.message.startswith(f"{len(recording.plan.levels)} of {len(recording.plan.levels)} levels")
+    steps = max(len(recording.plan.levels), len(recording.result.points))  # points are put along a response curve
+    assert recording.result.message.startswith(f"{steps} of {steps} levels")
     assert recording.plan.driven == test
     assert recorded_tests(Bag.open(recording.bag)) == (test,)
     wrong = []

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_pll.phase_loop.gains import LoopPlant, closed_form_gains
+from nmt_pll.phase_loop.gains import ControllerGains, LoopPlant, closed_form_gains
+from nmt_pll.thresholds import CURVE
 
 TWO_PI = 2.0 * math.pi
 CUTOFF = 84.52533574
@@ -84,3 +85,31 @@ def test_a_negative_mass_is_refused():
 def test_the_cutoff_must_be_positive(plant, cutoff):
     with pytest.raises(BenchError, match="cut-off of the adaptive filter must be positive"):
         closed_form_gains(plant, cutoff)
+
+
+@pytest.mark.parametrize("slope", [-60.0, -20.0, 0.0, 20.0, 60.0])
+def test_on_a_slope_the_gains_grow_within_their_bounds(slope):
+    gains = ControllerGains(27.0, 350.0)
+    decay = 1.3
+    found = gains.on_slope(slope, decay)
+    boost = 1.0 + abs(decay * slope) / (27.0 * decay + 350.0)
+    assert found.integral == pytest.approx(350.0 * min(boost, CURVE.largest_boost))
+    assert found.proportional == pytest.approx(27.0 * (1.0 if slope >= 0.0 else min(1.0 - decay * slope / 729.0, 1.5)))
+    assert gains.on_slope(1e6, decay).integral == pytest.approx(2.5 * 350.0)
+    assert gains.on_slope(-1e6, decay).proportional == pytest.approx(1.5 * 27.0)
+
+
+@pytest.mark.parametrize("slope", [-200.0, -100.0, 0.0, 100.0])
+def test_between_the_folds_the_loop_is_stable_with_these_gains(slope):
+    # s (s² + 2 δ s + δ dω/dϑ) + (k_p s + k_i) (s + δ), the loop without filter and dead time
+    decay = 1.3
+    gains = ControllerGains(27.0, 350.0).on_slope(slope, decay)
+    poles = np.roots(
+        [
+            1.0,
+            2.0 * decay + gains.proportional,
+            decay * slope + gains.proportional * decay + gains.integral,
+            gains.integral * decay,
+        ]
+    )
+    assert poles.real.max() < -0.5

@@ -28,6 +28,7 @@ from nmt_report.quantity_format import significant, uncertain
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from nmt_extract.response_curve import ResponseCurve
     from nmt_extract.swept_response import FrequencyResponseTable
     from nmt_record.exchange.frf_table import FrequencyResponseRecord
 
@@ -227,6 +228,13 @@ class RunResults(Results):
         """What the extraction knew of the linear system; None where nothing is recorded."""
         values = self.inputs.get("linear")
         return LinearDescription.from_mapping(dict(values)) if isinstance(values, Mapping) else None
+
+    @property
+    def response_curves(self) -> tuple[ResponseCurve, ...]:
+        """Response curves in the order in which they were measured; none of another kind of test."""
+        from nmt_extract.response_curve import is_of_curve, response_curves
+
+        return response_curves(self.points) if is_of_curve(self.points) else ()
 
     def values(self, name: str) -> FloatArray:
         """One property over the levels with values, shape ``(levels,)``.

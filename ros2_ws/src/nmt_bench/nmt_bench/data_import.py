@@ -14,7 +14,7 @@ from nmt_record.exchange.imported_run import ImportedRun, read_import, write_imp
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig, ShakingTableSection, find_rig, load_rig
 from nmt_rig.rig_snapshot import rig_text
-from nmt_session.node_plan import versions
+from nmt_session.versions import versions
 
 _SAME_MODE = 0.2
 _NODE = 0.02

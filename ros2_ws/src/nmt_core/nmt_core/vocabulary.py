@@ -253,6 +253,8 @@ class TestKind(IntEnum):
         SELF_EXCITED: a motion that the structure feeds by itself is held at an amplitude of the response, or released
             and passed; one window each, of whole periods where it is held.
         SECONDARY_RESONANCE: the phase lag of a resonant order other than that of the force is held; whole periods.
+        RESPONSE_CURVE: the phase lag of the response is held and stepped, so that the points follow the response at a
+            held force or response amplitude past its folds; whole periods.
     """
 
     UNKNOWN = 0
@@ -264,6 +266,7 @@ class TestKind(IntEnum):
     RECORD = 6
     SELF_EXCITED = 7
     SECONDARY_RESONANCE = 8
+    RESPONSE_CURVE = 9
 
     @classmethod
     def of(cls, value: int) -> TestKind:

@@ -9,6 +9,7 @@ from nmt_core.vocabulary import TestKind
 _NOT_PREDICTED = {
     TestKind.SWEEP: "a swept response is no steady state",
     TestKind.SECONDARY_RESONANCE: "its model follows resonances at the frequency of the drive",
+    TestKind.RESPONSE_CURVE: "its model follows responses that are stable, and not between folds",
     TestKind.SELF_EXCITED: "its model follows motions that a drive holds or that decay",
 }
 

@@ -80,7 +80,7 @@ def _directed(points: Sequence[ModalPoint]) -> list[list[ModalPoint]]:
     """Points cut where the levels turn; the turning one belongs to both. A repeated level counts once, last."""
     runs: list[list[ModalPoint]] = []
     for point in sorted(points, key=lambda item: item.level_index):
-        if not point.level > 0.0 or point.force_order:
+        if not point.level > 0.0 or point.force_order or point.held_phase:
             continue
         run = runs[-1] if runs else []
         if not runs:

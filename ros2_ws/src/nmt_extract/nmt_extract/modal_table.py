@@ -24,6 +24,7 @@ from nmt_extract.harmonics_indicators import HARMONICS_COLUMNS, any_control, ind
 from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
 from nmt_extract.limit_cycles import limit_cycles, write_limit_cycles
 from nmt_extract.modal_point import COMPLEX, QUANTITIES, ModalPoint, Status
+from nmt_extract.response_curve import is_of_curve, response_curves, write_response_curves
 
 COLUMNS = ("level", *(item.name + suffix for item in QUANTITIES if item.csv for suffix in ("", "_std")))
 """Columns of ``modal.csv``, in order; units and meanings stand in :data:`nmt_extract.modal_point.QUANTITIES`."""
@@ -140,7 +141,8 @@ def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
 def write_results(points: Sequence[ModalPoint], folder: Path | str, inputs: Mapping[str, Any] | None = None) -> None:
     """Write ``modal.csv`` and ``modal.json`` into a folder that exists, and ``hysteresis.csv`` where there are loops.
 
-    ``limit_cycles.csv`` is written where the damping ratio passes through zero. There are loops where
+    ``limit_cycles.csv`` is written where the damping ratio passes through zero, ``response_curve.csv`` and
+    ``response_folds.csv`` of response curves. There are loops where
     ``inputs["extraction"]["hysteresis"]`` names points and masses of a chain with a joint.
 
     Raises:
@@ -153,6 +155,8 @@ def write_results(points: Sequence[ModalPoint], folder: Path | str, inputs: Mapp
     """
     write_csv(points, Path(folder) / "modal.csv")
     write_json(points, Path(folder) / "modal.json", inputs)
+    if is_of_curve(points):
+        write_response_curves(response_curves(points), folder)
     cycles = limit_cycles(points)
     if cycles:
         write_limit_cycles(cycles, Path(folder) / "limit_cycles.csv")
@@ -183,7 +187,7 @@ def write_loops(points: Iterable[ModalPoint], layout: HysteresisLayout, path: Pa
 def _point_to_mapping(point: ModalPoint) -> dict[str, Any]:
     values: dict[str, Any] = {item.name: getattr(point, item.name) for item in fields(point)}
     values["status"] = point.status.name
-    for name in ("harmonics_control", "response_order", "force_order"):
+    for name in ("harmonics_control", "response_order", "force_order", "held_phase"):
         if not values[name]:
             del values[name]
     if not point.exciter_points:

@@ -15,6 +15,7 @@ _ONE_EXCITER = {
     TestKind.STEPPED_SINE: "A stepped sine drives",
     TestKind.SECONDARY_RESONANCE: "The loop holds a secondary resonance with",
     TestKind.SELF_EXCITED: "The loop holds a self-excited motion with",
+    TestKind.RESPONSE_CURVE: "The loop follows a response curve with",
 }
 
 
@@ -50,6 +51,7 @@ def _paper_covers(test: DrivenTest, ramps: bool) -> str:
         (test.kind is TestKind.RING_DOWN, "does not switch off", "a ring-down test"),
         (test.kind is TestKind.SELF_EXCITED, "cannot hold such a motion", "a self-excited test"),
         (test.kind is TestKind.SECONDARY_RESONANCE, "holds the phase of the drive's own order", "secondary resonances"),
+        (test.kind is TestKind.RESPONSE_CURVE, "holds phase resonance only", "response curves"),
         (test.control != ControlKind.VOLTAGE, "steps the voltage only", f"levels of {test.control.label}"),
         (test.controlled_harmonics > 0, "leaves the force's harmonics as they are", "controlled harmonics"),
         (test.has_several_exciters, "drives one exciter", "several exciters"),

@@ -484,6 +484,53 @@ class SweepThresholds:
 
 
 @dataclass(frozen=True)
+class CurveThresholds:
+    """Response curves past their folds."""
+
+    cutoff_share: float = threshold(
+        0.7, "1",
+        "Cut-off of the filter over the mode's frequency: the gains, which grow with it, hold what runs away between "
+        "the folds, and the filter still tells the fundamental from its neighbours.",
+        "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
+    )  # fmt: skip
+    phase_tolerance: float = threshold(
+        math.radians(0.5), "rad",
+        "Largest mean phase error at lock: a point lies where its lag was measured, so that it has to be steady only.",
+        "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
+    )  # fmt: skip
+    free_decays: float = threshold(
+        3.0, "1",
+        "Time constants of the free vibration that a start from rest waits before the loop is closed off resonance.",
+        "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
+    )  # fmt: skip
+    largest_gain: float = threshold(
+        1.5, "1",
+        "Factor of the proportional gain between the folds: filter and dead time bear it.",
+        "tests/pll/test_gains.py::test_on_a_slope_the_gains_grow_within_their_bounds",
+    )  # fmt: skip
+    frequency_steadiness: float = threshold(
+        1.0e-3, "1",
+        "Share by which the frequency may still move along the curve with the decay of the structure, at lock.",
+        "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
+    )  # fmt: skip
+    steadiness: float = threshold(
+        2.5e-3, "1",
+        "Share by which the response may still be behind the point it moves along the curve with, at lock.",
+        "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
+    )  # fmt: skip
+    least_tolerance: float = threshold(
+        5.0e-5, "1",
+        "Least tolerance of a drift over a dwell, which light damping would make smaller without need.",
+        "tests/session/test_response_curve.py::test_light_damping_does_not_ask_for_endless_patience",
+    )  # fmt: skip
+    largest_boost: float = threshold(
+        2.5, "1",
+        "Factor of the integral gain along a response curve: filter and dead time bear it.",
+        "tests/pll/test_gains.py::test_on_a_slope_the_gains_grow_within_their_bounds",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class LoopThresholds:
     """Thresholds by theme; what a field means stands with it (:mod:`nmt_core.threshold`).
 
@@ -494,6 +541,7 @@ class LoopThresholds:
         secondary: secondary resonances.
         self_excited: motions that the structure feeds.
         sweeps: sweeps and stepped sines.
+        curve: response curves.
     """
 
     phase: PhaseThresholds = field(default_factory=PhaseThresholds)
@@ -502,16 +550,18 @@ class LoopThresholds:
     secondary: SecondaryThresholds = field(default_factory=SecondaryThresholds)
     self_excited: SelfExcitedThresholds = field(default_factory=SelfExcitedThresholds)
     sweeps: SweepThresholds = field(default_factory=SweepThresholds)
+    curve: CurveThresholds = field(default_factory=CurveThresholds)
 
 
 THRESHOLDS = LoopThresholds()
 """The values that are in force."""
-PHASE, AMPLITUDE, HARMONICS, SECONDARY, SELF_EXCITED, SWEEPS = (
+PHASE, AMPLITUDE, HARMONICS, SECONDARY, SELF_EXCITED, SWEEPS, CURVE = (
     THRESHOLDS.phase,
     THRESHOLDS.amplitude,
     THRESHOLDS.harmonics,
     THRESHOLDS.secondary,
     THRESHOLDS.self_excited,
     THRESHOLDS.sweeps,
+    THRESHOLDS.curve,
 )
 """Their themes."""

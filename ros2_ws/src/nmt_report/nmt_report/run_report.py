@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from nmt_core.files.whole_file import write_whole
+from nmt_extract.response_curve import is_of_curve
 from nmt_report.run_data import FileEntry, ReferenceCurve, RunReportData, read_reference
 from nmt_report.run_data_from_bag import report_data_from_bag
 from nmt_report.shared_work import font_is_open, results_of
@@ -47,13 +48,16 @@ def write_report(data: RunReportData, path: Path | str) -> Path:
 def report_html(data: RunReportData) -> str:
     """The report as HTML text; the same text for the same data."""
     from nmt_report import backbone_figures as report_backbone
+    from nmt_report import curve_figures as report_curves
     from nmt_report import history_figures as report_history
     from nmt_report import hysteresis_figures as report_hysteresis
     from nmt_report import run_page as report_page
     from nmt_report import shape_figures as report_shapes
 
+    of_curve = is_of_curve(data.points)
+    backbone = (report_backbone.frequency_figure, report_backbone.damping_figure)
     builders: dict[str, tuple[_Builder, ...]] = {
-        "first": (report_backbone.frequency_figure, report_backbone.damping_figure),
+        "first": (report_curves.curve_figure,) if of_curve else backbone,
         "modal": (
             report_backbone.indicator_figure,
             report_backbone.participation_figure,

@@ -116,6 +116,11 @@ def covers(test: DrivenTest) -> str:
             f"The reference is the backbone of a mode, and {test.words} is off it by what the force drives beside the "
             "resonant order; use --reference none, or a test at phase resonance."
         )
+    if test.kind is TestKind.RESPONSE_CURVE:
+        return (
+            f"The backbone of a mode is passed by {test.words} at its tip only; compare it with the response curves of "
+            "'./nmt reference RIG --forces', or use a test at phase resonance."
+        )
     if test.kind is TestKind.RING_DOWN:
         return (
             f"The reference is compared with modal points, and {test.words} gives free decays; plot reference.csv over "

@@ -16,11 +16,12 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 
 from nmt_core.errors import BenchError
-from nmt_core.kinds import PhaseResonanceTest, SelfExcitedTest
+from nmt_core.kinds import PhaseResonanceTest, ResponseCurveTest, SelfExcitedTest
 from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.records import LevelCommand, LoopStatus, Steering
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct
+from nmt_sequencer.curve_steps import CurveSteps
 from nmt_sequencer.level_plan import NO_LIMITS, LevelLimits, check_levels
 from nmt_sequencer.refinement import LevelRefinement
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest
@@ -36,16 +37,23 @@ class RunPlan(RunSettings):
 
     Attributes:
         timeout: bench time a level may take to lock, s; 0 = no limit.
+        phases: phase of each level by which the held force leads the velocity, rad; empty = phase resonance, or as the
+            kind of test begins.
         open_loop_abort: end the run where a higher level would follow one that was lost without force or response.
     """
 
     ramp: float = 0.5
     window_periods: int = 200
     timeout: float = 30.0
+    phases: tuple[float, ...] = ()
     open_loop_abort: bool = True
 
     def __post_init__(self) -> None:
         check_levels(self.levels, "Plan")
+        if not self.phases:
+            levels, phases = self.kind.steps(self.levels)
+            object.__setattr__(self, "levels", levels)
+            object.__setattr__(self, "phases", phases)
         if self.control not in (ControlKind.VOLTAGE, ControlKind.RESPONSE, ControlKind.FORCE):
             raise BenchError(f"Control {self.control} is not known; use 1 (voltage), 2 (response) or 3 (force).")
         if not 0.0 <= self.ramp < 1e6:
@@ -54,7 +62,7 @@ class RunPlan(RunSettings):
             raise BenchError(f"The time-out must be finite and >= 0 s, got {self.timeout}.")
         if self.window_periods < 1:
             raise BenchError(f"A window needs at least one period, got {self.window_periods}.")
-        if self.refinement and self.levels_without:
+        if (self.refinement or self.phases) and self.levels_without:
             raise BenchError("Levels can be put in only where all are done alike: leave out --compare.")
 
     @property
@@ -154,6 +162,7 @@ class RunMachine:
     _act_count: int = 0
     _decided: int = 0
     _refinement: LevelRefinement | None = None
+    _curve: CurveSteps | None = None
 
     @property
     def active(self) -> bool:
@@ -215,6 +224,7 @@ class RunMachine:
         self._end_request = None
         self._act_count = 0
         self._refinement = LevelRefinement(plan.refinement, plan.levels) if plan.refinement else None
+        self._curve = CurveSteps(plan.kind) if isinstance(plan.kind, ResponseCurveTest) else None
         tick = self.pacing.tick
         begin = self.horizon if self.pacing.lockstep else self.newest + 1
         self._next_tick = (begin // tick + 1) * tick
@@ -567,6 +577,8 @@ class RunMachine:
             return
         if self._refinement is not None:
             self._refine(self._refinement, record, report, effective)
+        if self._curve is not None:
+            self._step_along(self._curve, record, report, effective)
         self._next_level(effective)
 
     def _refine(self, refinement: LevelRefinement, record: LevelRecord, report: LoopStatus, effective: int) -> None:
@@ -584,6 +596,44 @@ class RunMachine:
             return
         request = SteeringRequest(SteeringAct.CHANGE_LEVELS, levels=(level, *rest), source="the step control")
         self.plan = with_rest(plan, record.index, request.levels, ())
+        self._note(request, report.last_sample + 1, effective)
+
+    def _step_along(self, curve: CurveSteps, record: LevelRecord, report: LoopStatus, effective: int) -> None:
+        """Put a point before the next one of the plan where the response curve is longer than a step."""
+        plan = self.plan
+        assert plan is not None
+        present, rest = plan.phases[record.index], slice(record.index + 1, None)
+        levels, phases = plan.levels[rest], plan.phases[rest]
+        follows = bool(levels) and levels[0] == record.amplitude
+        if record.complete:
+            curve.add(record.amplitude, present, report)
+            phase = curve.before(phases[0]) if follows else None
+        else:
+            if follows and curve.begins_at_other_end(record.amplitude):
+                levels = (levels[0], record.amplitude, *levels[1:])
+                phases = (phases[0], present, *phases[1:])
+                self._put_in(levels, phases, record, report, effective)
+                return
+            phase = curve.after_loss(record.amplitude, present)
+            if phase is not None and not follows:  # the end of the curve, which is tried again
+                levels, phases = (record.amplitude, *levels), (present, *phases)
+        if phase is None:
+            return
+        levels, phases = (record.amplitude, *levels), (phase, *phases)
+        self._put_in(levels, phases, record, report, effective)
+
+    def _put_in(
+        self,
+        levels: tuple[float, ...],
+        phases: tuple[float, ...],
+        record: LevelRecord,
+        report: LoopStatus,
+        effective: int,
+    ) -> None:
+        plan = self.plan
+        assert plan is not None
+        request = SteeringRequest(SteeringAct.CHANGE_LEVELS, levels=levels, source="the step control")
+        self.plan = with_rest(plan, record.index, levels, (), phases)
         self._note(request, report.last_sample + 1, effective)
 
     def _next_level(self, effective: int) -> None:
@@ -633,6 +683,10 @@ class RunMachine:
             float(timeout),
             **plan.kind.level_fields,
         )
+        if plan.phases and amplitude > 0.0:
+            phase = plan.phases[index]
+            foreseen = 0.0 if self._curve is None else self._curve.foreseen(amplitude, phase)
+            order = replace(order, held_phase=phase, frequency_hz=foreseen)
         if index in plan.levels_without:
             order = replace(order, harmonics_control=0)
         self._orders.append(order)

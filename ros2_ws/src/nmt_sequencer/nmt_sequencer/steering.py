@@ -65,7 +65,13 @@ class SteeringRequest:
         }
 
 
-def with_rest(plan: RunPlan, present: int, levels: Sequence[float], frequencies_hz: Sequence[float]) -> RunPlan:
+def with_rest(
+    plan: RunPlan,
+    present: int,
+    levels: Sequence[float],
+    frequencies_hz: Sequence[float],
+    phases: Sequence[float] | None = None,
+) -> RunPlan:
     """The plan with other levels after the present one.
 
     Args:
@@ -73,10 +79,13 @@ def with_rest(plan: RunPlan, present: int, levels: Sequence[float], frequencies_
         present: index of the present level.
         levels: what follows it.
         frequencies_hz: one for each of them, Hz; empty: as the plan has it, if all its levels have the same.
+        phases: held phase of each of them, rad; None: as the kind of test begins with these levels.
 
     Raises:
         BenchError: too many levels, or frequencies are missing or too many.
     """
+    if phases is None:
+        levels, phases = _steps(plan, present, levels)
     if present + 1 + len(levels) > MAX_LEVELS:
         raise BenchError(
             f"A plan has at most {MAX_LEVELS} levels; {present + 1} are begun, {len(levels)} would follow."
@@ -93,8 +102,23 @@ def with_rest(plan: RunPlan, present: int, levels: Sequence[float], frequencies_
         plan,
         levels=(*plan.levels[kept], *levels),
         frequencies_hz=(*plan.frequencies_hz[kept], *given),
+        phases=(*plan.phases[kept], *phases),
         levels_without=begun,
     )
+
+
+def _steps(plan: RunPlan, present: int, levels: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
+    """Steps for levels to come; where each level is a curve, one that is the present one's stands for its end."""
+    if not plan.phases:
+        return levels, ()
+    chosen = [level for place, level in enumerate(levels) if place == 0 or level != levels[place - 1]]
+    begun: tuple[float, ...] = ()
+    if chosen and chosen[0] == plan.levels[present] and plan.levels[present + 1 : present + 2] == (chosen[0],):
+        del chosen[0]
+        begun = plan.phases[present + 1 : present + 2]
+    towards = begun or plan.phases[present : present + 1]
+    amplitudes, phases = plan.kind.steps(chosen, backwards=towards[0] > 0.0)
+    return ((plan.levels[present],) * len(begun)) + amplitudes, (*begun, *phases)
 
 
 def with_repetition(plan: RunPlan, present: int, index: int) -> RunPlan:
@@ -111,5 +135,6 @@ def with_repetition(plan: RunPlan, present: int, index: int) -> RunPlan:
         present,
         (plan.levels[index], *plan.levels[rest]),
         (*plan.frequencies_hz[index : index + 1], *plan.frequencies_hz[rest]),
+        (*plan.phases[index : index + 1], *plan.phases[rest]),
     )
     return replace(changed, levels_without=changed.levels_without | repeated | later)

@@ -57,7 +57,12 @@ class BlockChoice:
 
 
 def choose_block(
-    linear: LinearDescription, settings: LoopSettings, level: LevelTime, sample_rate: float, channels: int
+    linear: LinearDescription,
+    settings: LoopSettings,
+    level: LevelTime,
+    sample_rate: float,
+    channels: int,
+    shortest: float = 0.0,
 ) -> BlockChoice:
     """The longest block, in steps of 10 ms from 20 to 50 ms, that lengthens a level by 3 % at most.
 
@@ -67,7 +72,10 @@ def choose_block(
         level: ramp and window of a level.
         sample_rate: Hz.
         channels: of the largest message.
+        shortest: of the blocks of a loop that needs all the bandwidth it asks for, s; 0 = it does not.
     """
+    if shortest > 0.0:
+        return _with_all_bandwidth(linear, settings, sample_rate, shortest)
     frequency = linear.frequencies_rad_s[linear.target_mode] / (2.0 * math.pi)
     longest = min(
         _LONGEST,
@@ -92,6 +100,21 @@ def choose_block(
     else:
         reason += "; longer blocks would cost more bench time"
     return BlockChoice(max(2, round(chosen * sample_rate)), tick_blocks(chosen), f"chosen: {reason}")
+
+
+def _with_all_bandwidth(
+    linear: LinearDescription, settings: LoopSettings, sample_rate: float, shortest: float
+) -> BlockChoice:
+    """The longest block with which the dead time leaves the loop the bandwidth that its closed form asks for."""
+    bandwidth = wanted_bandwidth(linear, settings)
+    length = min(max(allowed_bandwidth(settings, 1.0) / bandwidth, shortest), USUAL)
+    samples = max(2, int(length * sample_rate))
+    reason = (
+        f"the loop has to hold motions that are unstable without it; its closed form asks for {bandwidth:.3g} rad/s, "
+        f"its dead time of {PHASE.dead_time_blocks:g} blocks allows "
+        f"{allowed_bandwidth(settings, samples / sample_rate):.3g} rad/s"
+    )
+    return BlockChoice(samples, tick_blocks(samples / sample_rate), f"chosen: {reason}")
 
 
 def tick_blocks(length: float) -> int:

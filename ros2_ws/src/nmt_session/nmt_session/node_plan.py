@@ -5,12 +5,9 @@ from __future__ import annotations
 import datetime
 import json
 import math
-import platform
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TypedDict, TypeVar
 
@@ -18,7 +15,13 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.files.yaml_text import yaml_text
-from nmt_core.kinds import KindOfTest, PhaseResonanceTest, SecondaryResonanceTest, SelfExcitedTest
+from nmt_core.kinds import (
+    KindOfTest,
+    PhaseResonanceTest,
+    ResponseCurveTest,
+    SecondaryResonanceTest,
+    SelfExcitedTest,
+)
 from nmt_core.messages.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.messages.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
 from nmt_core.messages.driven_test import DrivenTest
@@ -48,6 +51,8 @@ from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import LevelLimits
 from nmt_sequencer.sequencer_settings import SequencerSettings
 from nmt_session.coverage import covers
+from nmt_session.curve_loop import curve_values
+from nmt_session.versions import versions
 
 S = TypeVar("S", bound=NodeSettings)
 LOOP_TOPICS = ("drive", "frequency")
@@ -620,6 +625,8 @@ def _with_loops(pll: PllSettings, test: TestPlan, linear: LinearDescription | No
     Amplitude floors default to a fraction of the linear estimate at the lowest level.
     """
     values = dict(test.rig.pll)
+    block = float(test.rig.block_samples) / float(test.rig.sample_rate_hz)
+    values = curve_values(test.kind, linear, values, test.control, block, test.lead_blocks)
     chosen = {**_node_values(values), **_paper_values(values)}
     if linear is not None:
         _add_floors(values, test, linear, response)
@@ -644,6 +651,10 @@ def _add_floors(values: dict[str, Any], test: TestPlan, linear: LinearDescriptio
         values["force_floor"] = 0.02 * lowest * force_per_volt
     if isinstance(test.kind, SecondaryResonanceTest):  # its response is not that of the mode in phase resonance
         return
+    if (
+        isinstance(test.kind, ResponseCurveTest) and test.control == "force"
+    ):  # a stiff mode answers as a spring at least
+        response_per_volt *= 2.0 * linear.plant_damping_ratio
     if "response_floor" not in values and lowest * response_per_volt > 0:
         values["response_floor"] = 0.02 * lowest * response_per_volt
 
@@ -681,15 +692,3 @@ _FROM_RIG_AND_TEST = frozenset({item.name for item in fields(NodeSettings)}) | {
     "bundle_blocks", "joined_input", "self_excited_method", "response_limit",
 }  # fmt: skip
 """Settings of the loop's node that no rig file gives."""
-
-
-@cache
-def versions() -> dict[str, str]:
-    """Versions of what a run's result depends on."""
-    found = {"python": platform.python_version()}
-    for name in ("numpy", "scipy", "numba", "rosbags", "nmt_bench", "ros-jazzy-rclpy"):
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found

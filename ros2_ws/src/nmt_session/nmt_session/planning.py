@@ -10,12 +10,13 @@ from typing import Any
 import yaml
 
 from nmt_core.errors import BenchError
-from nmt_core.kinds import KindOfTest, SelfExcitedTest, kind_named
+from nmt_core.kinds import KindOfTest, ResponseCurveTest, SelfExcitedTest, kind_named
 from nmt_pll.loop_settings import LoopSettings
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_snapshot import rig_text
 from nmt_sequencer.level_plan import parse_levels
 from nmt_session.block_length import LevelTime, choose_block
+from nmt_session.curve_loop import SHORTEST_BLOCK, curve_values
 from nmt_session.node_plan import PlanSettings, TestPlan, as_plain
 
 
@@ -32,6 +33,8 @@ class TestSettings(PlanSettings, total=False):
     resonance: str | None
     release: float | None
     refinement: float | None
+    lag_deg: Sequence[float] | None
+    spacing: float | None
     strategy: str | None
     method: str | None
     overrides: Sequence[str]
@@ -181,14 +184,16 @@ def _with_chosen_block(plan: TestPlan) -> TestPlan:
     linear = plan.used_linear
     assert linear is not None  # every test that closes the phase loop has one
     known = {item.name for item in fields(LoopSettings)}
-    settings = LoopSettings(**{name: value for name, value in _loop_values(plan).items() if name in known})
+    values = curve_values(plan.kind, linear, _loop_values(plan), plan.control)
+    settings = LoopSettings(**{name: value for name, value in values.items() if name in known})
     asked = plan.run_settings
     window = plan.kind.window_s or asked.window_periods / linear.frequency_hz
     level = LevelTime(asked.ramp, window, plan.control != "voltage")
     rate = float(plan.rig.sample_rate_hz)
     quantities = [sensor.quantity for sensor in plan.rig.sensors]
     channels = max(quantities.count(quantity) for quantity in quantities)
-    choice = choose_block(linear, settings, level, rate, channels)
+    unstable = isinstance(plan.kind, ResponseCurveTest) and plan.control == "force"
+    choice = choose_block(linear, settings, level, rate, channels, SHORTEST_BLOCK if unstable else 0.0)
     rig = plan.rig.model_copy(update={"block_samples": choice.block_samples})
     return replace(
         plan,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,14 @@ if TYPE_CHECKING:
 CONVERGENCE_ORDERS = (1, 3, 5, 7, 20, 61)
 
 
+def _band(text: str) -> tuple[float, float]:
+    try:
+        low, high = map(float, text.split(":"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is no band; give it in Hz as in 15:45") from None
+    return low, high
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReferenceOptions:
     """Computes modal frequency and damping over modal amplitude of a rig's model by the extended periodic motion
@@ -40,6 +49,19 @@ class ReferenceOptions:
         "the "
         "rig's levels generously)",
         metavar="q1:q2:n",
+    )
+    forces: str | None = option(
+        None,
+        "the response curves at these forces (N) in place of the backbone: a,b,c or a:b:n, by harmonic balance with "
+        "continuation; folds, and the stability of every point by Floquet multipliers",
+        metavar="PLAN",
+    )
+    band: tuple[float, float] | None = option(
+        None,
+        "with --forces: lowest and highest frequency, Hz (default: the guard band of the loop, at least half to one "
+        "and a half of the mode's)",
+        metavar="LOW:HIGH",
+        parse=_band,
     )
     compare: Path | None = option(
         None,
@@ -59,6 +81,10 @@ def run(options: ReferenceOptions) -> int:
     if not 1 <= options.harmonics <= 200:
         raise BenchError(f"--harmonics must be a whole number from 1 to 200, got {options.harmonics}.")
 
+    if options.forces is not None:
+        return _response_curves(options, options.forces)
+    if options.band is not None:
+        raise BenchError("--band belongs to --forces; give forces, or leave it out.")
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_report.reference_report import reference_page
@@ -100,6 +126,37 @@ def run(options: ReferenceOptions) -> int:
     if options.convergence:
         console.print(_convergence(rig, reference))
     console.print(f"Results in {options.out}: reference.csv, shapes.csv, report.html")
+    return 0
+
+
+def _response_curves(options: ReferenceOptions, forces: str) -> int:
+    """Compute response curves, write their tables and report.
+
+    Raises:
+        BenchError: as :func:`run`, or an option of the backbone is given.
+    """
+    if options.amplitudes or options.compare or options.convergence:
+        raise BenchError(
+            "--amplitudes, --compare and --convergence belong to the backbone; leave them out, or leave out --forces."
+        )
+    from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.work_display import WorkDisplay
+    from nmt_report.curve_figures import reference_curve_page, reference_sentences
+    from nmt_rig.response_reference import reference_responses, write_reference_responses
+    from nmt_rig.rig import load_rig
+    from nmt_sequencer.level_plan import parse_levels
+
+    rig, levels = load_rig(options.rig, options.set), parse_levels(forces)
+    console = make_console()
+    steps = f"computing {len(levels)} response curves", "writing the report"
+    with WorkDisplay(console, steps) as display, OutputFolder(options.out, options.force) as folder:
+        responses = reference_responses(rig, levels, options.harmonics, options.band)
+        display.step()
+        write_reference_responses(responses, folder)
+        (folder / "report.html").write_text(reference_curve_page(rig, responses), encoding="utf-8")
+    for line in reference_sentences(responses):
+        console.print(line, soft_wrap=True)
+    console.print(f"Results in {options.out}: response_curve.csv, response_folds.csv, report.html")
     return 0
 
 

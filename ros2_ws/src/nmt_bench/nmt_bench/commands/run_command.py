@@ -49,6 +49,14 @@ def _harmonics(text: str) -> int | str:
         raise argparse.ArgumentTypeError(f"'{text}' is no number of harmonics; give one from 2 on, auto or 0") from None
 
 
+def _lags(text: str) -> tuple[float, float]:
+    try:
+        first, last = map(float, text.split(":"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' are no two lags; give them in degrees as in 20:160") from None
+    return first, last
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
     """Tests a rig: the phase-locked loop holds phase resonance at the drive point, the level is stepped, and every
@@ -63,8 +71,9 @@ class RunOptions:
     kind: str = option(
         "phase_resonance",
         "self_excited: a rig that feeds its motion is held at amplitudes of the response, or released and measured as "
-        "it passes them; the damping ratio may have either sign (default: phase_resonance)",
-        choices=("phase_resonance", "self_excited"),
+        "it passes them; the damping ratio may have either sign; response_curve: the response at each held force past "
+        "its folds, the phase lag stepped (default: phase_resonance)",
+        choices=("phase_resonance", "self_excited", "response_curve"),
     )
     method: str | None = option(
         None,
@@ -87,7 +96,8 @@ class RunOptions:
         None,
         "levels in the unit of --control: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or"
         " a "
-        "list a,b,c (default: the rig's, in V; of a self-excited test in the unit of the response)",
+        "list a,b,c (default: the rig's, in V; of a self-excited test in the unit of the response); of a response "
+        "curve one for each curve, in N",
         metavar="PLAN",
     )
     strategy: str | None = option(
@@ -101,7 +111,8 @@ class RunOptions:
         None,
         "what the levels are: drive voltage (V), amplitude of the drive-point response that is held (m or "
         "m/s^2),"
-        " or force fundamental that is held (N) (default: voltage; of a self-excited test response)",
+        " or force fundamental that is held (N) (default: voltage; of a self-excited test response, of a response "
+        "curve force)",
         choices=("voltage", "response", "force"),
     )
     refine: float | None = option(
@@ -109,6 +120,19 @@ class RunOptions:
         "put levels between those of the plan where the backbone bends: largest relative deviation of the "
         "frequency from a straight line, such as 0.001 (default: the plan as it is)",
         metavar="TOL",
+    )
+    lag: tuple[float, float] | None = option(
+        None,
+        "of a response curve: first and last phase lag of the drive-point displacement behind the force, degrees "
+        "(default: 10:170)",
+        metavar="A:B",
+        parse=_lags,
+    )
+    spacing: float | None = option(
+        None,
+        "of a response curve: distance of neighbouring points; 1 is a factor of e of the response, a radian of the lag "
+        "or a tenth of the frequency (default: 0.2)",
+        metavar="D",
     )
     resonance: str | None = option(
         None,
@@ -215,7 +239,8 @@ def _run(options: RunOptions) -> int:
     if not options.resonance and options.start_frequency is not None:
         raise BenchError("--start-frequency belongs to --resonance; give it, or leave it out.")
     if options.kind != "phase_resonance" and options.resonance:
-        raise BenchError("A self-excited test has no secondary resonance; leave out --resonance or --kind.")
+        words = options.kind.replace("_", " ")
+        raise BenchError(f"A {words} test has no secondary resonance; leave out --resonance or --kind.")
     settings: dict[str, Any] = {"control": options.control} if options.control else {}
     linear = read_linear(options.linear) if options.linear is not None else None
     sheet = None if options.calibration is None else read_calibration(options.calibration)
@@ -236,6 +261,8 @@ def _run(options: RunOptions) -> int:
         compare=options.compare or 0,
         latency_blocks=options.latency_blocks,
         refinement=options.refine,
+        lag_deg=options.lag,
+        spacing=options.spacing,
         test="secondary_resonance" if options.resonance else options.kind,
         resonance=options.resonance,
         release=options.release,
@@ -436,10 +463,13 @@ def _write_budget(
     from nmt_core.vocabulary import PointStatus
     from nmt_extract.bag_budget import bag_budget
     from nmt_extract.extraction_settings import ExtractionSettings
+    from nmt_extract.response_curve import is_of_curve
     from nmt_extract.uncertainty_budget import write_budget
     from nmt_record.bag.bag_reader import Bag
 
     good = [point for point in result.points if point.status is PointStatus.OK and not point.force_order]
+    if is_of_curve(good):  # the budget is that of modal properties at phase resonance
+        return ()
     if not good or result.bag is None or not result.bag.exists():
         return ()
     budgets, inputs = bag_budget(
@@ -500,6 +530,8 @@ def _print_table(result: RunResult, bench: Bench, found: Evaluation, console: An
     from nmt_core.messages.linear_description import LinearDescription
     from nmt_core.vocabulary import ResultCode
     from nmt_extract.backbone_jumps import backbone_sentences
+    from nmt_extract.force_surface import surface_sentences
+    from nmt_extract.response_curve import curve_sentences, is_of_curve, response_curves
 
     if result.points:
         print_modal_table(result.points, found.reference, console, found.budgets[0] if found.budgets else ())
@@ -511,7 +543,13 @@ def _print_table(result: RunResult, bench: Bench, found: Evaluation, console: An
             f"Bench time {result.bench_time:.1f} s ({result.bench_time / levels:.1f} s a level) in "
             f"{result.wall_time:.1f} s: {result.real_time_factor:.1f} × real time; bag {result.bag_state}."
         )
-    for line in (*result.remarks, *backbone_sentences(result.points)):
+    curves = response_curves(result.points) if is_of_curve(result.points) else ()
+    for line in (
+        *result.remarks,
+        *backbone_sentences(result.points),
+        *curve_sentences(curves),
+        *surface_sentences(curves),
+    ):
         console.print(line, soft_wrap=True)
     described = bench.plan.run.get("linear")
     linear = LinearDescription.from_mapping(dict(described)) if described else None

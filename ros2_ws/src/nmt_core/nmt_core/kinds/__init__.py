@@ -13,6 +13,7 @@ from nmt_core.kinds.kind_of_test import KindOfTest, refuse_foreign
 from nmt_core.kinds.phase_resonance import MOST_HARMONICS, STRATEGIES, PhaseResonanceTest, RingDownTest
 from nmt_core.kinds.random import PEAK_FACTOR, RandomTest
 from nmt_core.kinds.record import RecordedTest
+from nmt_core.kinds.response_curve import ResponseCurveTest
 from nmt_core.kinds.secondary_resonance import SecondaryResonanceTest
 from nmt_core.kinds.self_excited import METHODS, SelfExcitedTest
 from nmt_core.vocabulary import TestKind
@@ -28,6 +29,7 @@ __all__ = [
     "PhaseResonanceTest",
     "RandomTest",
     "RecordedTest",
+    "ResponseCurveTest",
     "RingDownTest",
     "SecondaryResonanceTest",
     "SelfExcitedTest",
@@ -50,6 +52,7 @@ KINDS: dict[TestKind, type[KindOfTest]] = {
         RecordedTest,
         SelfExcitedTest,
         SecondaryResonanceTest,
+        ResponseCurveTest,
     )
 }
 """Every kind by its number."""

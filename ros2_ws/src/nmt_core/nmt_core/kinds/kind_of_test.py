@@ -100,6 +100,19 @@ class KindOfTest:
         """Length of the window where it is not a number of periods, s; 0 = it is."""
         return 0.0
 
+    def steps(self, levels: Sequence[float], backwards: bool = False) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """What a run begins with at these levels, before anything is put in: an amplitude for each step, and its phase.
+
+        Args:
+            levels: of the plan.
+            backwards: whether the first of several steps of a level comes last.
+
+        Returns:
+            Amplitudes, and the phase by which the held force leads the velocity, rad; no phases = phase resonance.
+        """
+        del backwards
+        return tuple(levels), ()
+
     def check(self, frequencies_hz: Sequence[float], levels: int, control: int, sample_rate: float) -> None:
         """Refuse what a bench with this sample rate cannot do.
 

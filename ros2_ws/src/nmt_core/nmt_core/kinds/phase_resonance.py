@@ -16,7 +16,7 @@ STRATEGIES = ("stepped", "ramp")
 
 
 @dataclass(frozen=True, kw_only=True)
-class _PhaseLocked(KindOfTest):
+class PhaseLockedTest(KindOfTest):
     """Phase-locked excitation.
 
     Attributes:
@@ -73,7 +73,7 @@ def _highest(asked: Any) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhaseResonanceTest(_PhaseLocked):
+class PhaseResonanceTest(PhaseLockedTest):
     """One window of whole periods at each level.
 
     Attributes:
@@ -104,7 +104,7 @@ class PhaseResonanceTest(_PhaseLocked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RingDownTest(_PhaseLocked):
+class RingDownTest(PhaseLockedTest):
     """Excitation that is switched off at the lock; the window is the free decay.
 
     Attributes:

@@ -52,6 +52,8 @@ class ModalPoint:
         harmonics_control: harmonics 2 to this one of the force were controlled; 0 = none, 1 = as many as could be.
         response_order, force_order: k and ν of a secondary resonance; values are those of the order k, n counts in
             ``frequency_hz`` / k, see :mod:`nmt_core.messages.secondary_resonance`; 0 = phase resonance.
+        held_phase: phase by which the loop let the force lead the velocity of the drive point, rad; 0 = phase
+            resonance. At other phases ``frequency_hz`` is that of the excitation.
         exciter_points: measurement points of several exciters, the first's first; empty = one exciter.
         exciter_forces: F_jn of several exciters, N, one exciter's 0..H after the other's; the powers are those of
             all.
@@ -197,6 +199,7 @@ class ModalPoint:
     force_order: int = 0
     exciter_points: tuple[int, ...] = ()
     exciter_forces: ComplexArray = field(default_factory=_empty)
+    held_phase: float = 0.0
 
     def __post_init__(self) -> None:
         for name in COMPLEX:

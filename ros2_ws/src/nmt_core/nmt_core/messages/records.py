@@ -93,6 +93,8 @@ class LevelCommand:
     ``harmonics_control`` of the force are controlled (0 = none, 1 = as many as can be), ``harmonics_target`` is a
     :class:`~nmt_core.vocabulary.HarmonicsTarget`. ``response_order`` and ``force_order`` say which secondary resonance
     (:mod:`nmt_core.messages.secondary_resonance`), ``release`` is the response amplitude of its release (0 = none).
+    ``held_phase`` is the phase by which the force leads the velocity of the drive point where the phase loop holds it,
+    rad (0 = phase resonance).
     """
 
     sequence: int
@@ -115,6 +117,7 @@ class LevelCommand:
     response_order: int = 0
     force_order: int = 0
     release: float = 0.0
+    held_phase: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +137,7 @@ class LockEvent:
         test: kind of test.
         time_ns: bench time of ``sample``, ns.
         response_order, force_order: k and ν of a secondary resonance; 0 = none.
+        held_phase: phase by which the held force leads the velocity of the drive point, rad.
     """
 
     level_index: int
@@ -149,6 +153,7 @@ class LockEvent:
     time_ns: int = 0
     response_order: int = 0
     force_order: int = 0
+    held_phase: float = 0.0
 
     @property
     def window_end(self) -> int:

@@ -142,6 +142,44 @@ def judge_phase(values: Mapping[str, float]) -> list[Remark]:
     return remarks
 
 
+def judge_held_phase(values: Mapping[str, float], held: float) -> list[Remark]:
+    """Remark on the phase of a point of a response curve: it is where it was measured, and not where it was asked for.
+
+    Args:
+        values: of the point: phase_error, phase_error_std.
+        held: phase that the loop was to hold, rad.
+    """
+    away, std = math.remainder(values["phase_error"] - held, 2.0 * math.pi), values["phase_error_std"]
+    if abs(away) <= max(PHASE_LIMIT, 2.0 * std if math.isfinite(std) else 0.0):
+        return []
+    return [
+        Remark(
+            f"The lag is {math.degrees(abs(away)):.1f}° off the one that was held (limit "
+            f"{math.degrees(PHASE_LIMIT):.0f}°), so the channels of the loop are not those of the recording, or the "
+            "window began too early; wait longer before the window, or look at delays of the channels."
+        )
+    ]
+
+
+def settling_part(values: Mapping[str, float], growth: float, frequency_rate: float) -> Remark:
+    """What a point of a response curve still has to go: what settles with the decay δ at a rate r is r / δ away.
+
+    Args:
+        values: of the point: damping_ratio, omega_rad_s, modal_amplitude.
+        growth: rate of ln of the response, 1/s.
+        frequency_rate: of the frequency, rad/s².
+    """
+    decay = abs(values["damping_ratio"]) * values["omega_rad_s"]
+    return Remark(
+        "",
+        {
+            "omega_rad_s": abs(frequency_rate) / decay,
+            "modal_amplitude": abs(growth) / decay * values["modal_amplitude"],
+        },
+        moving=True,
+    )
+
+
 def judge_resonant_phase(values: Mapping[str, float]) -> list[Remark]:
     """Remark on the phase of the resonant order of a secondary resonance.
 

@@ -51,6 +51,7 @@ class WindowEvaluation:
         lock = window.lock
         self.resonance = resonance_of(lock.response_order, lock.force_order) if lock.force_order else None
         self.self_excited = lock.test is TestKind.SELF_EXCITED
+        self.on_curve = lock.test is TestKind.RESPONSE_CURVE
         orders = self.resonance[:2] if self.resonance else (1, 1)
         self.motion = PeriodicMotion(window, WindowRows.of(window, linear), settings, orders)
         self.channels = ChannelFindings(self.motion, linear, history)
@@ -118,9 +119,9 @@ class WindowEvaluation:
                 fields[f"{name}_std"] = math.hypot(fields[f"{name}_std"], change)
         fields["omega_rad_s"] = float(omega[0])
         fields["frequency_hz"] = self.order * float(motion.frequency_hz[0])
+        off_resonance = 0.0 if self.on_curve else math.hypot(fields["phase_error"], fields["phase_error_std"])
         fields["omega_rad_s_std"] = math.hypot(
-            2.0 * math.pi * self.order * motion.frequency_std,
-            fields["damping_ratio"] * omega[0] * math.hypot(fields["phase_error"], fields["phase_error_std"]),
+            2.0 * math.pi * self.order * motion.frequency_std, fields["damping_ratio"] * omega[0] * off_resonance
         )
         remarks = self._remarks(fields)
         refusals = [remark.sentence for remark in remarks if remark.rejects]
@@ -169,6 +170,7 @@ class WindowEvaluation:
             harmonics_control=self.history.driven.get(lock.level_index, 0),
             response_order=lock.response_order if self.resonance else 0,
             force_order=lock.force_order,
+            held_phase=lock.held_phase,
             exciter_points=linear.exciter_points if several else (),
             exciter_forces=np.array([motion.amplitudes[0, row] * turns for row in several]).ravel(),
             **fields,
@@ -183,7 +185,11 @@ class WindowEvaluation:
         else:
             drive = derived(motion.amplitudes[:, rows.drive], rows.motion_quantities[0], motion.omega, 0)
             velocity = 1j * motion.omega[0] * np.arange(drive.shape[1]) * drive[0]
-            remarks += [] if self.self_excited else window_judge.judge_phase(fields)
+            if self.on_curve:
+                remarks += window_judge.judge_held_phase(fields, motion.window.lock.held_phase)
+                remarks.append(self._settling(fields))
+            elif not self.self_excited:
+                remarks += window_judge.judge_phase(fields)
             remarks += window_judge.judge_harmonics(
                 fields, motion.amplitudes[0, rows.force], velocity, motion.amplitudes[0, rows.drive]
             )
@@ -207,6 +213,17 @@ class WindowEvaluation:
         return window_judge.judge_steadiness(
             middle, force, velocity, fields, motion.window.samples / rate, of_damping=not self.self_excited
         )
+
+    def _settling(self, fields: dict[str, float]) -> Remark:
+        """What a point of a response curve still has to go, by its halves."""
+        motion = self.motion
+        middle, rate = motion.cycles.size // 2, motion.window.sample_rate
+        halves = np.diff([motion.cycles[0], motion.cycles[middle], motion.cycles[0] + motion.advance])
+        lengths = np.array([middle, motion.cycles.size - middle]) / rate
+        turning = 2.0 * np.pi * halves / lengths
+        sizes = np.abs(motion.part_amplitudes[:, self.rows.drive, 1]) if motion.parts else np.ones(2)
+        growth = math.log(sizes[-1] / sizes[0]) * sizes.size / (sizes.size - 1) / lengths.sum()
+        return window_judge.settling_part(fields, growth, float(turning[1] - turning[0]) / (0.5 * lengths.sum()))
 
     def _balance(self) -> BalancedMode:
         """Balance of power over parts of the window."""

@@ -96,6 +96,11 @@ class FrequencyController:
         self.output = min(max(self.integrator + gains.proportional * error, self.low), self.high)
         return self.output
 
+    def shift(self, change: float) -> None:
+        """Move integrator and output by a change of the frequency that is known beforehand, rad/s."""
+        self.integrator = min(max(self.integrator + change, self.low), self.high)
+        self.output = min(max(self.output + change, self.low), self.high)
+
     @property
     def at_bound(self) -> bool:
         """True while the integrator rests on a bound."""

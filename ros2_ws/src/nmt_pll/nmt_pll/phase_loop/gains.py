@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_pll.thresholds import CURVE
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +20,25 @@ class ControllerGains:
 
     proportional: float
     integral: float
+
+    def on_slope(self, slope: float, decay: float) -> ControllerGains:
+        """Gains at a point of a response curve at which the lag answers as (s + δ) / (s² + 2 δ s + D), D = δ dω/dϑ.
+
+        The slow poles are those of (2 δ + k_p) s² + (D + k_p δ + k_i) s + k_i δ. Where the lag hardly moves with the
+        frequency (D > 0), the slowest would be −k_i δ / (D + k_p δ + k_i); between the folds (D < 0) they would swing.
+        With k_i (1 + |D| / (k_p δ + k_i)) they do neither. Between the folds the plant has less gain at the crossover
+        ω = k_p, by 1 + |D| / k_p². Both factors have their bounds in `CURVE`, for filter and dead time.
+
+        Args:
+            slope: dω/dϑ of the frequency over the lag at the held amplitude, rad/s a rad.
+            decay: δ of the structure, rad/s.
+        """
+        d = decay * slope
+        boost = 1.0 + abs(d) / (self.proportional * decay + self.integral)
+        if d >= 0.0:
+            return ControllerGains(self.proportional, self.integral * min(boost, CURVE.largest_boost))
+        gain = min(1.0 - d / self.proportional**2, CURVE.largest_gain)
+        return ControllerGains(self.proportional * gain, self.integral * min(boost, CURVE.largest_boost))
 
 
 @dataclass(frozen=True, slots=True)

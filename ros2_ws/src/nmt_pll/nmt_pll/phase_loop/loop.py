@@ -22,7 +22,7 @@ from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.phase_loop.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.phase_loop.gains import LoopPlant
-from nmt_pll.thresholds import PHASE
+from nmt_pll.thresholds import CURVE, PHASE
 
 
 class PhaseLockedLoop(LevelLoop):
@@ -47,7 +47,9 @@ class PhaseLockedLoop(LevelLoop):
         BenchError: the linear description does not say enough for its exciters.
     """
 
-    KINDS: ClassVar[tuple[TestKind, ...]] = (TestKind.PHASE_RESONANCE, TestKind.RING_DOWN)
+    KINDS: ClassVar[tuple[TestKind, ...]] = (
+        TestKind.PHASE_RESONANCE, TestKind.RING_DOWN, TestKind.RESPONSE_CURVE,
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -97,6 +99,11 @@ class PhaseLockedLoop(LevelLoop):
         self._amplitude_before = 0.0
         self._ramp_end = 0
         self._motion = 0j  # fundamental of the response
+        self._phase = 0.0  # held by the level now, rad
+        self._glide = (0.0, 0, 0)  # phase it comes from, first and last sample of the way
+        self._glided = 0.0  # share of the way so far
+        self._foreseen = 0.0  # change of the frequency along the way, rad/s
+        self._slope = 0.0  # of the frequency over the lag along the way, rad/s a rad
 
     def _check_control(self, level: LevelCommand) -> None:
         if level.control not in (ControlKind.VOLTAGE, ControlKind.RESPONSE, ControlKind.FORCE):
@@ -126,13 +133,16 @@ class PhaseLockedLoop(LevelLoop):
         present = force.oscillator.frequency_hz
         self._response_quantity = response.quantity
         error, force_amplitude, response_amplitude = self._measure(*rows, force.oscillator)
-        lead = self.settings.held_lead(2.0 * math.pi * present)
-        if lead != 0.0:  # the loop takes the phase it holds for phase resonance
-            error = math.remainder(error + lead, 2.0 * math.pi)
         forces = self.forces.measure(force, response, self._row(force))
         if self.machine.state not in (LoopState.ACQUIRING, LoopState.LOCKED):
             self._quiet_reason = ""  # the drive is at zero already; the next level is not to suffer for it
         self._start_due_levels(force.first_sample, end)
+        lead = self.settings.held_lead(2.0 * math.pi * present)
+        if lead != 0.0:  # the loop takes the phase it holds for phase resonance
+            error = math.remainder(error + lead, 2.0 * math.pi)
+        power_phase, held = error, self._held_phase(end)
+        if held != 0.0:
+            error = math.remainder(error + held, 2.0 * math.pi)
         lock = None
         state = self.machine.state
         controls = state in (LoopState.ACQUIRING, LoopState.LOCKED) and not self._decaying
@@ -147,7 +157,7 @@ class PhaseLockedLoop(LevelLoop):
         elif state in (LoopState.ACQUIRING, LoopState.LOCKED):
             valid = not math.isnan(error) and end > self._closed_from
             if valid:
-                self._control(error, force_amplitude, response_amplitude, end)
+                self._control(error, power_phase, force_amplitude, response_amplitude, end)
             reason = self._reason_to_give_up(flags, end, valid)
             if reason:
                 self._give_up(end, reason)
@@ -161,6 +171,34 @@ class PhaseLockedLoop(LevelLoop):
         amplitudes = force_amplitude, response_amplitude
         output = self._output(end, self.controller.output, error, amplitudes, lock, flags)
         return output._replace(terms=self.forces.drive_terms(max(output.amplitude, self._ramp_from(end))))
+
+    def _held_phase(self, end: int) -> float:
+        """Phase by which the force is to lead the velocity now, rad: a half-cosine to that of the level."""
+        if self._level is None or self._level.amplitude <= 0.0:
+            return self._phase
+        before, first, last = self._glide
+        way = min(max((end - first) / (last - first), 0.0), 1.0) if last > first else 1.0
+        share = 0.5 - 0.5 * math.cos(math.pi * way)
+        self._phase = before + (self._level.held_phase - before) * share
+        if self._foreseen != 0.0:
+            self.controller.shift(self._foreseen * (share - self._glided))
+        self._glided = share
+        return self._phase
+
+    def _resting_frequency(self, level: LevelCommand) -> float:
+        """Frequency to start with from rest, rad/s; away from phase resonance that of the linear mode at the lag."""
+        if level.held_phase == 0.0:
+            return self._good_frequency
+        return self.start_frequency + self.plant.structure_decay * math.tan(level.held_phase)
+
+    def _begin_glide(self, level: LevelCommand, end: int, ramp_end: int, was_quiet: bool) -> None:
+        """Turn the held phase to that of the level along its ramp, and the frequency to the one foreseen there."""
+        self._glide = (level.held_phase if was_quiet else self._phase, end, ramp_end)
+        self._glided = self._foreseen = self._slope = 0.0
+        if level.test is TestKind.RESPONSE_CURVE and level.frequency_hz > 0.0 and not was_quiet:
+            self._foreseen = 2.0 * math.pi * level.frequency_hz - self.controller.integrator
+            if level.held_phase != self._phase and level.control == ControlKind.FORCE:
+                self._slope = self._foreseen / (level.held_phase - self._phase)
 
     def _ramp_from(self, end: int) -> float:
         """V that the amplitude comes from while it is on its way to a level; else 0."""
@@ -188,14 +226,17 @@ class PhaseLockedLoop(LevelLoop):
 
     def _start(self, level: LevelCommand, end: int, was_quiet: bool) -> None:
         if was_quiet:
-            start = 2.0 * math.pi * level.frequency_hz or self._good_frequency
+            start = 2.0 * math.pi * level.frequency_hz or self._resting_frequency(level)
             self.controller.reset(start)
             self.filter.reset()
             self.decay = self.plant.structure_decay
         warm_up = 5.0 / self.cutoff if was_quiet else 0.0
+        if was_quiet and level.held_phase != 0.0:  # off resonance a fast loop would chase the free vibration
+            warm_up = max(warm_up, level.ramp + CURVE.free_decays / self.plant.plant_decay)
         ramp_end = end + round(level.ramp * self.sample_rate)
         self._closed_from = end + round(max(warm_up, 0.5 * level.ramp if was_quiet else 0.0) * self.sample_rate)
         self._judged_from = max(ramp_end, self._closed_from) + round(2.0 / self.cutoff * self.sample_rate)
+        self._begin_glide(level, end, ramp_end, was_quiet)
         self._deadline = self._judged_from + level.timeout * self.sample_rate if level.timeout else math.inf
         self._bound_since = None
         self._decaying = False
@@ -230,13 +271,16 @@ class PhaseLockedLoop(LevelLoop):
         """Amplitude of the response quantity for a unit displacement at the present frequency."""
         return self.controller.output ** MOTIONS.get(self._response_quantity, 0)
 
-    def _control(self, error: float, force: float, response: float, end: int) -> None:
+    def _control(self, error: float, power_phase: float, force: float, response: float, end: int) -> None:
         omega = self.controller.output
         displacement = response / self._per_displacement()
-        decay = force * self.linear.drive_point_shape**2 * math.cos(error) / (2.0 * omega * displacement)
+        decay = force * self.linear.drive_point_shape**2 * math.cos(power_phase) / (2.0 * omega * displacement)
         weight = min(1.0, self.cutoff * self.block_duration)
         self.decay += weight * (min(max(decay, 0.0), 0.3 * omega) - self.decay)
-        self.controller.update(error, self.schedule.gains(self.decay), self.block_duration)
+        gains = self.schedule.gains(self.decay)
+        if self._slope != 0.0:
+            gains = gains.on_slope(self._slope, self.decay)
+        self.controller.update(error, gains, self.block_duration)
         level = self._level
         if level is not None and level.control != ControlKind.VOLTAGE and end > self._closed_from:
             measured = force if level.control == ControlKind.FORCE else response

@@ -244,6 +244,31 @@ def follow_branch(
     return Branch(np.array(points), np.array(tangents), complete)
 
 
+def solve_fold(system: System, branch: Branch, k: int, what: str = "branch") -> FloatArray:
+    """Point (n + 1,) at which the parameter turns between points k and k + 1 of a branch, by bisection along the arc.
+
+    Raises:
+        NotConvergedError: the solution is lost between the points.
+    """
+    start, end = branch.points[k], branch.points[k + 1]
+    length = float(np.linalg.norm(end - start))
+    slopes = length * branch.tangents[k], length * branch.tangents[k + 1]
+    low, high, rising = 0.0, 1.0, branch.tangents[k, -1] > 0.0
+    heading: FloatArray = branch.tangents[k]
+    point: FloatArray = start
+    for _ in range(40):
+        t = 0.5 * (low + high)
+        solution = _correct(system, _hermite(start, end, *slopes, t), heading, StepControl())
+        if solution is None:
+            raise NotConvergedError(f"the {what} was lost at a fold near parameter {point[-1]:.6g}; take more points.")
+        point, jacobian, _ = solution
+        if (_tangent(jacobian, heading)[-1] > 0.0) == rising:
+            low = t
+        else:
+            high = t
+    return point
+
+
 def _correct(
     system: System, predicted: FloatArray, tangent: FloatArray, control: StepControl
 ) -> tuple[FloatArray, FloatArray, int] | None:

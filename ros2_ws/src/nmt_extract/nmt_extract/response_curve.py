@@ -1,0 +1,256 @@
+"""Response curves from the points of a test along the phase lag: response, folds, tip, stability.
+
+A curve is what was measured at one held force or response amplitude; its points are ordered by the lag ϑ of the
+drive-point displacement behind the force, of which frequency and response are smooth functions also beyond the folds.
+
+* Response: of P₁ = ½ ω |x| |F₁| cos φ, with the phase φ = ϑ − 90° between force and velocity.
+* Folds: where dΩ/dϑ = 0 on the cubic spline through the points; tip: where d|x|/dϑ = 0.
+* Stability of the orbit with the force as it is and no control: with δ the decay of the mode, the lag answers to the
+  frequency as (s + δ) / (s² + 2 δ s + δ dΩ/dϑ), so that one real exponent passes through zero with dΩ/dϑ, and the orbit
+  is stable where the frequency rises with the lag. This holds for held force and simple folds.
+
+Uncertainties of folds and tip have two parts: that of the values they hang on, and a fifth of what changes when every
+second point is left out: the error of a cubic spline falls to a sixteenth when the distance of its points is halved,
+and a third of that is told where the points do not lie evenly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from nmt_core.files.whole_file import csv_text, write_result
+from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_extract.modal_point import ModalPoint, Status
+
+LEAST_POINTS = 5
+"""Fewer points of a curve say nothing of its folds."""
+RESONANT_LAG = 0.5 * math.pi
+COVERAGE = 2.0
+"""Standard uncertainties of the lag of a fold within which a point's stability is left open."""
+_COARSE_SHARE = 0.2
+CURVE_COLUMNS = (
+    "curve", "level", "lag_rad", "lag_rad_std", "frequency_hz", "frequency_hz_std", "response_m", "response_m_std",
+    "force_n", "force_n_std", "stable",
+)  # fmt: skip
+"""Columns of ``response_curve.csv``; ``stable`` is 1, 0, or nan where it is left open."""
+PLACE_COLUMNS = (
+    "curve", "level", "place", "lag_rad", "lag_rad_std", "frequency_hz", "frequency_hz_std", "response_m",
+    "response_m_std",
+)  # fmt: skip
+"""Columns of ``response_folds.csv``; ``place`` is ``fold`` or ``tip``."""
+
+
+class Place(Enum):
+    """What is particular about a place of a curve."""
+
+    FOLD = "fold"
+    TIP = "tip"
+
+
+@dataclass(frozen=True)
+class CurvePlace:
+    """A fold or the tip of a curve, with standard uncertainties.
+
+    Attributes:
+        place: which of them.
+        lag, lag_std: ϑ, rad.
+        frequency_hz, frequency_hz_std: Hz.
+        response, response_std: |x| at the drive point, m.
+    """
+
+    place: Place
+    lag: float
+    lag_std: float
+    frequency_hz: float
+    frequency_hz_std: float
+    response: float
+    response_std: float
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseCurve:
+    """Points at one held amplitude, by ascending lag; arrays are ``(points,)``.
+
+    Attributes:
+        level: held force (N) or response (m or m/s²).
+        level_unit: its unit.
+        lag, lag_std: ϑ, rad.
+        frequency_hz, frequency_hz_std: Hz.
+        response, response_std: |x| at the drive point, m.
+        force, force_std: |F₁|, N.
+        points: as measured.
+    """
+
+    level: float
+    level_unit: str
+    lag: FloatArray
+    lag_std: FloatArray
+    frequency_hz: FloatArray
+    frequency_hz_std: FloatArray
+    response: FloatArray
+    response_std: FloatArray
+    force: FloatArray
+    force_std: FloatArray
+    points: tuple[ModalPoint, ...]
+
+    @property
+    def holds_force(self) -> bool:
+        """Whether the force was held."""
+        return self.level_unit == "N"
+
+    @property
+    def folds(self) -> tuple[CurvePlace, ...]:
+        """Places at which the frequency turns, by ascending lag; none where the response was held."""
+        return self._places(self.frequency_hz, self.frequency_hz_std, Place.FOLD) if self.holds_force else ()
+
+    @property
+    def tip(self) -> CurvePlace | None:
+        """Largest response of a curve at a held force; None where it lies at an end."""
+        if not self.holds_force:
+            return None
+        found = self._places(self.response, self.response_std, Place.TIP)
+        return max(found, key=lambda item: item.response, default=None)
+
+    @property
+    def stable(self) -> FloatArray:
+        """1 where the orbit is stable in open loop at this force, 0 where not, NaN where it is left open."""
+        if not self.holds_force or self.lag.size < LEAST_POINTS:
+            return np.full(self.lag.size, math.nan)
+        rises = CubicSpline(self.lag, self.frequency_hz)(self.lag, 1) > 0.0
+        found: FloatArray = np.where(rises, 1.0, 0.0)
+        for fold in self.folds:
+            near = COVERAGE * np.hypot(fold.lag_std, self.lag_std)
+            found[np.abs(self.lag - fold.lag) <= near] = math.nan
+        return found
+
+    def _places(self, values: FloatArray, values_std: FloatArray, place: Place) -> tuple[CurvePlace, ...]:
+        """Extremes of values over the lag."""
+        if self.lag.size < LEAST_POINTS:
+            return ()
+        every = np.arange(self.lag.size)
+        coarse = np.union1d(every[::2], every[-1:])
+        rough = self._extremes(values, coarse) if coarse.size >= LEAST_POINTS else []
+        found = []
+        for lag in self._extremes(values, every):
+            nearest = min(rough, key=lambda other: abs(other - lag), default=lag)
+            one, other = self._at(lag, every), self._at(nearest, coarse)
+            # A shift of the values by their uncertainty moves the extreme by that of the slope over the curvature.
+            bend = abs(float(CubicSpline(self.lag, values)(lag, 2)))
+            weights = _weights(self.lag, lag, 1)
+            moved = float(np.sqrt(((weights * values_std) ** 2).sum())) / bend if bend > 0.0 else 0.0
+            lag_std = math.hypot(moved, _COARSE_SHARE * (nearest - lag), float(np.interp(lag, self.lag, self.lag_std)))
+            stds = [
+                math.hypot(float(np.interp(lag, self.lag, std)), _COARSE_SHARE * (after - before))
+                for std, before, after in zip((self.frequency_hz_std, self.response_std), one, other, strict=True)
+            ]
+            found.append(CurvePlace(place, lag, lag_std, one[0], stds[0], one[1], stds[1]))
+        return tuple(found)
+
+    def _extremes(self, values: FloatArray, chosen: IntArray) -> list[float]:
+        """Lags within the curve at which the spline through the chosen points has an extreme."""
+        lag = self.lag[chosen]
+        slope = CubicSpline(lag, values[chosen]).derivative()
+        return [float(root) for root in slope.roots(extrapolate=False) if lag[0] < root < lag[-1]]
+
+    def _at(self, lag: float, chosen: IntArray) -> tuple[float, float]:
+        """Frequency and response on splines through the chosen points."""
+        at = [float(CubicSpline(self.lag[chosen], v[chosen])(lag)) for v in (self.frequency_hz, self.response)]
+        return at[0], at[1]
+
+
+def _weights(lag: FloatArray, place: float, order: int) -> FloatArray:
+    """What a derivative of the spline at a place changes by with each value, ``(points,)``."""
+    return np.asarray(CubicSpline(lag, np.eye(lag.size))(place, order), dtype=np.float64)
+
+
+def is_of_curve(points: Iterable[ModalPoint]) -> bool:
+    """Whether points are those of response curves: they were held away from phase resonance."""
+    return any(point.held_phase != 0.0 for point in points)
+
+
+def response_curves(points: Sequence[ModalPoint]) -> tuple[ResponseCurve, ...]:
+    """Curves in the order in which they were measured; a level that is not followed by itself is a curve.
+
+    Args:
+        points: of one test. Points without values are left out, and of points at one lag all but the last.
+    """
+    curves = []
+    for _, group in groupby(points, key=lambda point: point.level):
+        good = {point.held_phase: point for point in group if point.status is Status.OK}
+        if good:
+            curves.append(_curve(sorted(good.values(), key=lambda point: point.phase_error)))
+    return tuple(curves)
+
+
+def _curve(points: list[ModalPoint]) -> ResponseCurve:
+    def of(name: str) -> FloatArray:
+        return np.array([float(getattr(point, name)) for point in points])
+
+    force, phase = of("force_n"), of("phase_error")
+    response = 2.0 * of("active_power") / (of("omega_rad_s") * force * np.cos(phase))
+    relative = np.nan_to_num(of("modal_amplitude_std")) / of("modal_amplitude")
+    return ResponseCurve(
+        points[0].level,
+        points[0].level_unit,
+        RESONANT_LAG + phase,
+        np.nan_to_num(of("phase_error_std")),
+        of("frequency_hz"),
+        np.nan_to_num(of("frequency_hz_std")),
+        response,
+        relative * response,
+        force,
+        np.nan_to_num(of("force_n_std")),
+        tuple(points),
+    )
+
+
+def curve_sentences(curves: Sequence[ResponseCurve]) -> list[str]:
+    """Folds and tip of each curve, one sentence a curve."""
+    return [_sentence(curve) for curve in curves if curve.holds_force and curve.lag.size >= LEAST_POINTS]
+
+
+def _sentence(curve: ResponseCurve) -> str:
+    folds = [
+        f"{fold.frequency_hz:.4f} ± {fold.frequency_hz_std:.1g} Hz (lag {math.degrees(fold.lag):.1f}°)"
+        for fold in curve.folds
+    ]
+    unstable = int(np.count_nonzero(curve.stable == 0.0))
+    words = f"At {curve.level:g} {curve.level_unit} the curve has {len(curve.points)} points"
+    words += (
+        f" and folds at {' and '.join(folds)}; {unstable} points between them are unstable" if folds else ", no fold"
+    )
+    if curve.tip is not None:
+        words += f"; its tip is {curve.tip.response:.4g} m at {curve.tip.frequency_hz:.4f} Hz"
+    return f"{words}."
+
+
+def write_response_curves(curves: Sequence[ResponseCurve], folder: Path | str) -> None:
+    """Write ``response_curve.csv`` and ``response_folds.csv``; SI units.
+
+    Raises:
+        BenchError: a file cannot be written; an older file is then left as it was.
+    """
+    rows: list[Sequence[str]] = [CURVE_COLUMNS]
+    places: list[Sequence[str]] = [PLACE_COLUMNS]
+    for number, curve in enumerate(curves, start=1):
+        head = [str(number), repr(curve.level)]
+        columns = (
+            curve.lag, curve.lag_std, curve.frequency_hz, curve.frequency_hz_std, curve.response, curve.response_std,
+            curve.force, curve.force_std, curve.stable,
+        )  # fmt: skip
+        rows += [[*head, *(repr(float(value)) for value in row)] for row in zip(*columns, strict=True)]
+        for item in (*curve.folds, *([curve.tip] if curve.tip else [])):
+            values = (
+                item.lag, item.lag_std, item.frequency_hz, item.frequency_hz_std, item.response, item.response_std,
+            )  # fmt: skip
+            places.append([*head, item.place.value, *(repr(float(value)) for value in values)])
+    write_result(Path(folder) / "response_curve.csv", csv_text(rows))
+    write_result(Path(folder) / "response_folds.csv", csv_text(places))

@@ -1,0 +1,66 @@
+"""Settings of the phase loop along a response curve, where it has to hold what is unstable without it.
+
+With the force held and the frequency as input, the lag of a mode answers as (s + δ) / (s² + 2 δ s + D), D = δ dΩ/dϑ
+along the curve: D is negative between the folds, and the plant then has a pole in the right half plane. The PI
+controller holds it where D + k_p δ + k_i > 0, so both gains are to be as large as filter and dead time allow. The
+closed form of the gains grows with the cut-off of the filter; the usual one is chosen against noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from nmt_core.kinds import KindOfTest, ResponseCurveTest
+from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.vocabulary import ControlKind
+from nmt_pll.loop_settings import LoopSettings
+from nmt_pll.phase_loop.gains import LoopPlant
+from nmt_pll.thresholds import CURVE, PHASE
+
+SHORTEST_BLOCK = 0.0025
+"""Shortest block that is chosen for such a test, s."""
+
+
+def curve_values(
+    kind: KindOfTest,
+    linear: LinearDescription | None,
+    values: Mapping[str, Any],
+    control: str,
+    block_duration: float = 0.0,
+    latency_blocks: int = 0,
+) -> dict[str, Any]:
+    """Settings of the loop with those that a response curve needs and nobody has given.
+
+    Args:
+        kind: of the test; the settings of another kind stay as they are.
+        linear: linear description of the rig.
+        values: what the rig and the test give.
+        control: what is held, ``force`` or ``response``; at a held response nothing folds over the frequency.
+        block_duration: of the blocks, s; 0 = still open.
+        latency_blocks: blocks between command and excitation.
+    """
+    chosen = dict(values)
+    if not isinstance(kind, ResponseCurveTest) or linear is None:
+        return chosen
+    defaults = LoopSettings()
+    chosen.setdefault("phase_tolerance", CURVE.phase_tolerance)
+    # What moves at the rate r with the decay δ has r / δ to go; over a dwell of n periods it goes 2 π n ζ of that.
+    ratio = linear.damping_ratios[linear.target_mode]
+    dwell = 2.0 * math.pi * float(chosen.get("dwell_periods", defaults.dwell_periods)) * ratio
+    for name, share in (
+        ("amplitude_tolerance", CURVE.steadiness),
+        ("frequency_tolerance", CURVE.frequency_steadiness),
+    ):
+        chosen.setdefault(name, max(min(dwell, 1.0) * share, CURVE.least_tolerance))
+    if control != ControlKind.FORCE.label:
+        return chosen
+    omega = linear.frequencies_rad_s[linear.target_mode]
+    cutoff = CURVE.cutoff_share * omega
+    if block_duration > 0.0:  # not more than the dead time lets the closed form have
+        margin = float(values.get("delay_margin", defaults.delay_margin))
+        allowed = margin / ((PHASE.dead_time_blocks + latency_blocks) * block_duration)
+        cutoff = min(cutoff, 3.0 * allowed - LoopPlant.from_description(linear).plant_decay)
+    chosen.setdefault("cutoff", max(cutoff, defaults.resolved_cutoff(linear)))
+    return chosen

@@ -34,7 +34,7 @@ def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
     """
     a, s = float(np.abs(x).max()), float(np.abs(v).max())
     most = THRESHOLDS.law.largest_slip_share
-    slips = a * np.geomspace(0.01, most, 14)
+    slips, fine = a * np.geomspace(0.01, most, 14), a * np.geomspace(0.005, most, 32)
     creep = s * np.geomspace(1e-3, 0.3, 6)
 
     def powers(*exponents: int) -> list[Block]:
@@ -44,7 +44,7 @@ def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
         "quadratic": powers(2), "cubic": powers(3), "quintic": powers(5), "quadratic and cubic": powers(2, 3),
         "cubic and quintic": powers(3, 5), "polynomial": powers(2, 3, 5),
         "gap": [Block("gap", (Term("gap", g), Term("gap damping", g)), True) for g in a * np.linspace(0.05, 0.95, 19)],
-        "slider": [Block("slider", (Term("slider", slip),), True) for slip in slips],
+        "slider": [Block("slider", (Term("slider", slip),), True) for slip in fine],
         "sliders": [Block("sliders", tuple(Term("slider", slip) for slip in slips))],
         "drag": [Block("drag", (Term("speed", n),)) for n in (1.5, 2.0, 3.0)],
         "amplitude damping": [Block("amplitude damping", (Term("amplitude", 2.0),))],

@@ -14,6 +14,12 @@ _PLAIN = {
 }  # fmt: skip
 
 
+_SMALL_SHARE = 0.05
+"""Force of a slider over the largest below which it says nothing of the family."""
+_ONE_RATIO = 1.6
+"""Ratio of slip displacements up to which sliders of a grid stand for one between them."""
+
+
 def family(terms: Sequence[tuple[Term, float]]) -> str:
     """Family of the terms of one law with their coefficients, in words."""
     kinds = {term.kind for term, _ in terms}
@@ -21,8 +27,11 @@ def family(terms: Sequence[tuple[Term, float]]) -> str:
         return _polynomial(terms)
     if kinds & {"stop", "stop damping"}:
         return "stop on one side"
-    if "slider" in kinds and sum(term.kind == "slider" for term, _ in terms) > 1:
-        return "friction of many sliders"
+    sliders = [(term.first, value * term.first) for term, value in terms if term.kind == "slider"]
+    if sliders:
+        most = max(force for _, force in sliders)
+        large = [slip for slip, force in sliders if force > _SMALL_SHARE * most]
+        return "friction of many sliders" if max(large) > _ONE_RATIO * min(large) else _PLAIN["slider"]
     if "weakening friction" in kinds:
         return _PLAIN["weakening friction"]
     return _PLAIN[next(iter(sorted(kinds)))]

@@ -80,3 +80,9 @@ class LawThresholds:
     drawn_levels: int = threshold(
         5, "1", "Levels whose force loop is reported: more curves hide each other.", "",
     )  # fmt: skip
+    start_score_ratio: float = threshold(
+        0.8, "1", "Score with the law over that without it from which on the search begins at it, too.", "",
+    )  # fmt: skip
+    dry_slip_share: float = threshold(
+        0.02, "1", "Slip displacement over the largest motion with which a slider stands for dry friction.", "",
+    )  # fmt: skip

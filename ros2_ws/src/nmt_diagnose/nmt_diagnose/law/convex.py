@@ -36,6 +36,11 @@ class Solution:
     score: float
     covariance: FloatArray
 
+    @property
+    def cost(self) -> float:
+        """Squared residuals and what the priors of the errors count."""
+        return float(self.squares.sum() + self.nuisance @ self.nuisance)
+
 
 class ConvexFit:
     """Least squares of levels by errors of chain and model and by the columns of a law.

@@ -25,6 +25,11 @@ class Block:
     terms: tuple[Term, ...]
     refined: bool = False
 
+    @property
+    def contact(self) -> bool:
+        """Whether it is open along a part of the motion."""
+        return self.terms[0].kind in ("gap", "stop")
+
 
 def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
     """Blocks by family along the motion of a place at all levels; of each family the best is looked for.
@@ -35,6 +40,8 @@ def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
     a, s = float(np.abs(x).max()), float(np.abs(v).max())
     most = THRESHOLDS.law.largest_slip_share
     slips, fine = a * np.geomspace(0.01, most, 14), a * np.geomspace(0.005, most, 32)
+    # Where a contact is hardly reached its force hangs on the last percent of the clearance.
+    free = 1.0 - np.geomspace(0.02, 0.95, 24)[::-1]
     creep = s * np.geomspace(1e-3, 0.3, 6)
 
     def powers(*exponents: int) -> list[Block]:
@@ -43,7 +50,7 @@ def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
     found = {
         "quadratic": powers(2), "cubic": powers(3), "quintic": powers(5), "quadratic and cubic": powers(2, 3),
         "cubic and quintic": powers(3, 5), "polynomial": powers(2, 3, 5),
-        "gap": [Block("gap", (Term("gap", g), Term("gap damping", g)), True) for g in a * np.linspace(0.05, 0.95, 19)],
+        "gap": [Block("gap", (Term("gap", g), Term("gap damping", g)), True) for g in a * free],
         "slider": [Block("slider", (Term("slider", slip),), True) for slip in fine],
         "sliders": [Block("sliders", tuple(Term("slider", slip) for slip in slips))],
         "drag": [Block("drag", (Term("speed", n),)) for n in (1.5, 2.0, 3.0)],
@@ -57,7 +64,7 @@ def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
         "brake": [Block("brake", (Term("brake", w),), True) for w in s * np.geomspace(0.05, 1.0, 8)],
     }  # fmt: skip
     for side, name in ((1.0, "stop above"), (-1.0, "stop below")):
-        ends = float((side * x).max()) * np.linspace(0.0, 0.95, 20)
+        ends = float((side * x).max()) * np.append(0.0, free)
         found[name] = [Block(name, (Term("stop", g, side), Term("stop damping", g, side)), True) for g in ends]
     return found
 

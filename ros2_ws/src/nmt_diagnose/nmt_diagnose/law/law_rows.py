@@ -47,7 +47,7 @@ class LawRows:
         sensors = self.frame.sensors
         first = force[..., 1]
         y = -np.einsum("lc,...l->...lc", self.others @ (sensors * participation).T, first)
-        return self._rows(first * participation[self.frame.target], y, self._beyond(participation, force))
+        return self.assembled(first * participation[self.frame.target], y, self._beyond(participation, force))
 
     def _beyond(self, participation: FloatArray, force: ComplexArray) -> ComplexArray:
         """Harmonics 2 … H of the responses (…, L, C, H − 1) to a force at a place."""
@@ -61,7 +61,8 @@ class LawRows:
             return np.zeros((*force.shape[:-1], len(self.shape), 0), complex)
         return np.stack(parts, axis=-1)
 
-    def _rows(self, residual: ComplexArray, y: ComplexArray, beyond: ComplexArray) -> ComplexArray:
+    def assembled(self, residual: ComplexArray, y: ComplexArray, beyond: ComplexArray) -> ComplexArray:
+        """Rows (…, L, R) of a force residual (…, L), fundamentals (…, L, C) and harmonics (…, L, C, H − 1)."""
         q = y @ self.take_q
         shape = y - q[..., np.newaxis] * self.shape
         first = (residual - self.target * q)[..., np.newaxis]
@@ -72,7 +73,7 @@ class LawRows:
         """Rows (L, R) as measured, the drive's part taken off."""
         motion = np.nan_to_num(self.levels.motion)
         y = motion[:, :, 1]
-        rows = self._rows(np.zeros(self.levels.count, complex), y, motion[:, :, 2 : self.highest + 1])
+        rows = self.assembled(np.zeros(self.levels.count, complex), y, motion[:, :, 2 : self.highest + 1])
         return rows - self.of_force(self.frame.drive, -self.force)
 
     @cached_property
@@ -81,12 +82,19 @@ class LawRows:
         levels, limits = self.levels, THRESHOLDS.law
         std = np.where(np.isfinite(levels.motion), levels.motion_std, np.inf)
         size = np.abs(np.nan_to_num(levels.motion))
-        drive = np.abs(self.frame.drive[self.frame.target]) * np.hypot(
-            levels.force_std, limits.force_share * np.abs(self.force[:, 1])
-        )
+        modal = np.abs(self.frame.drive[self.frame.target])
+        drive = modal * np.hypot(levels.force_std, limits.force_share * np.abs(self.force[:, 1]))
+        # What a law does is known as well as the motion that it does it along.
+        first = np.nan_to_num(levels.motion[:, :, 1])
+        missing = np.abs(self.measured[:, 0])
+        drive = np.hypot(drive, limits.transfer_std * missing)
+        q = (first @ self.take_q)[:, np.newaxis]
+        changed = np.abs(first - q * (first[0] / q[0]))
         q_std = np.sqrt((self.take_q**2 * std[:, :, 1] ** 2).sum(axis=1))
         residual = np.hypot(drive, np.abs(self.target) * q_std)
-        shape = np.hypot(std[:, :, 1], limits.shape_share * size[:, :, 1])
+        shape = np.sqrt(
+            std[:, :, 1] ** 2 + (limits.shape_share * size[:, :, 1]) ** 2 + (limits.transfer_std * changed) ** 2
+        )
         beyond = []
         for h in range(2, self.highest + 1):
             doubt = self.frame.tolerance(levels.omega, h, limits.mode_frequency_std, limits.mode_damping_std)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -130,24 +130,22 @@ class LawSearch:
         signs = [t.signed for _, block in parts for t in block.terms]
         found = []
         for family in blocks(x, v).values():
-            best: tuple[float, Block, FloatArray] | None = None
-            for block in family:
+
+            def solved(block: Block, score: bool = False) -> Solution:
                 columns = self.columns(place, block.terms, x, v)
                 if before is not None:
                     columns = np.concatenate([before, columns], axis=2)
-                signed = np.array([*signs, *(t.signed for t in block.terms)])
-                if len(family) > 1:
-                    quick = problem.solve(columns, signed, score=False)
-                    cost = float(quick.squares.sum() + (quick.nuisance**2).sum())
-                else:
-                    cost = 0.0
-                if best is None or cost < best[0]:
-                    best = (cost, block, columns)
-            assert best is not None
-            signed = np.array([*signs, *(t.signed for t in best[1].terms)])
-            fit = problem.solve(best[2], signed)
+                return problem.solve(columns, np.array([*signs, *(t.signed for t in block.terms)]), score)
+
+            best = family[0]
+            if len(family) > 1:
+                costs = [solved(block).cost for block in family]
+                best = family[int(np.argmin(costs))]
+                if best.contact:
+                    best = _between(family, int(np.argmin(costs)), lambda block: solved(block).cost)
+            fit = solved(best, score=True)
             if np.any(fit.coefficients[len(signs) :]):
-                found.append(Candidate((*parts, (place, best[1])), fit, (*motions, motion)))
+                found.append(Candidate((*parts, (place, best)), fit, (*motions, motion)))
         return found
 
     def law_columns(self, candidate: Candidate) -> FloatArray:
@@ -208,8 +206,7 @@ class LawSearch:
         def cost(log_factor: float) -> float:
             parts = list(candidate.parts)
             parts[number] = (place, moved(block, float(np.exp(log_factor))))
-            fit = self._fitted(tuple(parts), motions, problem, score=False).fit
-            return float(fit.squares.sum() + (fit.nuisance**2).sum())
+            return self._fitted(tuple(parts), motions, problem, score=False).fit.cost
 
         found = minimize_scalar(cost, bounds=(-0.4, 0.4), method="bounded", options={"xatol": 2e-3, "maxiter": 20})
         return place, moved(block, float(np.exp(found.x))) if found.fun < cost(0.0) else block
@@ -224,6 +221,23 @@ class LawSearch:
             motion = self.rows.motion(place.participation, [*known, *forces])
             found += self._at(place, motion, problem, first)
         return sorted(found, key=lambda candidate: candidate.score)
+
+
+def _between(family: Sequence[Block], number: int, cost: Callable[[Block], float]) -> Block:
+    """The block of a family between the neighbours of its best one where the cost is least."""
+    best = family[number]
+    size = best.terms[0].first
+    if not size > 0.0:
+        return best
+    low = family[max(number - 1, 0)].terms[0].first
+    high = family[min(number + 1, len(family) - 1)].terms[0].first
+    bounds = (max(low, 0.5 * size) / size, high / size)
+    if not bounds[1] > bounds[0]:
+        return best
+    found = minimize_scalar(
+        lambda factor: cost(moved(best, float(factor))), bounds=bounds, method="bounded", options={"maxiter": 12}
+    )
+    return moved(best, float(found.x)) if found.fun < cost(best) else best
 
 
 def fewest(found: Sequence[Candidate]) -> Candidate:

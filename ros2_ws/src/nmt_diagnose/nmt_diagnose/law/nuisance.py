@@ -50,12 +50,15 @@ def nuisance_columns(
     force_name = next((c.name for c in levels.test.channels if c not in levels.channels), "")
     for k, (name, tolerance) in enumerate([(c.name, _tolerance(rows, c.name)) for c in levels.channels]):
         y = np.zeros((levels.count, len(levels.channels)), complex)
-        y[:, k] = np.nan_to_num(levels.motion[:, k, 1])
+        y[:, k] = rows.shape[k] * q
         beyond = np.zeros((levels.count, len(levels.channels), max(rows.highest - 1, 0)), complex)
-        column = rows._rows(np.zeros(levels.count, complex), y, beyond)
-        # The form of the mode may be off, too.
+        column = rows.assembled(np.zeros(levels.count, complex), y, beyond)
+        # What all gains do together is one of the force; else they could take off the whole motion and the force.
+        column[:, 0] += rows.target * (y.sum(axis=1) / rows.shape[k]) / len(levels.channels)
+        # The form of the mode may be off, too, and turned by dampers.
         add(f"gain of {name}", column, math.hypot(tolerance.gain, limits.form_std))
-        add(f"phase of {name}", 1j * column, tolerance.phase_at(float(np.median(levels.omega))))
+        turn = tolerance.phase_at(float(np.median(levels.omega)))
+        add(f"phase of {name}", 1j * column, math.hypot(turn, limits.form_std))
     tolerance = _tolerance(rows, force_name)
     drive = -rows.of_force(frame.drive, -rows.force)
     add("gain of the force", drive, tolerance.gain)

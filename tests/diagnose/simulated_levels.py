@@ -106,6 +106,4 @@ def held(
         levels.append(LockedLevel(k, force, 0.0, 1e-4, frequency, 10.0 * k, 10.0 * k + 5.0, 0.0, 1, force))
     test = PhaseResonanceTest("levels", (1,), "a1", channels, HARMONICS, "voltage", tuple(levels))
     found = table.observations(test)
-    return Observations(
-        found.tests, found.rows, found.values, found.std, found.floor, chains=(MeasuringChain(),)
-    )
+    return Observations(found.tests, found.rows, found.values, found.std, found.floor, chains=(MeasuringChain(),))

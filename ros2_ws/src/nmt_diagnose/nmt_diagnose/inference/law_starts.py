@@ -42,12 +42,17 @@ def with_laws(
     """
     laws = reading.laws if reading is not None else ()
     found = [start for law in laws if (start := _start(search.candidates, law)) is not None]
-    if not found or reading is None or reading.after > THRESHOLDS.law.start_score_ratio * reading.before:
+    if not found or reading is None or not worth_a_start(reading):
         return list(singles)
     search.tell("fitting the laws that the held levels show")
     groups = [[start] for start in found] + ([found] if len(found) > 1 else [])
     fitted = [one for group in groups if (one := _fitted(search, null, group)) is not None]
     return best_of([*singles, *fitted])
+
+
+def worth_a_start(reading: LawReading) -> bool:
+    """Whether a law explains enough for the search to begin at it."""
+    return reading.after <= THRESHOLDS.law.start_score_ratio * reading.before
 
 
 def _fitted(

@@ -95,7 +95,9 @@ class ConvexFit:
             right[:, m:] = np.einsum("lmi,lm->li", scaled, self.target)
         return gram, right, norms
 
-    def _predicted(self, groups: list[list[int]], gram: FloatArray, right: FloatArray, signed: BoolArray) -> float:
+    def _predicted(
+        self, groups: list[list[int]], gram: FloatArray, right: FloatArray, signed: BoolArray
+    ) -> float:
         m = self.nn.shape[1]
         whole, whole_right = gram.sum(axis=0), right.sum(axis=0)
         total, count = 0.0, 0
@@ -107,7 +109,7 @@ class ConvexFit:
 
     def _squares(self, theta: FloatArray, gram: FloatArray, right: FloatArray) -> FloatArray:
         values = self.tt - 2.0 * right @ theta + np.einsum("i,lij,j->l", theta, gram, theta)
-        return np.maximum(values, 0.0)
+        return np.asarray(np.maximum(values, 0.0))
 
 
 def _constrained(gram: FloatArray, right: FloatArray, m: int, signed: BoolArray) -> FloatArray:

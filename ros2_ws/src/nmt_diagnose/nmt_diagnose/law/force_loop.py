@@ -1,4 +1,4 @@
-"""Force loops: the missing force over displacement and velocity of its place, level by level, as measured and as read."""
+"""Force loops: the missing force over displacement and velocity of its place, level by level, measured and read."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.law.law_search import Candidate, LawSearch
 from nmt_diagnose.law.modal_frame import ORDERS
 from nmt_diagnose.law.terms import SAMPLES, sampled
-from nmt_diagnose.thresholds import THRESHOLDS
 
 _DRAWN = 64
+_DRAWN_LEVELS = 5  # more curves hide each other
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def force_loops(search: LawSearch, candidate: Candidate, number: int) -> tuple[F
     measured, std = _harmonics(search, place.participation, left)
     own = forces[number][1]
     count = rows.levels.count
-    chosen = np.unique(np.linspace(0, count - 1, min(count, THRESHOLDS.law.drawn_levels)).round().astype(int))
+    chosen = np.unique(np.linspace(0, count - 1, min(count, _DRAWN_LEVELS)).round().astype(int))
     x, v = sampled(candidate.motions[number], rows.levels.omega)
     step = SAMPLES // _DRAWN
     result = []
@@ -63,16 +63,14 @@ def force_loops(search: LawSearch, candidate: Candidate, number: int) -> tuple[F
         kept = np.where(np.arange(ORDERS + 1) <= rows.highest, own[k], 0.0)
         kept[0] = 0.0
         waves = [_wave(series) for series in (measured[k], kept)]
-        result.append(
-            ForceLoop(
-                rows.levels.test.levels[rows.levels.numbers[k]].index,
-                *(tuple(float(f"{value:.6g}") for value in wave[k, ::step]) for wave in (x, v)),
-                tuple(float(f"{value:.6g}") for value in waves[0]),
-                float(std[k]),
-                tuple(float(f"{value:.6g}") for value in waves[1]),
-            )
-        )
+        number_in_plan = rows.levels.test.levels[rows.levels.numbers[k]].index
+        drawn = [_rounded(wave) for wave in (x[k, ::step], v[k, ::step], *waves)]
+        result.append(ForceLoop(number_in_plan, drawn[0], drawn[1], drawn[2], float(std[k]), drawn[3]))
     return tuple(result)
+
+
+def _rounded(wave: FloatArray) -> tuple[float, ...]:
+    return tuple(float(f"{value:.6g}") for value in wave)
 
 
 def _wave(series: ComplexArray) -> FloatArray:

@@ -71,6 +71,4 @@ def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
 
 def moved(block: Block, factor: float) -> Block:
     """The block with the first parameter of its terms times a factor."""
-    return Block(
-        block.name, tuple(Term(t.kind, factor * t.first, t.second) for t in block.terms), block.refined
-    )
+    return Block(block.name, tuple(Term(t.kind, factor * t.first, t.second) for t in block.terms), block.refined)

@@ -78,7 +78,7 @@ class LawRows:
 
     @cached_property
     def sigma(self) -> FloatArray:
-        """Standard deviation (L, R) of the rows: noise, what model and chain are smoothly off by; inf = not measured."""
+        """Standard deviation (L, R) of the rows: noise, and what model and chain are smoothly off by; inf = unknown."""
         levels, limits = self.levels, THRESHOLDS.law
         std = np.where(np.isfinite(levels.motion), levels.motion_std, np.inf)
         size = np.abs(np.nan_to_num(levels.motion))

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
 from nmt_diagnose.law.convex import ConvexFit, Solution
 from nmt_diagnose.law.law_blocks import Block, blocks, moved
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.modal_frame import KnownForces
-from nmt_diagnose.law.nuisance import known_motion, nuisance_columns
+from nmt_diagnose.law.nuisance import MOTION_ROUNDS, known_motion, nuisance_columns
 from nmt_diagnose.law.terms import Term, harmonics, sampled
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import ChainSection, Rig
@@ -92,7 +92,7 @@ class LawSearch:
 
     def places(self) -> list[LawPlace]:
         """Points that move, and neighbours of a chain."""
-        frame, limits = self.rows.frame, THRESHOLDS.law
+        frame = self.rows.frame
         points = [(point, 0) for point in self.rig.structure.points]
         if isinstance(self.rig.structure, ChainSection):
             points += [(p + 1, p) for p in self.rig.structure.points[:-1]]
@@ -100,7 +100,7 @@ class LawSearch:
         points += [pair for pair in sorted(taken) if pair not in points and pair[::-1] not in points]
         found = [LawPlace(p, o, frame.at(p, o)) for p, o in points]
         sizes = np.array([abs(place.participation[frame.target]) for place in found])
-        return [place for place, size in zip(found, sizes, strict=True) if size > limits.least_motion_share * sizes.max()]
+        return [place for place, moves in zip(found, moves_enough(sizes), strict=True) if moves]
 
     def motion(self, place: LawPlace, others: Forces) -> ComplexArray:
         """Motion of a place (L, ORDERS + 1) under the model's own and other forces."""
@@ -121,7 +121,9 @@ class LawSearch:
             found += self._at(place, motion, self.basis, None)
         return sorted(found, key=lambda candidate: candidate.score)
 
-    def _at(self, place: LawPlace, motion: ComplexArray, problem: ConvexFit, first: Candidate | None) -> list[Candidate]:
+    def _at(
+        self, place: LawPlace, motion: ComplexArray, problem: ConvexFit, first: Candidate | None
+    ) -> list[Candidate]:
         """The best block of each family at a place, beside a first law."""
         x, v = sampled(motion, self.rows.levels.omega)
         before = self.law_columns(first) if first is not None else None
@@ -149,6 +151,7 @@ class LawSearch:
         return found
 
     def law_columns(self, candidate: Candidate) -> FloatArray:
+        """Whitened columns (L, M, k) of all terms of a law along the motion of its places."""
         parts = []
         for (place, block), motion in zip(candidate.parts, candidate.motions, strict=True):
             parts.append(self.columns(place, block.terms, *sampled(motion, self.rows.levels.omega)))
@@ -168,7 +171,7 @@ class LawSearch:
     def again(self, candidate: Candidate) -> Candidate:
         """A law read along the motion that it makes, its parameters refined."""
         best = candidate
-        for turn in range(THRESHOLDS.law.motion_rounds):
+        for turn in range(MOTION_ROUNDS):
             forces = self.forces(candidate)
             problem = self.problem(forces)
             motions = tuple(self.motion(place, forces) for place, _ in candidate.parts)
@@ -223,6 +226,11 @@ class LawSearch:
         return sorted(found, key=lambda candidate: candidate.score)
 
 
+def moves_enough(sizes: FloatArray) -> BoolArray:
+    """Which places move enough for a force there to be seen, from their motions."""
+    return np.asarray(sizes > THRESHOLDS.law.least_motion_share * sizes.max())
+
+
 def _between(family: Sequence[Block], number: int, cost: Callable[[Block], float]) -> Block:
     """The block of a family between the neighbours of its best one where the cost is least."""
     best = family[number]
@@ -245,5 +253,3 @@ def fewest(found: Sequence[Candidate]) -> Candidate:
     least = min(candidate.score for candidate in found) * THRESHOLDS.law.alike_score_ratio
     near = [candidate for candidate in found if candidate.score <= least]
     return min(near, key=lambda candidate: (candidate.elements, candidate.score))
-
-

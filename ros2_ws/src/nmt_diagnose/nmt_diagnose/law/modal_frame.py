@@ -110,7 +110,7 @@ class ModalFrame:
         weights = np.abs(self.sensors) * np.max(np.abs(self.shapes), axis=0)
         shares = weights[np.newaxis] / np.abs(d)[:, np.newaxis]
         errors = shares * (change / np.abs(d))[:, np.newaxis]
-        return np.sqrt((errors**2).sum(axis=2)) / np.sqrt((shares**2).sum(axis=2))
+        return np.asarray(np.sqrt((errors**2).sum(axis=2)) / np.sqrt((shares**2).sum(axis=2)))
 
 
 class KnownForces:
@@ -127,9 +127,7 @@ class KnownForces:
         self.participation = self.forces.directions @ frame.shapes
         self.stiffness, self.damping = np.zeros(len(self.participation)), np.zeros(len(self.participation))
         for element in elements:
-            where = next(
-                k for k, one in enumerate(self.forces.directions) if np.array_equal(one, element.direction)
-            )
+            where = next(k for k, one in enumerate(self.forces.directions) if np.array_equal(one, element.direction))
             self.stiffness[where] += element.linear_stiffness
             self.damping[where] += element.linear_damping
 

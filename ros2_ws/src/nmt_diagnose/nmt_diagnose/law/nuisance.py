@@ -16,6 +16,8 @@ from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_elements
 
 _STEP = 1e-3  # of a logarithm, for differences
+MOTION_ROUNDS = 4
+"""Rounds of motion and force: an even force near the end of its equilibrium takes so many to 1 %."""
 
 
 def nuisance_columns(
@@ -105,13 +107,13 @@ def _of_elements(
     return found
 
 
-def known_motion(rows: LawRows, known: KnownForces, others: list[tuple[FloatArray, ComplexArray]]) -> tuple[
-    ComplexArray, list[tuple[FloatArray, ComplexArray]]
-]:
+def known_motion(
+    rows: LawRows, known: KnownForces, others: list[tuple[FloatArray, ComplexArray]]
+) -> tuple[ComplexArray, list[tuple[FloatArray, ComplexArray]]]:
     """Motion of the model's own elements (r, L, ORDERS + 1) and their forces, for other local forces that are known."""
     forces: list[tuple[FloatArray, ComplexArray]] = []
     motion = np.zeros((len(known.participation), rows.levels.count, rows.force.shape[1]), complex)
-    for _ in range(THRESHOLDS.law.motion_rounds):
+    for _ in range(MOTION_ROUNDS):
         motion = np.array([rows.motion(p, [*forces, *others]) for p in known.participation])
         made = known.of(motion, rows.levels.omega)
         forces = list(zip(known.participation, made, strict=True))

@@ -20,6 +20,9 @@ from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
+_FINALISTS = 10
+"""Laws that are read again along the motion that they make."""
+
 
 @dataclass(frozen=True)
 class LawTerm:
@@ -120,14 +123,13 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
     if before < limits.least_null_score:
         why = "the levels differ from the model by no more than noise and tolerances"
         return LawReading(levels.test.name, levels.count, (), before, before, math.nan, math.nan, (why,))
-    tried = search.singles()[: limits.finalists]
+    tried = search.singles()[: _FINALISTS]
     finalists = sorted((search.again(candidate) for candidate in tried), key=lambda candidate: candidate.score)
     if not finalists:
         why = "no local force explains them"
         return LawReading(levels.test.name, levels.count, (), before, before, 0.0, 0.0, (why,))
     best = fewest(finalists)
-    if best.score > limits.second_from_score:
-        best = _with_second(search, best)
+    best = _with_second(search, best)
     laws = tuple(_law(search, best, number, finalists) for number in range(len(best.parts)))
     above = _above(search, best)
     return LawReading(
@@ -139,6 +141,8 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
 def _with_second(search: LawSearch, first: Candidate) -> Candidate:
     """The law with a second one beside it where the score falls enough by it."""
     limits = THRESHOLDS.law
+    if first.score <= limits.second_from_score:
+        return first
     pairs = sorted((search.again(pair) for pair in search.seconds(first)[:4]), key=lambda pair: pair.score)
     if not pairs or pairs[0].score > limits.second_score_ratio * first.score:
         return first
@@ -208,7 +212,7 @@ def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Ca
     for candidate in finalists if len(best.parts) == 1 else ():
         where = candidate.parts[0][0]
         words = family([(term, c) for _, term, c in candidate.terms()]) if candidate.elements else ""
-        if where != place and words == own and candidate.score <= THRESHOLDS.law.place_score_ratio * best.score:
+        if where != place and words == own and nearly_as_well(candidate.score, best.score):
             others[_name(where)] = candidate.score
     terms = tuple(
         LawTerm(term.kind, tuple(p for p in (float(term.first), float(term.second)) if p), c, s, term.unit)
@@ -218,6 +222,11 @@ def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Ca
         place.point, place.other_point, own, terms, float(np.abs(x).max()), tuple(others),
         force_loops(search, best, number),
     )  # fmt: skip
+
+
+def nearly_as_well(score: float, best: float) -> bool:
+    """Whether a law at another place is not told from the best."""
+    return score <= THRESHOLDS.law.place_score_ratio * best
 
 
 def _name(place: LawPlace) -> str:

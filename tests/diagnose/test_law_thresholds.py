@@ -51,7 +51,8 @@ def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
     )
     gain = columns["gain of a1"][:, 2] ** 2 + columns["gain of a1"][:, 2 + columns["gain of a1"].shape[1] // 2] ** 2
     share = rows.shape[1] * rows.shape[0] * rows.take_q[0]
-    assert np.sqrt(gain) * rows.sigma[:, 2] == pytest.approx(np.sqrt(2.0) * 0.01 * abs(share) * q, rel=1e-3)
+    form = 0.01 * max(1.0, np.sqrt(np.mean(rows.shape**2)) / abs(rows.shape[0]))
+    assert np.sqrt(gain) * rows.sigma[:, 2] == pytest.approx(np.hypot(0.01, form) * abs(share) * q, rel=1e-3)
 
 
 def test_the_damping_that_a_model_without_any_may_lack_is_stated() -> None:

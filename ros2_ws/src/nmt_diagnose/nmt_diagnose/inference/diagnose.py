@@ -33,6 +33,7 @@ from nmt_diagnose.inference.fitting import (
 )
 from nmt_diagnose.inference.gap import ClosedShare, closed, no_worse_than_silence, rms
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
+from nmt_diagnose.inference.law_sentences import law_sentences
 from nmt_diagnose.inference.law_starts import law_of, with_laws
 from nmt_diagnose.inference.look_ahead import next_tests
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
@@ -49,7 +50,6 @@ from nmt_diagnose.inference.result_rows import (
     ranked_rows,
 )
 from nmt_diagnose.inference.search import Search
-from nmt_diagnose.inference.law_sentences import law_sentences
 from nmt_diagnose.inference.sentences import likeness, sentences
 from nmt_diagnose.inference.size import (
     change_size,
@@ -512,7 +512,7 @@ def _diagnosed(
         like = likeness(comparison.small.fitted, parameters(data, comparison.small))
         text = (*text, f"{size.sentence(settings.matters)} {like}")
     law = findings.law if partial or (verdict is Verdict.UNKNOWN and not findings.inadequate) else None
-    text = (*text, *law_sentences(law))
+    text = (*text, *law_sentences(law, verdict is Verdict.UNKNOWN))
     if findings.inadequate:
         text = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *text[1:2])
     diagnosis = Diagnosis(

@@ -9,8 +9,8 @@ from nmt_diagnose.law.law_elements import not_written
 from nmt_diagnose.law.reading import LawReading, LocalLaw
 
 
-def law_sentences(reading: LawReading | None) -> tuple[str, ...]:
-    """The law's family, place and closure; nothing where no law is told."""
+def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
+    """The law's family, place and closure, and whether it is ``written`` to the rig file; nothing without a law."""
     if reading is None or not reading.told:
         return ()
     what = " and ".join(f"{law.family} at {_where(law)}" for law in reading.laws)
@@ -27,10 +27,12 @@ def law_sentences(reading: LawReading | None) -> tuple[str, ...]:
             f"Point {places} would do nearly as well as {law.place}; equal laws at several places say that the place "
             "may not be in the model."
         )
+    if not written:
+        return tuple(result)
     lacking = not_written(reading.laws)
     reach = significant(1e3 * max(law.valid_to_m for law in reading.laws), 3)
-    written = f"The rig file gets it as local elements, valid up to {reach} mm"
-    result.append(written + (f"; {', '.join(lacking)} has no kind there and is left out." if lacking else "."))
+    text = f"The rig file gets it as local elements, valid up to {reach} mm"
+    result.append(text + (f"; {', '.join(lacking)} has no kind there and is left out." if lacking else "."))
     return tuple(result)
 
 

@@ -95,9 +95,7 @@ class ConvexFit:
             right[:, m:] = np.einsum("lmi,lm->li", scaled, self.target)
         return gram, right, norms
 
-    def _predicted(
-        self, groups: list[list[int]], gram: FloatArray, right: FloatArray, signed: BoolArray
-    ) -> float:
+    def _predicted(self, groups: list[list[int]], gram: FloatArray, right: FloatArray, signed: BoolArray) -> float:
         m = self.nn.shape[1]
         whole, whole_right = gram.sum(axis=0), right.sum(axis=0)
         total, count = 0.0, 0

@@ -49,8 +49,11 @@ def nuisance_columns(
     add("frequency of the mode", residual(-2.0 * omega_t**2 * q), limits.mode_frequency_std)
     damping = max(limits.mode_damping_std * zeta, limits.least_damping_std)
     add("damping of the mode", residual(-2j * omega_t * levels.omega * q), damping)
+    typical = float(np.sqrt(np.mean(rows.shape**2)))
     force_name = next((c.name for c in levels.test.channels if c not in levels.channels), "")
     for k, (name, tolerance) in enumerate([(c.name, _tolerance(rows, c.name)) for c in levels.channels]):
+        # Near a node of the mode its form is off by a share of what it is elsewhere.
+        form = limits.form_std * max(1.0, typical / abs(rows.shape[k]))
         y = np.zeros((levels.count, len(levels.channels)), complex)
         y[:, k] = rows.shape[k] * q
         beyond = np.zeros((levels.count, len(levels.channels), max(rows.highest - 1, 0)), complex)
@@ -58,9 +61,9 @@ def nuisance_columns(
         # What all gains do together is one of the force; else they could take off the whole motion and the force.
         column[:, 0] += rows.target * (y.sum(axis=1) / rows.shape[k]) / len(levels.channels)
         # The form of the mode may be off, too, and turned by dampers.
-        add(f"gain of {name}", column, math.hypot(tolerance.gain, limits.form_std))
+        add(f"gain of {name}", column, math.hypot(tolerance.gain, form))
         turn = tolerance.phase_at(float(np.median(levels.omega)))
-        add(f"phase of {name}", 1j * column, math.hypot(turn, limits.form_std))
+        add(f"phase of {name}", 1j * column, math.hypot(turn, form))
     tolerance = _tolerance(rows, force_name)
     drive = -rows.of_force(frame.drive, -rows.force)
     add("gain of the force", drive, tolerance.gain)

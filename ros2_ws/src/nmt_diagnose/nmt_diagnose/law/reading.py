@@ -123,7 +123,7 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
     if before < limits.least_null_score:
         why = "the levels differ from the model by no more than noise and tolerances"
         return LawReading(levels.test.name, levels.count, (), before, before, math.nan, math.nan, (why,))
-    tried = search.singles()[: _FINALISTS]
+    tried = search.singles()[:_FINALISTS]
     finalists = sorted((search.again(candidate) for candidate in tried), key=lambda candidate: candidate.score)
     if not finalists:
         why = "no local force explains them"

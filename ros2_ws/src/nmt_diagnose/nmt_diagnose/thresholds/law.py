@@ -14,19 +14,19 @@ class LawThresholds:
     force_share: float = threshold(
         0.002, "1",
         "Force residual over the modal force that acts: what ordinary cells and loops repeat within, 0.15 to 0.3 %.",
-       
+
         "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
     )  # fmt: skip
     shape_share: float = threshold(
         1e-4, "1",
         "Shape of a level over the response: how well ordinary accelerometers repeat from level to level.",
-       
+
         "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
     )  # fmt: skip
     harmonic_share: float = threshold(
         1e-5, "1",
         "Harmonics over the fundamental that sensors make of their own: a hundredth of the harmonic that matters.",
-       
+
         "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
     )  # fmt: skip
     mode_frequency_std: float = threshold(

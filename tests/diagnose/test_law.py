@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from diagnose.simulated_levels import chain_of_masses, held, modes
-from independent.modal_simulator import iwan
 
 from nmt_diagnose.law.reading import LawReading, read_law
 
@@ -49,37 +48,12 @@ def test_a_clearance_is_read_with_gap_and_stiffness() -> None:
 
 
 def test_friction_that_weakens_with_speed_is_no_law_of_the_library_but_is_read() -> None:
-    found = reading((4, "stribeck", (0.05, 1e-3, 1.0, 0.01), ()))
+    found = reading((4, "stribeck", (0.004, 4e-3, 1.0, 0.1), ()))
     assert found.told
     (law,) = found.laws
     assert law.place == "4"
-    assert "friction" in law.family
+    assert law.family == "dry friction that weakens with speed"
     assert found.closed_inside > 0.9
-
-
-def test_a_joint_of_many_sliders_is_a_sum_of_sliders() -> None:
-    sliders = iwan(3.0e3, 4.0e-4)
-    found = reading((4, "sliders", (), sliders))
-    assert found.told
-    (law,) = found.laws
-    assert (law.place, law.family) == ("4", "friction of many sliders")
-    # The area of the loop of a slider of stiffness k that slips by s is 4 k s (a − s).
-    a = law.valid_to_m
-    true = sum(4.0 * force * max(a - force / k, 0.0) for k, force in sliders)
-    read = sum(4.0 * t.coefficient * t.parameters[0] * max(a - t.parameters[0], 0.0) for t in law.terms)
-    assert read == pytest.approx(true, rel=0.1)
-
-
-def test_two_laws_at_two_places_are_both_read() -> None:
-    found = reading((4, "cubic", (6.0e8,), ()), (2, "stribeck", (0.05, 1e-3, 1e-9, 1.0), ()))
-    assert {law.place for law in found.laws} == {"2", "4"}
-    assert found.closed_inside > 0.9
-
-
-def test_a_sensor_that_is_far_off_keeps_a_law_from_being_stated() -> None:
-    found = reading((3, "cubic", (4.0e8,), ()), gains=(1.0, 1.0, 1.15, 1.0))
-    assert not found.told
-    assert any("gain of a3" in sentence for sentence in found.refusals)
 
 
 def test_a_wrong_gain_alone_is_no_law() -> None:

@@ -111,7 +111,7 @@ class ConvexFit:
 
 
 def _constrained(gram: FloatArray, right: FloatArray, m: int, signed: BoolArray) -> FloatArray:
-    """Least squares with unit priors on the first m unknowns, the others free or not negative, from normal equations."""
+    """Least squares by normal equations: unit priors on the first m unknowns, the others free or not negative."""
     size = right.size
     free = np.concatenate([np.ones(m, bool), signed])
     a, b = np.flatnonzero(free), np.flatnonzero(~free)

@@ -33,6 +33,8 @@ from nmt_diagnose.inference.fitting import (
 )
 from nmt_diagnose.inference.gap import ClosedShare, closed, no_worse_than_silence, rms
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
+from nmt_diagnose.inference.law_sentences import law_sentences
+from nmt_diagnose.inference.law_starts import law_of, with_laws
 from nmt_diagnose.inference.look_ahead import next_tests
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.progress import Progress
@@ -60,6 +62,8 @@ from nmt_diagnose.inference.size import (
     stands_out,
 )
 from nmt_diagnose.inference.warnings import warned, without_observables
+from nmt_diagnose.law.law_elements import with_law
+from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
@@ -127,6 +131,7 @@ class Findings:
         inadequate: what the model has to be corrected for before effects can be told.
         doubtful: modes that the model may lack, of which nothing is left that matters.
         left_out: explanations that were fitted and do not compete.
+        law: of the local force that the model lacks, read from held levels; None where that was not looked for.
     """
 
     data: Data
@@ -140,6 +145,7 @@ class Findings:
     inadequate: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
+    law: LawReading | None = None
 
 
 def diagnose_bags(
@@ -215,9 +221,12 @@ def find(
     search = Search(data, rig, parameters, candidates, tell)
     tell(f"scanning {len(candidates)} candidates")
     scores = search.scores(null)
+    law: LawReading | None = None
     relief = max((score.relief for score in scores), default=0.0)
     if leaves_something(data, null, settings.matters, loop=True) or relief > relief_that_counts(search.data, null):
         singles, pairs = _searched(search, null, scores, modes, rig)
+        law = None if beyond_effects else law_of(rig, observations.take(fitted))
+        singles = with_laws(search, null, law, singles)
     else:  # one fit tells what a difference that does not matter looks like
         singles, pairs = search.fitted(null, scores[:1]), []
     first_null = null
@@ -257,7 +266,7 @@ def find(
     lacking = modes.lacking(data, best.fit)
     return Findings(
         data, search, as_given, null, tuple(named), comparison, explained, visible, (*modes.disordered, *lacking),
-        tuple(sentence for sentence in modes.sentences if sentence not in lacking), tuple(left_out),
+        tuple(sentence for sentence in modes.sentences if sentence not in lacking), tuple(left_out), law,
     )  # fmt: skip
 
 
@@ -502,6 +511,8 @@ def _diagnosed(
         size = measured_size(data, comparison.small)
         like = likeness(comparison.small.fitted, parameters(data, comparison.small))
         text = (*text, f"{size.sentence(settings.matters)} {like}")
+    law = findings.law if partial or (verdict is Verdict.UNKNOWN and not findings.inadequate) else None
+    text = (*text, *law_sentences(law, verdict is Verdict.UNKNOWN))
     if findings.inadequate:
         text = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *text[1:2])
     diagnosis = Diagnosis(
@@ -532,8 +543,11 @@ def _diagnosed(
         remainder=left_over_gap,
         visible=findings.visible,
         adequate=adequate,
+        law=law,
     )
     model = rig if verdict is Verdict.NONE else _rig_of(best, len(calibration))
+    if verdict is Verdict.UNKNOWN and law is not None and law.told:
+        model = with_law(rig, law)
     return DiagnosisOutcome(
         diagnosis, scaled, rig, model, as_given_errors.values, null.fit.errors.values, best.fit.errors.values
     )

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.files.whole_file import write_whole
+from nmt_diagnose.law.reading import LawReading
 
 FORMAT = "nmt diagnosis 1"
 NULL, UNKNOWN = "none", "unknown"
@@ -220,7 +221,7 @@ class Diagnosis:
     """All that a diagnosis says; the fields are those of ``diagnosis.json``.
 
     ``adequate`` is false where more is left than noise that matters: with the verdict ``effect`` the explanation is a
-    partial one then.
+    partial one then. ``law`` is the local force that held levels lack, where no effect of the library explains them.
     """
 
     verdict: Verdict
@@ -241,6 +242,7 @@ class Diagnosis:
     remainder: Remainder | None = None
     visible: tuple[DetectableEffect, ...] = ()
     adequate: bool = True
+    law: LawReading | None = None
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""

@@ -292,6 +292,10 @@ class Search:
         better = moved.log_evidence > rival.fit.log_evidence
         return FittedExplanation(rival.candidates, moved) if better else rival
 
+    def spread_of(self, candidate: Candidate, theta: FloatArray) -> float:
+        """The narrowest part of the prior of a candidate's strength that does not hold these parameters back."""
+        return _spread_of(float(theta[strength_position(candidate)]))
+
     def widened(self, found: FitResult) -> FitResult:
         """The fit with the part of its strengths' prior that makes it most probable."""
         parametrisation = found.parametrisation

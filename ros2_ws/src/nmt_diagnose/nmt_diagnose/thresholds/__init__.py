@@ -8,6 +8,7 @@ from nmt_core.tolerances import TOLERANCES, ChainTolerances
 from nmt_diagnose.thresholds.candidates import CandidateThresholds
 from nmt_diagnose.thresholds.comparison import ComparisonThresholds
 from nmt_diagnose.thresholds.fits import FitThresholds
+from nmt_diagnose.thresholds.law import LawThresholds
 from nmt_diagnose.thresholds.misfit import MisfitThresholds
 from nmt_diagnose.thresholds.modes import ModeThresholds
 from nmt_diagnose.thresholds.next_test import NextTestThresholds
@@ -28,6 +29,7 @@ class DiagnosisThresholds:
         candidates: where effects of the library may sit and how large they may be.
         comparison: probabilities of explanations, of none and of something unnamed.
         fits: fits of one explanation: steps, convergence, priors of dimensionless parameters.
+        law: laws of local forces that are read from held levels.
         misfit: what a model that lacks nothing may still be off by, and what it leaves out.
         modes: modes of frequency responses against those of the model.
         next_test: which further test would tell explanations apart.
@@ -43,6 +45,7 @@ class DiagnosisThresholds:
     candidates: CandidateThresholds = field(default_factory=CandidateThresholds)
     comparison: ComparisonThresholds = field(default_factory=ComparisonThresholds)
     fits: FitThresholds = field(default_factory=FitThresholds)
+    law: LawThresholds = field(default_factory=LawThresholds)
     misfit: MisfitThresholds = field(default_factory=MisfitThresholds)
     modes: ModeThresholds = field(default_factory=ModeThresholds)
     next_test: NextTestThresholds = field(default_factory=NextTestThresholds)

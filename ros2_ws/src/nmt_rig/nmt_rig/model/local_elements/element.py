@@ -28,7 +28,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from nmt_rig.model.structure import Array, Structure
-from nmt_rig.rig_section import Name, Point, Section
+from nmt_rig.rig_section import Name, Point, Positive, Section
 
 PARAMETER_COUNT = 4
 # Columns of tables of ``sliders`` and of ``contacts``.
@@ -146,6 +146,7 @@ class ElementSection(Section):
         side: `exciter`: at the drive point behind the force sensor, so that the measured force contains it; it is then
             no part of the structure
         rotation: acts on the rotation of a beam's cross-section: N m, rad and their products for N, m and theirs
+        valid_to_m: largest displacement (rad with `rotation`) at which its law was identified; left out = not limited
     """
 
     name: Name | None = None
@@ -153,6 +154,7 @@ class ElementSection(Section):
     other_point: Point | None = None
     side: Literal["structure", "exciter"] = "structure"
     rotation: bool = False
+    valid_to_m: Positive | None = None
 
     element: ClassVar[Any] = None  # class that is made of the section's own keys, in their order
     friction: ClassVar[bool] = False

@@ -1,0 +1,40 @@
+"""What held levels say of a missing law, in sentences."""
+
+from __future__ import annotations
+
+import math
+
+from nmt_core.text.number_words import percent, significant
+from nmt_diagnose.law.law_elements import not_written
+from nmt_diagnose.law.reading import LawReading, LocalLaw
+
+
+def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
+    """The law's family, place and closure, and whether it is ``written`` to the rig file; nothing without a law."""
+    if reading is None or not reading.told:
+        return ()
+    what = " and ".join(f"{law.family} at {_where(law)}" for law in reading.laws)
+    text = f"At the held levels the missing force acts like {what}"
+    if math.isfinite(reading.closed_inside):
+        text += f"; it closes {percent(reading.closed_inside)} of the gap at levels left out inside the range"
+        if math.isfinite(reading.closed_above):
+            text += f" and {percent(max(reading.closed_above, 0.0))} at the top two"
+    result = [text + "."]
+    alike = [law for law in reading.laws if law.other_places]
+    for law in alike:
+        places = " or ".join(law.other_places)
+        result.append(
+            f"Point {places} would do nearly as well as {law.place}; equal laws at several places say that the place "
+            "may not be in the model."
+        )
+    if not written:
+        return tuple(result)
+    lacking = not_written(reading.laws)
+    reach = significant(1e3 * max(law.valid_to_m for law in reading.laws), 3)
+    text = f"The rig file gets it as local elements, valid up to {reach} mm"
+    result.append(text + (f"; {', '.join(lacking)} has no kind there and is left out." if lacking else "."))
+    return tuple(result)
+
+
+def _where(law: LocalLaw) -> str:
+    return f"points {law.point} and {law.other_point}" if law.other_point else f"point {law.point}"

@@ -1,0 +1,144 @@
+"""Laws that were read from held levels as starts of the search: they are fitted and judged as every explanation is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.inference.explanations import FittedExplanation, best_of
+from nmt_diagnose.inference.fitting import FitError, fit
+from nmt_diagnose.inference.search import Search
+from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, read_law
+from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.rig import Rig
+
+_LARGEST_LOG = 8.0  # of a shape over its scale: beyond it the start says nothing
+
+
+def law_of(rig: Rig, observations: Observations) -> LawReading | None:
+    """The law of held levels; None where there is none to read."""
+    try:
+        return read_law(rig, observations)
+    except (BenchError, ArithmeticError, np.linalg.LinAlgError):
+        return None
+
+
+def with_laws(
+    search: Search, null: FittedExplanation, reading: LawReading | None, singles: Sequence[FittedExplanation]
+) -> list[FittedExplanation]:
+    """Explanations and those that begin at the laws of a reading, the best first.
+
+    Args:
+        search: fits explanations.
+        null: the model alone.
+        reading: of the held levels.
+        singles: explanations that were found without it.
+    """
+    laws = reading.laws if reading is not None else ()
+    found = [start for law in laws if (start := _start(search.candidates, law)) is not None]
+    if not found or reading is None or not worth_a_start(reading):
+        return list(singles)
+    search.tell("fitting the laws that the held levels show")
+    groups = [[start] for start in found] + ([found] if len(found) > 1 else [])
+    fitted = [one for group in groups if (one := _fitted(search, null, group)) is not None]
+    return best_of([*singles, *fitted])
+
+
+def worth_a_start(reading: LawReading) -> bool:
+    """Whether a law explains enough for the search to begin at it."""
+    return reading.after <= THRESHOLDS.law.start_score_ratio * reading.before
+
+
+def _fitted(
+    search: Search, null: FittedExplanation, starts: Sequence[tuple[Candidate, FloatArray]]
+) -> FittedExplanation | None:
+    candidates = [candidate for candidate, _ in starts]
+    spreads = [search.spread_of(candidate, theta) for candidate, theta in starts]
+    parametrisation = search.parametrisation(candidates, spreads)
+    for share in (1.0, 0.3):
+        theta = np.concatenate([null.fit.theta, *[_weaker(candidate, own, share) for candidate, own in starts]])
+        try:
+            fitted = fit(search.data, parametrisation, theta, null.fit.prediction, exact=False)
+            return FittedExplanation(tuple(candidates), search.widened(fitted))
+        except (FitError, BenchError, ArithmeticError, np.linalg.LinAlgError):
+            continue
+    return None
+
+
+def _weaker(candidate: Candidate, theta: FloatArray, share: float) -> FloatArray:
+    """The parameters with their strengths times a share."""
+    strengths = [parameter.kind == "strength" for parameter in candidate.effect.parameters]
+    return np.where(strengths, share * theta, theta)
+
+
+def _start(candidates: Sequence[Candidate], law: LocalLaw) -> tuple[Candidate, FloatArray] | None:
+    """The effect of the library that a law is, with its parameters; None where it has none."""
+    for name, values in _effects(law):
+        for candidate in candidates:
+            site = candidate.site
+            places = {(site.point, site.other_point), (site.other_point, site.point)}
+            if candidate.effect.name == name and (law.point, law.other_point) in places and site.option == "":
+                theta = _theta(candidate, values)
+                if theta is not None:
+                    return candidate, theta
+    return None
+
+
+def _effects(law: LocalLaw) -> list[tuple[str, Mapping[str, float]]]:
+    """Names of effects with parameters by name, the strongest term of the law first."""
+    sliders = [term for term in law.terms if term.kind == "slider"]
+    if sliders:
+        stiffness = sum(term.coefficient for term in sliders)
+        force = sum(term.coefficient * term.parameters[0] for term in sliders)
+        return [("second_friction_contact", _friction(stiffness, force))]
+    if any(term.kind in ("friction", "weakening friction") for term in law.terms):
+        force = sum(term.coefficient for term in law.terms if term.unit == "N")
+        slip = THRESHOLDS.law.dry_slip_share * law.valid_to_m
+        return [("second_friction_contact", _friction(force / slip, force))]
+    largest = sorted(law.terms, key=lambda term: -_size(term, law.valid_to_m))
+    return [(name, values) for term in largest for name, values in _of_term(term)]
+
+
+def _friction(stiffness: float, force: float) -> Mapping[str, float]:
+    return {"kt": stiffness, "slip_force": force, "slip_displacement": force / stiffness}
+
+
+def _size(term: LawTerm, reach: float) -> float:
+    return abs(term.coefficient) * (reach ** term.parameters[0] if term.kind == "power" else reach)
+
+
+def _of_term(term: LawTerm) -> list[tuple[str, Mapping[str, float]]]:
+    c, first = term.coefficient, term.parameters[0]
+    if term.kind == "power":
+        names = {2.0: "quadratic_stiffness", 3.0: "cubic_stiffness", 5.0: "quintic_stiffness"}
+        return [(names[first], {"k": c})]
+    if term.kind == "gap":
+        return [("two_sided_gap", {"k": c, "gap": first})]
+    if term.kind == "stop" and term.parameters[-1] > 0.0:
+        return [("one_sided_stop", {"k": c, "gap": first})]
+    if term.kind == "speed" and first == 2.0:
+        return [("air_drag", {"c2": c})]
+    if term.kind == "amplitude":
+        return [("amplitude_damping", {"c": c})]
+    return []
+
+
+def _theta(candidate: Candidate, values: Mapping[str, float]) -> FloatArray | None:
+    """Dimensionless parameters of a candidate at some values; None where they are out of its reach."""
+    theta = []
+    for parameter in candidate.effect.parameters:
+        if parameter.name not in values:
+            return None
+        ratio = values[parameter.name] / candidate.site.scales[parameter.name]
+        if parameter.kind == "shape":
+            if not ratio > 0.0 or abs(math.log(ratio)) > _LARGEST_LOG:
+                return None
+            ratio = math.log(ratio)
+        theta.append(ratio)
+    return np.array(theta)

@@ -1,0 +1,133 @@
+"""Coefficients of a law: least squares with errors of chain and model under their priors, most of them not negative.
+
+Errors and coefficients of either sign are projected out; what is left is non-negative least squares (Lawson and
+Hanson, Solving Least Squares Problems, 1974), which has one optimum. Levels are left out one at a time by taking
+their part off the normal equations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.optimize import nnls
+
+from nmt_core.numerics.arrays import BoolArray, FloatArray
+
+_JITTER = 1e-12
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A fit.
+
+    Attributes:
+        nuisance: errors of chain and model in their standard deviations, (m,).
+        coefficients: of the columns, (k,).
+        squares: sum of squared residuals of each level, (L,).
+        score: rms of whitened rows of levels that the fit did not see; NaN if none was left out.
+        covariance: of the coefficients that are not zero and, before them, of the errors; for unit noise.
+    """
+
+    nuisance: FloatArray
+    coefficients: FloatArray
+    squares: FloatArray
+    score: float
+    covariance: FloatArray
+
+    @property
+    def cost(self) -> float:
+        """Squared residuals and what the priors of the errors count."""
+        return float(self.squares.sum() + self.nuisance @ self.nuisance)
+
+
+class ConvexFit:
+    """Least squares of levels by errors of chain and model and by the columns of a law.
+
+    Args:
+        target: whitened rows, (L, M).
+        nuisance: whitened columns of one standard deviation each, (L, M, m).
+        left_out: levels that are left out in turn.
+    """
+
+    def __init__(self, target: FloatArray, nuisance: FloatArray, left_out: list[int]) -> None:
+        self.target, self.nuisance, self.left_out = target, nuisance, left_out
+        self.counts = np.isfinite(target).sum(axis=1)
+        self.tt = np.einsum("lm,lm->l", target, target)
+        self.nn = np.einsum("lmi,lmj->lij", nuisance, nuisance)
+        self.nt = np.einsum("lmi,lm->li", nuisance, target)
+
+    def solve(self, columns: FloatArray, signed: BoolArray, score: bool = True) -> Solution:
+        """Fit columns (L, M, k); ``signed`` (k,) of those that may have either sign."""
+        m = self.nn.shape[1]
+        gram, right, norms = self._normal(columns)
+        whole, whole_right = gram.sum(axis=0), right.sum(axis=0)
+        theta = _constrained(whole, whole_right, m, signed)
+        squares = self._squares(theta, gram, right)
+        found = np.nan
+        if score and self.left_out:
+            found = self._predicted([[level] for level in self.left_out], gram, right, signed)
+        active = np.flatnonzero(np.concatenate([np.ones(m, bool), theta[m:] != 0.0]))
+        normal = whole[np.ix_(active, active)] + np.diag(np.where(active < m, 1.0, _JITTER))
+        covariance = np.linalg.pinv(normal)
+        sizes = np.concatenate([np.ones(m), 1.0 / np.where(norms > 0.0, norms, 1.0)])[active]
+        return Solution(theta[:m], theta[m:] / np.where(norms > 0.0, norms, 1.0), squares, found,
+                        covariance * np.outer(sizes, sizes))  # fmt: skip
+
+    def predicted(self, columns: FloatArray, signed: BoolArray, out: list[int]) -> float:
+        """rms of whitened rows of some levels that a fit to the others predicts."""
+        gram, right, _ = self._normal(columns)
+        return self._predicted([out], gram, right, signed)
+
+    def _normal(self, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Normal equations of each level, (L, m + k, m + k) and (L, m + k), and what columns were divided by."""
+        m, k = self.nn.shape[1], columns.shape[2]
+        norms = np.sqrt(np.einsum("lmk,lmk->k", columns, columns))
+        scaled = columns / np.where(norms > 0.0, norms, 1.0)
+        gram = np.zeros((len(self.tt), m + k, m + k))
+        right = np.zeros((len(self.tt), m + k))
+        gram[:, :m, :m], right[:, :m] = self.nn, self.nt
+        if k:
+            across = np.matmul(scaled.transpose(0, 2, 1), self.nuisance)
+            gram[:, m:, :m], gram[:, :m, m:] = across, across.transpose(0, 2, 1)
+            gram[:, m:, m:] = np.matmul(scaled.transpose(0, 2, 1), scaled)
+            right[:, m:] = np.einsum("lmi,lm->li", scaled, self.target)
+        return gram, right, norms
+
+    def _predicted(self, groups: list[list[int]], gram: FloatArray, right: FloatArray, signed: BoolArray) -> float:
+        m = self.nn.shape[1]
+        whole, whole_right = gram.sum(axis=0), right.sum(axis=0)
+        total, count = 0.0, 0
+        for out in groups:
+            other = _constrained(whole - gram[out].sum(axis=0), whole_right - right[out].sum(axis=0), m, signed)
+            total += float(self._squares(other, gram, right)[out].sum())
+            count += int(self.counts[out].sum())
+        return float(np.sqrt(max(total, 0.0) / count))
+
+    def _squares(self, theta: FloatArray, gram: FloatArray, right: FloatArray) -> FloatArray:
+        values = self.tt - 2.0 * right @ theta + np.einsum("i,lij,j->l", theta, gram, theta)
+        return np.asarray(np.maximum(values, 0.0))
+
+
+def _constrained(gram: FloatArray, right: FloatArray, m: int, signed: BoolArray) -> FloatArray:
+    """Least squares by normal equations: unit priors on the first m unknowns, the others free or not negative."""
+    size = right.size
+    free = np.concatenate([np.ones(m, bool), signed])
+    a, b = np.flatnonzero(free), np.flatnonzero(~free)
+    normal = gram + np.diag(np.where(np.arange(size) < m, 1.0, _JITTER))
+    factor = cho_factor(normal[np.ix_(a, a)])
+    theta = np.zeros(size)
+    if b.size:
+        across = cho_solve(factor, normal[np.ix_(a, b)])
+        schur = normal[np.ix_(b, b)] - normal[np.ix_(b, a)] @ across
+        reduced = right[b] - normal[np.ix_(b, a)] @ cho_solve(factor, right[a])
+        scale = np.sqrt(np.maximum(np.diag(schur), 1e-300))
+        schur, reduced = schur / np.outer(scale, scale) + _JITTER * 1e2 * np.eye(b.size), reduced / scale
+        try:
+            upper = cholesky(schur)
+        except np.linalg.LinAlgError:
+            upper = cholesky(schur + 1e-6 * np.eye(b.size))
+        theta[b] = nnls(upper, solve_triangular(upper, reduced, trans="T"))[0] / scale
+    theta[a] = cho_solve(factor, right[a] - normal[np.ix_(a, b)] @ theta[b])
+    return theta

@@ -1,0 +1,118 @@
+"""Held levels as complex amplitudes: what locked windows say of force and motion, harmonic by harmonic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import MOTIONS
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.observations.observables import Observations, Part, Rows
+
+
+@dataclass(frozen=True)
+class HeldLevels:
+    """Windows of one phase-resonance test, ascending motion.
+
+    Attributes:
+        test: the test.
+        numbers: position of each level among those of the test, (L,).
+        omega: angular frequency, rad/s, (L,).
+        force: harmonics 0 … H of the measured force, N, (L, H + 1); order 0 is 0.
+        force_std: standard uncertainty of its fundamental, N, (L,).
+        channels: of the responses, C.
+        motion: harmonics of the displacements, m, (L, C, H + 1); order 0 is 0, NaN where a channel was not used.
+        motion_std: their standard uncertainties, m, (L, C, H + 1).
+        chain: tolerances of the measuring chain; None = it measures as the rig file says.
+    """
+
+    test: PhaseResonanceTest
+    numbers: tuple[int, ...]
+    omega: FloatArray
+    force: ComplexArray
+    force_std: FloatArray
+    channels: tuple[MeasuredChannel, ...]
+    motion: ComplexArray
+    motion_std: FloatArray
+    chain: MeasuringChain | None
+
+    @property
+    def count(self) -> int:
+        """Number of levels L."""
+        return int(self.omega.size)
+
+    @property
+    def harmonics(self) -> int:
+        """Highest order H."""
+        return int(self.motion.shape[2]) - 1
+
+    def take(self, kept: list[int]) -> HeldLevels:
+        """Some of the levels."""
+        return HeldLevels(
+            self.test, tuple(self.numbers[k] for k in kept), self.omega[kept], self.force[kept], self.force_std[kept],
+            self.channels, self.motion[kept], self.motion_std[kept], self.chain,
+        )  # fmt: skip
+
+
+def held_levels(observations: Observations, number: int) -> HeldLevels | None:
+    """The levels of a test of the observations; None where it has no force, no motion or several exciters.
+
+    Args:
+        observations: the real side.
+        number: of the test.
+    """
+    test = observations.tests[number]
+    if not isinstance(test, PhaseResonanceTest) or test.held == "response" or len(test.drive_points) > 1:
+        return None
+    rows, here = observations.rows, observations.rows.test == number
+    forces = [k for k, channel in enumerate(test.channels) if channel.quantity is Quantity.FORCE]
+    moved = [k for k, channel in enumerate(test.channels) if channel.quantity in MOTIONS]
+    if not moved or (not forces and test.held != "force"):
+        return None
+    values, std = _amplitudes(observations, rows, here, len(test.levels), len(test.channels), test.harmonics)
+    omega = np.full(len(test.levels), np.nan)
+    frequency = here & (rows.part == Part.LOG_FREQUENCY)
+    omega[rows.level[frequency]] = np.exp(observations.values[frequency])
+    force, force_std = np.zeros((len(test.levels), test.harmonics + 1), complex), np.zeros(len(test.levels))
+    if test.held == "force":
+        for k, level in enumerate(test.levels):
+            terms = np.array(level.terms[0][: test.harmonics])
+            force[k, 1 : 1 + terms.size] = level.force_n * terms
+    else:
+        force, force_std = np.nan_to_num(values[:, forces[0]]), np.nan_to_num(std[:, forces[0], 1])
+    orders = np.maximum(np.arange(test.harmonics + 1), 1)
+    powers = np.array([MOTIONS[test.channels[k].quantity] for k in moved])
+    scale = (1j * omega[:, None, None] * orders) ** powers[None, :, None]
+    motion, motion_std = values[:, moved] / scale, std[:, moved] / np.abs(scale)
+    size = np.nanmax(np.abs(motion[:, :, 1]), axis=1, initial=0.0)
+    usable = np.isfinite(omega) & (np.abs(force[:, 1]) > 0.0) & (size > 0.0)
+    order = [int(k) for k in np.argsort(size, kind="stable") if usable[k]]
+    chain = observations.chains[number] if observations.chains else None
+    channels = tuple(test.channels[k] for k in moved)
+    found = HeldLevels(
+        test, tuple(range(len(test.levels))), omega, force, force_std, channels, motion, motion_std, chain
+    )
+    return found.take(order) if order else None
+
+
+def _amplitudes(
+    observations: Observations, rows: Rows, here: np.ndarray, levels: int, channels: int, harmonics: int
+) -> tuple[ComplexArray, FloatArray]:
+    """Complex amplitudes (levels, channels, harmonics + 1) in the units of the channels, and their uncertainties."""
+    parts = {part: np.full((levels, channels, harmonics + 1), np.nan) for part in (0, 1)}
+    spread = {part: np.full((levels, channels, harmonics + 1), np.nan) for part in (0, 1)}
+    names = {Part.LOG_MAGNITUDE: 0, Part.REAL: 0, Part.PHASE: 1, Part.IMAG: 1}
+    for kind, part in names.items():
+        where = np.flatnonzero(here & (rows.part == kind) & (rows.harmonic > 0))
+        at = (rows.level[where], rows.channel[where], rows.harmonic[where])
+        parts[part][at] = observations.values[where]
+        spread[part][at] = observations.sigma[where]
+    size = np.exp(parts[0][:, :, 1:2])
+    values = size * (parts[0] + 1j * parts[1])
+    values[:, :, 1] = size[:, :, 0] * np.exp(1j * parts[1][:, :, 1])
+    values[:, :, 0] = 0.0
+    return values, size * np.sqrt(0.5 * (spread[0] ** 2 + spread[1] ** 2))

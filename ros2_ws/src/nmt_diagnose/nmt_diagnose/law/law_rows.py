@@ -1,0 +1,133 @@
+"""Rows of held levels in which a local force is linear: force residual, shape, harmonics of every response.
+
+A force G at a place of participation p acts on the structure as −p G. With Y = φ q + y, y the part of the modes that
+are not under test, each level has the complex rows
+
+* −D(ω) φ⁺ Y₁, in which the force stands as p_t G₁ − D φ⁺ y,
+* P Y₁ with P = 1 − φ φ⁺, the shape,
+* Y_h = −Σ φ_i p_i G_h / D_i(hω) for h = 2 … H, in the output domain,
+
+φ⁺ the row that takes q out of the responses. The drive is a force −F at the drive point, so that what it does can be
+taken off all rows; what is left is the missing force and errors of chain and model.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_diagnose.law.held_levels import HeldLevels
+from nmt_diagnose.law.modal_frame import ORDERS, ModalFrame
+from nmt_diagnose.thresholds import THRESHOLDS
+
+
+class LawRows:
+    """Rows of the levels of one test in one frame.
+
+    Args:
+        frame: modes of the structure.
+        levels: the levels.
+    """
+
+    def __init__(self, frame: ModalFrame, levels: HeldLevels) -> None:
+        self.frame, self.levels = frame, levels
+        self.highest = min(levels.harmonics, ORDERS)
+        self.shape = frame.sensors[:, frame.target]
+        self.take_q = self.shape / float(self.shape @ self.shape)
+        self.denominators = [frame.denominators(levels.omega, h) for h in range(ORDERS + 1)]
+        self.target = self.denominators[1][:, frame.target]
+        self.others = frame.others(levels.omega)
+        self.force = np.zeros((levels.count, ORDERS + 1), complex)
+        self.force[:, : self.highest + 1] = levels.force[:, : self.highest + 1]
+
+    def of_force(self, participation: FloatArray, force: ComplexArray) -> ComplexArray:
+        """Rows (…, L, R) of a local force of harmonics (…, L, ORDERS + 1)."""
+        sensors = self.frame.sensors
+        first = force[..., 1]
+        y = -np.einsum("lc,...l->...lc", self.others @ (sensors * participation).T, first)
+        return self.assembled(first * participation[self.frame.target], y, self._beyond(participation, force))
+
+    def _beyond(self, participation: FloatArray, force: ComplexArray) -> ComplexArray:
+        """Harmonics 2 … H of the responses (…, L, C, H − 1) to a force at a place."""
+        parts = [
+            -np.einsum(
+                "lc,...l->...lc", (1.0 / self.denominators[h]) @ (self.frame.sensors * participation).T, force[..., h]
+            )
+            for h in range(2, self.highest + 1)
+        ]
+        if not parts:
+            return np.zeros((*force.shape[:-1], len(self.shape), 0), complex)
+        return np.stack(parts, axis=-1)
+
+    def assembled(self, residual: ComplexArray, y: ComplexArray, beyond: ComplexArray) -> ComplexArray:
+        """Rows (…, L, R) of a force residual (…, L), fundamentals (…, L, C) and harmonics (…, L, C, H − 1)."""
+        q = y @ self.take_q
+        shape = y - q[..., np.newaxis] * self.shape
+        first = (residual - self.target * q)[..., np.newaxis]
+        return np.concatenate([first, shape, beyond.reshape(*beyond.shape[:-2], -1)], axis=-1)
+
+    @cached_property
+    def measured(self) -> ComplexArray:
+        """Rows (L, R) as measured, the drive's part taken off."""
+        motion = np.nan_to_num(self.levels.motion)
+        y = motion[:, :, 1]
+        rows = self.assembled(np.zeros(self.levels.count, complex), y, motion[:, :, 2 : self.highest + 1])
+        return rows - self.of_force(self.frame.drive, -self.force)
+
+    @cached_property
+    def sigma(self) -> FloatArray:
+        """Standard deviation (L, R) of the rows: noise, and what model and chain are smoothly off by; inf = unknown."""
+        levels, limits = self.levels, THRESHOLDS.law
+        std = np.where(np.isfinite(levels.motion), levels.motion_std, np.inf)
+        size = np.abs(np.nan_to_num(levels.motion))
+        modal = np.abs(self.frame.drive[self.frame.target])
+        drive = modal * np.hypot(levels.force_std, limits.force_share * np.abs(self.force[:, 1]))
+        # What a law does is known as well as the motion that it does it along.
+        first = np.nan_to_num(levels.motion[:, :, 1])
+        missing = np.abs(self.measured[:, 0])
+        drive = np.hypot(drive, limits.transfer_std * missing)
+        q = (first @ self.take_q)[:, np.newaxis]
+        changed = np.abs(first - q * (first[0] / q[0]))
+        q_std = np.sqrt((self.take_q**2 * std[:, :, 1] ** 2).sum(axis=1))
+        residual = np.hypot(drive, np.abs(self.target) * q_std)
+        shape = np.sqrt(
+            std[:, :, 1] ** 2 + (limits.shape_share * size[:, :, 1]) ** 2 + (limits.transfer_std * changed) ** 2
+        )
+        beyond = []
+        for h in range(2, self.highest + 1):
+            doubt = self.frame.tolerance(levels.omega, h, limits.mode_frequency_std, limits.mode_damping_std)
+            doubt = np.hypot(doubt, limits.transfer_std)
+            floor = limits.harmonic_share * size[:, :, 1]
+            beyond.append(np.sqrt(std[:, :, h] ** 2 + (doubt * size[:, :, h]) ** 2 + floor**2))
+        parts = [residual[:, np.newaxis], shape]
+        if beyond:
+            parts.append(np.stack(beyond, axis=-1).reshape(levels.count, -1))
+        return np.concatenate(parts, axis=1)
+
+    def whitened(self, rows: ComplexArray) -> FloatArray:
+        """Real rows (…, L, 2R) over their standard deviations."""
+        scaled = rows / self.sigma
+        return np.concatenate([scaled.real, scaled.imag], axis=-1)
+
+    def coordinate(self, forces: list[tuple[FloatArray, ComplexArray]]) -> ComplexArray:
+        """q of each level (L,), other forces than the drive given as participation and harmonics."""
+        y = np.nan_to_num(self.levels.motion[:, :, 1]).copy()
+        for participation, force in [(self.frame.drive, -self.force), *forces]:
+            y += (self.others @ (self.frame.sensors * participation).T) * force[:, 1:2]
+        return np.asarray(y @ self.take_q)
+
+    def motion(self, participation: FloatArray, forces: list[tuple[FloatArray, ComplexArray]]) -> ComplexArray:
+        """Harmonics (L, ORDERS + 1) of the motion of a place, m: fundamental from q, the rest by the model."""
+        result = np.zeros((self.levels.count, ORDERS + 1), complex)
+        target = self.frame.target
+        for other, force in [(self.frame.drive, -self.force), *forces]:
+            both = participation * other
+            result[:, 1] -= (self.others @ both) * force[:, 1]
+            for h in (0, *range(2, ORDERS + 1)):
+                result[:, h] -= ((1.0 / self.denominators[h]) @ both) * force[:, h]
+        result[:, 1] += participation[target] * self.coordinate(forces)
+        # A mean of a real force is real.
+        result[:, 0] = result[:, 0].real
+        return result

@@ -1,0 +1,255 @@
+"""Search for the local law that held levels lack: places and blocks, one level left out at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
+from nmt_diagnose.law.convex import ConvexFit, Solution
+from nmt_diagnose.law.law_blocks import Block, blocks, moved
+from nmt_diagnose.law.law_rows import LawRows
+from nmt_diagnose.law.modal_frame import KnownForces
+from nmt_diagnose.law.nuisance import MOTION_ROUNDS, known_motion, nuisance_columns
+from nmt_diagnose.law.terms import Term, harmonics, sampled
+from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.rig import ChainSection, Rig
+
+Forces = list[tuple[FloatArray, ComplexArray]]
+
+
+@dataclass(frozen=True)
+class LawPlace:
+    """Where a local force may act: a point, or between two; ``other_point`` 0 = the ground."""
+
+    point: int
+    other_point: int
+    participation: FloatArray = field(repr=False, compare=False)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Blocks at places with their fit.
+
+    Attributes:
+        parts: place and block of each law.
+        fit: coefficients of all terms, in order.
+        motions: of each place, m, (L, ORDERS + 1).
+    """
+
+    parts: tuple[tuple[LawPlace, Block], ...]
+    fit: Solution = field(repr=False)
+    motions: tuple[ComplexArray, ...] = field(repr=False)
+
+    @property
+    def elements(self) -> int:
+        """Terms that act."""
+        return int(np.count_nonzero(self.fit.coefficients))
+
+    @property
+    def score(self) -> float:
+        """rms of whitened rows of levels that were left out."""
+        return self.fit.score
+
+    def terms(self) -> list[tuple[LawPlace, Term, float]]:
+        """Place, term and coefficient of the terms that act."""
+        flat = [(place, term) for place, block in self.parts for term in block.terms]
+        pairs = zip(flat, self.fit.coefficients, strict=True)
+        return [(place, term, float(value)) for (place, term), value in pairs if value != 0.0]
+
+
+class LawSearch:
+    """Looks for laws in the rows of one test.
+
+    Args:
+        rows: of its levels.
+        rig: the model.
+    """
+
+    def __init__(self, rows: LawRows, rig: Rig) -> None:
+        self.rows, self.rig = rows, rig
+        elements = rows.frame.elements
+        self.known = KnownForces(elements, rows.frame) if elements else None
+        self.inner = list(range(1, rows.levels.count - 1))
+        self.basis = self.problem([])
+        self.null = self.basis.solve(np.zeros((*self.basis.target.shape, 0)), np.zeros(0, bool))
+
+    def _known(self, others: Forces) -> Forces:
+        return known_motion(self.rows, self.known, others)[1] if self.known is not None else []
+
+    def problem(self, others: Forces) -> ConvexFit:
+        """The fit of the missing force, the model's own elements along the motion that other forces make, too."""
+        motion, forces = known_motion(self.rows, self.known, others) if self.known is not None else (None, [])
+        missing = self.rows.measured.copy()
+        for participation, force in forces:
+            missing -= self.rows.of_force(participation, force)
+        columns, self.names = nuisance_columns(self.rows, self.rig, self.known, motion)
+        white = np.moveaxis(self.rows.whitened(np.moveaxis(columns, -1, 0)), 0, -1)
+        return ConvexFit(self.rows.whitened(missing), white, self.inner)
+
+    def places(self) -> list[LawPlace]:
+        """Points that move, and neighbours of a chain."""
+        frame = self.rows.frame
+        points = [(point, 0) for point in self.rig.structure.points]
+        if isinstance(self.rig.structure, ChainSection):
+            points += [(p + 1, p) for p in self.rig.structure.points[:-1]]
+        taken = {(e.point, e.other_point or 0) for e in self.rig.local_elements if not e.rotation}
+        points += [pair for pair in sorted(taken) if pair not in points and pair[::-1] not in points]
+        found = [LawPlace(p, o, frame.at(p, o)) for p, o in points]
+        sizes = np.array([abs(place.participation[frame.target]) for place in found])
+        return [place for place, moves in zip(found, moves_enough(sizes), strict=True) if moves]
+
+    def motion(self, place: LawPlace, others: Forces) -> ComplexArray:
+        """Motion of a place (L, ORDERS + 1) under the model's own and other forces."""
+        return self.rows.motion(place.participation, [*self._known(others), *others])
+
+    def columns(self, place: LawPlace, terms: Sequence[Term], x: FloatArray, v: FloatArray) -> FloatArray:
+        """Whitened columns (L, M, k) of terms along the motion of their place."""
+        made = np.stack([harmonics(term.force(x, v)) for term in terms])
+        rows = self.rows.whitened(self.rows.of_force(place.participation, made))
+        return np.moveaxis(rows, 0, -1)
+
+    def singles(self) -> list[Candidate]:
+        """The best block of each family at each place along the motion without it, the best first."""
+        forces = self._known([])
+        found = []
+        for place in self.places():
+            motion = self.rows.motion(place.participation, forces)
+            found += self._at(place, motion, self.basis, None)
+        return sorted(found, key=lambda candidate: candidate.score)
+
+    def _at(
+        self, place: LawPlace, motion: ComplexArray, problem: ConvexFit, first: Candidate | None
+    ) -> list[Candidate]:
+        """The best block of each family at a place, beside a first law."""
+        x, v = sampled(motion, self.rows.levels.omega)
+        before = self.law_columns(first) if first is not None else None
+        parts = first.parts if first is not None else ()
+        motions = first.motions if first is not None else ()
+        signs = [t.signed for _, block in parts for t in block.terms]
+        found = []
+        for family in blocks(x, v).values():
+
+            def solved(block: Block, score: bool = False) -> Solution:
+                columns = self.columns(place, block.terms, x, v)
+                if before is not None:
+                    columns = np.concatenate([before, columns], axis=2)
+                return problem.solve(columns, np.array([*signs, *(t.signed for t in block.terms)]), score)
+
+            best = family[0]
+            if len(family) > 1:
+                costs = [solved(block).cost for block in family]
+                best = family[int(np.argmin(costs))]
+                if best.contact:
+                    best = _between(family, int(np.argmin(costs)), lambda block: solved(block).cost)
+            fit = solved(best, score=True)
+            if np.any(fit.coefficients[len(signs) :]):
+                found.append(Candidate((*parts, (place, best)), fit, (*motions, motion)))
+        return found
+
+    def law_columns(self, candidate: Candidate) -> FloatArray:
+        """Whitened columns (L, M, k) of all terms of a law along the motion of its places."""
+        parts = []
+        for (place, block), motion in zip(candidate.parts, candidate.motions, strict=True):
+            parts.append(self.columns(place, block.terms, *sampled(motion, self.rows.levels.omega)))
+        return np.concatenate(parts, axis=2)
+
+    def forces(self, candidate: Candidate) -> Forces:
+        """Forces of a law along the motion of its places."""
+        result, used = [], 0
+        for (place, block), motion in zip(candidate.parts, candidate.motions, strict=True):
+            x, v = sampled(motion, self.rows.levels.omega)
+            values = candidate.fit.coefficients[used : used + len(block.terms)]
+            used += len(block.terms)
+            total = sum((c * t.force(x, v) for c, t in zip(values, block.terms, strict=True)), np.zeros_like(x))
+            result.append((place.participation, harmonics(total)))
+        return result
+
+    def again(self, candidate: Candidate) -> Candidate:
+        """A law read along the motion that it makes, its parameters refined."""
+        best = candidate
+        for turn in range(MOTION_ROUNDS):
+            forces = self.forces(candidate)
+            problem = self.problem(forces)
+            motions = tuple(self.motion(place, forces) for place, _ in candidate.parts)
+            parts = candidate.parts
+            if turn:
+                parts = tuple(self._refined(candidate, k, motions, problem) for k in range(len(parts)))
+            candidate = self._fitted(parts, motions, problem)
+            if not np.isfinite(candidate.score) or candidate.score > 3.0 * best.score:
+                return best
+            settled = abs(candidate.score - best.score) < 0.01 * best.score
+            best = candidate if candidate.score < best.score or turn else best
+            if settled and turn:
+                break
+        return best
+
+    def _fitted(
+        self, parts: tuple[tuple[LawPlace, Block], ...], motions: tuple[ComplexArray, ...], problem: ConvexFit,
+        score: bool = True,
+    ) -> Candidate:  # fmt: skip
+        signed = np.array([t.signed for _, block in parts for t in block.terms])
+        columns = [
+            self.columns(place, block.terms, *sampled(motion, self.rows.levels.omega))
+            for (place, block), motion in zip(parts, motions, strict=True)
+        ]
+        return Candidate(parts, problem.solve(np.concatenate(columns, axis=2), signed, score), motions)
+
+    def _refined(
+        self, candidate: Candidate, number: int, motions: tuple[ComplexArray, ...], problem: ConvexFit
+    ) -> tuple[LawPlace, Block]:
+        """One part with the parameter of its block moved to where the fit is best."""
+        place, block = candidate.parts[number]
+        if not block.refined or not block.terms[0].first > 0.0:
+            return place, block
+
+        def cost(log_factor: float) -> float:
+            parts = list(candidate.parts)
+            parts[number] = (place, moved(block, float(np.exp(log_factor))))
+            return self._fitted(tuple(parts), motions, problem, score=False).fit.cost
+
+        found = minimize_scalar(cost, bounds=(-0.4, 0.4), method="bounded", options={"xatol": 2e-3, "maxiter": 20})
+        return place, moved(block, float(np.exp(found.x))) if found.fun < cost(0.0) else block
+
+    def seconds(self, first: Candidate) -> list[Candidate]:
+        """Blocks at all places beside a first law, the best first."""
+        forces = self.forces(first)
+        problem = self.problem(forces)
+        known = self._known(forces)
+        found: list[Candidate] = []
+        for place in self.places():
+            motion = self.rows.motion(place.participation, [*known, *forces])
+            found += self._at(place, motion, problem, first)
+        return sorted(found, key=lambda candidate: candidate.score)
+
+
+def moves_enough(sizes: FloatArray) -> BoolArray:
+    """Which places move enough for a force there to be seen, from their motions."""
+    return np.asarray(sizes > THRESHOLDS.law.least_motion_share * sizes.max())
+
+
+def _between(family: Sequence[Block], number: int, cost: Callable[[Block], float]) -> Block:
+    """The block of a family between the neighbours of its best one where the cost is least."""
+    best = family[number]
+    size = best.terms[0].first
+    if not size > 0.0:
+        return best
+    low = family[max(number - 1, 0)].terms[0].first
+    high = family[min(number + 1, len(family) - 1)].terms[0].first
+    bounds = (max(low, 0.5 * size) / size, high / size)
+    if not bounds[1] > bounds[0]:
+        return best
+    found = minimize_scalar(
+        lambda factor: cost(moved(best, float(factor))), bounds=bounds, method="bounded", options={"maxiter": 12}
+    )
+    return moved(best, float(found.x)) if found.fun < cost(best) else best
+
+
+def fewest(found: Sequence[Candidate]) -> Candidate:
+    """Of the laws whose score is near the best, the one of fewest elements; of these the best."""
+    least = min(candidate.score for candidate in found) * THRESHOLDS.law.alike_score_ratio
+    near = [candidate for candidate in found if candidate.score <= least]
+    return min(near, key=lambda candidate: (candidate.elements, candidate.score))

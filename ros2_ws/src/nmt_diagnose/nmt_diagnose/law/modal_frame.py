@@ -1,0 +1,150 @@
+"""A rig's structure in its modes: what forces do to the measured rows, and how its points move.
+
+The exciter is left out: the measured force stands for it. With the modal coordinate q of the mode under test the
+local force that is missing is φ G₁ = b F₁ − D(ω) q, D = ω_t² − ω² + 2iζω_tω (Ewins, Modal Testing, 2000).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_diagnose.law.held_levels import HeldLevels
+from nmt_rig.model.aft import LocalForces
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.model.linear_modes import sticking_modes
+from nmt_rig.model.local_elements.attachments import AttachmentSection
+from nmt_rig.model.local_elements.element import LocalElement
+from nmt_rig.model.structure import Structure
+from nmt_rig.rig import Rig
+from nmt_rig.rig_model import build_elements, build_structure
+
+ORDERS = 15
+"""Highest harmonic of local forces and of the motion that they make."""
+
+
+@dataclass(frozen=True)
+class ModalFrame:
+    """Modes of the structure with its local elements at rest, and the elements whose force is not linear.
+
+    Attributes:
+        structure: the structure.
+        omega: natural frequencies, rad/s, (n,).
+        zeta: damping ratios, (n,).
+        shapes: mass-normalised, on all degrees of freedom, 1/√kg, (N, n).
+        target: number of the mode under test.
+        drive: participation of the drive point, (n,).
+        sensors: participation of the channels' points, (C, n).
+        elements: local elements with a force beside the linear one.
+    """
+
+    structure: Structure
+    omega: FloatArray
+    zeta: FloatArray
+    shapes: FloatArray
+    target: int
+    drive: FloatArray
+    sensors: FloatArray
+    elements: tuple[LocalElement, ...]
+
+    @classmethod
+    def of(cls, rig: Rig, levels: HeldLevels) -> ModalFrame | None:
+        """The frame of a rig for the levels of a test; None where its structure alone is no linear one with points."""
+        if any(isinstance(section, AttachmentSection) for section in rig.local_elements):
+            return None
+        try:
+            structure = build_structure(rig)
+            elements = build_elements(rig, structure)
+            modes = sticking_modes(structure, elements)
+            sensors = np.array([structure.direction(channel.point) for channel in levels.channels])
+            drive = structure.direction(levels.test.drive_point)
+        except (BenchError, KeyError, np.linalg.LinAlgError):
+            return None
+        swinging = np.flatnonzero(modes.frequencies > 0.0)
+        if not swinging.size:
+            return None
+        distance = np.abs(np.log(modes.frequencies[swinging] / np.median(levels.omega)))
+        target = int(swinging[np.argmin(distance)])
+        nonlinear = tuple(element for element in elements if not element.linear)
+        zeta = np.where(np.isfinite(modes.damping_ratios), modes.damping_ratios, 0.0)
+        shapes = modes.full_shapes
+        return cls(
+            structure, modes.frequencies, zeta, shapes, target, shapes.T @ drive, sensors @ shapes, nonlinear
+        )  # fmt: skip
+
+    def at(self, point: int, other_point: int = 0) -> FloatArray:
+        """Participation (n,) of a place: a point, or between two."""
+        participation: FloatArray = self.shapes.T @ self.structure.direction(point, other_point or None)
+        return participation
+
+    def denominators(self, omega: FloatArray, order: int) -> ComplexArray:
+        """D of each mode at a multiple of the frequencies, (L, n)."""
+        w = order * np.asarray(omega)[:, np.newaxis]
+        with np.errstate(invalid="ignore"):
+            found = self.omega**2 - w**2 + 2j * self.zeta * self.omega * w
+        # What a mean force does to a free body is no vibration.
+        return np.where(np.abs(found) > 0.0, found, np.inf)
+
+    def others(self, omega: FloatArray) -> ComplexArray:
+        """1/D at the fundamental of all modes but the one under test, (L, n)."""
+        result = 1.0 / self.denominators(omega, 1)
+        result[:, self.target] = 0.0
+        return result
+
+    def tolerance(self, omega: FloatArray, order: int, frequency: float, damping: float) -> FloatArray:
+        """What errors of all modes do to responses at a multiple of the frequencies, relative, (L, C).
+
+        Args:
+            omega: rad/s, (L,).
+            order: harmonic.
+            frequency, damping: relative standard deviations of natural frequencies and damping ratios.
+        """
+        d = self.denominators(omega, order)
+        w = order * np.asarray(omega)[:, np.newaxis]
+        change = np.hypot(2.0 * self.omega**2 * frequency, 2.0 * self.zeta * self.omega * w * damping)
+        # Each mode with its largest share over the structure: no place is known yet.
+        weights = np.abs(self.sensors) * np.max(np.abs(self.shapes), axis=0)
+        shares = weights[np.newaxis] / np.abs(d)[:, np.newaxis]
+        errors = shares * (change / np.abs(d))[:, np.newaxis]
+        return np.asarray(np.sqrt((errors**2).sum(axis=2)) / np.sqrt((shares**2).sum(axis=2)))
+
+
+class KnownForces:
+    """Forces of the model's own elements beside their linear part.
+
+    Args:
+        elements: the elements, of one or several directions.
+        frame: modes of the structure.
+    """
+
+    def __init__(self, elements: Sequence[LocalElement], frame: ModalFrame) -> None:
+        self.basis = FourierBasis.up_to(ORDERS)
+        self.forces = LocalForces.gather(elements, self.basis, np.zeros(frame.shapes.shape[0]))
+        self.participation = self.forces.directions @ frame.shapes
+        self.stiffness, self.damping = np.zeros(len(self.participation)), np.zeros(len(self.participation))
+        for element in elements:
+            where = next(k for k, one in enumerate(self.forces.directions) if np.array_equal(one, element.direction))
+            self.stiffness[where] += element.linear_stiffness
+            self.damping[where] += element.linear_damping
+
+    def of(self, motion: ComplexArray, omega: FloatArray, beside: KnownForces | None = None) -> ComplexArray:
+        """Harmonics of the forces beside those of the elements at rest, N, (r, L, ORDERS + 1).
+
+        Args:
+            motion: harmonics at the elements' coordinates, m, (r, L, ORDERS + 1).
+            omega: rad/s, (L,).
+            beside: elements whose linear part is left out; None = these themselves.
+        """
+        linear = beside or self
+        result = np.zeros(motion.shape, complex)
+        orders = np.arange(ORDERS + 1)
+        for k, w in enumerate(omega):
+            real = np.ascontiguousarray(self.basis.to_real(motion[:, k]))
+            found = self.basis.to_complex(self.forces.forces(real, float(w))[0])
+            rest = linear.stiffness[:, None] + 1j * w * orders * linear.damping[:, None]
+            result[:, k] = found - rest * motion[:, k]
+        return result

@@ -1,0 +1,123 @@
+"""What chain and model are ordinarily off by, as columns of the rows of held levels: constant over the levels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_diagnose.effects.calibration import calibration_parameters
+from nmt_diagnose.law.law_rows import LawRows
+from nmt_diagnose.law.modal_frame import KnownForces
+from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_record.exchange.channel_tolerances import ChannelTolerance
+from nmt_rig.rig import Rig
+from nmt_rig.rig_model import build_elements
+
+_STEP = 1e-3  # of a logarithm, for differences
+MOTION_ROUNDS = 4
+"""Rounds of motion and force: an even force near the end of its equilibrium takes so many to 1 %."""
+
+
+def nuisance_columns(
+    rows: LawRows, rig: Rig, known: KnownForces | None, motion: ComplexArray | None
+) -> tuple[ComplexArray, tuple[str, ...]]:
+    """Columns (L, R, m) that one standard deviation of each error adds to the rows, with their names.
+
+    Args:
+        rows: of the levels.
+        rig: the model.
+        known: its own elements whose force is not linear; None without.
+        motion: of their coordinates, m, (r, L, ORDERS + 1).
+    """
+    frame, levels, limits = rows.frame, rows.levels, THRESHOLDS.law
+    size = rows.sigma.shape[1]
+    q = rows.coordinate([])
+    omega_t, zeta = frame.omega[frame.target], frame.zeta[frame.target]
+    columns, names = [], []
+
+    def add(name: str, column: ComplexArray, std: float) -> None:
+        columns.append(std * column)
+        names.append(name)
+
+    def residual(values: ComplexArray) -> ComplexArray:
+        found = np.zeros((levels.count, size), complex)
+        found[:, 0] = values
+        return found
+
+    add("frequency of the mode", residual(-2.0 * omega_t**2 * q), limits.mode_frequency_std)
+    damping = max(limits.mode_damping_std * zeta, limits.least_damping_std)
+    add("damping of the mode", residual(-2j * omega_t * levels.omega * q), damping)
+    typical = float(np.sqrt(np.mean(rows.shape**2)))
+    force_name = next((c.name for c in levels.test.channels if c not in levels.channels), "")
+    for k, (name, tolerance) in enumerate([(c.name, _tolerance(rows, c.name)) for c in levels.channels]):
+        # Near a node of the mode its form is off by a share of what it is elsewhere.
+        form = limits.form_std * max(1.0, typical / abs(rows.shape[k]))
+        y = np.zeros((levels.count, len(levels.channels)), complex)
+        y[:, k] = rows.shape[k] * q
+        beyond = np.zeros((levels.count, len(levels.channels), max(rows.highest - 1, 0)), complex)
+        column = rows.assembled(np.zeros(levels.count, complex), y, beyond)
+        # What all gains do together is one of the force; else they could take off the whole motion and the force.
+        column[:, 0] += rows.target * (y.sum(axis=1) / rows.shape[k]) / len(levels.channels)
+        # The form of the mode may be off, too, and turned by dampers.
+        add(f"gain of {name}", column, math.hypot(tolerance.gain, form))
+        turn = tolerance.phase_at(float(np.median(levels.omega)))
+        add(f"phase of {name}", 1j * column, math.hypot(turn, form))
+    tolerance = _tolerance(rows, force_name)
+    drive = -rows.of_force(frame.drive, -rows.force)
+    add("gain of the force", drive, tolerance.gain)
+    add("phase of the force", 1j * drive, tolerance.phase_at(float(np.median(levels.omega))))
+    if known is not None and motion is not None:
+        for name, column, std in _of_elements(rows, rig, known, motion):
+            add(name, column, std)
+        # Friction feels an error of the amplitude that all channels share.
+        scaled = known.of((1.0 + _STEP) * motion, levels.omega) - known.of((1.0 - _STEP) * motion, levels.omega)
+        shared = sum(
+            (rows.of_force(p, force) for p, force in zip(known.participation, scaled / (2.0 * _STEP), strict=True)),
+            np.zeros((levels.count, size), complex),
+        )
+        gains = [_tolerance(rows, channel.name).gain for channel in levels.channels]
+        add("scale of the motion", shared, float(np.mean(gains)))
+    return np.stack(columns, axis=-1), tuple(names)
+
+
+def _tolerance(rows: LawRows, name: str) -> ChannelTolerance:
+    return rows.levels.chain.of(name) if rows.levels.chain is not None else ChannelTolerance()
+
+
+def _of_elements(
+    rows: LawRows, rig: Rig, known: KnownForces, motion: ComplexArray
+) -> list[tuple[str, ComplexArray, float]]:
+    """Parameters of the model's own elements: name, change of the rows, prior standard deviation 1."""
+    found = []
+    here = known.of(motion, rows.levels.omega)
+    for parameter in calibration_parameters(rig):
+        if parameter.path[0] != "local_elements":
+            continue
+        moved_rig = parameter.apply(rig, _STEP / parameter.std)
+        elements = [e for e in build_elements(moved_rig, rows.frame.structure) if not e.linear]
+        if len(elements) != len(rows.frame.elements):
+            continue
+        moved = KnownForces(elements, rows.frame).of(motion, rows.levels.omega, known)
+        slopes = (moved - here) / (_STEP / parameter.std)
+        if not np.any(slopes):
+            continue
+        column: ComplexArray = np.zeros(rows.sigma.shape, complex)
+        for participation, force in zip(known.participation, slopes, strict=True):
+            column = column + rows.of_force(participation, force)
+        found.append((parameter.name, column, 1.0))
+    return found
+
+
+def known_motion(
+    rows: LawRows, known: KnownForces, others: list[tuple[FloatArray, ComplexArray]]
+) -> tuple[ComplexArray, list[tuple[FloatArray, ComplexArray]]]:
+    """Motion of the model's own elements (r, L, ORDERS + 1) and their forces, for other local forces that are known."""
+    forces: list[tuple[FloatArray, ComplexArray]] = []
+    motion = np.zeros((len(known.participation), rows.levels.count, rows.force.shape[1]), complex)
+    for _ in range(MOTION_ROUNDS):
+        motion = np.array([rows.motion(p, [*forces, *others]) for p in known.participation])
+        made = known.of(motion, rows.levels.omega)
+        forces = list(zip(known.participation, made, strict=True))
+    return motion, forces

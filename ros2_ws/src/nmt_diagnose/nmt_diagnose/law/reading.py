@@ -1,0 +1,233 @@
+"""The law of the force that a model lacks, with what it closes, its loop, and what keeps it from being told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_diagnose.law.force_loop import ForceLoop, force_loops
+from nmt_diagnose.law.held_levels import HeldLevels, held_levels
+from nmt_diagnose.law.law_rows import LawRows
+from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, fewest
+from nmt_diagnose.law.law_words import family
+from nmt_diagnose.law.modal_frame import ModalFrame
+from nmt_diagnose.law.terms import sampled
+from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.rig import Rig
+
+_FINALISTS = 10
+"""Laws that are read again along the motion that they make."""
+
+
+@dataclass(frozen=True)
+class LawTerm:
+    """One term of a law.
+
+    Attributes:
+        kind: of the formula, see :class:`nmt_diagnose.law.terms.Term`.
+        parameters: of the formula, SI.
+        coefficient, std: its strength with its standard uncertainty.
+        unit: of the strength.
+    """
+
+    kind: str
+    parameters: tuple[float, ...]
+    coefficient: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class LocalLaw:
+    """A local force at a place.
+
+    Attributes:
+        point, other_point: where it acts; ``other_point`` 0 = against the ground.
+        family: what it is, in words.
+        terms: its terms.
+        valid_to_m: largest displacement that was visited, m.
+        other_places: places at which a law of its family does nearly as well.
+        loops: force over displacement and velocity, level by level.
+    """
+
+    point: int
+    other_point: int
+    family: str
+    terms: tuple[LawTerm, ...]
+    valid_to_m: float
+    other_places: tuple[str, ...]
+    loops: tuple[ForceLoop, ...]
+
+    @property
+    def place(self) -> str:
+        """Where it acts, for people: a point, or two."""
+        return f"{self.point}-{self.other_point}" if self.other_point else f"{self.point}"
+
+
+@dataclass(frozen=True)
+class LawReading:
+    """What held levels say of the force that a model lacks.
+
+    Attributes:
+        test: name of the test.
+        levels: number of levels.
+        laws: one, or two at their places; empty where nothing fits.
+        before, after: rms of whitened rows of levels that were left out, without and with the laws.
+        closed_inside: share of the gap closed on levels that were left out between the lowest and the highest.
+        closed_above: the same of the top two levels, by a fit to those below.
+        refusals: why the law is not told; empty = it is told.
+    """
+
+    test: str
+    levels: int
+    laws: tuple[LocalLaw, ...]
+    before: float
+    after: float
+    closed_inside: float
+    closed_above: float
+    refusals: tuple[str, ...]
+
+    @property
+    def told(self) -> bool:
+        """Whether the law is told."""
+        return bool(self.laws) and not self.refusals
+
+
+def read_law(rig: Rig, observations: Observations) -> LawReading | None:
+    """The law of the local force that the model lacks; None where no held levels tell one.
+
+    Args:
+        rig: the model as given.
+        observations: the real side.
+    """
+    found = [
+        levels for number in range(len(observations.tests))
+        if (levels := held_levels(observations, number)) is not None
+        and levels.count >= THRESHOLDS.law.fewest_levels and levels.harmonics >= 2
+    ]  # fmt: skip
+    if not found:
+        return None
+    levels = max(found, key=lambda one: (one.count, float(np.nanmax(np.abs(one.motion)))))
+    frame = ModalFrame.of(rig, levels)
+    return None if frame is None else _read(LawSearch(LawRows(frame, levels), rig), levels)
+
+
+def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
+    before = search.null.score
+    limits = THRESHOLDS.law
+    if before < limits.least_null_score:
+        why = "the levels differ from the model by no more than noise and tolerances"
+        return LawReading(levels.test.name, levels.count, (), before, before, math.nan, math.nan, (why,))
+    tried = search.singles()[:_FINALISTS]
+    finalists = sorted((search.again(candidate) for candidate in tried), key=lambda candidate: candidate.score)
+    if not finalists:
+        why = "no local force explains them"
+        return LawReading(levels.test.name, levels.count, (), before, before, 0.0, 0.0, (why,))
+    best = fewest(finalists)
+    best = _with_second(search, best)
+    laws = tuple(_law(search, best, number, finalists) for number in range(len(best.parts)))
+    above = _above(search, best)
+    return LawReading(
+        levels.test.name, levels.count, laws, before, best.score, _closed(before, best.score), _closed(*above),
+        _refusals(search, best, before),
+    )  # fmt: skip
+
+
+def _with_second(search: LawSearch, first: Candidate) -> Candidate:
+    """The law with a second one beside it where the score falls enough by it."""
+    limits = THRESHOLDS.law
+    if first.score <= limits.second_from_score:
+        return first
+    pairs = sorted((search.again(pair) for pair in search.seconds(first)[:4]), key=lambda pair: pair.score)
+    if not pairs or pairs[0].score > limits.second_score_ratio * first.score:
+        return first
+    pair = fewest(pairs)
+    size = len(first.parts[0][1].terms)
+    values, std = pair.fit.coefficients[size:], _stds(pair)[size:]
+    sure = np.any(np.abs(values[values != 0.0]) > limits.pull_sigmas * std[values != 0.0])
+    return pair if sure else first
+
+
+def _stds(candidate: Candidate) -> FloatArray:
+    """Standard uncertainties of all coefficients, (k,): 0 of those that do not act."""
+    m = candidate.fit.nuisance.size
+    result = np.zeros(candidate.fit.coefficients.size)
+    active = candidate.fit.coefficients != 0.0
+    # What is left beyond the stated noise is noise, too.
+    scale = max(candidate.score, 1.0)
+    result[active] = scale * np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[m:], 0.0))
+    return result
+
+
+def _closed(before: float, after: float) -> float:
+    """Share of a gap that is closed; what is within noise and tolerances counts as none."""
+    if not before > 1.0:
+        return math.nan
+    return (before - max(after, 1.0)) / (before - 1.0)
+
+
+def _above(search: LawSearch, best: Candidate) -> tuple[float, float]:
+    """rms of the top two levels as a fit to those below predicts them, without and with the law."""
+    count = search.rows.levels.count
+    top = [count - 2, count - 1]
+    forces = search.forces(best)
+    problem = search.problem(forces)
+    signed = np.array([t.signed for _, block in best.parts for t in block.terms])
+    empty = np.zeros((*problem.target.shape, 0))
+    return (
+        search.basis.predicted(empty, np.zeros(0, bool), top),
+        problem.predicted(search.law_columns(best), signed, top),
+    )
+
+
+def _refusals(search: LawSearch, best: Candidate, before: float) -> tuple[str, ...]:
+    limits, result = THRESHOLDS.law, []
+    if best.score > limits.told_score_ratio * before:
+        result.append(f"with it {100.0 * best.score / before:.0f} % of the misfit stay; half is asked for")
+    pulled = [
+        f"{name} ({value:+.1f} σ)"
+        for name, value in zip(search.names, best.fit.nuisance, strict=True)
+        if abs(value) > limits.pull_sigmas
+    ]
+    if pulled:
+        result.append(f"it needs what chain and model are not ordinarily off by: {', '.join(pulled)}")
+    return tuple(result)
+
+
+def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Candidate]) -> LocalLaw:
+    place, block = best.parts[number]
+    start = sum(len(one.terms) for _, one in best.parts[:number])
+    values = best.fit.coefficients[start : start + len(block.terms)]
+    std = _stds(best)[start : start + len(block.terms)]
+    acting = [(term, float(c), float(s)) for term, c, s in zip(block.terms, values, std, strict=True) if c != 0.0]
+    own = family([(term, c) for term, c, _ in acting])
+    motion: ComplexArray = best.motions[number]
+    x, _ = sampled(motion, search.rows.levels.omega)
+    others: dict[str, float] = {}
+    for candidate in finalists if len(best.parts) == 1 else ():
+        where = candidate.parts[0][0]
+        words = family([(term, c) for _, term, c in candidate.terms()]) if candidate.elements else ""
+        if where != place and words == own and nearly_as_well(candidate.score, best.score):
+            others[_name(where)] = candidate.score
+    terms = tuple(
+        LawTerm(term.kind, tuple(p for p in (float(term.first), float(term.second)) if p), c, s, term.unit)
+        for term, c, s in acting
+    )
+    return LocalLaw(
+        place.point, place.other_point, own, terms, float(np.abs(x).max()), tuple(others),
+        force_loops(search, best, number),
+    )  # fmt: skip
+
+
+def nearly_as_well(score: float, best: float) -> bool:
+    """Whether a law at another place is not told from the best."""
+    return score <= THRESHOLDS.law.place_score_ratio * best
+
+
+def _name(place: LawPlace) -> str:
+    return f"{place.point}-{place.other_point}" if place.other_point else f"{place.point}"

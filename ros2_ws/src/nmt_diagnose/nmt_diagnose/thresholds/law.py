@@ -1,0 +1,99 @@
+"""Laws of local forces that are read from held levels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmt_core.threshold import threshold
+
+
+@dataclass(frozen=True)
+class LawThresholds:
+    """Laws of local forces that are read from held levels."""
+
+    force_share: float = threshold(
+        0.002, "1",
+        "Force residual over the modal force that acts: what ordinary cells and loops repeat within, 0.15 to 0.3 %.",
+
+        "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
+    )  # fmt: skip
+    shape_share: float = threshold(
+        1e-4, "1",
+        "Shape of a level over the response: how well ordinary accelerometers repeat from level to level.",
+
+        "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
+    )  # fmt: skip
+    harmonic_share: float = threshold(
+        1e-5, "1",
+        "Harmonics over the fundamental that sensors make of their own: a hundredth of the harmonic that matters.",
+
+        "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
+    )  # fmt: skip
+    mode_frequency_std: float = threshold(
+        0.01, "1", "Natural frequencies of a model that was not fitted: two moduli of 1 % each, half of their sum.",
+        "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
+    )  # fmt: skip
+    mode_damping_std: float = threshold(
+        0.3, "1", "Damping ratios of a model, as in the table of model priors.",
+        "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
+    )  # fmt: skip
+    least_damping_std: float = threshold(
+        2e-4, "1", "Damping ratio that a model without damping may lack: that of a welded structure.",
+        "tests/diagnose/test_law_thresholds.py::test_the_damping_that_a_model_without_any_may_lack_is_stated",
+    )  # fmt: skip
+    transfer_std: float = threshold(
+        0.02, "1", "Response far from its modes to a local force: gain of the sensor, form and mass of the modes.",
+        "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
+    )  # fmt: skip
+    form_std: float = threshold(
+        0.01, "1", "Form of the mode under test at a sensor: as a gain, 1 %.",
+        "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
+    )  # fmt: skip
+    fewest_levels: int = threshold(
+        4, "1", "Levels from which one can be left out between the lowest and the highest.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    least_motion_share: float = threshold(
+        0.03, "1", "Motion of a place over the largest: forces where nothing moves are not seen.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    largest_slip_share: float = threshold(
+        0.7, "1", "Largest slip displacement over the largest motion: what hardly slips is a spring.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    alike_score_ratio: float = threshold(
+        1.12, "1", "Score over the best up to which the law of fewest elements is taken.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    place_score_ratio: float = threshold(
+        1.3, "1", "Score over the best up to which places are not told apart.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    told_score_ratio: float = threshold(
+        0.5, "1", "Score with the law over that without it from which on it is told.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    second_score_ratio: float = threshold(
+        0.75, "1", "Score with a second law over that of the first alone from which on it is told.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    least_null_score: float = threshold(
+        1.0, "1", "Score of the model without a law below which nothing is read: that is noise and tolerances.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    pull_sigmas: float = threshold(
+        3.0, "1", "Errors of chain and model beyond so many of their standard deviations: the law is not told.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    second_from_score: float = threshold(
+        1.0, "1", "Score from which on a second law is looked for: below it what is left is noise and tolerances.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    start_score_ratio: float = threshold(
+        0.8, "1", "Score with the law over that without it from which on the search begins at it, too.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    dry_slip_share: float = threshold(
+        0.02, "1", "Slip displacement over the largest motion with which a slider stands for dry friction.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip

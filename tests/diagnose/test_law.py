@@ -1,0 +1,77 @@
+"""Laws of a missing local force, read from held levels that an independent time integration made."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from diagnose.simulated_levels import chain_of_masses, held, modes
+
+from nmt_diagnose.law.reading import LawReading, read_law
+
+
+def reading(*laws, **how) -> LawReading:
+    found = read_law(chain_of_masses(), held(laws, **how))
+    assert found is not None
+    return found
+
+
+def top_of(found: LawReading):
+    return found.laws[0].loops[-1]
+
+
+def test_a_healthy_chain_has_no_law() -> None:
+    found = reading()
+    assert not found.told
+    assert found.laws == ()
+    assert found.before < 1.0
+
+
+def test_a_cubic_spring_is_read_with_its_place_and_strength() -> None:
+    found = reading((3, "cubic", (4.0e8,), ()))
+    assert found.told
+    (law,) = found.laws
+    assert (law.place, law.family) == ("3", "hardening spring")
+    (term,) = law.terms
+    assert (term.kind, term.parameters) == ("power", (3.0,))
+    assert term.coefficient == pytest.approx(4.0e8, rel=0.01)
+    assert found.closed_inside > 0.95
+    assert found.closed_above > 0.9
+
+
+def test_a_clearance_is_read_with_gap_and_stiffness() -> None:
+    found = reading((2, "gap", (8.0e3, 2.0e-4), ()))
+    (law,) = found.laws
+    assert (law.place, law.family) == ("2", "clearance")
+    term = next(term for term in law.terms if term.kind == "gap")
+    assert term.parameters[0] == pytest.approx(2.0e-4, rel=0.02)
+    assert term.coefficient == pytest.approx(8.0e3, rel=0.05)
+
+
+def test_friction_that_weakens_with_speed_is_no_law_of_the_library_but_is_read() -> None:
+    found = reading((4, "stribeck", (0.004, 4e-3, 1.0, 0.1), ()))
+    assert found.told
+    (law,) = found.laws
+    assert law.place == "4"
+    assert law.family == "dry friction that weakens with speed"
+    assert found.closed_inside > 0.9
+
+
+def test_a_wrong_gain_alone_is_no_law() -> None:
+    found = reading(gains=(1.0, 1.2, 1.0, 1.0))
+    assert not found.told
+
+
+def test_the_measured_loop_is_that_of_the_true_force() -> None:
+    found = reading((3, "cubic", (4.0e8,), ()))
+    loop = top_of(found)
+    x = np.array(loop.displacement)
+    force = 4.0e8 * x**3
+    # The loop has the harmonics that were observed, without the mean.
+    assert np.sqrt(np.mean((np.array(loop.measured) - force) ** 2)) < 0.05 * np.sqrt(np.mean(force**2))
+    assert np.sqrt(np.mean((np.array(loop.law) - force) ** 2)) < 0.02 * np.sqrt(np.mean(force**2))
+
+
+def test_the_chain_of_the_simulator_is_that_of_the_model() -> None:
+    omega, _, shapes = modes()
+    assert np.allclose(shapes.T @ np.diag((1.0, 0.8, 0.6, 0.5)) @ shapes, np.eye(4), atol=1e-12)
+    assert omega[0] > 0.0

@@ -1,0 +1,135 @@
+"""Terms, convex fits and written elements of laws against closed forms and other solvers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from nmt_diagnose.law.convex import ConvexFit
+from nmt_diagnose.law.law_elements import element_of
+from nmt_diagnose.law.law_words import family
+from nmt_diagnose.law.reading import LawTerm, LocalLaw
+from nmt_diagnose.law.terms import SAMPLES, Term, harmonics
+
+OMEGA, A = 100.0, 1e-3
+TURN = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
+X, V = A * np.cos(TURN)[np.newaxis], -OMEGA * A * np.sin(TURN)[np.newaxis]
+
+
+def gap_share(gap: float) -> float:
+    """Stiffness of stops on both sides at an amplitude over that of the stops (describing function)."""
+    ratio = gap / A
+    return 1.0 - 2.0 / math.pi * (math.asin(ratio) + ratio * math.sqrt(1.0 - ratio**2))
+
+
+@pytest.mark.parametrize(
+    ("term", "first"),
+    [
+        (Term("power", 3.0), 0.75 * A**3),
+        (Term("power", 5.0), 0.625 * A**5),
+        (Term("gap", 0.4 * A), gap_share(0.4 * A) * A),
+        (Term("speed", 2.0), 8.0 / (3.0 * math.pi) * (OMEGA * A) ** 2 * 1j),
+        (Term("amplitude", 2.0), 0.25 * A**3 * OMEGA * 1j),
+        (Term("friction", 1e-5 * OMEGA * A), 4.0 / math.pi * 1j),
+    ],
+)
+def test_the_fundamental_of_a_term_is_its_describing_function(term: Term, first: complex) -> None:
+    found = harmonics(term.force(X, V))[0, 1]
+    assert abs(found - first) < 2e-3 * abs(first)
+
+
+def test_a_slider_dissipates_four_times_its_slip_force_and_way() -> None:
+    slip = 0.3 * A
+    loss = float(np.sum(Term("slider", slip).force(X, V) * V)) * 2.0 * math.pi / OMEGA / SAMPLES
+    assert loss == pytest.approx(4.0 * slip * (A - slip), rel=1e-2)
+
+
+def test_even_forces_have_a_mean() -> None:
+    found = harmonics(Term("power", 2.0).force(X, V))[0]
+    assert found[0] == pytest.approx(0.5 * A**2)
+    assert found[2] == pytest.approx(0.5 * A**2)
+
+
+def random_problem(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(seed)
+    return (
+        generator.standard_normal((5, 12)),
+        generator.standard_normal((5, 12, 3)),
+        generator.standard_normal((5, 12, 4)),
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_convex_fit_is_that_of_a_bounded_solver(seed: int) -> None:
+    target, nuisance, columns = random_problem(seed)
+    signed = np.array([True, False, False, False])
+    found = ConvexFit(target, nuisance, []).solve(columns, signed, score=False)
+    matrix = np.vstack([np.concatenate([nuisance, columns], axis=2).reshape(60, 7), np.eye(3, 7)])
+    low = np.array([-np.inf] * 4 + [0.0] * 3)
+    other = lsq_linear(matrix, np.append(target.ravel(), np.zeros(3)), (low, np.inf), tol=1e-14).x
+    assert np.allclose(np.append(found.nuisance, found.coefficients), other, atol=1e-5)
+
+
+def test_the_score_is_that_of_fits_without_the_level() -> None:
+    target, nuisance, columns = random_problem(7)
+    signed = np.ones(4, dtype=bool)
+    found = ConvexFit(target, nuisance, [1, 2, 3]).solve(columns, signed)
+    total = 0.0
+    for out in (1, 2, 3):
+        others = [k for k in range(5) if k != out]
+        both = np.concatenate([nuisance, columns], axis=2)
+        matrix = np.vstack([both[others].reshape(48, 7), np.eye(3, 7)])
+        theta = np.linalg.lstsq(matrix, np.append(target[others].ravel(), np.zeros(3)), rcond=None)[0]
+        total += float(np.sum((target[out] - both[out] @ theta) ** 2))
+    assert found.score == pytest.approx(math.sqrt(total / 36.0), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("term", "x", "v"),
+    [
+        (LawTerm("power", (3.0,), 2e8, 0.0, "N/m^3"), 1e-3, 0.0),
+        (LawTerm("gap", (4e-4,), 5e3, 0.0, "N/m"), 1e-3, 0.0),
+        (LawTerm("stop", (4e-4, 1.0), 5e3, 0.0, "N/m"), 1e-3, 0.0),
+        (LawTerm("speed", (3.0,), 2.0, 0.0, "N"), 0.0, 0.3),
+        (LawTerm("friction", (0.01,), 0.2, 0.0, "N"), 0.0, 0.02),
+        (LawTerm("amplitude", (2.0,), 5e6, 0.0, "N s/m^3"), 1e-3, 0.3),
+    ],
+)
+def test_a_written_element_has_the_force_of_its_term(term: LawTerm, x: float, v: float) -> None:
+    law = LocalLaw(3, 0, "", (term,), 2e-3, (), ())
+    section = element_of(term, law)
+    assert section is not None
+    assert section.valid_to_m == 2e-3
+    element = section.element(np.ones(1), *section.own_values())
+    own = Term(term.kind, *term.parameters).force(np.array([x]), np.array([v]))[0] * term.coefficient
+    if hasattr(element, "frozen"):
+        branch = element.next_branch(*element.values, 0, x, v, 0.0)
+        written = element.frozen(*element.values, branch, x, v, 0.0)[0]
+    else:
+        written = element.response(*element.values, x, v)[0]
+    assert written == pytest.approx(own, rel=1e-9)
+
+
+def test_a_slider_is_written_as_a_jenkins_element() -> None:
+    term = LawTerm("slider", (2e-4,), 1e3, 0.0, "N/m")
+    section = element_of(term, LocalLaw(3, 2, "", (term,), 2e-3, (), ()))
+    assert section is not None
+    assert (section.point, section.other_point) == (3, 2)
+    assert section.own_values() == [1e3, pytest.approx(0.2)]
+
+
+def test_what_no_kind_of_element_has_is_not_written() -> None:
+    term = LawTerm("weakening friction", (1e-3, 0.1), 0.2, 0.0, "N")
+    assert element_of(term, LocalLaw(3, 0, "", (term,), 2e-3, (), ())) is None
+
+
+def test_families_are_named_by_what_the_terms_do() -> None:
+    assert family([(Term("power", 3.0), 1.0)]) == "hardening spring"
+    assert family([(Term("power", 3.0), -1.0), (Term("power", 5.0), 1.0)]) == "softening, then hardening spring"
+    assert family([(Term("power", 2.0), 1.0)]) == "asymmetric spring"
+    two = [(Term("slider", 1e-4), 1.0), (Term("slider", 1.4e-4), 1.0)]
+    assert family(two) == "friction of a slider behind a spring"
+    assert family([*two, (Term("slider", 4e-4), 1.0)]) == "friction of many sliders"

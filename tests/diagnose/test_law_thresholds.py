@@ -1,0 +1,134 @@
+"""What decides at the thresholds of laws: values just below and just above them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnose.simulated_levels import FORCES, chain_of_masses, held
+
+from nmt_diagnose.inference.law_starts import _effects, worth_a_start
+from nmt_diagnose.law import reading
+from nmt_diagnose.law.held_levels import held_levels
+from nmt_diagnose.law.law_blocks import blocks
+from nmt_diagnose.law.law_rows import LawRows
+from nmt_diagnose.law.law_search import LawSearch, fewest, moves_enough
+from nmt_diagnose.law.modal_frame import ModalFrame
+
+
+def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
+    levels = held_levels(held(forces=FORCES[:4]), 0)
+    assert levels is not None
+    frame = ModalFrame.of(chain_of_masses(), levels)
+    assert frame is not None
+    rows = LawRows(frame, levels)
+    modal = abs(frame.drive[frame.target])
+    q_std = np.sqrt((rows.take_q**2 * levels.motion_std[:, :, 1] ** 2).sum(axis=1))
+    force = np.abs(levels.force[:, 1])
+    parts = [
+        modal * levels.force_std, 0.002 * modal * force, 0.02 * np.abs(rows.measured[:, 0]), np.abs(rows.target) * q_std
+    ]  # fmt: skip
+    assert rows.sigma[:, 0] == pytest.approx(np.sqrt(sum(part**2 for part in parts)), rel=1e-9)
+    size = np.abs(levels.motion[:, 0, 1])
+    assert np.hypot(levels.motion_std[:, 0, 1], 1e-4 * size) == pytest.approx(rows.sigma[:, 1], rel=1e-2)
+    doubt = np.hypot(0.02, frame.tolerance(levels.omega, 2, 0.01, 0.3)[:, 0])
+    second = np.abs(levels.motion[:, 0, 2])
+    spread = np.sqrt(levels.motion_std[:, 0, 2] ** 2 + (doubt * second) ** 2 + (1e-5 * size) ** 2)
+    assert rows.sigma[:, 5] == pytest.approx(spread, rel=1e-9)
+    search = LawSearch(rows, chain_of_masses())
+    columns = dict(zip(search.names, np.moveaxis(search.basis.nuisance, -1, 0), strict=True))
+    q = np.abs(rows.coordinate([]))
+    omega, zeta = frame.omega[frame.target], frame.zeta[frame.target]
+    sizes = {
+        name: np.hypot(column[:, 0], column[:, column.shape[1] // 2]) * rows.sigma[:, 0]
+        for name, column in columns.items()
+    }
+    assert sizes["frequency of the mode"] == pytest.approx(0.01 * 2.0 * omega**2 * q, rel=1e-6)
+    assert sizes["damping of the mode"] == pytest.approx(
+        max(0.3 * zeta, 2e-4) * 2.0 * omega * levels.omega * q, rel=1e-6
+    )
+    gain = columns["gain of a1"][:, 2] ** 2 + columns["gain of a1"][:, 2 + columns["gain of a1"].shape[1] // 2] ** 2
+    share = rows.shape[1] * rows.shape[0] * rows.take_q[0]
+    form = 0.01 * max(1.0, np.sqrt(np.mean(rows.shape**2)) / abs(rows.shape[0]))
+    assert np.sqrt(gain) * rows.sigma[:, 2] == pytest.approx(np.hypot(0.01, form) * abs(share) * q, rel=1e-3)
+
+
+def test_the_damping_that_a_model_without_any_may_lack_is_stated() -> None:
+    rig = chain_of_masses()
+    structure = rig.structure.model_copy(update={"dampers_ns_m": [0.0] * 3, "ground_dampers_ns_m": [0.0] * 4})
+    levels = held_levels(held(forces=FORCES[:4]), 0)
+    assert levels is not None
+    rig = rig.model_copy(update={"structure": structure})
+    frame = ModalFrame.of(rig, levels)
+    assert frame is not None
+    rows = LawRows(frame, levels)
+    search = LawSearch(rows, rig)
+    column = search.basis.nuisance[:, :, list(search.names).index("damping of the mode")]
+    found = np.hypot(column[:, 0], column[:, column.shape[1] // 2]) * rows.sigma[:, 0]
+    q = np.abs(rows.coordinate([]))
+    assert found == pytest.approx(2e-4 * 2.0 * frame.omega[frame.target] * levels.omega * q, rel=1e-6)
+
+
+def law(score: float, elements: int = 1, **more: Any) -> Any:
+    return SimpleNamespace(score=score, elements=elements, **more)
+
+
+def shares_of(after: float, before: float = 1.0) -> Any:
+    return SimpleNamespace(after=after, before=before)
+
+
+def refused(score: float, pull: float) -> bool:
+    search: Any = SimpleNamespace(names=("gain",))
+    best = law(score, fit=SimpleNamespace(nuisance=np.array([pull])))
+    return bool(reading._refusals(search, best, 1.0))
+
+
+def has_second(first: float, second: float) -> bool:
+    fit = SimpleNamespace(coefficients=np.array([1.0, 1.0]), nuisance=np.zeros(0), covariance=1e-4 * np.eye(2))
+    block = SimpleNamespace(terms=(1,))
+    pair = law(second, 2, fit=fit)
+    search: Any = SimpleNamespace(seconds=lambda _: [pair], again=lambda one: one)
+    return reading._with_second(search, law(first, parts=[(None, block)])) is pair
+
+
+def is_looked_for(score: float) -> bool:
+    search: Any = SimpleNamespace(null=SimpleNamespace(score=score), singles=lambda: [])
+    levels: Any = SimpleNamespace(test=SimpleNamespace(name="levels"), count=5)
+    return "noise" not in reading._read(search, levels).refusals[0]
+
+
+def largest_slip() -> float:
+    turn = np.linspace(0.0, 2.0 * np.pi, 64)
+    (block,) = blocks(np.cos(turn)[np.newaxis], np.sin(turn)[np.newaxis])["sliders"]
+    return float(block.terms[-1].first)
+
+
+def dry_slip() -> float:
+    term = reading.LawTerm("friction", (0.01,), 2.0, 0.0, "N")
+    ((_, values),) = _effects(reading.LocalLaw(1, 0, "", (term,), 1e-3, (), ()))
+    return values["slip_displacement"]
+
+
+EDGES = {
+    "fewest_levels": lambda: [
+        reading.read_law(chain_of_masses(), held(forces=FORCES[:count])) is None for count in (3, 4)
+    ] == [True, False],
+    "least_motion_share": lambda: moves_enough(np.array([1.0, 0.031, 0.029])).tolist() == [True, True, False],
+    "largest_slip_share": lambda: abs(largest_slip() - 0.7) < 1e-9,
+    "alike_score_ratio": lambda: [fewest([law(1.0, 3), law(s, 1)]).elements for s in (1.11, 1.13)] == [1, 3],
+    "place_score_ratio": lambda: [reading.nearly_as_well(s, 1.0) for s in (1.29, 1.31)] == [True, False],
+    "told_score_ratio": lambda: [refused(score, 0.0) for score in (0.49, 0.51)] == [False, True],
+    "pull_sigmas": lambda: [refused(0.1, pull) for pull in (2.9, 3.1)] == [False, True],
+    "second_score_ratio": lambda: [has_second(4.0, 4.0 * share) for share in (0.74, 0.76)] == [True, False],
+    "second_from_score": lambda: [has_second(first, 0.1) for first in (0.99, 1.01)] == [False, True],
+    "least_null_score": lambda: [is_looked_for(score) for score in (0.99, 1.01)] == [False, True],
+    "start_score_ratio": lambda: [worth_a_start(shares_of(score)) for score in (0.79, 0.81)] == [True, False],
+    "dry_slip_share": lambda: abs(dry_slip() - 0.02 * 1e-3) < 1e-12,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_a_threshold_decides(name: str) -> None:
+    assert EDGES[name]()

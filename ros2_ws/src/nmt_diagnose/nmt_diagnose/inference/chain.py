@@ -288,28 +288,29 @@ class _Builder:
         return found | self._reduced() | self._over_force()
 
     def _reduced(self) -> dict[str, FloatArray]:
-        """Gain, phase and delay of responses over their reference, at held amplitudes."""
+        """Gain, phase and delay of each response and of the reference, at held amplitudes.
+
+        An error of the first response is one of the amplitude at which the others are compared, too.
+        """
         found: dict[str, FloatArray] = {}
-        for name in self.tests.channels:
-            for number, test in enumerate(self.tests.tests):
-                if not isinstance(test, SteppedSineTest):
-                    continue
-                selected = np.flatnonzero((self.rows.test == number) & self.tests.rows_of(name))
-                if not selected.size:
-                    continue
-                chain = self.tests.measuring_chains[number]
-                tolerance = chain.of(name)
-                error = gain_error(test)[self.rows.level[selected], self.rows.channel[selected]]
-                omega = 2.0 * np.pi * self.rows.frequency_hz[selected]
-                turned = self.rows.part[selected] == Part.PHASE
+        for number, test in enumerate(self.tests.tests):
+            if not isinstance(test, SteppedSineTest):
+                continue
+            chain = self.tests.measuring_chains[number]
+            rows = np.flatnonzero(self.tests.linear_rows(number))
+            place = self.rows.level[rows], self.rows.channel[rows]
+            omega, turned = 2.0 * np.pi * self.rows.frequency_hz[rows], self.rows.part[rows] == Part.PHASE
+            for channel, name in (*enumerate(c.name for c in test.channels), (None, f"the {test.reference}")):
+                tolerance = chain.of("" if channel is None else name)
                 late = math.hypot(tolerance.delay_s, chain.shared_delay_s)
+                of_gain, of_phase = (gain_error(test, channel, error)[place] for error in (1.0, 1j))
+                of_gain, of_phase = (np.where(turned, e.imag, e.real) for e in (of_gain, of_phase))
                 for kind, column in (
-                    # Both channels of the quotient.
-                    ("gain", math.sqrt(2.0) * tolerance.gain * np.where(turned, error.imag, error.real)),
-                    ("phase", math.sqrt(2.0) * tolerance.phase * turned),
-                    ("delay", math.sqrt(2.0) * late * omega * turned),
+                    ("gain", tolerance.gain * of_gain),
+                    ("phase", tolerance.phase * of_phase),
+                    ("delay", late * omega * of_phase),
                 ):
-                    found.setdefault(f"{kind} {name} of responses", np.zeros(len(self.rows)))[selected] = column
+                    found.setdefault(f"{kind} of {name} in responses", np.zeros(len(self.rows)))[rows] = column
         return found
 
     def _over_force(self) -> dict[str, FloatArray]:

@@ -282,13 +282,20 @@ def at_measured(log_ratio: ComplexArray, growth: ComplexArray, moved: FloatArray
     return np.asarray(log_ratio + ((1.0 - growth) * moved)[:, None])
 
 
-def gain_error(test: SteppedSineTest) -> ComplexArray:
-    """Change of ln H that a relative error of a channel's gain makes of the rows, (lines, channels).
+def gain_error(test: SteppedSineTest, channel: int | None = None, error: complex = 1.0) -> ComplexArray:
+    """Change of ln H that a relative error of a gain makes of the rows, (lines, channels).
 
-    A phase error of i makes it of its own: real parts are rows for magnitudes, imaginary ones for phases. The amplitude
-    that the model is given stays as it is: an error of that is one of the scale of all strengths, which no row shows.
+    Real parts are rows for magnitudes, imaginary ones for phases. The amplitude that the model is given stays as it is:
+    an error of that is one of the scale of all strengths, which no row shows.
+
+    Args:
+        test: the test.
+        channel: the response whose gain is off; None = that of the reference, by which all are divided.
+        error: of ln of the gain; i is an error of the phase.
     """
-    log_ratio = np.ones_like(test.measured)
+    log_ratio = np.full_like(test.measured, error)
+    if channel is not None:
+        log_ratio[:, np.arange(log_ratio.shape[1]) != channel] = 0.0
     return log_ratio if test.held == "response" else whitened_difference(log_ratio, growth_of(test))
 
 

@@ -26,7 +26,7 @@ from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward, traced
 from nmt_diagnose.prediction.frequency_sweep import frequency_sweep
 from nmt_diagnose.prediction.operating_range import operating_range
-from nmt_diagnose.prediction.stepped_sine_predictor import whitened_difference
+from nmt_diagnose.prediction.stepped_sine_predictor import gain_error, whitened_difference
 from nmt_record.exchange.imported_run import read_import, write_import
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
@@ -414,6 +414,40 @@ def test_scatter_and_jumps_are_seen_in_the_lines() -> None:
     assert jumps_of(between) == [(first, first + 2)]
     # A linear resonance turns as fast and does not jump.
     assert jumps_of(np.array([first_order(f, 1.0, 0.0)[0] for f in hz])) == []
+
+
+@pytest.mark.parametrize("off", [(0,), (1,), (0, 1)])
+def test_an_error_of_a_gain_moves_the_rows_as_a_recording_that_has_it(off: tuple[int, ...]) -> None:
+    """A displacement, which is the amplitude of the lines, and an acceleration, on a cubic resonance; both: the force.
+
+    The amplitude that the model has stays: an error of that is one of the cubic spring.
+    """
+    hz = np.linspace(47.0, 52.0, 21)
+    x = np.array([first_order(f, 1.0)[-1] for f in hz])
+    channels = (CHANNEL, MeasuredChannel("a1", Quantity.ACCELERATION, 1))
+    plain = replace(swept(hz, 1.0, x), channels=channels, measured=np.stack([x, -((2.0 * np.pi * hz) ** 2) * x], 1))
+    lines, count = np.arange(hz.size), hz.size
+    parts = [(channel, part) for channel in range(2) for part in (Part.LOG_MAGNITUDE, Part.PHASE)]
+    level, channel = np.tile(lines, 4), np.repeat([c for c, _ in parts], count)
+    part = np.repeat([int(p) for _, p in parts], count)
+    zeros = np.zeros(4 * count, dtype=np.int64)
+    rows = Rows(zeros, level, channel, zeros + 1, part, np.zeros(4 * count), hz[level], np.ones(4 * count))
+    rig = oscillator(CUBIC)
+
+    def left(test: SteppedSineTest) -> FloatArray:
+        forward, seen = Forward((test,), rows), test.measured[level, channel]
+        values = np.where(part == Part.PHASE, np.angle(seen), np.log(np.abs(seen)))
+        return forward.difference(values, forward.predict(rig).values)
+
+    prediction = Forward((plain,), rows).predict(rig)
+    test = replace(traced((plain,), prediction)[0], noise=np.full(count, 1.0))
+    assert isinstance(test, SteppedSineTest)
+    gain = 1.0 + 1e-5 * np.isin([0, 1], off)
+    changed = replace(test, measured=test.measured * gain, scale=1.0 / gain[0])
+    found = (left(changed) - left(test)) / 1e-5
+    error = gain_error(test, None if len(off) == 2 else off[0])[level, channel]
+    np.testing.assert_allclose(found, np.where(part == Part.PHASE, error.imag, error.real), atol=2e-3)
+    assert np.abs(error.imag).max() > 0.1 if 0 in off else not np.abs(error[channel == 0]).any()
 
 
 # -- diagnosis ---------------------------------------------------------------------------------------------------------

@@ -48,6 +48,7 @@ class Library:
 LIBRARIES = {
     # rosdep has the key, Ubuntu 24.04 the version 3.9.
     "aiohttp": Library("aiohttp", ">=3.9", "python3-aiohttp", "python3-aiohttp"),
+    "contourpy": Library("contourpy", ">=1.0", apt="python3-contourpy"),
     "distributed": Library("distributed", ">=2024.1", apt="python3-distributed", extra="dask"),
     "grpc": Library("grpcio", ">=1.49", apt="python3-grpcio", extra="hardware"),
     "h5py": Library("h5py", ">=3.10", apt="python3-h5py"),

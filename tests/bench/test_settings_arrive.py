@@ -24,6 +24,7 @@ from nmt_core.kinds import (
     KindOfTest,
     PhaseResonanceTest,
     RandomTest,
+    ResponseCurveTest,
     RingDownTest,
     SecondaryResonanceTest,
     SweepTest,
@@ -32,6 +33,7 @@ from nmt_core.messages.message_files import find_message_file, message_fields
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.options import add_options, options_of
 from nmt_core.settings import ordered_fields, parameters_of, values_of
+from nmt_core.vocabulary import ControlKind
 from nmt_extract.extraction_settings import ExtractSettings
 from nmt_plant.plant_settings import PlantSettings
 from nmt_pll.pll_settings import PllSettings
@@ -56,7 +58,7 @@ HERE = {
 WORDS = {
     "rig": ["clamped_beam"], "out": ["--out", "elsewhere"], "levels": ["0.1,0.3"], "set": ["seed=9"],
     "device": ["portaudio"], "harmonics_control": ["9"], "band": ["20:900"], "start": ["16"], "stop": ["30"],
-    "stepped": ["5"], "domain": ["7"], "direction": ["down"],
+    "stepped": ["5"], "domain": ["7"], "direction": ["down"], "lag": ["30:150"],
 }  # fmt: skip
 NEEDED: dict[ModuleType, list[str]] = {
     run_command: ["beam", "--levels", "0.2,0.4"],
@@ -176,6 +178,8 @@ PLANS: dict[str, tuple[dict[str, Any], Any, frozenset[str]]] = {
     "resonance": ({"test": "secondary_resonance"}, "1:3", frozenset(("asked",))),
     "release": ({"test": "secondary_resonance", "resonance": "1:3", "release": 2e-3}, 1e-3, frozenset(("asked",))),
     "refinement": ({}, 1e-3, frozenset(("asked",))),
+    "lag_deg": ({"test": "response_curve", "control": "force"}, (30.0, 150.0), frozenset(("asked",))),
+    "spacing": ({"test": "response_curve", "control": "force"}, 0.1, frozenset(("asked",))),
     "method": (SELF_EXCITED, "envelope", frozenset(("asked", "pll"))),
     "tick_blocks": ({}, 3, frozenset(("sequencer", "plant", "pll"))),
     "block_reason": ({}, "because", frozenset(("run.json",))),
@@ -273,12 +277,19 @@ KINDS: dict[str, KindOfTest] = {
     "force_order": SecondaryResonanceTest(response_order=1, force_order=3, release=2e-3),
     "release": SecondaryResonanceTest(response_order=1, force_order=3, release=1e-3),
     "refinement": PhaseResonanceTest(refinement=1e-3),
+    "lag_from": ResponseCurveTest(lag_from=0.4),
+    "lag_to": ResponseCurveTest(lag_to=2.5),
+    "spacing": ResponseCurveTest(spacing=0.1),
 }
 ASKED = [RunSettings(levels=(0.1, 0.2), kind=item) for item in KINDS.values()] + [
     replace(RunSettings(levels=(0.1, 0.2), kind=PhaseResonanceTest(harmonics_control=5)), **{name: value})
     for name, value in RUN.items()
 ]
 ASKED = [replace(item, frequencies_hz=(15.0, 16.0)) if isinstance(item.kind, SweepTest) else item for item in ASKED]
+
+ASKED = [
+    replace(item, control=ControlKind.FORCE) if isinstance(item.kind, ResponseCurveTest) else item for item in ASKED
+]
 
 
 def test_every_field_of_a_run_has_its_case_and_is_one_of_the_goal() -> None:

@@ -21,14 +21,14 @@ def top_of(found: LawReading):
 
 def test_a_healthy_chain_has_no_law() -> None:
     found = reading()
-    assert not found.told
+    assert not found.is_stated
     assert found.laws == ()
     assert found.before < 1.0
 
 
 def test_a_cubic_spring_is_read_with_its_place_and_strength() -> None:
     found = reading((3, "cubic", (4.0e8,), ()))
-    assert found.told
+    assert found.is_stated
     (law,) = found.laws
     assert (law.place, law.family) == ("3", "hardening spring")
     (term,) = law.terms
@@ -49,7 +49,7 @@ def test_a_clearance_is_read_with_gap_and_stiffness() -> None:
 
 def test_friction_that_weakens_with_speed_is_no_law_of_the_library_but_is_read() -> None:
     found = reading((4, "stribeck", (0.004, 4e-3, 1.0, 0.1), ()))
-    assert found.told
+    assert found.is_stated
     (law,) = found.laws
     assert law.place == "4"
     assert law.family == "dry friction that weakens with speed"
@@ -58,7 +58,7 @@ def test_friction_that_weakens_with_speed_is_no_law_of_the_library_but_is_read()
 
 def test_a_wrong_gain_alone_is_no_law() -> None:
     found = reading(gains=(1.0, 1.2, 1.0, 1.0))
-    assert not found.told
+    assert not found.is_stated
 
 
 def test_the_measured_loop_is_that_of_the_true_force() -> None:

@@ -61,15 +61,16 @@ def test_a_mode_above_the_band_is_within_the_tolerances(levelled: bool) -> None:
 
 
 def chain_columns(levelled: bool) -> float:
-    """Largest change of the last line's phase by one of the shared errors' standard deviations."""
+    """Change of the last line's phase by the standard deviations of all delays together."""
     test = swept(LINES, 1.0, receptance(False))
     observations = replace(observations_of([test]), chains=(table_chain(),))
     if not levelled:
         observations = replace(observations, tests=(without_level(test),))
     forward = Forward(observations.tests, observations.rows)
     rig = oscillator()
-    columns = linear_chain(observations, rig, forward.predict(rig)).columns
-    return float(np.abs(columns[-1]).max())
+    found = linear_chain(observations, rig, forward.predict(rig))
+    delays = [k for k, name in enumerate(found.names) if name.startswith("delay")]
+    return float(np.linalg.norm(found.columns[-1, delays]))
 
 
 def test_a_model_that_states_its_residual_has_no_such_tolerance() -> None:

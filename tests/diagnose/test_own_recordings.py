@@ -149,7 +149,15 @@ def test_a_kind_is_taken_or_refused_in_one_sentence(kind: TestKind) -> None:
     for test in (one, replace(one, exciters=("force", "force"))):
         sentence = covers(test)
         assert not sentence or (sentence.endswith(".") and sentence.count(". ") == 0 and "use " in sentence)
-    assert bool(covers(one)) == (kind in (TestKind.SWEEP, TestKind.SECONDARY_RESONANCE, TestKind.SELF_EXCITED))
+    assert bool(covers(one)) == (
+        kind
+        in (
+            TestKind.SWEEP,
+            TestKind.SECONDARY_RESONANCE,
+            TestKind.SELF_EXCITED,
+            TestKind.RESPONSE_CURVE,
+        )
+    )  # fmt: skip)
 
 
 @pytest.mark.campaign

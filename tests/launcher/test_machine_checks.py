@@ -167,7 +167,7 @@ def run_launcher(project, *arguments, **variables):
         (["--system", "demo"], {}, 1, "not sourced"),
         (["demo"], {"NMT_PYTHON": "/bin/false"}, 2, "is not a Python"),
         (["setup", "--wheel"], {}, 2, "does not know '--wheel'"),
-        (["doctor", "please"], {}, 2, "takes no arguments"),
+        (["doctor", "please"], {}, 2, "knows --json and nothing else"),
     ],
 )
 def test_refusals_are_one_sentence(project, arguments, variables, code, sentence):

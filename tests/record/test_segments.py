@@ -57,7 +57,7 @@ def write(
 def lock_event(store: DefinitionStore, **fields: object) -> object:
     values = {
         "stamp": store.typestore.types["builtin_interfaces/msg/Time"](0, 0),
-        "level_index": 0, "level": 0.3, "level_unit": "N", "sample": 299, "frequency_hz": 21.0,
+        "held_phase": 0.0, "level_index": 0, "level": 0.3, "level_unit": "N", "sample": 299, "frequency_hz": 21.0,
         "phase_error": math.nan, "window_first_sample": 350, "window_samples": 1230, "window_periods": 0, "test": 3,
         "response_order": 0, "force_order": 0,
     }  # fmt: skip
@@ -160,12 +160,16 @@ def test_segments_say_what_was_planned_and_what_went_wrong(tmp_path, store):
 
 def test_bags_from_before_there_were_kinds_hold_phase_resonance(tmp_path, store):
     new = store.definition(LOCK)
-    text = "\n".join(line for line in new.text.splitlines() if not line.startswith(("uint8 test", "uint8 TEST")))
+    text = "\n".join(
+        line
+        for line in new.text.splitlines()
+        if not line.startswith(("uint8 test", "uint8 TEST", "float64 held_phase"))
+    )
     assert text.count("test") < new.text.count("test")
     writer = write(tmp_path / "bag")
     writer.add_topic("lock", LOCK, definition=MessageDefinition(text))
     raw = bytes(store.typestore.serialize_cdr(lock_event(store, window_periods=20), LOCK))
-    writer.write("lock", raw[:-1], 3000, 3000)  # the kind is the last byte
+    writer.write("lock", raw[:-9], 3000, 3000)  # kind and held phase are the last
     writer.close()
     bag = Bag.open(tmp_path / "bag")
     assert bag.lock_events()[0].test is TestKind.PHASE_RESONANCE

@@ -10,6 +10,7 @@ setup(
         ("share/nmt_extract", ["package.xml"]),
     ],
     install_requires=[
+        "contourpy>=1.0",
         "numpy>=1.26",
         "pyuff>=2.4",
         "scipy>=1.11",

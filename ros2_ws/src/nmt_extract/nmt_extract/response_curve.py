@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from enum import Enum
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.numerics.arrays import FloatArray, IntArray
@@ -124,7 +124,7 @@ class ResponseCurve:
         """1 where the orbit is stable in open loop at this force, 0 where not, NaN where it is left open."""
         if not self.holds_force or self.lag.size < LEAST_POINTS:
             return np.full(self.lag.size, math.nan)
-        rises = CubicSpline(self.lag, self.frequency_hz)(self.lag, 1) > 0.0
+        rises = _spline(self.lag, self.frequency_hz)(self.lag, 1) > 0.0
         found: FloatArray = np.where(rises, 1.0, 0.0)
         for fold in self.folds:
             near = COVERAGE * np.hypot(fold.lag_std, self.lag_std)
@@ -143,7 +143,7 @@ class ResponseCurve:
             nearest = min(rough, key=lambda other: abs(other - lag), default=lag)
             one, other = self._at(lag, every), self._at(nearest, coarse)
             # A shift of the values by their uncertainty moves the extreme by that of the slope over the curvature.
-            bend = abs(float(CubicSpline(self.lag, values)(lag, 2)))
+            bend = abs(float(_spline(self.lag, values)(lag, 2)))
             weights = _weights(self.lag, lag, 1)
             moved = float(np.sqrt(((weights * values_std) ** 2).sum())) / bend if bend > 0.0 else 0.0
             lag_std = math.hypot(moved, _COARSE_SHARE * (nearest - lag), float(np.interp(lag, self.lag, self.lag_std)))
@@ -157,18 +157,18 @@ class ResponseCurve:
     def _extremes(self, values: FloatArray, chosen: IntArray) -> list[float]:
         """Lags within the curve at which the spline through the chosen points has an extreme."""
         lag = self.lag[chosen]
-        slope = CubicSpline(lag, values[chosen]).derivative()
+        slope = _spline(lag, values[chosen]).derivative()
         return [float(root) for root in slope.roots(extrapolate=False) if lag[0] < root < lag[-1]]
 
     def _at(self, lag: float, chosen: IntArray) -> tuple[float, float]:
         """Frequency and response on splines through the chosen points."""
-        at = [float(CubicSpline(self.lag[chosen], v[chosen])(lag)) for v in (self.frequency_hz, self.response)]
+        at = [float(_spline(self.lag[chosen], v[chosen])(lag)) for v in (self.frequency_hz, self.response)]
         return at[0], at[1]
 
 
 def _weights(lag: FloatArray, place: float, order: int) -> FloatArray:
     """What a derivative of the spline at a place changes by with each value, ``(points,)``."""
-    return np.asarray(CubicSpline(lag, np.eye(lag.size))(place, order), dtype=np.float64)
+    return np.asarray(_spline(lag, np.eye(lag.size))(place, order), dtype=np.float64)
 
 
 def is_of_curve(points: Iterable[ModalPoint]) -> bool:
@@ -254,3 +254,10 @@ def write_response_curves(curves: Sequence[ResponseCurve], folder: Path | str) -
             places.append([*head, item.place.value, *(repr(float(value)) for value in values)])
     write_result(Path(folder) / "response_curve.csv", csv_text(rows))
     write_result(Path(folder) / "response_folds.csv", csv_text(places))
+
+
+def _spline(x: FloatArray, values: FloatArray) -> Any:
+    """Cubic spline; SciPy is loaded where a curve is read only."""
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(x, values)

@@ -546,7 +546,7 @@ def _diagnosed(
         law=law,
     )
     model = rig if verdict is Verdict.NONE else _rig_of(best, len(calibration))
-    if verdict is Verdict.UNKNOWN and law is not None and law.told:
+    if verdict is Verdict.UNKNOWN and law is not None and law.is_stated:
         model = with_law(rig, law)
     return DiagnosisOutcome(
         diagnosis, scaled, rig, model, as_given_errors.values, null.fit.errors.values, best.fit.errors.values

@@ -11,7 +11,7 @@ from nmt_diagnose.law.reading import LawReading, LocalLaw
 
 def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
     """The law's family, place and closure, and whether it is ``written`` to the rig file; nothing without a law."""
-    if reading is None or not reading.told:
+    if reading is None or not reading.is_stated:
         return ()
     what = " and ".join(f"{law.family} at {_where(law)}" for law in reading.laws)
     text = f"At the held levels the missing force acts like {what}"

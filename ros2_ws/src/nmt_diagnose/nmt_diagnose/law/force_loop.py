@@ -53,14 +53,14 @@ def force_loops(search: LawSearch, candidate: Candidate, number: int) -> tuple[F
         if k != number:
             left = left - rows.whitened(rows.of_force(participation, force))
     measured, std = _harmonics(search, place.participation, left)
-    own = forces[number][1]
+    local = forces[number][1]
     count = rows.levels.count
     chosen = np.unique(np.linspace(0, count - 1, min(count, _DRAWN_LEVELS)).round().astype(int))
     x, v = sampled(candidate.motions[number], rows.levels.omega)
     step = SAMPLES // _DRAWN
     result = []
     for k in chosen:
-        kept = np.where(np.arange(ORDERS + 1) <= rows.highest, own[k], 0.0)
+        kept = np.where(np.arange(ORDERS + 1) <= rows.highest, local[k], 0.0)
         kept[0] = 0.0
         waves = [_wave(series) for series in (measured[k], kept)]
         number_in_plan = rows.levels.test.levels[rows.levels.numbers[k]].index
@@ -90,7 +90,7 @@ def _harmonics(search: LawSearch, participation: FloatArray, left: FloatArray) -
         unit[:, h] = 1.0
         column = rows.of_force(participation, unit) / rows.sigma
         weight = (np.abs(column) ** 2).sum(axis=1)
-        seen = weight > 0.0
-        result[seen, h] = (np.conj(column) * white).sum(axis=1)[seen] / weight[seen]
-        variance[seen] += 1.0 / weight[seen]
+        visible = weight > 0.0
+        result[visible, h] = (np.conj(column) * white).sum(axis=1)[visible] / weight[visible]
+        variance[visible] += 1.0 / weight[visible]
     return result, np.sqrt(variance)

@@ -145,6 +145,6 @@ class KnownForces:
         for k, w in enumerate(omega):
             real = np.ascontiguousarray(self.basis.to_real(motion[:, k]))
             found = self.basis.to_complex(self.forces.forces(real, float(w))[0])
-            rest = linear.stiffness[:, None] + 1j * w * orders * linear.damping[:, None]
-            result[:, k] = found - rest * motion[:, k]
+            others = linear.stiffness[:, None] + 1j * w * orders * linear.damping[:, None]
+            result[:, k] = found - others * motion[:, k]
         return result

@@ -93,7 +93,7 @@ class LawReading:
     refusals: tuple[str, ...]
 
     @property
-    def told(self) -> bool:
+    def is_stated(self) -> bool:
         """Whether the law is told."""
         return bool(self.laws) and not self.refusals
 
@@ -205,21 +205,21 @@ def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Ca
     values = best.fit.coefficients[start : start + len(block.terms)]
     std = _stds(best)[start : start + len(block.terms)]
     acting = [(term, float(c), float(s)) for term, c, s in zip(block.terms, values, std, strict=True) if c != 0.0]
-    own = family([(term, c) for term, c, _ in acting])
+    local = family([(term, c) for term, c, _ in acting])
     motion: ComplexArray = best.motions[number]
     x, _ = sampled(motion, search.rows.levels.omega)
     others: dict[str, float] = {}
     for candidate in finalists if len(best.parts) == 1 else ():
         where = candidate.parts[0][0]
         words = family([(term, c) for _, term, c in candidate.terms()]) if candidate.elements else ""
-        if where != place and words == own and nearly_as_well(candidate.score, best.score):
+        if where != place and words == local and nearly_as_well(candidate.score, best.score):
             others[_name(where)] = candidate.score
     terms = tuple(
         LawTerm(term.kind, tuple(p for p in (float(term.first), float(term.second)) if p), c, s, term.unit)
         for term, c, s in acting
     )
     return LocalLaw(
-        place.point, place.other_point, own, terms, float(np.abs(x).max()), tuple(others),
+        place.point, place.other_point, local, terms, float(np.abs(x).max()), tuple(others),
         force_loops(search, best, number),
     )  # fmt: skip
 

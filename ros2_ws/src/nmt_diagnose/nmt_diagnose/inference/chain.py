@@ -139,8 +139,8 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
     found.update(_phase_at_lock(observations, rig, prediction))
     found.update(record_errors(observations, rig))
     found = {name: np.nan_to_num(column, posinf=0.0, neginf=0.0) for name, column in found.items()}
-    visible = {name: float(np.sum((column / observations.sigma) ** 2)) for name, column in found.items()}
-    kept = [name for name in found if visible[name] > THRESHOLDS.misfit.least_chain_error]
+    information = {name: float(np.sum((column / observations.sigma) ** 2)) for name, column in found.items()}
+    kept = [name for name in found if information[name] > THRESHOLDS.misfit.least_chain_error]
     columns = np.column_stack([found[name] for name in kept]) if kept else np.zeros((len(observations.rows), 0))
     return Chain(tuple(kept), columns, np.array([name.startswith(_IMAGE) for name in kept], dtype=bool))
 

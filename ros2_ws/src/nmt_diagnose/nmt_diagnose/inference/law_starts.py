@@ -62,7 +62,9 @@ def _fitted(
     spreads = [search.spread_of(candidate, theta) for candidate, theta in starts]
     parametrisation = search.parametrisation(candidates, spreads)
     for share in (1.0, 0.3):
-        theta = np.concatenate([null.fit.theta, *[_weaker(candidate, local, share) for candidate, local in starts]])
+        theta = np.concatenate(
+            [null.fit.theta, *[_weaker(candidate, parameters, share) for candidate, parameters in starts]]
+        )
         try:
             fitted = fit(search.data, parametrisation, theta, null.fit.prediction, exact=False)
             return FittedExplanation(tuple(candidates), search.widened(fitted))

@@ -62,14 +62,14 @@ class ConvexFit:
         """Fit columns (L, M, k); ``signed`` (k,) of those that may have either sign."""
         m = self.nn.shape[1]
         gram, right, norms = self._normal(columns)
-        stacked, whole_right = gram.sum(axis=0), right.sum(axis=0)
-        theta = _constrained(stacked, whole_right, m, signed)
+        all_normal, all_right = gram.sum(axis=0), right.sum(axis=0)
+        theta = _constrained(all_normal, all_right, m, signed)
         squares = self._squares(theta, gram, right)
         found = np.nan
         if score and self.left_out:
             found = self._predicted([[level] for level in self.left_out], gram, right, signed)
         active = np.flatnonzero(np.concatenate([np.ones(m, bool), theta[m:] != 0.0]))
-        normal = stacked[np.ix_(active, active)] + np.diag(np.where(active < m, 1.0, _JITTER))
+        normal = all_normal[np.ix_(active, active)] + np.diag(np.where(active < m, 1.0, _JITTER))
         covariance = np.linalg.pinv(normal)
         sizes = np.concatenate([np.ones(m), 1.0 / np.where(norms > 0.0, norms, 1.0)])[active]
         return Solution(theta[:m], theta[m:] / np.where(norms > 0.0, norms, 1.0), squares, found,
@@ -97,10 +97,10 @@ class ConvexFit:
 
     def _predicted(self, groups: list[list[int]], gram: FloatArray, right: FloatArray, signed: BoolArray) -> float:
         m = self.nn.shape[1]
-        stacked, whole_right = gram.sum(axis=0), right.sum(axis=0)
+        all_normal, all_right = gram.sum(axis=0), right.sum(axis=0)
         total, count = 0.0, 0
         for out in groups:
-            other = _constrained(stacked - gram[out].sum(axis=0), whole_right - right[out].sum(axis=0), m, signed)
+            other = _constrained(all_normal - gram[out].sum(axis=0), all_right - right[out].sum(axis=0), m, signed)
             total += float(self._squares(other, gram, right)[out].sum())
             count += int(self.counts[out].sum())
         return float(np.sqrt(max(total, 0.0) / count))

@@ -53,14 +53,14 @@ def force_loops(search: LawSearch, candidate: Candidate, number: int) -> tuple[F
         if k != number:
             left = left - rows.whitened(rows.of_force(participation, force))
     measured, std = _harmonics(search, place.participation, left)
-    local = forces[number][1]
+    force = forces[number][1]
     count = rows.levels.count
     chosen = np.unique(np.linspace(0, count - 1, min(count, _DRAWN_LEVELS)).round().astype(int))
     x, v = sampled(candidate.motions[number], rows.levels.omega)
     step = SAMPLES // _DRAWN
     result = []
     for k in chosen:
-        kept = np.where(np.arange(ORDERS + 1) <= rows.highest, local[k], 0.0)
+        kept = np.where(np.arange(ORDERS + 1) <= rows.highest, force[k], 0.0)
         kept[0] = 0.0
         waves = [_wave(series) for series in (measured[k], kept)]
         number_in_plan = rows.levels.test.levels[rows.levels.numbers[k]].index

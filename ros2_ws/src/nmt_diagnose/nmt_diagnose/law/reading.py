@@ -205,21 +205,21 @@ def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Ca
     values = best.fit.coefficients[start : start + len(block.terms)]
     std = _stds(best)[start : start + len(block.terms)]
     acting = [(term, float(c), float(s)) for term, c, s in zip(block.terms, values, std, strict=True) if c != 0.0]
-    local = family([(term, c) for term, c, _ in acting])
+    family_words = family([(term, c) for term, c, _ in acting])
     motion: ComplexArray = best.motions[number]
     x, _ = sampled(motion, search.rows.levels.omega)
     others: dict[str, float] = {}
     for candidate in finalists if len(best.parts) == 1 else ():
         where = candidate.parts[0][0]
         words = family([(term, c) for _, term, c in candidate.terms()]) if candidate.elements else ""
-        if where != place and words == local and nearly_as_well(candidate.score, best.score):
+        if where != place and words == family_words and nearly_as_well(candidate.score, best.score):
             others[_name(where)] = candidate.score
     terms = tuple(
         LawTerm(term.kind, tuple(p for p in (float(term.first), float(term.second)) if p), c, s, term.unit)
         for term, c, s in acting
     )
     return LocalLaw(
-        place.point, place.other_point, local, terms, float(np.abs(x).max()), tuple(others),
+        place.point, place.other_point, family_words, terms, float(np.abs(x).max()), tuple(others),
         force_loops(search, best, number),
     )  # fmt: skip
 

@@ -15,7 +15,7 @@ from diagnose.test_warnings import GAP
 from scipy.stats import f as fisher
 
 from nmt_core.tolerances import TOLERANCES
-from nmt_diagnose.effects.location import Location
+from nmt_diagnose.effects.location import Cause, Explanation, Location
 from nmt_diagnose.effects.structure_effects import _excess, largest_air_drag
 from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, SourceEvidence
 from nmt_diagnose.inference.diagnose import _verdict
@@ -87,7 +87,7 @@ def fitted(theta: float = 0.0, chain: float = 0.0) -> Any:
         theta=np.array([theta]), parametrisation=own, errors=SimpleNamespace(chain=np.array([chain])),
         log_evidence=0.0, promised=0.0,
     )  # fmt: skip
-    return SimpleNamespace(fit=fit)
+    return SimpleNamespace(fit=fit, candidates=())
 
 
 def explanation(count: int) -> Any:
@@ -107,6 +107,23 @@ def prior(count: int) -> float:
 def compared() -> Comparison:
     """No gap against a source that explains nothing."""
     return Hypotheses(None, fitted(), [], [], [SourceEvidence(SOURCE, 0.0, 0.0)], []).compared()  # type: ignore[arg-type]
+
+
+def place_odds(size: float) -> float:
+    """Odds of a place whose fit lies 8 behind in ln evidence, of an effect of such a size over the noise."""
+    one, other = (Explanation((Cause("a", Location.at("structure", point)),)) for point in (1, 2))
+
+    def at(explained: Explanation, residual: float) -> Any:
+        left = SimpleNamespace(residual=np.array([residual]), weights=np.ones(1))
+        fit = SimpleNamespace(errors=left)
+        return SimpleNamespace(explanation=explained, effects=explained.effects, fit=fit)
+
+    everything = Hypotheses(None, at(Explanation(), size), [], [], [], [], [(at(other, 0.0), 8.0)])  # type: ignore[arg-type]
+    everything.__dict__["_weight"] = lambda found: 0.0
+    everything.named = [at(one, 0.0)]
+    everything.named[0].stated = (0,)
+    (_, here), (_, there) = everything._placed(("a",))
+    return there / here
 
 
 def excess(chance: float) -> bool:
@@ -233,6 +250,7 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "verdict.course_fewest_levels": (lambda: (courses(4), courses(5)), (False, True)),
     "comparison.credible_sigmas": (lambda: Hypotheses._evidence(fitted(4.0)), -0.5),
     "comparison.limit_std": (lambda: beyond(2.0), 2.0),
+    "comparison.place_form_std": (lambda: place_odds(50.0), pytest.approx(math.exp(-4.0))),
     "comparison.noise_probability": (lambda: (excess(0.06), excess(0.04)), (False, True)),
     "comparison.prior_one_effect": (lambda: prior(1), pytest.approx(0.25)),
     "comparison.prior_two_effects": (lambda: prior(2), pytest.approx(2.0 * 0.05)),

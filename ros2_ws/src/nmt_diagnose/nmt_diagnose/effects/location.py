@@ -110,6 +110,11 @@ class Explanation:
         return joined(cause.label for cause in self.causes) or "none"
 
     @property
+    def place(self) -> str:
+        """Details of its places, the kind where there is none: ``4 + 7``, ``f1``, ``joint``."""
+        return joined(location.detail or location.kind for location in self.locations)
+
+    @property
     def kinds(self) -> str:
         """Kinds of its places, each once."""
         return joined(dict.fromkeys(location.kind for location in self.locations))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -54,12 +54,14 @@ class EquivalentClass:
         given_library: the same if one of the explanations had to be the whole of the gap.
         objections: what the most probable leaves that is more than noise and matters, and what it asks of the model
             that is improbable.
+        places: probability of each place, as :attr:`Explanation.place` writes it, if these effects are the cause; sum 1.
     """
 
     members: tuple[FittedExplanation, ...]
     probability: float
     given_library: float = math.nan
     objections: tuple[Objection, ...] = ()
+    places: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def head(self) -> FittedExplanation:
@@ -194,6 +196,8 @@ class Hypotheses:
         candidates: the library at all places.
         alone: sources on top of the model alone.
         behind: sources on top of the best explanation.
+        far: explanations that were fitted before and do not compete, with the ln evidence by which each lay behind the
+            best of its effects.
     """
 
     def __init__(
@@ -204,9 +208,10 @@ class Hypotheses:
         candidates: Sequence[Candidate],
         alone: Sequence[SourceEvidence],
         behind: Sequence[SourceEvidence],
+        far: Sequence[tuple[FittedExplanation, float]] = (),
     ) -> None:
         self.data, self.null, self.named = data, null, list(named)
-        self.alone, self.behind = alone, behind
+        self.alone, self.behind, self.far = alone, behind, list(far)
         self._implausible_of: dict[int, tuple[tuple[Objection, ...], float]] = {}  # by fit
         spots: dict[str, set[object]] = {}
         for candidate in candidates:
@@ -260,10 +265,15 @@ class Hypotheses:
 
     @staticmethod
     def _evidence(found: FittedExplanation) -> float:
-        """ln evidence; what the fit did not reach counts as if it had, parameters that nobody believes count twice."""
+        """ln evidence; parameters that nobody believes count twice.
+
+        What the fit of the model alone did not reach counts as if it had, so that no effect is claimed for want of a
+        few steps; an explanation counts for what it reached.
+        """
         fitted = found.fit
+        promised = 0.0 if found.candidates else 0.5 * fitted.promised
         far = np.abs(fitted.theta[: len(fitted.parametrisation.calibration)]) - THRESHOLDS.comparison.credible_sigmas
-        return fitted.log_evidence + 0.5 * fitted.promised - 0.5 * float(np.sum(np.maximum(far, 0.0) ** 2))
+        return fitted.log_evidence + promised - 0.5 * float(np.sum(np.maximum(far, 0.0) ** 2))
 
     @cached_property
     def best(self) -> FittedExplanation | None:
@@ -312,9 +322,13 @@ class Hypotheses:
         weights = weights / weights.sum()
         p_named, p_unnamed = weights[1 : count + 1], weights[count + 1 :]
         by_place: dict[Location, float] = {}
+        by_effects: dict[tuple[str, ...], float] = {}
         for explanation, p in zip(stated, p_named, strict=True):
-            for location, share in _shares(explanation):
-                by_place[location] = by_place.get(location, 0.0) + float(p) * share
+            by_effects[explanation.effects] = by_effects.get(explanation.effects, 0.0) + float(p)
+        for effects, p in by_effects.items():
+            for explanation, at_place in self._placed(effects):
+                for location, share in _shares(explanation):
+                    by_place[location] = by_place.get(location, 0.0) + p * at_place * share
         for source, p in zip(self.alone, p_unnamed, strict=False):
             by_place[source.location] = by_place.get(source.location, 0.0) + float(p)
         for source, p in zip(self.behind, p_unnamed[len(self.alone) :], strict=True):
@@ -344,6 +358,32 @@ class Hypotheses:
             self.small,
         )
 
+    def _placed(self, effects: tuple[str, ...]) -> list[tuple[FittedExplanation, float]]:
+        """Explanations by some effects, one for each place, with the probability that they act there; sum 1.
+
+        An ordinary model has its modes' shapes off by some per cent at each point, and with them what an effect there
+        does to the rows. Along the difference between two fits that adds to the variance of noise, which is 1, the
+        square of that share of all that the effect does; it divides the difference of their ln evidence.
+        """
+        best: dict[Explanation, tuple[float, FittedExplanation]] = {}
+        for found in self.stated:
+            if found.effects == effects:
+                weight = self._weight(found)
+                if weight > best.get(found.explanation, (-math.inf, found))[0]:
+                    best[found.explanation] = (weight, found)
+        first, leader = max(best.values(), key=lambda item: item[0])
+        for found, lag in self.far:
+            if found.effects == effects and found.explanation not in best:
+                best[found.explanation] = (first - lag, found)
+        if len(best) == 1:
+            return [(leader, 1.0)]
+        change = self.null.fit.errors.residual - leader.fit.errors.residual
+        square = float(change @ (leader.fit.errors.weights * change))
+        variance = 1.0 + THRESHOLDS.comparison.place_form_std**2 * square
+        weights = np.exp([(weight - first) / variance for weight, _ in best.values()])
+        shares = (weights / weights.sum()).tolist()
+        return [(found, share) for (_, found), share in zip(best.values(), shares, strict=True)]
+
     def _classes(self, weights: FloatArray, given_library: FloatArray) -> tuple[EquivalentClass, ...]:
         """Explanations by their effects, those that the recordings do not distinguish together.
 
@@ -371,7 +411,9 @@ class Hypotheses:
                 if not any(set(o.effects) < set(member.effects) for _, _, o in equivalent)
             ]
             weight, library_share = sum(w for w, _, _ in equivalent), sum(g for _, g, _ in equivalent)
-            result.append(EquivalentClass(tuple(members), weight, library_share, self._against(members[0])))
+            against, head = self._against(members[0]), members[0]
+            at = {found.explanation.place: share for found, share in self._placed(head.effects)}
+            result.append(EquivalentClass(tuple(members), weight, library_share, against, at))
         return tuple(
             sorted(result, key=lambda member: (-member.probability if member.adequate else 0.0, -member.given_library))
         )

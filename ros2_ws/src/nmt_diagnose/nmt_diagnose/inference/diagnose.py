@@ -232,6 +232,7 @@ def find(
     first_null = null
     named = sorted([*singles, *pairs], key=lambda explanation: -explanation.fit.log_evidence)
     left_out: list[LeftOut] = []
+    elsewhere: list[tuple[FittedExplanation, float]] = []
     if named and named[0].fit.log_evidence > null.fit.log_evidence:
         # Errors of the chain act about the best explanation; every other competes under the same noise.
         data = about(rig, observations, named[0].fit, data.used)
@@ -242,6 +243,7 @@ def find(
         null = search.from_parameters_of(named[0], search.again(null))
         more, far = search.other_laws(named[0], far)
         left_out = [LeftOut(explanation, first_null, FAR_BEHIND) for explanation in far]
+        elsewhere = _lags(near, far)
         named = [*named, *more, *_beside(search, named)]
         # A second effect that says nothing may have led the first on to its optimum.
         named = best_of([*named, *search.pruned(named)])
@@ -254,7 +256,7 @@ def find(
     beside = sources(data, null, len(parameters))
     best_named = Hypotheses(data, null, named, candidates, beside, []).best
     behind = sources(data, best_named, len(parameters)) if best_named is not None else []
-    comparison = Hypotheses(data, null, named, candidates, beside, behind).compared()
+    comparison = Hypotheses(data, null, named, candidates, beside, behind, elsewhere).compared()
     explained: dict[str, float] = {}
     for source in beside:
         explained[source.location.kind] = max(explained.get(source.location.kind, 0.0), source.explained)
@@ -287,6 +289,14 @@ def _searched(
         before = {explanation.explanation for explanation in pairs}
         pairs += [it for it in search.pairs(reached, first) if it.explanation not in before]
     return singles, pairs
+
+
+def _lags(
+    near: Sequence[FittedExplanation], far: Sequence[FittedExplanation]
+) -> list[tuple[FittedExplanation, float]]:
+    """Explanations that are far behind, with how far each lies behind the best of its effects."""
+    best = {found.effects: found.fit.log_evidence for found in reversed(near)}
+    return [(it, best[it.effects] - it.fit.log_evidence) for it in far if it.effects in best]
 
 
 def _beside(search: Search, named: Sequence[FittedExplanation]) -> list[FittedExplanation]:

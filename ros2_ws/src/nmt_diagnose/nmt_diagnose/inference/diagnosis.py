@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -78,6 +79,7 @@ class Ranked:
         adequate: whether what it leaves is noise, or smaller than what matters.
         given_library: whether ``probability`` is among the explanations of the library alone, as that of a partial
             explanation is.
+        places: probability of each place if these effects are the cause, the most probable first; sum 1.
     """
 
     effect: str
@@ -91,6 +93,7 @@ class Ranked:
     converged: bool = True
     adequate: bool = True
     given_library: bool = False
+    places: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,7 @@ def ranked_rows(
                 converged=head.fit.converged,
                 adequate=group.adequate,
                 given_library=partial,
+                places=dict(sorted(group.places.items(), key=lambda item: -item[1])),
             )
         )
     return tuple(result)

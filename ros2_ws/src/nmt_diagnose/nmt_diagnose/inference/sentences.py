@@ -88,7 +88,17 @@ def sentences(
         which = f"{sure} {what}, probability {_sure(head.probability)}"
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
+    which += _places(head)
     return (place, which + ".", _how_far(gap, "Adding it") + _left(remainder), *_ahead(ahead))
+
+
+def _places(head: Ranked) -> str:
+    """The places of an explanation with their probabilities, where more than one is likely."""
+    best = max(head.places.values(), default=0.0)
+    likely = {at: p for at, p in head.places.items() if p > THRESHOLDS.verdict.as_likely_share * best}
+    if len(likely) < 2:
+        return ""
+    return "; its place: " + ", ".join(f"{_detail(at) or at} ({_sure(p)})" for at, p in likely.items())
 
 
 def _share_of(gap: Gap) -> str:

@@ -37,6 +37,11 @@ class ComparisonThresholds:
         "usual 5 %.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.noise_probability]",
     )  # fmt: skip
+    place_form_std: float = threshold(
+        0.02, "1",
+        "Error of an ordinary model's mode shapes at a point, and so of what an effect there does to the rows.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.place_form_std]",
+    )  # fmt: skip
     equivalent_sigmas: float = threshold(
         3.0, "σ",
         "Distance below which recordings do not distinguish two explanations.",

@@ -11,7 +11,7 @@ import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
-from nmt_diagnose.effects.location import Location
+from nmt_diagnose.effects.location import Explanation, Location
 from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import Data, Metric
 from nmt_diagnose.inference.size import (
@@ -54,7 +54,7 @@ class EquivalentClass:
         given_library: the same if one of the explanations had to be the whole of the gap.
         objections: what the most probable leaves that is more than noise and matters, and what it asks of the model
             that is improbable.
-        places: probability of each place, as :attr:`Explanation.place` writes it, if these effects are the cause; sum 1.
+        places: probability of each place, as :attr:`Explanation.place` writes it, if these effects are the cause.
     """
 
     members: tuple[FittedExplanation, ...]

@@ -116,6 +116,25 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
+class Standing:
+    """How far the search has come.
+
+    Attributes:
+        search: fits explanations, under the noise and the errors of the chain about the best of them.
+        null: the model alone.
+        named: explanations that compete, the best first.
+        left_out: explanations that were fitted and do not compete.
+        elsewhere: of these, those with effects of a competitor, with how far each lies behind it.
+    """
+
+    search: Search
+    null: FittedExplanation
+    named: tuple[FittedExplanation, ...]
+    left_out: tuple[LeftOut, ...] = ()
+    elsewhere: tuple[tuple[FittedExplanation, float], ...] = ()
+
+
+@dataclass(frozen=True)
 class Findings:
     """What the comparison of explanations rests on.
 
@@ -222,31 +241,21 @@ def find(
     tell(f"scanning {len(candidates)} candidates")
     scores = search.scores(null)
     law: LawReading | None = None
+    standing = Standing(search, null, ())
     relief = max((score.relief for score in scores), default=0.0)
     if leaves_something(data, null, settings.matters, loop=True) or relief > relief_that_counts(search.data, null):
-        singles, pairs = _searched(search, null, scores, modes, rig)
         law = None if beyond_effects else law_of(rig, observations.take(fitted))
-        singles = with_laws(search, null, law, singles)
+        singles = _singles(search, null, scores, with_laws(search, null, law), modes, rig)
+        standing = _about_best(standing, rig, observations, singles)
+        pairs = _pairs(standing)
+        if pairs and pairs[0].fit.log_evidence > standing.named[0].fit.log_evidence:
+            standing = _about_best(standing, rig, observations, [*standing.named, *pairs])
+        else:
+            standing = _competing(standing, [*standing.named, *pairs])
     else:  # one fit tells what a difference that does not matter looks like
-        singles, pairs = search.fitted(null, scores[:1]), []
-    first_null = null
-    named = sorted([*singles, *pairs], key=lambda explanation: -explanation.fit.log_evidence)
-    left_out: list[LeftOut] = []
-    elsewhere: list[tuple[FittedExplanation, float]] = []
-    if named and named[0].fit.log_evidence > null.fit.log_evidence:
-        # Errors of the chain act about the best explanation; every other competes under the same noise.
-        data = about(rig, observations, named[0].fit, data.used)
-        search = Search(data, rig, parameters, candidates, tell)
-        near, far = search.in_reach(named)
-        named = search.all_again(near)
-        # An effect that does nothing may have led the model's own parameters on to their optimum.
-        null = search.from_parameters_of(named[0], search.again(null))
-        more, far = search.other_laws(named[0], far)
-        left_out = [LeftOut(explanation, first_null, FAR_BEHIND) for explanation in far]
-        elsewhere = _lags(near, far)
-        named = [*named, *more, *_beside(search, named)]
-        # A second effect that says nothing may have led the first on to its optimum.
-        named = best_of([*named, *search.pruned(named)])
+        standing = _about_best(standing, rig, observations, search.fitted(null, scores[:1]))
+    first_null, search, null, named = null, standing.search, standing.null, list(standing.named)
+    data = search.data
     named = [needed(data, explanation, [null, *named], settings.matters) for explanation in named]
     leading = Hypotheses(data, null, named, candidates, [], []).best
     if leading is not None and leading.small:
@@ -256,7 +265,7 @@ def find(
     beside = sources(data, null, len(parameters))
     best_named = Hypotheses(data, null, named, candidates, beside, []).best
     behind = sources(data, best_named, len(parameters)) if best_named is not None else []
-    comparison = Hypotheses(data, null, named, candidates, beside, behind, elsewhere).compared()
+    comparison = Hypotheses(data, null, named, candidates, beside, behind, standing.elsewhere).compared()
     explained: dict[str, float] = {}
     for source in beside:
         explained[source.location.kind] = max(explained.get(source.location.kind, 0.0), source.explained)
@@ -268,46 +277,85 @@ def find(
     lacking = modes.lacking(data, best.fit)
     return Findings(
         data, search, as_given, null, tuple(named), comparison, explained, visible, (*modes.disordered, *lacking),
-        tuple(sentence for sentence in modes.sentences if sentence not in lacking), tuple(left_out), law,
+        tuple(sentence for sentence in modes.sentences if sentence not in lacking), standing.left_out, law,
     )  # fmt: skip
 
 
-def _searched(
-    search: Search, null: FittedExplanation, scores: Sequence[Score], modes: LowLevelModes, rig: Rig
-) -> tuple[list[FittedExplanation], list[FittedExplanation]]:
-    """Explanations by one effect and by two, the best of each first."""
-    singles = search.singles(null, scores)
+def _singles(
+    search: Search,
+    null: FittedExplanation,
+    scores: Sequence[Score],
+    begun: Sequence[FittedExplanation],
+    modes: LowLevelModes,
+    rig: Rig,
+) -> list[FittedExplanation]:
+    """Explanations by one effect and those that were begun, the best first."""
+    singles = best_of([*begun, *search.singles(null, scores, begun)])
     if modes.far_from(rig) and modes.exceed_priors(null.fit.parametrisation, null.fit.theta):
         search.tell("bringing the modes of explanations to the measured ones")
         singles = best_of([*singles, *search.from_modes(null, modes)])
+    return singles
+
+
+def _pairs(standing: Standing) -> list[FittedExplanation]:
+    """Explanations by two effects, and by one that a pair led to its optimum; the best first."""
+    search, singles = standing.search, standing.named
     search.tell("looking for second effects")
     pairs = search.pairs(singles)
     reached = search.pruned(pairs)
     if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
-        first, known = singles, {explanation.explanation for explanation in reached}
-        singles = [*reached, *(explanation for explanation in singles if explanation.explanation not in known)]
         before = {explanation.explanation for explanation in pairs}
-        pairs += [it for it in search.pairs(reached, first) if it.explanation not in before]
-    return singles, pairs
+        pairs += [it for it in search.pairs(reached, singles) if it.explanation not in before]
+    return best_of([*reached, *pairs])
 
 
-def _lags(
-    near: Sequence[FittedExplanation], far: Sequence[FittedExplanation]
-) -> list[tuple[FittedExplanation, float]]:
+def _about_best(
+    standing: Standing, rig: Rig, observations: Observations, found: Sequence[FittedExplanation]
+) -> Standing:
+    """Explanations that compete, fitted under the noise and the errors of the chain about the best of them."""
+    named = best_of(found)
+    if not named or named[0].fit.log_evidence <= standing.null.fit.log_evidence:
+        return replace(standing, named=tuple(named))
+    before = standing.search
+    data = about(rig, observations, named[0].fit, before.data.used)
+    search = Search(data, rig, before.parameters, before.candidates, before.tell)
+    near, far = search.in_reach(named)
+    # What two effects do together is judged beside what one of them does.
+    members = [it for it in far if set(it.fitted.causes) < set(named[0].fitted.causes)][:1]
+    near, far = search.all_again([*near, *members]), [it for it in far if it not in members]
+    # An effect that does nothing may have led the model's own parameters on to their optimum.
+    null = search.from_parameters_of(near[0], search.again(standing.null))
+    more, far = search.other_laws(near[0], far)
+    left_out = [LeftOut(explanation, standing.null, FAR_BEHIND) for explanation in far]
+    named = [*near, *more]
+    # A second effect that says nothing may have led the first on to its optimum.
+    named = best_of([*named, *search.pruned(named)])
+    return Standing(
+        search, null, tuple(named), (*standing.left_out, *left_out), (*standing.elsewhere, *_lags(near, far))
+    )
+
+
+def _competing(standing: Standing, found: Sequence[FittedExplanation]) -> Standing:
+    """Explanations that are not far behind the best, fitted to the end."""
+    search, named = standing.search, best_of(found)
+    if not named:
+        return standing
+    near, far = search.in_reach(named)
+    done = set(map(id, standing.named))
+    near = [it if id(it) in done else search.again(it) for it in near]
+    left_out = [LeftOut(explanation, standing.null, FAR_BEHIND) for explanation in far]
+    return replace(
+        standing,
+        named=tuple(best_of([*near, *search.pruned(near)])),
+        left_out=(*standing.left_out, *left_out),
+        elsewhere=(*standing.elsewhere, *_lags(near, far)),
+    )
+
+
+def _lags(near: Sequence[FittedExplanation], far: Sequence[FittedExplanation]) -> list[tuple[FittedExplanation, float]]:
     """Explanations that are far behind, with how far each lies behind the best of its effects."""
     best = {found.effects: found.fit.log_evidence for found in reversed(near)}
     return [(it, best[it.effects] - it.fit.log_evidence) for it in far if it.effects in best]
-
-
-def _beside(search: Search, named: Sequence[FittedExplanation]) -> list[FittedExplanation]:
-    """Second effects on top of the best explanation where none was looked for: it was not among the first."""
-    leader = named[0]
-    causes = set(leader.fitted.causes)
-    if len(causes) != 1 or any(causes < set(found.fitted.causes) for found in named):
-        return []
-    search.tell("looking for second effects beside the best explanation")
-    found = search.pairs([leader])
-    return search.all_again(search.in_reach(found)[0]) if found else []
 
 
 def free_parameters(rig: Rig, observations: Observations) -> tuple[CalibrationParameter, ...]:

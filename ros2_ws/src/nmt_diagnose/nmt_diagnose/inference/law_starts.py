@@ -29,25 +29,22 @@ def law_of(rig: Rig, observations: Observations) -> LawReading | None:
         return None
 
 
-def with_laws(
-    search: Search, null: FittedExplanation, reading: LawReading | None, singles: Sequence[FittedExplanation]
-) -> list[FittedExplanation]:
-    """Explanations and those that begin at the laws of a reading, the best first.
+def with_laws(search: Search, null: FittedExplanation, reading: LawReading | None) -> list[FittedExplanation]:
+    """Explanations that begin at the laws of a reading, the best first.
 
     Args:
         search: fits explanations.
         null: the model alone.
         reading: of the held levels.
-        singles: explanations that were found without it.
     """
     laws = reading.laws if reading is not None else ()
     found = [start for law in laws if (start := _start(search.candidates, law)) is not None]
     if not found or reading is None or not worth_a_start(reading):
-        return list(singles)
+        return []
     search.tell("fitting the laws that the held levels show")
     groups = [[start] for start in found] + ([found] if len(found) > 1 else [])
     fitted = [one for group in groups if (one := _fitted(search, null, group)) is not None]
-    return best_of([*singles, *fitted])
+    return best_of(fitted)
 
 
 def worth_a_start(reading: LawReading) -> bool:

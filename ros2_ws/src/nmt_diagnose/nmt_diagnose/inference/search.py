@@ -347,8 +347,10 @@ class Search:
                 result.append(score)
         return result
 
-    def singles(self, null: FittedExplanation, scores: Sequence[Score]) -> list[FittedExplanation]:
-        """Explanations by one effect, the best first."""
+    def singles(
+        self, null: FittedExplanation, scores: Sequence[Score], begun: Sequence[FittedExplanation] = ()
+    ) -> list[FittedExplanation]:
+        """Explanations by one effect, the best first; none is climbed from low levels where one that was begun fits."""
         wanted = self.chosen(
             null,
             scores,
@@ -357,7 +359,7 @@ class Search:
             THRESHOLDS.search.least_cost_fall,
         )
         self.tell(f"fitting {len(wanted)} explanations")
-        found = self._all(null, wanted)
+        found = self._all(null, wanted, begun)
         # To first order on the model alone many places do the same to the rows; fitted they differ.
         likely = {
             score.candidate: score
@@ -468,10 +470,12 @@ class Search:
         found = [self.added(base, score) for score in wanted if score.gain > THRESHOLDS.search.least_cost_fall]
         return best_of([explanation for explanation in found if explanation is not None])
 
-    def _all(self, base: FittedExplanation, wanted: Sequence[Score]) -> list[FittedExplanation]:
+    def _all(
+        self, base: FittedExplanation, wanted: Sequence[Score], begun: Sequence[FittedExplanation] = ()
+    ) -> list[FittedExplanation]:
         found = [self.added(base, score) for score in wanted]
         fits = [explanation for explanation in found if explanation is not None]
-        best_yet = max(fits, key=lambda explanation: explanation.fit.log_evidence, default=base)
+        best_yet = max([*begun, *fits], key=lambda explanation: explanation.fit.log_evidence, default=base)
         if not base.candidates and self._exceeds_noise(best_yet, base):
             for number in self._fitted_by_levels_first(wanted, fits):
                 self.tell(f"fitting {self.candidates[number].label} from low levels")

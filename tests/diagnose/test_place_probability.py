@@ -29,8 +29,8 @@ def found(residual: np.ndarray, point: int = 0) -> Any:
         effect=SimpleNamespace(name="cubic_stiffness"),
         site=SimpleNamespace(location=Location.at("structure", point), limits={}),
     )
-    own = SimpleNamespace(calibration=(), values=lambda theta, index: {})
-    errors = SimpleNamespace(residual=residual, weights=np.ones(ROWS))
+    own = SimpleNamespace(calibration=(), prior_std=np.zeros(0), values=lambda theta, index: {})
+    errors = SimpleNamespace(residual=residual, weights=np.ones(ROWS), chain=np.zeros(0))
     evidence = -0.5 * float(residual @ residual)
     fit = SimpleNamespace(theta=np.zeros(0), parametrisation=own, errors=errors, log_evidence=evidence, promised=0.0)
     explanation = Explanation(causes)
@@ -43,7 +43,7 @@ def found(residual: np.ndarray, point: int = 0) -> Any:
 def placed(apart: float, size: float, far: bool = False) -> dict[str, float]:
     """Probabilities of two points whose fits differ by so much, of an effect of such a size, both over the noise."""
     null, here, there = found(LEFT + size * ALONG), found(LEFT, 4), found(LEFT + apart * ALONG, 7)
-    lag = here.fit.log_evidence - there.fit.log_evidence
+    lag = -2.0 * (there.fit.log_evidence - here.fit.log_evidence)
     named, behind = ([here], [(there, lag)]) if far else ([here, there], [])
     everything = Hypotheses(None, null, named, [here.candidates[0]], [], [], behind)  # type: ignore[arg-type]
     return {it.explanation.place: p for it, p in everything._placed(("cubic_stiffness",))}

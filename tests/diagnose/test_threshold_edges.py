@@ -110,20 +110,26 @@ def compared() -> Comparison:
 
 
 def place_odds(size: float) -> float:
-    """Odds of a place whose fit lies 8 behind in ln evidence, of an effect of such a size over the noise."""
+    """Odds of a place whose fit leaves 16 more, of an effect of such a size over the noise."""
     one, other = (Explanation((Cause("a", Location.at("structure", point)),)) for point in (1, 2))
+    own = SimpleNamespace(calibration=(), prior_std=np.zeros(0), values=lambda theta, index: {})
 
     def at(explained: Explanation, residual: float) -> Any:
-        left = SimpleNamespace(residual=np.array([residual]), weights=np.ones(1))
-        fit = SimpleNamespace(errors=left)
-        return SimpleNamespace(explanation=explained, effects=explained.effects, fit=fit)
+        left = SimpleNamespace(residual=np.array([residual]), weights=np.ones(1), chain=np.zeros(0))
+        fit = SimpleNamespace(errors=left, theta=np.zeros(0), parametrisation=own, log_evidence=0.0)
+        return SimpleNamespace(
+            explanation=explained,
+            effects=explained.effects,
+            fit=fit,
+            candidates=(),
+            stated=(0,) * len(explained.causes),
+        )
 
-    everything = Hypotheses(None, at(Explanation(), size), [], [], [], [], [(at(other, 0.0), 8.0)])  # type: ignore[arg-type]
-    everything.__dict__["_weight"] = lambda found: 0.0
-    everything.named = [at(one, 0.0)]
-    everything.named[0].stated = (0,)
-    (_, here), (_, there) = everything._placed(("a",))
-    return there / here
+    here = at(one, 0.0)
+    everything = Hypotheses(None, at(Explanation(), size), [here], [], [], [], [(at(other, 0.0), 16.0)])  # type: ignore[arg-type]
+    everything.__dict__["_prior"] = lambda found: 0.0
+    (_, p), (_, q) = everything._placed(("a",))
+    return q / p
 
 
 def excess(chance: float) -> bool:

@@ -56,6 +56,7 @@ COMMANDS = {
     "sweep": "sine sweep or stepped sine with a held force; frequency responses",
     "synthesis": "frequency response from a backbone alone, beside measured sweeps",
     "diagnose": "where model and real rig part, which effect causes it, how far the gap shrinks",
+    "investigate": "chooses, runs and stops tests until the gap to a model has a name",
     "import": "data measured elsewhere (tables, MATLAB, LabVIEW, UFF58) as a bag",
     "repair": "what can be saved of a damaged or cut bag, and what was lost",
     "export": "a recording as UFF58, CSV, NPZ, HDF5 or MATLAB; modes as UFF55",

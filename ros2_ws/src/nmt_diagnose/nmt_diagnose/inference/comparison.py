@@ -177,6 +177,15 @@ def distance(left: FittedExplanation, right: FittedExplanation) -> float:
     return math.sqrt(float(apart @ (left.fit.errors.weights * apart)))
 
 
+def misfit(found: FittedExplanation, weights: FloatArray) -> float:
+    """Squares of what a fit leaves, in the learnt noise of ``weights``, and of what it asks of its model."""
+    fitted = found.fit
+    count = len(fitted.parametrisation.calibration)
+    pulls = fitted.theta[:count] / fitted.parametrisation.prior_std[:count]
+    left = float(fitted.errors.residual @ (weights * fitted.errors.residual))
+    return left + float(pulls @ pulls) + float(fitted.errors.chain @ fitted.errors.chain)
+
+
 def imitates(found: FittedExplanation) -> bool:
     """Whether an explanation is two laws of the structure, which together take the shape of a third.
 
@@ -196,8 +205,8 @@ class Hypotheses:
         candidates: the library at all places.
         alone: sources on top of the model alone.
         behind: sources on top of the best explanation.
-        far: explanations that were fitted before and do not compete, with the ln evidence by which each lay behind the
-            best of its effects.
+        far: explanations that were fitted before and do not compete, with how much more each left than the best of its
+            effects, see `misfit`.
     """
 
     def __init__(
@@ -363,26 +372,27 @@ class Hypotheses:
 
         An ordinary model has its modes' shapes off by some per cent at each point, and with them what an effect there
         does to the rows. Along the difference between two fits that adds to the variance of noise, which is 1, the
-        square of that share of all that the effect does; it divides the difference of their ln evidence.
+        square of that share of all that the effect does; it divides the difference of their squares.
         """
-        best: dict[Explanation, tuple[float, FittedExplanation]] = {}
+        best: dict[Explanation, FittedExplanation] = {}
         for found in self.stated:
             if found.effects == effects:
-                weight = self._weight(found)
-                if weight > best.get(found.explanation, (-math.inf, found))[0]:
-                    best[found.explanation] = (weight, found)
-        first, leader = max(best.values(), key=lambda item: item[0])
-        for found, lag in self.far:
-            if found.effects == effects and found.explanation not in best:
-                best[found.explanation] = (first - lag, found)
+                known = best.get(found.explanation)
+                if known is None or self._weight(found) > self._weight(known):
+                    best[found.explanation] = found
+        leader = max(best.values(), key=self._weight)
+        weights = leader.fit.errors.weights
+        excess = {it.explanation: misfit(it, weights) - misfit(leader, weights) for it in best.values()}
+        for found, more in self.far:
+            if found.effects == effects and found.explanation not in excess:
+                best[found.explanation], excess[found.explanation] = found, more
         if len(best) == 1:
             return [(leader, 1.0)]
         change = self.null.fit.errors.residual - leader.fit.errors.residual
-        square = float(change @ (leader.fit.errors.weights * change))
-        variance = 1.0 + THRESHOLDS.comparison.place_form_std**2 * square
-        weights = np.exp([(weight - first) / variance for weight, _ in best.values()])
-        shares = (weights / weights.sum()).tolist()
-        return [(found, share) for (_, found), share in zip(best.values(), shares, strict=True)]
+        variance = 1.0 + THRESHOLDS.comparison.place_form_std**2 * float(change @ (weights * change))
+        logs = np.array([self._prior(it) - 0.5 * excess[key] / variance for key, it in best.items()])
+        shares = np.exp(logs - logs.max())
+        return list(zip(best.values(), (shares / shares.sum()).tolist(), strict=True))
 
     def _classes(self, weights: FloatArray, given_library: FloatArray) -> tuple[EquivalentClass, ...]:
         """Explanations by their effects, those that the recordings do not distinguish together.

@@ -17,8 +17,8 @@ from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import at_strength
 from nmt_diagnose.inference.chain import SharedDelay, shared_delays
-from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, sources
-from nmt_diagnose.inference.diagnosis import DetectableEffect, Diagnosis, Gap, Value, Verdict
+from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, misfit, sources
+from nmt_diagnose.inference.diagnosis import DetectableEffect, Diagnosis, Gap, NextTest, Value, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.explanations import FittedExplanation, Score, best_of
 from nmt_diagnose.inference.fitting import (
@@ -124,7 +124,7 @@ class Standing:
         null: the model alone.
         named: explanations that compete, the best first.
         left_out: explanations that were fitted and do not compete.
-        elsewhere: of these, those with effects of a competitor, with how far each lies behind it.
+        elsewhere: of these, those with effects of a competitor, with how much more each leaves.
     """
 
     search: Search
@@ -320,6 +320,7 @@ def _about_best(
     data = about(rig, observations, named[0].fit, before.data.used)
     search = Search(data, rig, before.parameters, before.candidates, before.tell)
     near, far = search.in_reach(named)
+    elsewhere = _lags(near, far)
     # What two effects do together is judged beside what one of them does.
     members = [it for it in far if set(it.fitted.causes) < set(named[0].fitted.causes)][:1]
     near, far = search.all_again([*near, *members]), [it for it in far if it not in members]
@@ -330,9 +331,7 @@ def _about_best(
     named = [*near, *more]
     # A second effect that says nothing may have led the first on to its optimum.
     named = best_of([*named, *search.pruned(named)])
-    return Standing(
-        search, null, tuple(named), (*standing.left_out, *left_out), (*standing.elsewhere, *_lags(near, far))
-    )
+    return Standing(search, null, tuple(named), (*standing.left_out, *left_out), (*standing.elsewhere, *elsewhere))
 
 
 def _competing(standing: Standing, found: Sequence[FittedExplanation]) -> Standing:
@@ -353,9 +352,14 @@ def _competing(standing: Standing, found: Sequence[FittedExplanation]) -> Standi
 
 
 def _lags(near: Sequence[FittedExplanation], far: Sequence[FittedExplanation]) -> list[tuple[FittedExplanation, float]]:
-    """Explanations that are far behind, with how far each lies behind the best of its effects."""
-    best = {found.effects: found.fit.log_evidence for found in reversed(near)}
-    return [(it, best[it.effects] - it.fit.log_evidence) for it in far if it.effects in best]
+    """Explanations that are far behind, with how much more each leaves than the best of its effects."""
+    best = {found.effects: found for found in reversed(near)}
+    result = []
+    for found in far:
+        if found.effects in best:
+            weights = best[found.effects].fit.errors.weights
+            result.append((found, misfit(found, weights) - misfit(best[found.effects], weights)))
+    return result
 
 
 def free_parameters(rig: Rig, observations: Observations) -> tuple[CalibrationParameter, ...]:
@@ -549,7 +553,9 @@ def _diagnosed(
     partial = verdict is Verdict.EFFECT and not adequate
     ranking = ranked_rows(data, comparison, shares, partial) if nearest is not None else ()
     calibration = calibration_rows(best)
-    proposed_tests = next_tests(rig, scaled, null, comparison) if settings.look_ahead and nearest is not None else ()
+    proposed_tests: tuple[NextTest, ...] = ()
+    if settings.look_ahead and nearest is not None:
+        proposed_tests = next_tests(rig, scaled, null, comparison, settings.plan)
     warnings = warned(verdict, best, calibration, gap, named.members if named is not None else ())
     warnings += tuple(f"{sentence.rstrip('.')}; nothing of it is left that matters." for sentence in findings.doubtful)
     warnings += without_observables(observations)

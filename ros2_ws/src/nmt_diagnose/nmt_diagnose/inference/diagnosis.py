@@ -167,12 +167,16 @@ class NextTest:
         command: the command that does it on the recorded rig; empty where that is not simulated here.
         separates: the explanations that it distinguishes.
         expected_sigma: by how many standard deviations.
+        seconds: bench time that it takes, as the tests at hand took it.
+        information: fall of the entropy of the explanations that it distinguishes that is expected, nats.
     """
 
     test: str
     command: str
     separates: tuple[str, ...]
     expected_sigma: float
+    seconds: float = math.nan
+    information: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ class DiagnosisSettings:
         jobs: processes that share the work; the result is the same for any number.
         allow_own_model: take recordings that the model itself made for a real side, too.
         calibration: sheet of the measuring chain of the real side; None = what its bags say.
+        plan: levels of the real rig's plan, which no proposed test goes beyond; empty = up to twice those measured.
         matters: smallest relative size of a gap that matters, by kind of observable (frequency, damping, response,
             harmonics); a kind that is left out matters at any size.
     """
@@ -36,4 +37,5 @@ class DiagnosisSettings:
     jobs: int = 1
     allow_own_model: bool = False
     calibration: CalibrationSheet | None = None
+    plan: tuple[float, ...] = ()
     matters: Mapping[str, float] = field(default_factory=lambda: dict(MATTERS))

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
+from scipy.special import entr
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
@@ -56,15 +57,22 @@ class Proposal:
         command: the command that does it; empty where nothing here can: the rig is not simulated, or its rig file is
             not known.
         observations: its observables with expected uncertainties; values are not set.
+        seconds: bench time that it takes, as the tests at hand took it.
     """
 
     text: str
     command: str
     observations: Observations
+    seconds: float = math.nan
 
 
 def next_tests(
-    rig: Rig, observations: Observations, null: FittedExplanation, comparison: Comparison, most: int = 3
+    rig: Rig,
+    observations: Observations,
+    null: FittedExplanation,
+    comparison: Comparison,
+    plan: Sequence[float] = (),
+    most: int = 3,
 ) -> tuple[NextTest, ...]:
     """Tests that would tell the explanations that are left apart, best first.
 
@@ -73,18 +81,51 @@ def next_tests(
         observations: what has been measured, with the noise that was learnt.
         null: the model with its parameters re-fitted; what competes where there is only one explanation.
         comparison: explanations.
+        plan: levels of the real rig's plan, which no test goes beyond; empty = up to twice those measured.
         most: tests to name.
     """
     competing = _competing(comparison, null)
     if len(competing) < 2:
         return ()
     names = tuple(joined(competitor.effects) or NULL for competitor in competing)
+    p = [comparison.by_label.get(it.explanation.label, 0.0) for it in competing]
     found = []
-    for proposal in proposals(rig, observations):
+    for proposal in proposals(rig, observations, plan):
         sigma = _separation(proposal, competing)
         if sigma >= THRESHOLDS.next_test.least_sigmas:
-            found.append(NextTest(proposal.text, proposal.command, names, min(sigma, THRESHOLDS.next_test.most_sigmas)))
+            told = expected_information(p[0], p[1], sigma)
+            sigma = min(sigma, THRESHOLDS.next_test.most_sigmas)
+            found.append(NextTest(proposal.text, proposal.command, names, sigma, proposal.seconds, told))
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
+
+
+def expected_information(p: float, q: float, sigmas: float) -> float:
+    """Expected fall of the entropy of two hypotheses by a test that sets them apart, nats.
+
+    The ln of their odds moves by a normal variable of mean ±d²/2, as either is true, and variance d²; the mean over it
+    is taken by Gauss and Hermite's rule.
+
+    Args:
+        p, q: probabilities of the two, whatever else there is.
+        sigmas: by how many standard deviations d the test tells one from the other.
+    """
+    if not p + q > 0.0:
+        return 0.0
+    p, q = p / (p + q), q / (p + q)
+    if not min(p, q) > 0.0:
+        return 0.0
+    nodes, weights = np.polynomial.hermite_e.hermegauss(61)
+    weights = weights / weights.sum()
+    log_odds, left = math.log(p / q), 0.0
+    for share, sign in ((p, 1.0), (q, -1.0)):
+        after = 1.0 / (1.0 + np.exp(-np.clip(log_odds + sign * 0.5 * sigmas**2 + sigmas * nodes, -700.0, 700.0)))
+        left += share * float(weights @ _entropy(after))
+    return max(0.0, float(_entropy(np.array(p))) - left)
+
+
+def _entropy(p: FloatArray) -> FloatArray:
+    """Entropy of two alternatives, nats."""
+    return np.asarray(entr(p) + entr(1.0 - p), dtype=np.float64)
 
 
 def _competing(comparison: Comparison, null: FittedExplanation) -> list[FittedExplanation]:
@@ -133,10 +174,15 @@ def _root(covariance: FloatArray) -> FloatArray:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def proposals(rig: Rig, observations: Observations) -> list[Proposal]:
+def proposals(rig: Rig, observations: Observations, levels_of_plan: Sequence[float] = ()) -> list[Proposal]:
     """Tests that the rig allows and that have not been made.
 
     Their commands run the rig that was recorded, as it was recorded; the model is not what is to be measured.
+
+    Args:
+        rig: the model.
+        observations: what has been measured.
+        levels_of_plan: levels that no test goes beyond; empty = up to twice those measured.
     """
     result = []
     linear, run = _commands(observations)
@@ -145,9 +191,11 @@ def proposals(rig: Rig, observations: Observations) -> list[Proposal]:
     drives = sorted({level.drive for test in runs for level in test.levels if math.isfinite(level.drive)})
     if not any(isinstance(test, RandomTest) for test in observations.tests):
         text = f"a random test at low level, driven at point {rig.drive_point}"
-        result.append(Proposal(text, linear("--out random"), _random(rig, observations, drives)))
+        seconds = THRESHOLDS.next_test.random_seconds
+        result.append(Proposal(text, linear("--out random"), _random(rig, observations, drives), seconds))
     if not runs:
         return result
+    each = _seconds_of_a_level(runs)
     frequencies = _frequencies(rig)
     first = runs[0]
     low, high = drives[0], drives[-1]
@@ -158,23 +206,47 @@ def proposals(rig: Rig, observations: Observations) -> list[Proposal]:
             continue
         text = f"the same levels with the exciter at point {point}"
         command = run(f"--exciter {point} --levels {plan} --out point{point}")
-        result.append(Proposal(text, command, _run(rig, observations, point, drives, frequencies[mode - 1])))
+        found = _run(rig, observations, point, drives, frequencies[mode - 1])
+        result.append(Proposal(text, command, found, each * len(drives)))
     if len(frequencies) > mode:
         text = f"the same levels on mode {mode + 1}"
         command = run(f"--set test.mode={mode + 1} --levels {plan} --out mode{mode + 1}")
-        result.append(Proposal(text, command, _run(rig, observations, first.drive_point, drives, frequencies[mode])))
+        found = _run(rig, observations, first.drive_point, drives, frequencies[mode])
+        result.append(Proposal(text, command, found, each * len(drives)))
     if all(level.direction >= 0 for test in runs for level in test.levels):
         text = "the same levels downwards, after going up"
         command = run(f"--direction both --levels {plan} --out both")
         found = _run(rig, observations, first.drive_point, drives[::-1], frequencies[mode - 1], _end(runs))
-        result.append(Proposal(text, command, found))
-    limit = rig.limits.voltage_v
-    if limit is None or 2.0 * high <= limit:
-        text = f"higher levels, up to {2.0 * high:.3g} V (mind what the specimen bears)"
-        command = run(f"--levels {high:.3g}:{2.0 * high:.3g}:6 --out high")
-        more = list(np.geomspace(high, 2.0 * high, 6))
-        result.append(Proposal(text, command, _run(rig, observations, first.drive_point, more, frequencies[mode - 1])))
+        result.append(Proposal(text, command, found, 2.0 * each * len(drives)))
+    text, more = _higher(rig, high, levels_of_plan)
+    if more:
+        levels = ",".join(f"{level:.4g}" for level in more)
+        found = _run(rig, observations, first.drive_point, more, frequencies[mode - 1])
+        result.append(Proposal(text, run(f"--levels {levels} --out high"), found, each * len(more)))
     return result
+
+
+def _higher(rig: Rig, high: float, plan: Sequence[float]) -> tuple[str, list[float]]:
+    """Levels above those measured, and the sentence for them: a third of the plan, or as far as twice the highest."""
+    if plan:
+        more = sorted(level for level in plan if level > 1.001 * high)[: max(1, math.ceil(len(plan) / 3))]
+        return (f"the next levels of the plan, up to {more[-1]:.3g} V", more) if more else ("", [])
+    limit = rig.limits.voltage_v
+    if limit is not None and 2.0 * high > limit:
+        return "", []
+    more = list(map(float, np.geomspace(high, 2.0 * high, 6)))
+    return f"higher levels, up to {2.0 * high:.3g} V (mind what the specimen bears)", more
+
+
+def _seconds_of_a_level(runs: Sequence[PhaseResonanceTest]) -> float:
+    """Bench time from level to level in the tests at hand, s."""
+    steps = [
+        abs(later.stop_s - before.stop_s)
+        for test in runs
+        for before, later in itertools.pairwise(sorted(test.levels, key=lambda level: level.stop_s))
+    ]
+    first = [level.stop_s - level.start_s for test in runs for level in test.levels]
+    return float(np.median(steps or first or [math.nan]))
 
 
 def _commands(observations: Observations) -> tuple[Callable[[str], str], Callable[[str], str]]:

@@ -31,6 +31,11 @@ class NextTestThresholds:
         "Lines of a random test that is computed ahead.",
         "",
     )  # fmt: skip
+    random_seconds: float = threshold(
+        123.0, "s",
+        "Bench time of './nmt linear' as it comes: two records of a minute and what they need to begin and to end.",
+        "",
+    )  # fmt: skip
     typical_response_std: float = threshold(
         5e-3, "1",
         "Uncertainty of a line of a random test of which the tests at hand hold none.",

@@ -1,0 +1,292 @@
+"""``./nmt investigate``: the bench chooses, runs and stops its tests until the gap to a model has a name."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nmt_bench.command_parser import EXIT_DONE, EXIT_INTERRUPTED, EXIT_PARTLY
+from nmt_bench.commands.shared_options import dated_folder_option, device_option, jobs_option, latency_option
+from nmt_bench.commands.worker_count import worker_count
+from nmt_bench.orchestration.interrupts import terminate_as_interrupt
+from nmt_core.errors import BenchError
+from nmt_core.options import argument, option
+
+if TYPE_CHECKING:
+    from nmt_diagnose.inference.diagnosis import Diagnosis
+    from nmt_diagnose.investigation.investigation import InvestigationSettings
+    from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord
+    from nmt_rig.rig import Rig
+
+_DEFAULT_UNTIL, _DEFAULT_PERIODS, _DEFAULT_RANDOM = 0.95, 50, 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class InvestigateOptions:
+    """Finds out what a model lacks: runs a linear test and the lowest levels of the rig, diagnoses, chooses the test
+    that is expected to tell most for its bench time, and so on until an answer is sure enough, nothing more can be
+    told apart, or the bench time is used up. Every test is an ordinary recording, the level goes no higher than the
+    rig's plan, and a second call with the same --out goes on where the first ended. With --real instead of --rig it
+    diagnoses recordings and proposes the next test as a command."""
+
+    model: str = argument("name of a rig (for example beam) or path of a rig file: the model", metavar="MODEL")
+    rig: str | None = option(
+        None, "rig file of the real side, which is driven: simulated, or with its device", metavar="REAL"
+    )
+    real: tuple[Path, ...] = option(
+        (), "results folder or bag of a test that was made; the next one is proposed; may be repeated", metavar="BAG"
+    )
+    until: float = option(_DEFAULT_UNTIL, "probability from which an answer is taken (default: 0.95)", metavar="P")
+    budget: float | None = option(None, "most bench time, s (default: the whole plan may be used)", metavar="S")
+    levels: str | None = option(
+        None, "plan of levels, V, which no test goes beyond (default: the real rig's)", metavar="PLAN"
+    )
+    periods: int = option(_DEFAULT_PERIODS, "whole periods a window (default: 50)", metavar="N")
+    random: float = option(
+        _DEFAULT_RANDOM, "length of each of the two records of the linear test, s (default: 20)", metavar="S"
+    )
+    ask: bool = option(False, "ask before each test: yes, no (another one) or stop")
+    out: Path = dated_folder_option("investigate.json, report.html, diagnosis/, a folder for each test", "investigate")
+    set: tuple[str, ...] = option((), "change a value of the real rig; may be repeated", metavar="KEY=VALUE")
+    device: str = device_option()
+    latency_blocks: int = latency_option()
+    seed: int = option(0, "seed of the real rig's noise (default: 0); each test adds its number", metavar="N")
+    jobs: int | None = jobs_option()
+    quiet: bool = option(False, "no progress display")
+
+
+def run(options: InvestigateOptions) -> int:
+    """Investigate, write the results, print what was asked and what it told.
+
+    Returns:
+        0 if the gap has a name or there is none, 3 if something is left open, 130 after Ctrl-C.
+
+    Raises:
+        BenchError: an option, a rig or a test is refused; what was measured is kept.
+    """
+    if (options.rig is None) == (not options.real):
+        raise BenchError("Give either --rig with the rig that is to be driven, or --real with recordings of it.")
+    if not 0.5 < options.until < 1.0:
+        raise BenchError(f"--until is a probability between 0.5 and 1, got {options.until:g}.")
+    if options.budget is not None and not options.budget > 0.0:
+        raise BenchError(f"--budget must be positive, got {options.budget:g} s.")
+    if options.periods < 2 or not options.random > 0.0 or options.seed < 0:
+        raise BenchError("--periods must be 2 or more, --random positive and --seed not negative.")
+    jobs = worker_count(options)
+    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    from nmt_bench.commands.console import make_console
+    from nmt_diagnose.investigation.investigation_record import RECORD_FILE, InvestigationRecord, read_record
+    from nmt_rig.rig import load_rig
+
+    console = make_console()
+    model = load_rig(options.model, vibrating=False)
+    bags = tuple(str(path.resolve()) for path in options.real)
+    asked = InvestigationRecord(options.model, options.rig or "", options.set, bags)
+    record = read_record(options.out) or asked
+    same = (record.model, record.real, record.changes) == (asked.model, asked.real, asked.changes)
+    if not same or not set(record.bags) <= set(bags):
+        raise BenchError(
+            f"{options.out / RECORD_FILE} is of another model, rig or other recordings; give another folder with --out."
+        )
+    made = not options.out.exists()
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BenchError(f"The folder {options.out} cannot be made ({error.strerror}); choose another one.") from error
+    if not made and not (options.out / RECORD_FILE).exists() and any(options.out.iterdir()):
+        raise BenchError(f"The folder {options.out} holds something else; choose another one with --out.")
+    bench = _Bench(options, model, jobs, console)
+    if options.real:
+        record = bench.propose(replace(record, bags=bags, ended="", conclusion=""))
+        bench.show(record)
+        return EXIT_DONE
+    settings = _settings(options, load_rig(str(options.rig), options.set))
+    # What ended for want of time or by a person may go on.
+    reopened = replace(record, ended="", conclusion="") if record.ended in ("budget", "stopped") else record
+    try:
+        with terminate_as_interrupt():
+            record = bench.investigate(reopened, settings)
+    except KeyboardInterrupt:
+        console.print(
+            f"Stopped; the drive is at zero. The same command goes on from {options.out / RECORD_FILE}.",
+            soft_wrap=True,
+        )
+        return EXIT_INTERRUPTED
+    bench.show(record)
+    return EXIT_DONE if record.ended in ("named", "no_gap") else EXIT_PARTLY
+
+
+def _settings(options: InvestigateOptions, rig: Rig) -> InvestigationSettings:
+    from nmt_diagnose.investigation.investigation import InvestigationSettings
+    from nmt_sequencer.level_plan import parse_levels
+
+    words = [word for change in options.set for word in ("--set", change)]
+    words += ["--device", options.device] if options.device else []
+    words += ["--latency-blocks", str(options.latency_blocks)] if options.latency_blocks else []
+    return InvestigationSettings(
+        until=options.until,
+        budget_s=math.inf if options.budget is None else options.budget,
+        levels=tuple(sorted(set(parse_levels(options.levels or rig.test.levels)))),
+        periods=options.periods,
+        random_s=options.random,
+        options=tuple(words),
+    )
+
+
+class _Bench:
+    """Carries tests out by the commands of the bench, each in a process of its own, and diagnoses them.
+
+    Args:
+        options: of the command.
+        model: the model.
+        jobs: processes of a diagnosis.
+        console: shows what is done.
+    """
+
+    def __init__(self, options: InvestigateOptions, model: Rig, jobs: int, console: Any) -> None:
+        self._options, self._model, self._jobs, self._console = options, model, jobs, console
+        self._plan: tuple[float, ...] = ()
+        self._outcome: Any = None
+
+    def investigate(self, record: InvestigationRecord, settings: InvestigationSettings) -> InvestigationRecord:
+        """Go on with an investigation to its end; its report is written whatever ends it."""
+        from nmt_diagnose.investigation.investigation import YES, Investigation
+
+        self._plan = settings.levels
+        agree = self._agree if self._options.ask else (lambda _: YES)
+        found = Investigation(
+            record, settings, self._options.out, self._measure, self._think, agree, self._say
+        )  # fmt: skip
+        try:
+            return found.run()
+        finally:
+            self._write(found.record)
+
+    def propose(self, record: InvestigationRecord) -> InvestigationRecord:
+        """Diagnose the recordings and put the proposed tests into the record."""
+        from nmt_diagnose.investigation.investigation import proposed
+
+        record = proposed(record, self._think)
+        record.write(self._options.out)
+        self._write(record)
+        return record
+
+    def _measure(self, test: AskedTest) -> float:
+        """Run the command of a test; its bench time, s.
+
+        Raises:
+            BenchError: it was refused, or nothing was measured.
+        """
+        folder, log = self._options.out / test.name, self._options.out / f"{test.name}.log"
+        number = int(test.name.split("_")[0])
+        words = [*test.words, "--out", str(folder), "--quiet", "--seed", str(self._options.seed + number)]
+        words += ["--reference", "none", *(() if test.words[0] == "linear" else ("--no-report",))]
+        with log.open("w", encoding="utf-8") as file:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "nmt_bench", *words], stdin=subprocess.DEVNULL, stdout=file, stderr=file,
+                preexec_fn=_begin_test,
+            )  # fmt: skip
+            try:
+                code = process.wait()
+            except KeyboardInterrupt:
+                self._say("ending the test by its ramp")
+                process.send_signal(signal.SIGINT)
+                process.wait()
+                raise
+        if code not in (EXIT_DONE, EXIT_PARTLY):
+            lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+            why = lines[-1].removeprefix("nmt: ") if lines else f"it ended with {code}"
+            raise BenchError(
+                f"Test {test.name} failed: {why.rstrip('.')}; its drive is at zero. See {log}; the same command tries "
+                "it again."
+            )
+        return _bench_time(folder)
+
+    def _think(self, names: Sequence[str]) -> tuple[Diagnosis, float]:
+        from nmt_diagnose.inference.diagnose import diagnose_bags
+        from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+
+        bags = [self._options.out / name for name in names] or list(self._options.real)
+        began = time.process_time()
+        settings = DiagnosisSettings(jobs=self._jobs, plan=self._plan)
+        self._outcome = diagnose_bags(self._model, bags, settings=settings)
+        return self._outcome.diagnosis, time.process_time() - began
+
+    def _agree(self, test: AskedTest) -> str:
+        from nmt_diagnose.investigation.investigation import NO, STOP, YES
+
+        seconds = f", {test.seconds:.0f} s" if math.isfinite(test.seconds) else ""
+        self._console.print(f"{test.text}{seconds}: {test.why}.\n  ./nmt {shlex.join(test.words)}", soft_wrap=True)
+        while True:
+            try:
+                answer = input("Run it? yes, no (another one) or stop: ").strip().lower()
+            except EOFError:
+                return STOP
+            for word in (YES, NO, STOP):
+                if answer and word.startswith(answer):
+                    return word
+
+    def _say(self, sentence: str) -> None:
+        if not self._options.quiet:
+            self._console.print(sentence, soft_wrap=True)
+
+    def _write(self, record: InvestigationRecord) -> None:
+        from nmt_core.files.whole_file import write_result
+        from nmt_report.diagnosis_files import write_diagnosis
+        from nmt_report.investigation_report import investigation_page
+
+        out = self._options.out
+        if self._outcome is not None:
+            (out / "diagnosis").mkdir(exist_ok=True)
+            write_diagnosis(self._outcome, out / "diagnosis", self._options.model)
+        write_result(out / "report.html", investigation_page(record))
+
+    def show(self, record: InvestigationRecord) -> None:
+        """Print the tests with what they told, and how it ended."""
+        from rich.box import SIMPLE_HEAD
+        from rich.table import Table
+
+        from nmt_report.investigation_report import ENDS, tests_table
+
+        found = tests_table(record)
+        table = Table(box=SIMPLE_HEAD)
+        for column in found.columns:
+            table.add_column(f"{column.heading}\n{column.unit}" if column.unit else column.heading)
+        for row in found.rows:
+            table.add_row(*map(str, row.cells))
+        if record.tests:
+            self._console.print(table)
+        sentence, kind = ENDS[record.ended]
+        style = {"good": "bold green", "partly": "bold yellow", "bad": "bold red"}[kind]
+        self._console.print(f"{sentence}.", style=style)
+        self._console.print(record.conclusion, soft_wrap=True)
+        if record.ended == "proposed":
+            for test in record.tests:
+                if test.state == "asked":
+                    self._console.print(f"./nmt {shlex.join(test.words)}", soft_wrap=True)
+        self._console.print(f"Report: {(self._options.out / 'report.html').resolve()}", soft_wrap=True)
+
+
+def _begin_test() -> None:
+    """In a group of its own, so that Ctrl-C reaches it once, and ended by its ramp when this process dies."""
+    from nmt_core.processes.parent_death import begin_group
+
+    begin_group()
+
+
+def _bench_time(folder: Path) -> float:
+    try:
+        return float(json.loads((folder / "run.json").read_text(encoding="utf-8"))["result"]["bench_time_s"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0.0

@@ -1,0 +1,322 @@
+"""The loop of an investigation: diagnose, choose the test that tells most for its bench time, measure; and again.
+
+Nothing here runs a node or fits a model: measuring, diagnosing and asking are handed in.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from scipy.special import entr
+
+from nmt_core.errors import BenchError
+from nmt_diagnose.inference.diagnosis import Diagnosis, NextTest, Verdict
+from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord, Turn
+from nmt_sequencer.level_plan import parse_levels
+
+YES, NO, STOP = "yes", "no", "stop"
+
+
+@dataclass(frozen=True)
+class InvestigationSettings:
+    """How an investigation goes about.
+
+    Attributes:
+        until: probability of an answer from which it is taken.
+        budget_s: most bench time, s.
+        levels: plan of the real rig, V, from low to high; no test goes beyond it.
+        periods: whole periods of a window.
+        random_s: length of each record of the linear test, s.
+        options: further words for each test (``--device`` and the like).
+    """
+
+    until: float = 0.95
+    budget_s: float = math.inf
+    levels: tuple[float, ...] = ()
+    periods: int = 50
+    random_s: float = 20.0
+    options: tuple[str, ...] = ()
+
+
+Measure = Callable[[AskedTest], float]
+"""Carries a test out and returns its bench time in s; raises BenchError where it failed."""
+Think = Callable[[Sequence[str]], tuple[Diagnosis, float]]
+"""Diagnoses the tests of these names; the diagnosis and its processor time in s."""
+Agree = Callable[[AskedTest], str]
+"""What a person says to a test: yes, no or stop."""
+
+
+class Investigation:
+    """Chooses tests, has them carried out, and learns from them.
+
+    Args:
+        record: how far it has come.
+        settings: how it goes about.
+        folder: where tests and record are kept.
+        measure, think, agree: do the work.
+        tell: called with a sentence as it goes on.
+    """
+
+    def __init__(
+        self,
+        record: InvestigationRecord,
+        settings: InvestigationSettings,
+        folder: Path,
+        measure: Measure,
+        think: Think,
+        agree: Agree = lambda _: YES,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.record, self.settings, self.folder = record, settings, folder
+        self._measure, self._think, self._agree, self._tell = measure, think, agree, tell
+        self.diagnosis: Diagnosis | None = None
+
+    def run(self) -> InvestigationRecord:
+        """Go on until it ends; the record is written after every step.
+
+        Raises:
+            BenchError: a test failed; the record says which, and the next call repeats it.
+        """
+        while (test := self._next_test()) is not None:
+            self._carry_out(test)
+        self.record.write(self.folder)
+        return self.record
+
+    def _next_test(self) -> AskedTest | None:
+        """What is measured next; None where it has ended, and the record says why."""
+        if self.record.ended:
+            return None
+        first = self._first_test()
+        if first is not None:
+            return first
+        self._learn()
+        chosen = None if self.record.ended else self._choose()
+        if chosen is None and not self.record.ended:
+            self._conclude()
+        return chosen
+
+    # -- tests --------------------------------------------------------------------------------------------------------
+
+    def _name(self, what: str) -> str:
+        return f"{len(self.record.tests) + 1:02d}_{what}"
+
+    def _first_test(self) -> AskedTest | None:
+        """The linear test, then the lowest levels of the plan; None once both are measured."""
+        commands = [test.words[0] for test in self.record.measured]
+        rig, options = self.record.real, self.settings.options
+        if "linear" not in commands:
+            length = f"{self.settings.random_s:g}"
+            return AskedTest(
+                self._name("linear"), ("linear", rig, "--duration", length, *options), "a random test at low level",
+                "the linear modes, and what is wrong with sensors and mass", seconds=2.05 * self.settings.random_s,
+            )  # fmt: skip
+        if "run" not in commands:
+            lowest = self.settings.levels[: max(2, math.ceil(len(self.settings.levels) / 3))]
+            return self._levels_test(lowest, "the lowest levels of the plan", "how frequency and damping begin to move")
+        return None
+
+    def _levels_test(self, levels: Sequence[float], text: str, why: str) -> AskedTest:
+        words = ("run", self.record.real, "--levels", ",".join(f"{level:.6g}" for level in levels))
+        return AskedTest(
+            self._name("levels"), self._complete(words), f"{text}, up to {max(levels):.3g} V", why,
+            seconds=self._seconds_of_levels(len(levels)),
+        )  # fmt: skip
+
+    def _seconds_of_levels(self, count: int) -> float:
+        """Bench time of so many levels as those before took it; NaN before any."""
+        times = [(test.seconds, _level_count(test.words)) for test in self.record.measured if test.words[0] == "run"]
+        return count * sum(s for s, _ in times) / max(1, sum(n for _, n in times)) if times else math.nan
+
+    def _complete(self, words: Sequence[str]) -> tuple[str, ...]:
+        """A command of a run with what every run here has."""
+        found, linear = list(words), next((t.name for t in self.record.measured if t.words[0] == "linear"), "")
+        if "--periods" not in found:
+            found += ["--periods", str(self.settings.periods)]
+        # A linear test belongs to its exciter and mode.
+        if linear and "--exciter" not in found and "--set" not in found:
+            found += ["--linear", str(self.folder / linear / "linear.json")]
+        return (*found, *self.settings.options)
+
+    def _next_levels(self) -> AskedTest | None:
+        """The next third of the plan above what was measured; None at its end."""
+        top = max(
+            (max(_levels(test.words)) for test in self.record.tests if test.state != "failed" and _levels(test.words)),
+            default=0.0,
+        )
+        more = [level for level in self.settings.levels if level > 1.001 * top]
+        more = more[: max(1, math.ceil(len(self.settings.levels) / 3))]
+        if not more:
+            return None
+        return self._levels_test(more, "the next levels of the plan", "whether the gap grows with the level")
+
+    def _choose(self) -> AskedTest | None:
+        """The test that is expected to tell most for its bench time; None where none is left that may be made."""
+        assert self.diagnosis is not None
+        proposed = [self._asked(item) for item in self.diagnosis.next_test if item.command]
+        levels = self._next_levels()
+        known = {test.words for test in self.record.tests if test.state != "failed"}
+        proposed = [test for test in proposed if test.words not in known and self._affordable(test)]
+        if proposed:
+            return max(proposed, key=lambda test: _worth(test))
+        return levels if levels is not None and self._affordable(levels) else None
+
+    def _asked(self, item: NextTest) -> AskedTest:
+        words = _without_out(shlex.split(item.command)[1:])
+        words = self._complete(words) if words[0] == "run" else (*words, *self.settings.options)
+        apart = " from ".join(name.replace("_", " ") for name in item.separates[:2])
+        why = f"tells {apart} by {item.expected_sigma:.0f} standard deviations"
+        return AskedTest(
+            self._name(words[0] if words[0] != "run" else "levels"), words, item.test, why, item.separates,
+            item.expected_sigma, item.information, seconds=item.seconds,
+        )  # fmt: skip
+
+    def _affordable(self, test: AskedTest) -> bool:
+        return not self.record.bench_s + (test.seconds if math.isfinite(test.seconds) else 0.0) > self.settings.budget_s
+
+    def _carry_out(self, test: AskedTest) -> None:
+        answer = self._agree(test)
+        if answer == STOP:
+            self._end("stopped", "It was stopped before its next test.")
+            return
+        if answer == NO:
+            self._keep(replace(test, state="declined"))
+            if test.words[0] == "linear" or not self.record.turns:
+                self._end("stopped", "Without its first two tests nothing can be told.")
+            return
+        self._tell(f"test {len(self.record.measured) + 1}: {test.text} ({test.why})")
+        self._keep(test)
+        try:
+            seconds = self._measure(test)
+        except BenchError:
+            self._keep(replace(test, state="failed", seconds=0.0))
+            raise
+        self._keep(replace(test, state="measured", seconds=seconds))
+
+    def _keep(self, test: AskedTest) -> None:
+        self.record = self.record.with_test(test)
+        self.record.write(self.folder)
+
+    # -- what is learnt -----------------------------------------------------------------------------------------------
+
+    def _learn(self) -> None:
+        """Diagnose all that was measured, note what the last test told, and end where the answer is sure enough."""
+        names = [test.name for test in self.record.measured]
+        self._tell(f"diagnosing {len(names)} tests, {self.record.bench_s:.0f} s of bench time")
+        self.diagnosis, seconds = self._think(names)
+        answers = answers_of(self.diagnosis)
+        last = self.record.measured[-1] if self.record.measured else None
+        if last is not None and last.separates and self.record.turns and not math.isfinite(last.received):
+            told = pair_entropy(self.record.turns[-1].answers, last.separates) - pair_entropy(answers, last.separates)
+            self._keep(replace(last, received=told))
+        text = self.diagnosis.sentences[1] if len(self.diagnosis.sentences) > 1 else ""
+        turn = Turn(len(names), self.record.bench_s, seconds, self.diagnosis.verdict.value, answers, text)
+        self.record = replace(self.record, turns=(*self.record.turns, turn))
+        self.record.write(self.folder)
+        verdict, sure = self.diagnosis.verdict, self._sure(answers)
+        if sure and verdict is Verdict.EFFECT and self.diagnosis.adequate:
+            self._end("named", text)
+        elif sure and verdict in (Verdict.NONE, Verdict.CALIBRATION) and self._next_levels() is None:
+            self._end("no_gap", text)
+
+    def _sure(self, answers: Mapping[str, float]) -> bool:
+        assert self.diagnosis is not None
+        if self.diagnosis.verdict is Verdict.EFFECT and self.diagnosis.ranking:
+            first = self.diagnosis.ranking[0]
+            return not first.equivalents and first.probability >= self.settings.until
+        return answers.get("none", 0.0) >= self.settings.until
+
+    def _conclude(self) -> None:
+        """Say why no further test is made."""
+        assert self.diagnosis is not None
+        found = self.diagnosis
+        left = [item for item in found.next_test if item.command]
+        if self._next_levels() is not None or any(not self._affordable(self._asked(item)) for item in left):
+            self._end("budget", f"The bench time is used up. So far: {found.sentences[1]}")
+        elif found.verdict is Verdict.UNKNOWN:
+            self._end("unknown", " ".join(found.sentences[:2]))
+        elif found.verdict in (Verdict.NONE, Verdict.CALIBRATION):
+            self._end("no_gap", found.sentences[1])
+        else:
+            first = found.ranking[0]
+            rivals = [*first.equivalents, *(it.effect for it in found.ranking[1:2])]
+            apart = " or ".join(name.replace("_", " ") for name in [first.effect, *rivals])
+            self._end(
+                "not_told_apart",
+                f"Whether it is {apart} cannot be told with these sensors and exciters: no level of the plan, other "
+                "drive point or mode that is left sets them apart by three standard deviations; a sensor or an exciter "
+                "at another point would.",
+            )
+
+    def _end(self, why: str, sentence: str) -> None:
+        self.record = replace(self.record, ended=why, conclusion=sentence)
+        self.record.write(self.folder)
+
+
+def answers_of(diagnosis: Diagnosis) -> dict[str, float]:
+    """Probability of ``none``, ``unknown`` and of each set of effects wherever they act, the most probable first."""
+    found: dict[str, float] = {}
+    for label, p in diagnosis.probabilities.items():
+        name = " + ".join(sorted(part.split("@")[0].strip() for part in label.split(" + ")))
+        found[name] = found.get(name, 0.0) + p
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def pair_entropy(answers: Mapping[str, float], names: Sequence[str]) -> float:
+    """Entropy of the first two of some answers beside each other, nats; 0 where neither has a probability."""
+    p = [max(0.0, answers.get(name, 0.0)) for name in names[:2]]
+    return float(sum(entr(value / sum(p)) for value in p)) if sum(p) > 0.0 else 0.0
+
+
+def _worth(test: AskedTest) -> tuple[float, float]:
+    """Expected information for each second of bench time; where that is not known, the standard deviations."""
+    rate = test.expected / test.seconds if test.seconds > 0.0 and math.isfinite(test.expected) else 0.0
+    return rate, test.expected_sigma
+
+
+def _without_out(words: Sequence[str]) -> tuple[str, ...]:
+    found = list(words)
+    if "--out" in found:
+        position = found.index("--out")
+        del found[position : position + 2]
+    return tuple(found)
+
+
+def _levels(words: Sequence[str]) -> list[float]:
+    """Levels that a command names; none where it is no run or leaves them to the rig."""
+    if words[0] != "run" or "--levels" not in words:
+        return []
+    return list(parse_levels(words[words.index("--levels") + 1]))
+
+
+def _level_count(words: Sequence[str]) -> int:
+    return max(1, len(_levels(words)))
+
+
+def proposed(record: InvestigationRecord, think: Think) -> InvestigationRecord:
+    """The record after a diagnosis of recordings that were given, with the tests that it proposes.
+
+    Args:
+        record: its ``bags`` are diagnosed.
+        think: called without names.
+    """
+    diagnosis, seconds = think(())
+    answers = answers_of(diagnosis)
+    text = diagnosis.sentences[1] if len(diagnosis.sentences) > 1 else ""
+    turn = Turn(len(record.bags), record.bench_s, seconds, diagnosis.verdict.value, answers, text)
+    tests = []
+    for number, item in enumerate(diagnosis.next_test, 1):
+        apart = " from ".join(name.replace("_", " ") for name in item.separates[:2])
+        tests.append(
+            AskedTest(
+                f"{number:02d}_proposal", tuple(shlex.split(item.command)[1:]), item.test,
+                f"tells {apart} by {item.expected_sigma:.0f} standard deviations", item.separates, item.expected_sigma,
+                item.information, seconds=item.seconds,
+            )
+        )  # fmt: skip
+    tests.sort(key=_worth, reverse=True)
+    ended = "proposed" if tests else {"effect": "named", "unknown": "unknown"}.get(diagnosis.verdict.value, "no_gap")
+    return replace(record, tests=tuple(tests), turns=(*record.turns, turn), ended=ended, conclusion=text)

@@ -1,0 +1,159 @@
+"""What an investigation has asked, measured and learnt: the content of ``investigate.json``."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from nmt_core.errors import BenchError
+from nmt_core.files.hardened import read_json
+from nmt_core.files.whole_file import write_whole
+
+FORMAT = "nmt investigation 1"
+RECORD_FILE = "investigate.json"
+
+
+@dataclass(frozen=True)
+class AskedTest:
+    """A test that was chosen.
+
+    Attributes:
+        name: of its folder.
+        words: its command after ``./nmt``, without ``--out``.
+        text: what is done, for people.
+        why: what it is expected to show.
+        separates: answers that it is to tell apart; empty where it only goes on with the plan.
+        expected_sigma: by how many standard deviations.
+        expected: fall of their entropy that is expected, nats; NaN where none is computed.
+        received: what the entropy of these answers fell by, nats; negative where it rose.
+        seconds: bench time, s; the expected one until it is measured.
+        state: ``asked``, ``measured``, ``declined`` or ``failed``.
+    """
+
+    name: str
+    words: tuple[str, ...]
+    text: str
+    why: str
+    separates: tuple[str, ...] = ()
+    expected_sigma: float = math.nan
+    expected: float = math.nan
+    received: float = math.nan
+    seconds: float = math.nan
+    state: str = "asked"
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What was believed after a diagnosis.
+
+    Attributes:
+        tests: how many had been measured.
+        bench_s: bench time until then, s.
+        thinking_s: processor time of the diagnosis, s.
+        verdict: of the diagnosis.
+        answers: probability of ``none``, ``unknown`` and of each set of effects, the most probable first.
+        sentence: which effect, as the diagnosis says it.
+    """
+
+    tests: int
+    bench_s: float
+    thinking_s: float
+    verdict: str
+    answers: Mapping[str, float]
+    sentence: str
+
+
+@dataclass(frozen=True)
+class InvestigationRecord:
+    """All of an investigation.
+
+    Attributes:
+        model: rig file of the model.
+        real: rig file of the real side; empty where its recordings are given.
+        changes: ``key=value`` texts for the real side.
+        bags: recordings that were given.
+        tests: in the order in which they were asked.
+        turns: diagnoses in their order.
+        ended: why it ended: ``named``, ``no_gap``, ``unknown``, ``not_told_apart``, ``budget``, ``stopped``,
+            ``proposed``; empty while it goes on.
+        conclusion: the end in a sentence.
+    """
+
+    model: str
+    real: str = ""
+    changes: tuple[str, ...] = ()
+    bags: tuple[str, ...] = ()
+    tests: tuple[AskedTest, ...] = ()
+    turns: tuple[Turn, ...] = ()
+    ended: str = ""
+    conclusion: str = ""
+    format: str = field(default=FORMAT)
+
+    @property
+    def measured(self) -> tuple[AskedTest, ...]:
+        """Tests that were carried out."""
+        return tuple(test for test in self.tests if test.state == "measured")
+
+    @property
+    def bench_s(self) -> float:
+        """Bench time of all tests that were carried out, also those that failed, s."""
+        return sum(test.seconds for test in self.tests if test.state in ("measured", "failed"))
+
+    def with_test(self, test: AskedTest) -> InvestigationRecord:
+        """The record with a test added, or in place of the one with its name."""
+        others = [it for it in self.tests if it.name != test.name]
+        position = next((k for k, it in enumerate(self.tests) if it.name == test.name), len(others))
+        return replace(self, tests=(*others[:position], test, *others[position:]))
+
+    def write(self, folder: Path) -> None:
+        """Write ``investigate.json`` whole; what is not finite becomes null."""
+        write_whole(folder / RECORD_FILE, json.dumps(_finite(asdict(self)), indent=2, ensure_ascii=False) + "\n")
+
+
+def read_record(folder: Path) -> InvestigationRecord | None:
+    """The record in a folder; None where there is none.
+
+    Raises:
+        BenchError: the file cannot be read or is no record.
+    """
+    path = folder / RECORD_FILE
+    if not path.exists():
+        return None
+    values = read_json(path, "investigation")
+    try:
+        if values["format"] != FORMAT:
+            raise ValueError(f"its format is {values['format']}")
+        tests = tuple(AskedTest(**_read(test)) for test in values["tests"])
+        turns = tuple(Turn(**turn) for turn in values["turns"])
+        lists = {key: tuple(values[key]) for key in ("changes", "bags")}
+        return InvestigationRecord(**{**values, **lists, "tests": tests, "turns": turns})
+    except (KeyError, TypeError, ValueError) as error:
+        raise BenchError(
+            f"{path} is no record of an investigation that can be gone on with ({error}); give another folder with "
+            "--out."
+        ) from error
+
+
+_NUMBERS = ("expected_sigma", "expected", "received", "seconds")
+_LISTS = ("words", "separates")
+
+
+def _read(test: Mapping[str, Any]) -> dict[str, Any]:
+    numbers = {key: _number(test[key]) for key in _NUMBERS}
+    return {**test, **numbers, **{key: tuple(test[key]) for key in _LISTS}}
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -86,7 +86,7 @@ def test_the_expected_distance_is_that_of_dense_algebra(
     a, b = competing()
     least = min(expected(future, a, b), expected(future, b, a))
     assert least > 3.0
-    monkeypatch.setattr(look_ahead, "proposals", lambda rig, observations: [proposal()])
+    monkeypatch.setattr(look_ahead, "proposals", lambda rig, observations, plan: [proposal()])
     (found,) = next_tests(RIG, MEASURED, a, compared(((a,), 0.6), ((b,), 0.3)))
     assert found.expected_sigma == pytest.approx(least, rel=1e-6)
     assert found.separates == ("cubic_stiffness", "air_drag")
@@ -100,7 +100,7 @@ def test_a_test_that_cannot_tell_is_not_proposed(
 ) -> None:
     a, b = competing()
     future[DRAG.label] = future[CUBIC.label] * a.fit.theta[0] / b.fit.theta[0]
-    monkeypatch.setattr(look_ahead, "proposals", lambda rig, observations: [proposal()])
+    monkeypatch.setattr(look_ahead, "proposals", lambda rig, observations, plan: [proposal()])
     assert next_tests(RIG, MEASURED, a, compared(((a, b), 0.9))) == ()
 
 

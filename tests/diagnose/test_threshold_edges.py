@@ -116,7 +116,7 @@ def place_odds(size: float) -> float:
 
     def at(explained: Explanation, residual: float) -> Any:
         left = SimpleNamespace(residual=np.array([residual]), weights=np.ones(1), chain=np.zeros(0))
-        fit = SimpleNamespace(errors=left, theta=np.zeros(0), parametrisation=own, log_evidence=0.0)
+        fit = SimpleNamespace(errors=left, theta=np.zeros(0), parametrisation=own, log_evidence=0.0, promised=0.0)
         return SimpleNamespace(
             explanation=explained,
             effects=explained.effects,

@@ -93,7 +93,9 @@ class Investigation:
         first = self._first_test()
         if first is not None:
             return first
-        self._learn()
+        # A test that was declined tells nothing.
+        if self.diagnosis is None or self.record.turns[-1].tests < len(self.record.measured):
+            self._learn()
         chosen = None if self.record.ended else self._choose()
         if chosen is None and not self.record.ended:
             self._conclude()

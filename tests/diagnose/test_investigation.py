@@ -1,0 +1,227 @@
+"""What an investigation asks, in which order, when it ends, and that it goes on where it was left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nmt_core.errors import BenchError
+from nmt_diagnose.inference.diagnosis import NextTest, Ranked, Share, Verdict
+from nmt_diagnose.inference.look_ahead import expected_information
+from nmt_diagnose.investigation.investigation import (
+    NO,
+    STOP,
+    YES,
+    Investigation,
+    InvestigationSettings,
+    answers_of,
+    proposed,
+)
+from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord, read_record
+from nmt_report.investigation_report import investigation_page, shown_answers
+
+PLAN = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+SETTINGS = InvestigationSettings(levels=PLAN, periods=20, random_s=10.0, options=("--set", "seed=2"))
+
+
+def named(effect: str, p: float, equivalents: tuple[str, ...] = ()) -> Ranked:
+    return Ranked(effect, "structure", "2", p, equivalents, {}, Share(0.9, 0.8, 1.0), 9.0)
+
+
+def diagnosis(
+    verdict: Verdict, probabilities: dict[str, float], ahead: Sequence[NextTest] = (), equivalents: tuple[str, ...] = ()
+) -> Any:
+    effects = [(name, p) for name, p in probabilities.items() if name not in ("none", "unknown")]
+    ranking = tuple(named(name.split("@")[0], p, equivalents) for name, p in effects)
+    return SimpleNamespace(
+        verdict=verdict, sentences=("where", f"which: {verdict.value}", "how far"), ranking=ranking,
+        probabilities=probabilities, next_test=tuple(ahead), adequate=True,
+    )  # fmt: skip
+
+
+OPEN = diagnosis(Verdict.EFFECT, {"cubic_stiffness@2": 0.6, "quintic_stiffness@2": 0.4})
+SURE = diagnosis(Verdict.EFFECT, {"cubic_stiffness@2": 0.99, "quintic_stiffness@2": 0.01})
+NOTHING = diagnosis(Verdict.NONE, {"none": 0.97, "unknown": 0.03})
+
+
+def ahead(text: str, words: str, sigma: float, seconds: float, nats: float) -> NextTest:
+    return NextTest(text, f"./nmt {words} --out x", ("cubic_stiffness", "quintic_stiffness"), sigma, seconds, nats)
+
+
+@dataclass
+class Bench:
+    """Measures nothing and believes what it is given, one diagnosis after the other."""
+
+    beliefs: list[Any]
+    seconds: float = 30.0
+    made: list[AskedTest] = field(default_factory=list)
+    thought: list[tuple[str, ...]] = field(default_factory=list)
+    fails_at: int = 0
+
+    def measure(self, test: AskedTest) -> float:
+        if len(self.made) + 1 == self.fails_at:
+            self.fails_at = 0
+            raise BenchError("a node died")
+        self.made.append(test)
+        return self.seconds
+
+    def think(self, names: Sequence[str]) -> tuple[Any, float]:
+        self.thought.append(tuple(names))
+        return self.beliefs[min(len(self.thought), len(self.beliefs)) - 1], 1.0
+
+
+def investigated(
+    folder: Path,
+    bench: Bench,
+    settings: InvestigationSettings = SETTINGS,
+    agree: Callable[[AskedTest], str] = lambda _: YES,
+    record: InvestigationRecord | None = None,
+) -> InvestigationRecord:
+    begun = record or InvestigationRecord("beam", "real.yaml")
+    return Investigation(begun, settings, folder, bench.measure, bench.think, agree).run()
+
+
+def test_a_linear_test_and_the_lowest_levels_come_first(tmp_path: Path) -> None:
+    bench = Bench([SURE])
+    record = investigated(tmp_path, bench)
+    linear, levels = bench.made
+    assert linear.words == ("linear", "real.yaml", "--duration", "10", "--set", "seed=2")
+    assert levels.words[:4] == ("run", "real.yaml", "--levels", "0.1,0.2")
+    assert levels.words[4:6] == ("--periods", "20")
+    assert levels.words[levels.words.index("--linear") + 1] == str(tmp_path / "01_linear" / "linear.json")
+    assert (record.ended, record.conclusion) == ("named", "which: effect")
+    assert record.bench_s == 60.0
+    assert bench.thought == [("01_linear", "02_levels")]
+
+
+def test_the_test_that_tells_most_for_its_time_is_made(tmp_path: Path) -> None:
+    slow = ahead("slow", "run real.yaml --exciter 4 --levels 0.1:0.2:2", 40.0, 200.0, 0.6)
+    quick = ahead("quick", "run real.yaml --exciter 5 --levels 0.1:0.2:2", 5.0, 20.0, 0.5)
+    bench = Bench([diagnosis(Verdict.EFFECT, OPEN.probabilities, [slow, quick]), SURE])
+    record = investigated(tmp_path, bench)
+    third = record.measured[2]
+    assert (third.text, third.expected) == ("quick", 0.5)
+    assert "--out" not in third.words
+    assert "--linear" not in third.words  # another drive point
+    before, after = (sum(-p * math.log(p) for p in pair) for pair in ((0.6, 0.4), (0.99, 0.01)))
+    assert third.received == pytest.approx(before - after)
+    assert record.ended == "named"
+
+
+def test_no_gap_is_said_at_the_end_of_the_plan_only(tmp_path: Path) -> None:
+    bench = Bench([NOTHING])
+    record = investigated(tmp_path, bench)
+    levels = [test.words[3] for test in bench.made if test.words[0] == "run"]
+    assert levels == ["0.1,0.2", "0.3,0.4", "0.5,0.6"]
+    assert record.ended == "no_gap"
+
+
+def test_what_no_test_sets_apart_is_said(tmp_path: Path) -> None:
+    alike = diagnosis(Verdict.EFFECT, {"cubic_stiffness@2": 0.96}, equivalents=("clearance",))
+    bench = Bench([alike])
+    record = investigated(tmp_path, bench)
+    assert record.ended == "not_told_apart"
+    assert "cubic stiffness or clearance cannot be told" in record.conclusion
+    assert max(float(test.words[3].split(",")[-1]) for test in bench.made[1:]) == PLAN[-1]
+
+
+@pytest.mark.parametrize("budget", [45.0, 70.0, 100.0])
+def test_no_test_is_begun_that_goes_beyond_the_budget(budget: float, tmp_path: Path) -> None:
+    """The first two tell nothing alone and are made; those after them only where they are expected to fit."""
+    bench = Bench([NOTHING], seconds=20.0)
+    record = investigated(tmp_path, bench, replace(SETTINGS, budget_s=budget))
+    assert record.bench_s <= max(budget, 40.0)
+    assert record.ended == ("no_gap" if budget >= 80.0 else "budget")
+
+
+def test_a_person_declines_or_stops(tmp_path: Path) -> None:
+    one = ahead("one", "run real.yaml --exciter 4 --levels 0.1:0.2:2", 40.0, 20.0, 0.6)
+    other = ahead("other", "run real.yaml --exciter 5 --levels 0.1:0.2:2", 40.0, 20.0, 0.5)
+    bench = Bench([diagnosis(Verdict.EFFECT, OPEN.probabilities, [one, other]), SURE])
+    first, second = tmp_path / "a", tmp_path / "b"
+    first.mkdir()
+    second.mkdir()
+    record = investigated(first, bench, agree=lambda test: NO if test.text == "one" else YES)
+    assert [test.state for test in record.tests] == ["measured", "measured", "declined", "measured"]
+    assert record.measured[-1].text == "other"
+    bench = Bench([OPEN])
+    record = investigated(second, bench, agree=lambda _: STOP)
+    assert (record.ended, bench.made) == ("stopped", [])
+
+
+def test_a_failed_test_is_repeated_and_nothing_is_lost(tmp_path: Path) -> None:
+    bench = Bench([NOTHING, SURE], fails_at=3)
+    with pytest.raises(BenchError, match="a node died"):
+        investigated(tmp_path, bench)
+    kept = read_record(tmp_path)
+    assert kept is not None
+    assert [test.state for test in kept.tests] == ["measured", "measured", "failed"]
+    record = investigated(tmp_path, bench, record=kept)
+    assert [test.words[3] for test in record.measured[1:]] == ["0.1,0.2"]
+    assert len(bench.made) == 2
+    assert record.ended == "named"
+
+
+def test_a_record_is_read_as_it_was_written(tmp_path: Path) -> None:
+    record = investigated(tmp_path, Bench([NOTHING]))
+    kept = read_record(tmp_path)
+    assert kept is not None
+    assert repr(kept) == repr(record)
+    (tmp_path / "investigate.json").write_text('{"format": "something"}', encoding="utf-8")
+    with pytest.raises(BenchError, match="another folder"):
+        read_record(tmp_path)
+    assert read_record(tmp_path / "nowhere") is None
+
+
+def test_recordings_get_the_next_test_as_a_command(tmp_path: Path) -> None:
+    slow = ahead("slow", "run real.yaml --exciter 4 --levels 0.1:0.2:2", 40.0, 200.0, 0.6)
+    quick = ahead("quick", "run real.yaml --exciter 5 --levels 0.1:0.2:2", 5.0, 20.0, 0.5)
+    given = InvestigationRecord("beam", bags=("a", "b"))
+    record = proposed(given, lambda names: (diagnosis(Verdict.EFFECT, OPEN.probabilities, [slow, quick]), 1.0))
+    assert [test.text for test in record.tests] == ["quick", "slow"]
+    assert record.ended == "proposed"
+    assert record.turns[0].tests == 2
+
+
+def test_the_page_shows_what_was_believed_and_asked(tmp_path: Path) -> None:
+    quick = ahead("quick & dirty", "run real.yaml --exciter 5 --levels 0.1:0.2:2", 5.0, 20.0, 0.5)
+    bench = Bench([diagnosis(Verdict.EFFECT, OPEN.probabilities, [quick]), SURE])
+    record = investigated(tmp_path, bench)
+    page = investigation_page(record)
+    assert "quick &amp; dirty" in page
+    assert "The cause has a name" in page
+    assert shown_answers(record) == ["cubic_stiffness", "quintic_stiffness"]
+    assert "<svg" in page
+    assert investigation_page(InvestigationRecord("beam", "real.yaml", ended="stopped")).count("<svg") == 0
+
+
+def test_answers_are_those_of_effects_wherever_they_act() -> None:
+    found = answers_of(diagnosis(Verdict.EFFECT, {"none": 0.1, "b@1 + a@2": 0.2, "a@3 + b@1": 0.3, "a@1": 0.4}))
+    assert found == pytest.approx({"a + b": 0.5, "a": 0.4, "none": 0.1})
+
+
+@pytest.mark.parametrize(("p", "sigmas"), [(0.5, 0.5), (0.5, 2.0), (0.9, 1.0), (0.98, 3.0)])
+def test_expected_information_is_the_mean_over_what_may_be_measured(p: float, sigmas: float) -> None:
+    """By draws of a measurement with unit noise whose mean is 0 under one hypothesis and d under the other."""
+    rng = np.random.default_rng(5)
+    second = rng.random(400_000) > p
+    measured = rng.standard_normal(second.size) + sigmas * second
+    like = [p * np.exp(-0.5 * measured**2), (1.0 - p) * np.exp(-0.5 * (measured - sigmas) ** 2)]
+    after = like[0] / (like[0] + like[1])
+    left = -after * np.log(after) - (1.0 - after) * np.log1p(-after)
+    before = -p * math.log(p) - (1.0 - p) * math.log(1.0 - p)
+    assert expected_information(p, 1.0 - p, sigmas) == pytest.approx(before - float(np.mean(left)), abs=2e-3)
+
+
+def test_expected_information_has_its_limits() -> None:
+    assert expected_information(0.3, 0.3, 99.0) == pytest.approx(math.log(2.0))
+    assert expected_information(0.5, 0.5, 0.0) == pytest.approx(0.0, abs=1e-12)
+    assert expected_information(1.0, 0.0, 9.0) == 0.0
+    assert expected_information(0.0, 0.0, 9.0) == 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from statistics import median
 
 from markupsafe import Markup
@@ -38,8 +39,8 @@ def investigation_page(record: InvestigationRecord) -> str:
     thinking = [turn.thinking_s for turn in record.turns]
     page = ResponsePage(
         kicker="Investigation",
-        heading=record.real or ", ".join(record.bags),
-        subtitle=f"Against the model {record.model}",
+        heading=Path(record.real).stem or ", ".join(map(_last, record.bags)),
+        subtitle=f"Against the model {Path(record.model).stem}",
         verdict=verdict,
         answers=[("Conclusion", record.conclusion)] if record.conclusion else [],
         facts=[
@@ -56,6 +57,10 @@ def investigation_page(record: InvestigationRecord) -> str:
         footer="Information in nats: what the entropy of the two answers falls by that the test is to set apart.",
     )
     return page.html()
+
+
+def _last(path: str) -> str:
+    return Path(path).name
 
 
 def timeline_figure(record: InvestigationRecord) -> ReportFigure:
@@ -79,7 +84,7 @@ def timeline_figure(record: InvestigationRecord) -> ReportFigure:
     axes.set_ylabel("probability")
     axes.legend(loc="center left")
     caption = "After each diagnosis; numbers above: tests, as in the table."
-    return report_figure(figure, "timeline", "Probability of each answer", caption, wide=True)
+    return report_figure(figure, "timeline", "Probability of each answer", caption)
 
 
 def shown_answers(record: InvestigationRecord) -> list[str]:

@@ -93,9 +93,9 @@ def next_tests(
     for proposal in proposals(rig, observations, plan):
         sigma = _separation(proposal, competing)
         if sigma >= THRESHOLDS.next_test.least_sigmas:
-            told = expected_information(p[0], p[1], sigma)
+            information = expected_information(p[0], p[1], sigma)
             sigma = min(sigma, THRESHOLDS.next_test.most_sigmas)
-            found.append(NextTest(proposal.text, proposal.command, names, sigma, proposal.seconds, told))
+            found.append(NextTest(proposal.text, proposal.command, names, sigma, proposal.seconds, information))
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
 
 

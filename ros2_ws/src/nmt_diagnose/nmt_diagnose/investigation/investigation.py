@@ -212,8 +212,8 @@ class Investigation:
         answers = answers_of(self.diagnosis)
         last = self.record.measured[-1] if self.record.measured else None
         if last is not None and last.separates and self.record.turns and not math.isfinite(last.received):
-            told = pair_entropy(self.record.turns[-1].answers, last.separates) - pair_entropy(answers, last.separates)
-            self._keep(replace(last, received=told))
+            fall = pair_entropy(self.record.turns[-1].answers, last.separates) - pair_entropy(answers, last.separates)
+            self._keep(replace(last, received=fall))
         text = self.diagnosis.sentences[1] if len(self.diagnosis.sentences) > 1 else ""
         turn = Turn(len(names), self.record.bench_s, seconds, self.diagnosis.verdict.value, answers, text)
         self.record = replace(self.record, turns=(*self.record.turns, turn))

@@ -13,6 +13,7 @@ from nmt_diagnose.effects.library import candidates, effect_named
 from nmt_diagnose.inference.diagnose import free_parameters, model_alone
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.explanations import FittedExplanation
+from nmt_diagnose.inference.fitting import without_rows
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.search import Search
 from nmt_diagnose.inference.size import (
@@ -175,6 +176,28 @@ def test_a_rival_is_fitted_again_from_the_parameters_of_the_leader() -> None:
     found = search.from_parameters_of(null, far)
     assert found.fit.theta[1] == pytest.approx(null.fit.theta[1], abs=0.1)
     assert found.fit.log_evidence == pytest.approx(null.fit.log_evidence, abs=0.1)
+
+
+def test_what_was_fitted_to_other_data_is_fitted_anew_before_it_competes() -> None:
+    """Evidence of fewer rows is larger by itself; an explanation that cannot be fitted any more has none."""
+    spring = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}
+    search, null = searched(real(MODEL, local_elements=[spring]))
+    scores = {search.candidates[it.candidate].cause.label: it for it in search.scores(null)}
+    leader, other = (search.added(null, scores[f"{law}_stiffness@2"]) for law in ("cubic", "quintic"))
+    assert leader is not None
+    assert other is not None
+    used = np.zeros(len(search.data.used), dtype=bool)
+    used[::2] = True
+    part = Search(without_rows(search.data, used), search.rig, search.parameters, search.candidates)
+    before = part.again(other)
+    assert before.fit.log_evidence > other.fit.log_evidence + 100.0
+    near, far = search.other_laws(search.again(leader), [before])
+    found = [it for it in (*near, *far) if it.fit is not before.fit]
+    assert all(it.fit.log_evidence == pytest.approx(search.again(other).fit.log_evidence, abs=1.0) for it in found)
+    assert all(it.fit is not before.fit for it in near)
+
+    nowhere = replace(other.fit, theta=np.full_like(other.fit.theta, np.nan))
+    assert search.again(FittedExplanation(other.candidates, nowhere)).fit.log_evidence == -np.inf
 
 
 def test_no_stinger_is_on_a_shaking_table() -> None:

@@ -234,17 +234,23 @@ class Search:
         return np.column_stack([known, self.data.slopes(columns, near.errors.values)])
 
     def again(self, found: FittedExplanation) -> FittedExplanation:
-        """The same explanation fitted to this search's data from where it stands; itself where that fails."""
-        fitted = found.fit
+        """The same explanation fitted to this search's data from where it stands.
+
+        Where it cannot be fitted to them its evidence, which is of other data, counts nothing; that of the model alone
+        stands.
+        """
+        fitted: FitResult | None = None
+        start, prediction = found.fit.theta, found.fit.prediction
         try:
-            fitted = fit(self.data, fitted.parametrisation, fitted.theta, fitted.prediction)
-            for _ in range(THRESHOLDS.fits.continuations):
+            for _ in range(1 + THRESHOLDS.fits.continuations):
+                fitted = fit(self.data, found.fit.parametrisation, start, prediction)
+                start, prediction = fitted.theta, fitted.prediction
                 if fitted.converged:
                     break
-                fitted = fit(self.data, fitted.parametrisation, fitted.theta, fitted.prediction)
         except FitError:
-            return found
-        return FittedExplanation(found.candidates, fitted)
+            if fitted is None:
+                fitted = replace(found.fit, log_evidence=-math.inf) if found.candidates else found.fit
+        return FittedExplanation(found.candidates, fitted if fitted is not None else found.fit)
 
     def in_reach(self, found: Sequence[FittedExplanation]) -> tuple[list[FittedExplanation], list[FittedExplanation]]:
         """Explanations, the best first, that are not far behind the best, and the others."""
@@ -272,7 +278,7 @@ class Search:
         for explanation in far:
             at_its_place = set(explanation.explanation.locations) <= set(leader.explanation.locations)
             if len(explanation.candidates) == 1 and at_its_place:
-                moved = self.from_parameters_of(leader, explanation)
+                moved = self.from_parameters_of(leader, self.again(explanation))
                 if moved.fit.log_evidence > least:
                     near.append(moved)
                     continue

@@ -425,7 +425,7 @@ def model_alone(
 
 
 def _unstrained(data: Data, found: FitResult, as_given: Prediction) -> FitResult:
-    """A fit; where it asks what nobody believes and one from the model as given, by ever closer demands, is better, that."""
+    """A fit; where it asks what nobody believes, the better of it and one from the model as given."""
     far = np.abs(found.theta / found.parametrisation.prior_std)
     if np.max(far, initial=0.0) < THRESHOLDS.comparison.credible_sigmas:
         return found

@@ -208,7 +208,7 @@ def test_a_model_that_went_astray_is_fitted_from_where_it_was_given() -> None:
     assert _unstrained(search.data, null.fit, as_given) is null.fit
     theta = null.fit.theta.copy()
     theta[1] = 4.0 * null.fit.parametrisation.prior_std[1]
-    astray = replace(null.fit, theta=theta, cost=null.fit.cost + 500.0)
+    astray = replace(null.fit, theta=theta, cost=null.fit.cost + 500.0, promised=100.0)
     assert _unstrained(search.data, astray, as_given).cost == pytest.approx(null.fit.cost, abs=0.5)
     better = replace(astray, cost=null.fit.cost - 500.0)
     assert _unstrained(search.data, better, as_given) is better

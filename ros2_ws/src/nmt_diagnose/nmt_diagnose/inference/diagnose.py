@@ -415,19 +415,19 @@ def model_alone(
         if modes.far_from(rig):
             nearer = fit(data, parametrisation, modes.start(parametrisation, parametrisation.zero)[0])
             found = nearer if nearer.cost < found.cost else found
-        found = _unstrained(data, found, as_given)
         for _ in range(THRESHOLDS.fits.chain_rounds):
             data = about(rig, observations, found, used)
-            found = _unstrained(data, fit(data, parametrisation, found.theta, found.prediction), as_given)
+            found = fit(data, parametrisation, found.theta, found.prediction)
+        found = _unstrained(data, found, as_given)
     except (FitError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
     return data.observations, as_given, FittedExplanation((), found), data
 
 
 def _unstrained(data: Data, found: FitResult, as_given: Prediction) -> FitResult:
-    """A fit; where it asks what nobody believes, the better of it and one from the model as given."""
-    far = np.abs(found.theta / found.parametrisation.prior_std)
-    if np.max(far, initial=0.0) < THRESHOLDS.comparison.credible_sigmas:
+    """A fit; where it lost its way to what nobody believes, the better of it and one from the model as given."""
+    far = np.max(np.abs(found.theta / found.parametrisation.prior_std), initial=0.0)
+    if found.converged or far < THRESHOLDS.comparison.credible_sigmas:
         return found
     try:
         other = approach(data, found.parametrisation, found.parametrisation.zero, as_given)

@@ -10,7 +10,7 @@ from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.stats import chi2, norm
 
 from nmt_diagnose.effects.library import candidates, effect_named
-from nmt_diagnose.inference.diagnose import _unstrained, free_parameters, model_alone
+from nmt_diagnose.inference.diagnose import free_parameters, model_alone
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import without_rows
@@ -28,7 +28,6 @@ from nmt_diagnose.inference.size import (
 )
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part
-from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, ShakingTableSection
@@ -199,19 +198,6 @@ def test_what_was_fitted_to_other_data_is_fitted_anew_before_it_competes() -> No
 
     nowhere = replace(other.fit, theta=np.full_like(other.fit.theta, np.nan))
     assert search.again(FittedExplanation(other.candidates, nowhere)).fit.log_evidence == -np.inf
-
-
-def test_a_model_that_went_astray_is_fitted_from_where_it_was_given() -> None:
-    """The worse of the two is dropped; what asks for nothing incredible is not fitted twice."""
-    search, null = searched(MODEL)
-    as_given = Forward(search.data.observations.tests, search.data.observations.rows).predict(MODEL)
-    assert _unstrained(search.data, null.fit, as_given) is null.fit
-    theta = null.fit.theta.copy()
-    theta[1] = 4.0 * null.fit.parametrisation.prior_std[1]
-    astray = replace(null.fit, theta=theta, cost=null.fit.cost + 500.0, promised=100.0)
-    assert _unstrained(search.data, astray, as_given).cost == pytest.approx(null.fit.cost, abs=0.5)
-    better = replace(astray, cost=null.fit.cost - 500.0)
-    assert _unstrained(search.data, better, as_given) is better
 
 
 def test_no_stinger_is_on_a_shaking_table() -> None:

@@ -27,7 +27,6 @@ from nmt_diagnose.inference.fitting import (
     FitError,
     FitResult,
     Metric,
-    approach,
     best_chain_errors,
     data_about,
     fit,
@@ -418,22 +417,9 @@ def model_alone(
         for _ in range(THRESHOLDS.fits.chain_rounds):
             data = about(rig, observations, found, used)
             found = fit(data, parametrisation, found.theta, found.prediction)
-        found = _unstrained(data, found, as_given)
     except (FitError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
     return data.observations, as_given, FittedExplanation((), found), data
-
-
-def _unstrained(data: Data, found: FitResult, as_given: Prediction) -> FitResult:
-    """A fit; where it lost its way to what nobody believes, the better of it and one from the model as given."""
-    far = np.max(np.abs(found.theta / found.parametrisation.prior_std), initial=0.0)
-    if found.converged or far < THRESHOLDS.comparison.credible_sigmas:
-        return found
-    try:
-        other = approach(data, found.parametrisation, found.parametrisation.zero, as_given)
-    except FitError:
-        return found
-    return other if other.cost < found.cost else found
 
 
 def _with_solver_error(observations: Observations, rig: Rig, as_given: Prediction) -> Observations:

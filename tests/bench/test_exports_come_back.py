@@ -24,25 +24,25 @@ from nmt_record.windows.recorded_tests import recorded_tests
 from nmt_record.windows.segments import read_signals, segments
 from nmt_session import Session, plan_test
 
-RESONANCE: dict[str, Any] = {"test": "secondary_resonance", "control": "force", "window_periods": 30}
-RANDOM: dict[str, Any] = {"test": "random", "duration": 6.0, "band_hz": (20.0, 600.0)}
+RESONANCE: dict[str, Any] = {"test": "secondary_resonance", "control": "force", "window_periods": 10}
+RANDOM: dict[str, Any] = {"test": "random", "duration": 5.5, "band_hz": (20.0, 600.0)}
 TESTS: dict[str, tuple[str, list[float], dict[str, Any]]] = {
-    "phase resonance": ("joint_resonator", [0.5, 2.0], {"window_periods": 30}),
-    "two exciters": ("frame", [1.0, 4.0], {"window_periods": 30}),
-    "controlled harmonics": ("joint_resonator", [1.0], {"window_periods": 30, "harmonics_control": 3}),
-    "self-excited": ("belt", [0.001, 0.002], {"test": "self_excited", "window_periods": 30}),
+    "phase resonance": ("joint_resonator", [0.5, 2.0], {"window_periods": 10}),
+    "two exciters": ("frame", [1.0, 4.0], {"window_periods": 10}),
+    "controlled harmonics": ("joint_resonator", [1.0], {"window_periods": 10, "harmonics_control": 3}),
+    "self-excited": ("belt", [0.001, 0.002], {"test": "self_excited", "window_periods": 10}),
     "3:1": ("strong_cubic", [8.0], {**RESONANCE, "resonance": "3:1"}),
     "1:3": ("strong_cubic", [9.6], {**RESONANCE, "resonance": "1:3", "release": 0.00075}),
     "response curve": (
         "strong_cubic",
         [0.16],
-        {"test": "response_curve", "control": "force", "lag_deg": (60.0, 120.0), "spacing": 0.4, "window_periods": 20},
+        {"test": "response_curve", "control": "force", "lag_deg": (70.0, 110.0), "spacing": 0.4, "window_periods": 10},
     ),
     "random": ("joint_resonator", [0.25], {**RANDOM, "band_hz": (10.0, 2000.0)}),
     "random, two exciters": ("frame", [0.25], RANDOM),
-    "ring-down": ("beam", [0.1, 2.0], {"test": "ring_down", "duration": 1.0}),
-    "sweep": ("beam", [0.5], {"test": "sweep", "frequencies_hz": (18.0,), "frequency_end_hz": 20.0, "rate_hz_s": 1.0}),
-    "stepped sine": ("beam", [0.5], {"test": "stepped_sine", "frequencies_hz": (21.0, 22.0), "window_periods": 20}),
+    "ring-down": ("beam", [0.1, 2.0], {"test": "ring_down", "duration": 0.6}),
+    "sweep": ("beam", [0.5], {"test": "sweep", "frequencies_hz": (18.0,), "frequency_end_hz": 19.0, "rate_hz_s": 1.0}),
+    "stepped sine": ("beam", [0.5], {"test": "stepped_sine", "frequencies_hz": (21.0, 22.0), "window_periods": 10}),
 }
 
 

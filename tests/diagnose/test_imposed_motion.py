@@ -146,7 +146,7 @@ def test_one_mass_takes_its_forces_along_the_motion(tmp_path: Path, kind: str) -
 def test_inner_masses_follow_by_their_own_equations(tmp_path: Path, measured: str) -> None:
     """Three free masses in a row, the first one moved: the others and the force by scipy's integration."""
     rig = rig_of(tmp_path, CHAIN.replace("displacement, point: 1", f"{measured}, point: 1"))
-    time = np.arange(6000) / RATE
+    time = np.arange(3000) / RATE
     motion = (0.004, 1.3, 0.0), (0.002, 3.1, 0.0)
 
     def accelerations(t: float, x: FloatArray) -> FloatArray:
@@ -171,10 +171,10 @@ def test_inner_masses_follow_by_their_own_equations(tmp_path: Path, measured: st
 
 def coulomb_drive(friction: float, damper: float, seed: int = 3) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Time, speed and torque of a drive that starts, turns and stops, both ways; rigid friction to the ground."""
-    time = np.arange(8000) / RATE
+    time = np.arange(3400) / RATE
     speed = np.zeros(time.size)
-    for begin, top in ((3.0, 8.0), (12.0, -8.0), (22.0, 20.0), (31.0, -20.0)):
-        speed += top * np.clip(np.minimum((time - begin) / 0.4, (begin + 6.0 - time) / 0.4), 0.0, 1.0)
+    for begin, top in ((1.0, 8.0), (5.0, -8.0), (9.0, 20.0), (13.0, -20.0)):
+        speed += top * np.clip(np.minimum((time - begin) / 0.4, (begin + 3.0 - time) / 0.4), 0.0, 1.0)
     acceleration = np.gradient(speed, time)
     torque = 2e-3 * acceleration + damper * speed + friction * np.sign(np.round(speed, 9))
     rng = np.random.default_rng(seed)
@@ -218,7 +218,7 @@ def test_a_force_at_rest_is_no_observable(tmp_path: Path) -> None:
     rows = read_observations([bag], rig).rows
     at = np.interp(rows.time_s, time, np.abs(speed))
     assert at.min() > 0.5
-    assert rows.time_s.max() > 36.0
+    assert rows.time_s.max() > 15.0
 
 
 def test_noise_of_the_motion_is_part_of_the_noise_of_the_force(tmp_path: Path) -> None:

@@ -120,7 +120,7 @@ def test_a_second_publisher_of_level_moves_nothing_and_ends_the_run(linked: bool
 def test_a_second_publisher_of_frequency_moves_nothing_and_ends_the_run(tmp_path: Path) -> None:
     sent = [Frequency(last_sample=2**60, level_sequence=2**30, state=Frequency.LOCKED), Frequency(state=200)]
     result, counters = disturbed(tmp_path / "out", Frequency, "frequency", sent)
-    assert result.code == ResultCode.REFUSED
+    assert result.code == ResultCode.NODE_LOST
     assert_ended_by_a_ramp(result)
     assert counters["sequencer"]["refused"] >= 1
 

@@ -316,7 +316,7 @@ def test_motion_that_blows_up_is_reported():
     system = single_mass(one(CubicSpring, -4e10))
     integrator = TimeIntegrator(system, RATE, [displacement_output(system, 1)])
     with pytest.raises(IntegrationError, match="not finite"):
-        integrator.advance(np.full(5001, 500.0))
+        integrator.advance(np.full(501, 500.0))
 
 
 @pytest.mark.parametrize("damping", [-1e3, -1e5, -1e7, -1e9])
@@ -326,7 +326,8 @@ def test_negative_damping_that_nothing_bounds_is_reported(element, damping):
     integrator = TimeIntegrator(single_mass(element, one(LinearDamper, damping)), RATE, [])
     bounded = isinstance(element, QuadraticDrag) and damping > -1e7
     with contextlib.nullcontext() if bounded else pytest.raises(IntegrationError, match="not finite"):
-        integrator.advance(np.full(5001, 500.0))
+        # Growth by friction of any velocity is exponential, by a hardening spring faster.
+        integrator.advance(np.full(5001 if isinstance(element, Jenkins) else 501, 500.0))
     assert not bounded or np.isfinite(integrator.physical_state).all()
 
 

@@ -68,7 +68,7 @@ def test_a_second_source_ends_the_run_by_name_and_with_a_ramp() -> None:
     assert (order.amplitude, order.ramp) == (0.0, core.machine.pacing.quiet_ramp)
     state = core.state()
     assert state is not None
-    assert (state.phase, state.result_code) == (RunPhase.DONE, ResultCode.REFUSED)
+    assert (state.phase, state.result_code) == (RunPhase.DONE, ResultCode.NODE_LOST)
     assert state.reason == "Topic frequency has a second publisher: /stranger."
 
 
@@ -78,7 +78,7 @@ def test_of_several_publishers_none_is_believed_and_the_run_is_over() -> None:
     assert core.take_status(fixed(13 * BLOCK - 1, 10), CommandSource("01 02", "/pll and /stranger", alone=False))
     state = core.state()
     assert state is not None
-    assert (state.phase, state.result_code) == (RunPhase.DONE, ResultCode.REFUSED)
+    assert (state.phase, state.result_code) == (RunPhase.DONE, ResultCode.NODE_LOST)
     assert "/pll and /stranger" in state.reason
     assert core.machine.newest == 12 * BLOCK - 1
 
@@ -156,10 +156,10 @@ def test_who_knows_better_why_the_plant_stopped_is_believed() -> None:
     core = running()
     feed(core, 0, 3)
     core.take_stop(DriveStop(310, StopCause.NODE, OutputState.RAMPING, "topic drive has a second publisher"))
-    core.machine.stop(ResultCode.REFUSED, "Topic drive has a second publisher: /a and /b.")
+    core.machine.stop(ResultCode.NODE_LOST, "Topic drive has a second publisher: /a and /b.")
     for number in range(3, 40):
         core.take_status(fixed((number + 1) * BLOCK - 1, 10)._replace(flags=int(BlockFlag.WATCHDOG)), LOOP)
-    assert core.machine.code == ResultCode.REFUSED
+    assert core.machine.reason == "Topic drive has a second publisher: /a and /b."
 
 
 @pytest.mark.parametrize("again", [False, True])

@@ -22,7 +22,7 @@ def measured(factor: float, levels, tmp_path, refinement: float):
         levels,
         overrides=[f"structure.damping_factors=[{factor},{factor},{factor}]"],
         control="response",
-        window_periods=40,
+        window_periods=20,
         refinement=refinement,
     )
 

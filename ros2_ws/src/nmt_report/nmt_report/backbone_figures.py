@@ -123,7 +123,7 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
         axes.axhline(1.0, color=MUTED, linewidth=0.8)
         axes.set_title(quantity.panel, y=1.0)
         lowest = float(np.nanmin(value)) if np.any(np.isfinite(value)) else 0.9
-        span = max(1.0 - lowest, 1e-4)
+        span = max(1.0 - lowest, 1e-4) if lowest < 1.0 - 1e-6 else 0.01  # of a rig of one point all may be 1
         axes.set_ylim(lowest - 0.25 * span, 1.0 + 0.25 * span)
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.ticklabel_format(axis="y", useOffset=False)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
-from matplotlib.ticker import FixedLocator, NullLocator
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
 from nmt_core.errors import BenchError
 from nmt_report.figure_record import FORMAT
@@ -240,6 +240,11 @@ def _set_axis(axes: Axes, name: str, axis: Mapping[str, Any]) -> None:
         getattr(axes, f"{name}axis").set_minor_locator(NullLocator())
     elif not axis["ticks"]:
         getattr(axes, f"set_{name}ticks")([])
+    else:
+        axes.ticklabel_format(axis=name, useOffset=False)  # type: ignore[arg-type]
+        ticks = np.asarray(axis["ticks"])
+        if np.all(ticks % 1.0 == 0.0) and np.all(np.diff(ticks) == 1.0):  # points are counted
+            getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     if axis["side"] in ("left", "right", "top", "bottom"):
         getattr(axes, f"{name}axis").set_ticks_position(axis["side"])
     if not axis["labelled"]:

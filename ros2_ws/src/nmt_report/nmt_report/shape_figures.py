@@ -48,6 +48,8 @@ def shape_figure(data: RunReportData) -> ReportFigure | None:
             linestyle=(0, (4, 2)),
             color=MUTED,
             linewidth=1.2,
+            marker="_" if len(numbers) == 1 else None,  # a line of one point would not be seen
+            markersize=16.0,
             label="linear mode",
         )
         magnitude.legend(loc="best")
@@ -62,7 +64,7 @@ def shape_figure(data: RunReportData) -> ReportFigure | None:
         phase.set_ylim(-max(1.3 * largest, 1.0), max(1.3 * largest, 1.0))
     phase.set_xlim(numbers.min() - 0.5, numbers.max() + 0.5)
     phase.set_xlabel("measurement point")
-    phase.xaxis.set_major_locator(MaxNLocator(integer=True))
+    phase.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     level_bar(figure, points, (0.88, 0.12, 0.022, 0.84))
     caption = (
         "Mass-normalised fundamental shape φ̃₁ at the measurement points, one line a level; phase relative "

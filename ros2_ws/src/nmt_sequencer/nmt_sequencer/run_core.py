@@ -139,10 +139,10 @@ class RunCore:
         )
         if self.judge.second_source and self.machine.active:
             reason = f"Topic frequency has a second publisher: {self.judge.second_source}."
-            self.machine.stop(ResultCode.REFUSED, reason)
+            self.machine.stop(ResultCode.NODE_LOST, reason)
             if isinstance(source, CommandSource) and not source.alone:
                 # Nothing heard can be believed any more; the plant ramps to zero when the run is over.
-                self.machine.abandon(ResultCode.REFUSED, reason)
+                self.machine.abandon(ResultCode.NODE_LOST, reason)
         if why:
             self.machine.work()
             return why

@@ -531,7 +531,7 @@ class RunMachine:
         if report.flags & _TRIPPED:
             stopped = report.flags & _STOPPED
             asked = self.stop_request
-            if asked is not None and (stopped or asked[0] in (ResultCode.NODE_LOST, ResultCode.REFUSED)):
+            if asked is not None and (stopped or asked[0] == ResultCode.NODE_LOST):
                 self._quiet(effective, *asked)  # why it tripped
                 return
             if stopped:

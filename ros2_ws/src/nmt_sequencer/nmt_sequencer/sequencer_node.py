@@ -291,7 +291,7 @@ class SequencerNode(BenchNode):
         if not second:
             return
         reason = f"{second[0].upper()}{second[1:]}."
-        self.machine.stop(ResultCode.REFUSED, reason)
+        self.machine.stop(ResultCode.NODE_LOST, reason)  # as where another node has heard of it first
         if self._told != second:
             self._told = second
             self.get_logger().warning(f"The run ends: {reason}")

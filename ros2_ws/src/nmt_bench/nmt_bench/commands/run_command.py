@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +33,7 @@ from nmt_core.errors import BenchError
 from nmt_core.options import argument, option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from nmt_bench.harness import Bench
     from nmt_record.exchange.calibration_file import CalibrationSheet
@@ -273,7 +275,9 @@ def _run(options: RunOptions) -> int:
         check_fits(linear, bench.rig, str(options.linear))
     console = make_console()
     with terminate_as_interrupt(), OutputFolder(options.out, options.force, live=True) as folder:
-        result = measure(bench, console, options.quiet, options.page)
+        # In real time and in one process the nodes would wait for it.
+        with _loading_meanwhile(bench, options.pacing == "lockstep" and not options.one_process):
+            result = measure(bench, console, options.quiet, options.page)
         with WorkDisplay(console, quiet=options.quiet):
             found = evaluate(result, bench, folder, console, options.reference, sheet)
         verdict = _print_table(result, bench, found, console)
@@ -286,6 +290,43 @@ def _run(options: RunOptions) -> int:
     if verdict.tone == BAD or not result.complete or found.unwritten:
         return EXIT_FAILED
     return EXIT_DONE if verdict.tone == GOOD else EXIT_PARTLY
+
+
+@contextlib.contextmanager
+def _loading_meanwhile(bench: Bench, wanted: bool) -> Iterator[None]:
+    """Load what tables and report are made with while the nodes are at work; this process only waits for them."""
+    loading = threading.Thread(target=_load_evaluation, args=(bench,), name="loading")
+    if wanted:
+        loading.start()
+    try:
+        yield
+    finally:
+        if wanted:  # a process that is copied must not be loading
+            loading.join()
+
+
+def _load_evaluation(bench: Bench) -> None:
+    from nmt_rig.reference import compute_reference, covers, default_amplitudes
+
+    for module in _OF_THE_EVALUATION:
+        importlib.import_module(module)
+    if not covers(bench.test.driven):
+        with contextlib.suppress(BenchError, ArithmeticError, ValueError):  # said where it is wanted
+            compute_reference(bench.rig, 15, default_amplitudes(bench.rig, 2)[:1])  # loads the kernels of all others
+
+
+_OF_THE_EVALUATION = (
+    "nmt_extract.bag_budget",
+    "nmt_extract.force_surface",
+    "nmt_extract.modal_table",
+    "nmt_report.run_report",
+    "nmt_report.run_page",
+    "nmt_report.backbone_figures",
+    "nmt_report.curve_figures",
+    "nmt_report.history_figures",
+    "nmt_report.hysteresis_figures",
+    "nmt_report.shape_figures",
+)
 
 
 @dataclass

@@ -536,7 +536,7 @@ def _diagnosed(
     gap = Gap(
         before=reported_share.before
         if reported_share is not None and math.isfinite(reported_share.before)
-        else rms(before[rows]),
+        else rms((as_given if verdict is Verdict.CALIBRATION else before)[rows]),
         after=reported_share.after
         if reported_share is not None and math.isfinite(reported_share.after)
         else rms(after[rows]),

@@ -79,9 +79,11 @@ class MovedModes:
         """Responses per volt of drive, (channels, L), of modes with these ratios to the model's, each (m,)."""
         moved, old = frequency * self.frequencies, 2.0 * self.damping * self.frequencies
         change = (moved**2 - self.frequencies**2) + self._s[:, None] * (2.0 * damping * self.damping * moved - old)
-        small = np.eye(change.shape[1]) + change[:, :, None] * self._between[:, :, 1:]
-        inner = np.linalg.solve(small, change[:, :, None] * self._between[:, :, :1])
-        found = self._out[:, :, 0] - (self._out[:, :, 1:] @ inner)[:, :, 0] + self._through
+        active = np.flatnonzero(change.any(axis=0))  # a mode that stays where it is adds nothing
+        change, between = change[:, active, None], self._between[:, active]
+        small, given = np.eye(active.size) + change * between[:, :, 1 + active], change * between[:, :, :1]
+        inner = given / small if active.size == 1 else np.linalg.solve(small, given)
+        found = self._out[:, :, 0] - (self._out[:, :, 1 + active] @ inner)[:, :, 0] + self._through
         smooth = np.lib.stride_tricks.sliding_window_view(found, self._kernel.size, axis=0)[::_FINE] @ self._kernel
         return np.asarray(smooth[: self._lines].T)
 

@@ -264,11 +264,14 @@ def make_case(laboratory: Path, out: Path, name: str) -> str:
     Returns:
         The name.
     """
-    folder = out / name
-    if (folder / "truth.yaml").is_file():
-        return name
-    simulate, recipes = _recipes(laboratory)
-    recipe = recipes[name]
+    if not (out / name / "truth.yaml").is_file():
+        simulate, recipes = recipes_of(laboratory)
+        write_case(simulate, laboratory, out / name, recipes[name])
+    return name
+
+
+def write_case(simulate: Any, laboratory: Path, folder: Path, recipe: Recipe) -> None:
+    """Simulate a recipe by the laboratory's module ``simulate`` and write its folder, ``truth.yaml`` last."""
     options = {"hold": _HOLD, **recipe.options}
     model = Path(options.pop("model", laboratory / "rigs" / "rigacc.yaml"))
     only = options.pop("only", _COLUMNS)
@@ -295,15 +298,14 @@ def make_case(laboratory: Path, out: Path, name: str) -> str:
     }
     (folder / "sidecar.yaml").write_text(yaml.safe_dump(sidecar, sort_keys=False))
     (folder / "truth.yaml").write_text(yaml.safe_dump(recipe.truth, sort_keys=False))
-    return name
 
 
 def names(laboratory: Path) -> list[str]:
     """Names of the sixty cases."""
-    return list(_recipes(laboratory)[1])
+    return list(recipes_of(laboratory)[1])
 
 
-def _recipes(laboratory: Path) -> tuple[Any, dict[str, Recipe]]:
+def recipes_of(laboratory: Path) -> tuple[Any, dict[str, Recipe]]:
     """The laboratory's simulator, and all recipes."""
     # Its module "rig" must not be the folder of tests that has the same name.
     others = {name: sys.modules.pop(name) for name in [*sys.modules] if name.partition(".")[0] == "rig"}

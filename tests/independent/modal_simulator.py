@@ -23,7 +23,8 @@ FORCE, TRACKED, PULSE = 0, 1, 2
 
 KINDS = {
     "cubic": 0, "quintic": 1, "drag": 2, "amplitude_damper": 3, "stop": 4, "gap": 5, "sliders": 6, "stribeck": 7,
-    "lugre": 8, "bouc_wen": 9, "backlash": 10, "eddy_brake": 11, "damper": 12,
+    "lugre": 8, "bouc_wen": 9, "backlash": 10, "eddy_brake": 11, "damper": 12, "polynomial": 13, "magnet": 14,
+    "pinched": 15,
 }  # fmt: skip
 _PARAMETERS = 6
 
@@ -44,7 +45,11 @@ class Element:
             bouc_wen k, yield displacement, exponent, post-yield ratio
             (g = k (a w + (1 − a) z), ż = v (1 − |z/z_y|ⁿ (1 + sign(v z)) / 2));
             backlash k, gap, λ (|g| = max(e (k + λ ė), 0), e = |w| − gap);
-            eddy_brake c, critical velocity (c v / (1 + (v/v_c)²)).
+            eddy_brake c, critical velocity (c v / (1 + (v/v_c)²));
+            polynomial k, k₂, k₃, k₅ (k w + k₂ w² + k₃ w³ + k₅ w⁵);
+            magnet κ, distance (between two of them: κ ((d − w)⁻² − (d + w)⁻²) without its linear part);
+            pinched k, yield displacement, exponent, p, z_p (bouc_wen without post-yield stiffness whose ż is divided by
+            1 + p exp(−(z/z_p)²): loops that are narrow about zero).
         shape: φₑ, 1/√kg, (modes,).
         parameters: as above.
         sliders: stiffness (N/m) and slip force (N) of each.
@@ -112,6 +117,14 @@ def _rates(y, s, omega2, damping, b, kinds, shapes, p, stiff, limit, at, out, fo
             g = a0 * v / (1.0 + (v / a1) ** 2)
         elif kind == 12:
             g = a0 * v
+        elif kind == 13:
+            g = a0 * w + a1 * w * w + a2 * w * w * w + a3 * w**5
+        elif kind == 14:
+            g = a0 * (1.0 / (a1 - w) ** 2 - 1.0 / (a1 + w) ** 2 - 4.0 * w / a1**3)
+        elif kind == 15:
+            turned = 1.0 if v * z > 0.0 else 0.0
+            rate = v * (1.0 - abs(z / a1) ** a2 * turned) / (1.0 + a3 * math.exp(-((z / a4) ** 2)))
+            g = a0 * z
         forces[e] = g
         out[2 * n + e] = rate
         for r in range(n):

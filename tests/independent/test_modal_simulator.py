@@ -95,6 +95,9 @@ PARAMETERS = {
     "backlash": (0.1 * OMEGA**2, 4e-4, 0.1 * OMEGA**2 / 0.2),
     "eddy_brake": (2.0, 0.05),
     "damper": (0.7,),
+    "polynomial": (0.05 * OMEGA**2, 20.0 * OMEGA**2, 0.1 * OMEGA**2 / 1e-6, 0.1 * OMEGA**2 / 1e-12),
+    "magnet": (0.02 * OMEGA**2 * 2e-3**3, 2e-3),
+    "pinched": (0.1 * OMEGA**2, 2e-4, 1.5, 2.0, 5e-5),
 }
 
 

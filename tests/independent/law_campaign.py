@@ -1,0 +1,200 @@
+"""Makes sealed cases of :mod:`independent.laboratory_laws`, reads the law of each, and tabulates what was read.
+
+Run from the root of the repository::
+
+    PYTHONPATH=tests python -m independent.law_campaign make --seed 800 --out cases --laboratory-one LABORATORY
+    PYTHONPATH=tests python -m independent.law_campaign read cases --out answers
+
+``make`` writes ``seal.txt``, the SHA-256 of all truths; ``read`` refuses others. The reading alone is timed, without
+import and rows. A case that has an answer is not read again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from independent import laboratory_laws
+
+from nmt_bench.data_import import import_data
+from nmt_diagnose.inference.diagnose import observed
+from nmt_diagnose.inference.law_starts import law_of
+from nmt_diagnose.law.held_levels import held_levels
+from nmt_diagnose.law.reading import LawReading, LocalLaw
+from nmt_rig.rig import load_rig
+
+_CLEAR = 10.0  # standard deviations of a harmonic from which a law must be read
+_STRENGTH, _LOOP, _INSIDE, _ABOVE = 0.05, 0.10, 0.90, 0.80
+
+
+def digest_of(cases: Path) -> str:
+    """SHA-256 of all truths, in the order of their names."""
+    digest = hashlib.sha256()
+    for truth in sorted(cases.glob("*/truth.yaml")):
+        digest.update(truth.parent.name.encode() + truth.read_bytes())
+    return digest.hexdigest()
+
+
+def read_case(folder: Path) -> dict[str, Any]:
+    """What is read from one case, and what the truth says of it."""
+    truth = yaml.safe_load((folder / "truth.yaml").read_text(encoding="utf-8"))
+    rig = load_rig(str(folder / "model.yaml"), vibrating=False)
+    with tempfile.TemporaryDirectory() as bags:
+        import_data(folder / "sidecar.yaml", Path(bags) / "bag")
+        observations = observed(rig, [Path(bags) / "bag"])
+    begin = time.process_time()
+    reading = law_of(rig, observations)
+    seconds = time.process_time() - begin
+    found: dict[str, Any] = {"case": folder.name, "group": truth["group"], "seconds": seconds, "laws": []}
+    found["true"] = [f"{law['family']} at {law['point']}" for law in truth["laws"]]
+    levels = [held for k in range(len(observations.tests)) if (held := held_levels(observations, k)) is not None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratios = [np.nanmax(np.abs(held.motion[:, :, 2:]) / held.motion_std[:, :, 2:]) for held in levels]
+    found["harmonic_sigma"] = float(max(ratios, default=math.nan))
+    found["levels"] = max((held.count for held in levels), default=0)
+    if reading is None:
+        return {**found, "stated": False, "refusals": ["no reading"]}
+    found |= {
+        "stated": reading.is_stated, "refusals": list(reading.refusals), "before": reading.before,
+        "after": reading.after, "inside": reading.closed_inside, "above": reading.closed_above,
+    }  # fmt: skip
+    for law in reading.laws:
+        terms = [[t.kind, *t.parameters, t.coefficient, t.std] for t in law.terms]
+        found["laws"].append(
+            {"place": law.place, "family": law.family, "alike": list(law.other_places), "terms": terms}
+        )
+    found["strength"] = _strength_error(reading, truth)
+    found["loop"] = _loop_error(reading.laws, truth)
+    return found
+
+
+def _strength_error(reading: LawReading, truth: dict[str, Any]) -> float:
+    """Largest relative error of the strengths that the truth names; NaN where a term of that kind is missing."""
+    errors = []
+    for law in truth["laws"]:
+        for name, value in law["strengths"].items():
+            kind, _, exponent = name.partition(" ")
+            terms = [t for one in reading.laws if one.place == str(law["point"]) for t in one.terms]
+            if kind == "clearance":
+                close = [t.parameters[0] for t in terms if t.kind in ("gap", "stop", "slider") and t.parameters]
+                read = close[0] if close else math.nan
+            else:
+                read = sum(t.coefficient for t in terms if t.kind == kind and (not exponent or t.parameters[0] == float(exponent)))
+            errors.append(abs(read / value - 1.0))
+    return float(max(errors, default=math.nan))
+
+
+def _loop_error(laws: Sequence[LocalLaw], truth: dict[str, Any]) -> float:
+    """rms of law − truth over rms of the truth, over all levels with a loop and the harmonics of the loop."""
+    miss = total = 0.0
+    for law in laws:
+        for loop in law.loops:
+            if loop.level >= len(truth["levels"]):
+                return math.nan
+            place = truth["levels"][loop.level]["places"].get(law.point)
+            if place is None:
+                return math.inf
+            force, moved = (np.array([complex(*z) for z in place[name]]) for name in ("force", "displacement"))
+            series, x = np.fft.rfft(loop.law) / len(loop.law), np.fft.rfft(loop.displacement)
+            orders = np.arange(min(series.size, force.size))
+            shift = np.angle(x[1]) - np.angle(moved[1])
+            turned = force[orders] * np.exp(1j * orders * shift)
+            seen = np.abs(series[orders]) > 1e-9 * np.abs(series).max()
+            miss += float(np.sum(np.abs(2.0 * series[orders] - turned)[seen] ** 2))
+            total += float(np.sum(np.abs(turned[1:]) ** 2))
+    return math.sqrt(miss / total) if total > 0.0 else math.nan
+
+
+def is_right(line: dict[str, Any]) -> bool:
+    """Whether the law that is stated has family and place of the truth."""
+    read = sorted(f"{law['family']} at {law['place']}" for law in line["laws"])
+    return bool(line["stated"]) and read == sorted(line["true"])
+
+
+def table(lines: Sequence[dict[str, Any]]) -> list[str]:
+    """The figures of a campaign, a line each."""
+    structure = [line for line in lines if line["group"] != "other"]
+    clear = [line for line in structure if line["harmonic_sigma"] >= _CLEAR]
+    library = [line for line in clear if line["group"] == "library"]
+    outside = [line for line in clear if line["group"] == "outside"]
+    others = [line for line in lines if line["group"] == "other"]
+    right = [line for line in library if is_right(line)]
+    stated = [line for line in structure if line["stated"]]
+    loops = [line for line in stated if not math.isnan(line["loop"])]
+    singles = [line for line in stated if len(line["true"]) == 1]
+    pairs = [line for line in structure if len(line["true"]) > 1]
+    alone = [line["seconds"] for line in lines if len(line["true"]) < 2]
+
+    def of(chosen: Sequence[Any], test: Callable[[Any], bool]) -> str:
+        return f"{sum(map(test, chosen))} of {len(chosen)}"
+
+    times = ", ".join(f"{line['seconds']:.1f}" for line in pairs)
+    told = [line for line in outside if line["stated"]]
+    return [
+        f"in the library, a harmonic of {_CLEAR:g} σ: family and place {of(library, is_right)}",
+        f"  strength within {_STRENGTH:.0%}: {of(right, lambda x: x['strength'] <= _STRENGTH)} of these",
+        f"outside it: family and place {of(outside, is_right)}; stated {len(told)}",
+        f"  closed inside ≥ {_INSIDE:g}: {of(told, lambda x: x['inside'] >= _INSIDE)}, "
+        f"at the top ≥ {_ABOVE:g}: {of(told, lambda x: x['above'] >= _ABOVE)} of these",
+        f"false laws: {of(others, lambda x: x['stated'])}",
+        f"needless second law: {of(singles, lambda x: len(x['laws']) > 1)}",
+        f"loop within {_LOOP:.0%}: {of(loops, lambda x: x['loop'] <= _LOOP)}",
+        f"processor time, single: median {np.median(alone):.1f}, worst {max(alone):.1f} s; pairs: {times} s",
+    ]
+
+
+def _line(line: dict[str, Any]) -> str:
+    laws = "; ".join(f"{law['family']} at {law['place']}" for law in line["laws"]) or "no law"
+    figures = [f"{line.get(key, math.nan):.3g}" for key in ("before", "after", "inside", "above", "strength", "loop")]
+    end = "stated" if line["stated"] else "refused: " + ", ".join(line["refusals"])
+    mark = "" if line["group"] == "other" else "  ok  " if is_right(line) else "  MISS"
+    return (
+        f"{line['case']:32s}{mark} [{', '.join(line['true'])}] {laws} | {' '.join(figures)} | "
+        f"{line['harmonic_sigma']:.0f} σ, {line['seconds']:.1f} s | {end}"
+    )
+
+
+def main() -> None:
+    """Make or read."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parts = parser.add_subparsers(dest="part", required=True)
+    made, read = parts.add_parser("make"), parts.add_parser("read")
+    made.add_argument("--seed", type=int, default=800, help="of the first case")
+    made.add_argument("--laboratory-one", type=Path, help="folder of laboratory one, where it is at hand")
+    read.add_argument("cases", type=Path)
+    read.add_argument("--only", default="", help="parts of names, with commas between them (default: all)")
+    for part in (made, read):
+        part.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    if given.part == "make":
+        laboratory = given.laboratory_one and given.laboratory_one.resolve()
+        for name in laboratory_laws.names(laboratory, given.seed):
+            print(laboratory_laws.make_case(given.out, name, laboratory), flush=True)
+        (given.out / "seal.txt").write_text(digest_of(given.out) + "\n", encoding="utf-8")
+        return
+    if (given.cases / "seal.txt").read_text(encoding="utf-8").strip() != digest_of(given.cases):
+        parser.error(f"the truths in {given.cases} are not those that were sealed; make the cases anew")
+    lines = []
+    for truth in sorted(given.cases.glob("*/truth.yaml")):
+        folder, answer = truth.parent, given.out / f"{truth.parent.name}.json"
+        if not any(part in folder.name for part in given.only.split(",")):
+            continue
+        if not answer.is_file():
+            answer.write_text(json.dumps(read_case(folder)), encoding="utf-8")
+        lines.append(json.loads(answer.read_text(encoding="utf-8")))
+        print(_line(lines[-1]), flush=True)
+    print("\n".join(table(lines)))
+
+
+if __name__ == "__main__":
+    main()

@@ -63,6 +63,7 @@ def local_force(name: str, case: dict[str, Any], point: int, draw: np.random.Gen
     lost = float(draw.uniform(0.4, 1.2)) * ratio  # damping ratio there
     spring, damper = 2.0 * shift * omega**2 / phi2, 2.0 * lost * omega / phi2
     friction = damper * math.pi * omega * w / 4.0
+    rubbed = 0.04 * friction  # the lowest level moves it
     stuck = 2.0 * float(draw.uniform(0.004, 0.008)) * omega**2 / phi2
 
     def one(kind: str, parameters: Sequence[float], sliders: Sequence[tuple[float, float]] = (), **strengths: float):
@@ -91,12 +92,12 @@ def local_force(name: str, case: dict[str, Any], point: int, draw: np.random.Gen
         c = 4.0 * damper / w**2
         return one("amplitude_damper", [c], **{"amplitude 2": c})
     if name == "coulomb":
-        return one("stribeck", [0.3 * friction, 2e-3 * speed, 0.0, 1.0], friction=0.3 * friction)
+        return one("stribeck", [rubbed, 2e-3 * speed, 0.0, 1.0], friction=rubbed)
     if name == "slider":
         slip = float(draw.uniform(0.1, 0.25)) * w
         return one("sliders", [], [(stuck, stuck * slip)], slider=stuck, clearance=slip)
     if name == "stribeck":
-        return one("stribeck", [0.25 * friction, 1e-3 * speed, float(draw.uniform(0.6, 1.4)), 0.15 * speed])
+        return one("stribeck", [0.7 * rubbed, 1e-3 * speed, float(draw.uniform(0.6, 1.4)), 0.15 * speed])
     if name == "iwan":
         slips = np.geomspace(0.02, 1.2, 30) * w
         each = stuck * slips**-0.5 / float(np.sum(slips**-0.5))

@@ -32,6 +32,7 @@ from nmt_report.diagnosis_words import (
     verdict_text,
 )
 from nmt_report.html_page import Column, Row, Table, part
+from nmt_report.law_figures import law_figure, law_table
 from nmt_report.quantity_format import plain, significant
 from nmt_report.response_page import ResponsePage
 from nmt_report.rig_drawing import rig_figure
@@ -75,6 +76,8 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         ]
         curves = _curves(report)
         drawing = _drawing(d, report.rig)
+        stated = d.law if d.law is not None and d.law.is_stated else None
+        laws = [law_figure(law, number) for number, law in enumerate(stated.laws)] if stated is not None else []
     page = ResponsePage(
         kicker="Diagnosis of the gap between model and rig",
         heading=report.rig.name,
@@ -101,6 +104,8 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         gap_table=_gap(d),
         observable_table=_per_observable(d.gap, d.verdict),
         remainder_table=_remainder(d.remainder),
+        law_table=law_table(stated) if stated is not None else None,
+        laws=laws,
         next_table=_next(d),
         could_do_better=d.verdict not in (Verdict.NONE, Verdict.CALIBRATION),
         maps=maps,

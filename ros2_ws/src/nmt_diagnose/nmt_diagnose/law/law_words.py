@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
+from nmt_core.text.number_words import significant
 from nmt_diagnose.law.terms import Term
 
 _PLAIN = {
@@ -47,3 +49,30 @@ def _polynomial(terms: Sequence[tuple[Term, float]]) -> str:
     if lowest * highest < 0.0:
         name += ", then hardening" if highest > 0.0 else ", then softening"
     return f"{name}, asymmetric spring" if even else f"{name} spring"
+
+
+def formula(kind: str, parameters: Sequence[float]) -> str:
+    """Force of a term for a unit strength, as it is read: displacement x, velocity v."""
+    first = parameters[0] if parameters else 0.0
+    power = "" if first == 1.0 else raised(f"{first:g}")
+    if kind in ("stop", "stop damping"):
+        gap, side = (first, parameters[-1]) if len(parameters) > 1 else (0.0, first)
+        beyond = f"x {'>' if side > 0.0 else '<'} {significant(math.copysign(1e3 * gap, side), 3)} mm"
+        return f"spring where {beyond}" if kind == "stop" else f"damper where {beyond}"
+    size = significant(1e3 * first, 3)
+    last = significant(parameters[-1] if parameters else 0.0, 2)
+    return {
+        "power": f"x{power}", "gap": f"spring where |x| > {size} mm", "gap damping": f"damper where |x| > {size} mm",
+        "slider": f"spring that slips at {size} mm", "speed": f"|v|{power} sgn v", "amplitude": f"|x|{power} v",
+        "friction": f"tanh(v / {significant(first, 2)} m/s)",
+        "weakening friction": f"tanh(v / {significant(first, 2)} m/s) exp(−|v| / {last} m/s)",
+        "brake": f"v / (1 + (v / {significant(first, 2)} m/s)²)",
+    }[kind]  # fmt: skip
+
+
+def raised(number: str) -> str:
+    """``³`` for ``3``."""
+    return number.translate(_RAISED)
+
+
+_RAISED = str.maketrans("0123456789.", "⁰¹²³⁴⁵⁶⁷⁸⁹·")

@@ -1,0 +1,135 @@
+"""The force that a model lacks, as a diagnosis reads it: its loops level by level, and the terms of its law."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.text.number_words import percent, value_text
+from nmt_diagnose.law.force_loop import ForceLoop
+from nmt_diagnose.law.law_words import formula, raised
+from nmt_diagnose.law.reading import LawReading, LocalLaw
+from nmt_report.html_page import Column, Row, Table
+from nmt_report.quantity_format import significant
+from nmt_report.svg import INK, MUTED, ReportFigure, level_colours, svg_text
+
+_BAND = 2.0  # standard deviations
+_SHAPED = 6.0
+"""Standard deviations of a loop from which it has a shape to show."""
+
+
+def law_figure(law: LocalLaw, number: int) -> ReportFigure:
+    """Missing force over displacement and over velocity, and every loop by its own size.
+
+    Args:
+        law: with its loops.
+        number: of the law, for the anchor.
+    """
+    figure = Figure(figsize=(12.9, 4.5))
+    panels = figure.subplots(1, 3)
+    figure.subplots_adjust(left=0.055, right=0.99, bottom=0.125, top=0.8, wspace=0.21)
+    colours = level_colours(len(law.loops))
+    reaches = [float(np.abs(loop.displacement).max()) for loop in law.loops]
+    unit, scale = ("mm", 1e3) if max(reaches) >= 1e-4 else ("µm", 1e6)
+    largest = max(float(np.abs(loop.law).max()) for loop in law.loops)
+    for loop, reach, colour in zip(law.loops, reaches, colours, strict=True):
+        x, v = np.array(loop.displacement), np.array(loop.velocity)
+        _draw(panels[0], loop, scale * x, 1.0, colour)
+        _draw(panels[1], loop, v, 1.0, colour)
+        size = float(np.abs(loop.law).max())
+        if size > _SHAPED * loop.std:
+            _draw(panels[2], loop, x / reach, size, colour)
+    for axes, title in zip(panels, ("over displacement", "over velocity", "each loop by its own size"), strict=True):
+        axes.axhline(0.0, color=INK, linewidth=0.6)
+        axes.axvline(0.0, color=INK, linewidth=0.6)
+        axes.set_title(title)
+        axes.set_axisbelow(True)
+    for axes in panels[:2]:
+        axes.set_ylim(-1.15 * largest, 1.15 * largest)
+    panels[2].set_ylim(-1.6, 1.6)
+    panels[0].set_xlabel(f"displacement / {unit}")
+    panels[0].set_ylabel("missing force / N")
+    panels[1].set_xlabel("velocity / (m/s)")
+    panels[2].set_xlabel("displacement / largest of the level")
+    panels[2].set_ylabel("force / largest of the law's")
+    handles: list[Line2D | Patch] = [Line2D([], [], color=colour, linewidth=2.4) for colour in colours]
+    texts = [f"{significant(scale * reach, 2)} {unit}" for reach in reaches]
+    handles += [Line2D([], [], color=INK, marker="o", linestyle="none", markersize=3.0)]
+    handles += [Patch(color=MUTED, alpha=0.3, linewidth=0.0), Line2D([], [], color=INK, linewidth=1.4)]
+    texts += ["read from each level", f"±{_BAND:g} standard deviations", "law"]
+    figure.legend(
+        handles, texts, loc="upper right", ncols=len(handles), bbox_to_anchor=(1.0, 1.0), columnspacing=1.3,
+        handlelength=1.8,
+    )  # fmt: skip
+    name = f"law-{number}"
+    title = f"Missing force at {_where(law)}: {law.family}"
+    caption = (
+        "The force that the model lacks, along one period of the place, at levels named by their largest "
+        "displacement. Points: by the rows of the level alone, of the harmonics that were measured, without the mean. "
+        "Lines: the law, which all levels share. A spring is one line over the displacement; what takes energy "
+        "encloses an area there and, where it is a damper, is one line over the velocity."
+    )
+    return ReportFigure(name, title, caption, svg_text(figure, name, title), wide=True)
+
+
+def _draw(axes: Axes, loop: ForceLoop, x: FloatArray, size: float, colour: tuple[float, float, float]) -> None:
+    """One loop: band and points as read, the law as a line."""
+    read, law = np.array(loop.measured) / size, np.array(loop.law) / size
+    spread = _BAND * loop.std / size
+    for part in _runs(x):
+        axes.fill_between(x[part], read[part] - spread, read[part] + spread, color=colour, alpha=0.18, linewidth=0.0)
+    axes.plot(np.append(x, x[0]), np.append(law, law[0]), color=colour, linewidth=1.4)
+    axes.plot(x[::2], read[::2], "o", color=colour, markersize=2.6)
+
+
+def _runs(x: FloatArray) -> list[list[int]]:
+    """Stretches of a period along which the abscissa goes one way, so that a band can be filled over each."""
+    begin = int(np.argmax(x))
+    order = [int(k) for k in (begin + np.arange(x.size + 1)) % x.size]
+    found: list[list[int]] = [[order[0]]]
+    falling = True
+    for before, after in zip(order, order[1:], strict=False):
+        if (x[after] < x[before]) != falling and len(found[-1]) > 1:
+            found.append([before])
+        falling = bool(x[after] < x[before])
+        found[-1].append(after)
+    return found
+
+
+def law_table(reading: LawReading) -> Table:
+    """Terms of the laws of a reading with their strengths."""
+    rows = []
+    for law in reading.laws:
+        for number, term in enumerate(law.terms):
+            place = _where(law) if number == 0 else ""
+            kind = formula(term.kind, term.parameters)
+            strength = value_text(term.coefficient, term.std, _raised(term.unit))
+            rows.append(Row((place, law.family if number == 0 else "", kind, strength)))
+    head = (
+        Column("Place", kind="text"), Column("Family", kind="text wrap"), Column("Term", kind="text"),
+        Column("Strength", "± standard uncertainty"),
+    )  # fmt: skip
+    note = f"Read from {reading.levels} levels of {reading.test}. "
+    reach = significant(1e3 * max(law.valid_to_m for law in reading.laws), 3)
+    note += f"Valid up to {reach} mm, the largest displacement that was visited"
+    if math.isfinite(reading.before) and math.isfinite(reading.after):
+        left = significant(reading.after, 2)
+        note += f"; residual of levels left out {significant(reading.before, 3)} → {left} standard deviations"
+        note += f" ({percent(reading.after / reading.before)} stay)"
+    return Table(head, rows, note + ".")
+
+
+def _where(law: LocalLaw) -> str:
+    return f"points {law.point} and {law.other_point}" if law.other_point else f"point {law.point}"
+
+
+def _raised(unit: str) -> str:
+    """``N/m³`` for ``N/m^3``."""
+    return re.sub(r"\^([\d.]+)", lambda power: raised(power[1]), unit)

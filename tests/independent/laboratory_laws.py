@@ -62,6 +62,7 @@ def local_force(name: str, case: dict[str, Any], point: int, draw: np.random.Gen
     shift = float(np.exp(draw.uniform(math.log(0.005), math.log(0.03))))  # Δω/ω at the highest level
     lost = float(draw.uniform(0.4, 1.2)) * ratio  # damping ratio there
     spring, damper = 2.0 * shift * omega**2 / phi2, 2.0 * lost * omega / phi2
+    soft = 0.2 * spring  # what softens more throws the beam off its suspension
     friction = damper * math.pi * omega * w / 4.0
     rubbed = 0.04 * friction  # the lowest level moves it
     stuck = 2.0 * float(draw.uniform(0.004, 0.008)) * omega**2 / phi2
@@ -70,7 +71,7 @@ def local_force(name: str, case: dict[str, Any], point: int, draw: np.random.Gen
         return [Local(point, name, Element(kind, shapes, tuple(parameters), tuple(sliders)), strengths)]
 
     if name in ("cubic", "softening"):
-        k = (1.0 if name == "cubic" else -1.0) * spring / (0.75 * w**2)
+        k = (spring if name == "cubic" else -soft) / (0.75 * w**2)
         return one("cubic", [k], **{"power 3": k})
     if name == "quintic":
         k = spring / (0.625 * w**4)
@@ -106,10 +107,10 @@ def local_force(name: str, case: dict[str, Any], point: int, draw: np.random.Gen
         return one("pinched", [1.5 * stuck, 0.25 * w, 1.5, 2.0, 0.06 * w])
     if name == "magnet":
         distance = 2.2 * w
-        return one("magnet", [-0.6 * spring / (0.75 * w**2) * distance**5 / 8.0, distance])
+        return one("magnet", [-soft / (0.75 * w**2) * distance**5 / 8.0, distance])
     if name == "softening_and_drag":
         half = local_force("drag", case, point, draw)
-        k = -0.7 * spring / (0.625 * w**4)
+        k = -soft / (0.625 * w**4)
         return [*one("quintic", [k]), *half]
     if name == "backlash":
         return one("backlash", [spring / 0.5, 0.4 * w, 1.0 * spring / speed])

@@ -18,6 +18,7 @@ import numpy as np
 import yaml
 from independent import laboratory_one
 from independent.laboratory_three import DRIVEN, RATE, SENSORS, _model, _through_chain, draw_case
+from independent.laboratory_two import _frequency
 from independent.modal_simulator import Element, Simulator
 
 LEVELS, _WINDOW, _ORDERS = 10, 50, 15
@@ -98,7 +99,7 @@ def local_force(name: str, case: dict[str, Any], point: int, draw: np.random.Gen
         slip = float(draw.uniform(0.1, 0.25)) * w
         return one("sliders", [], [(stuck, stuck * slip)], slider=stuck, clearance=slip)
     if name == "stribeck":
-        return one("stribeck", [0.7 * rubbed, 1e-3 * speed, float(draw.uniform(0.6, 1.4)), 0.15 * speed])
+        return one("stribeck", [0.35 * rubbed, 1e-3 * speed, float(draw.uniform(0.6, 1.4)), 0.15 * speed])
     if name == "iwan":
         slips = np.geomspace(0.02, 1.2, 30) * w
         each = stuck * slips**-0.5 / float(np.sum(slips**-0.5))
@@ -187,14 +188,14 @@ def make_beam_case(folder: Path, family: str, seed: int) -> None:
         for part in (1.0, 0.5, 0.5):
             rows, _ = simulator.tracked(float(level), hz, math.ceil(part * settle / hz * RATE), RATE)
             add(rows)
-            hz = _frequency(rows[-min(len(rows), round(60 / hz * RATE)) :, modes + 2], hz)
+            hz = _frequency(rows[-min(len(rows), round(60 / hz * RATE)) :, modes + 2], RATE)
         # The frequency of the band-pass stays as it is to the window's end.
         count = round(_WINDOW / hz * RATE)
         add(simulator.tracked(float(level), hz, math.ceil(0.7 * settle / hz * RATE), RATE)[0])
         from_here = begin
         rows, forces = simulator.tracked(float(level), hz, count, RATE)
         stop = add(rows)
-        truth_levels.append(_truth_of(rows, forces, laws, modes, _frequency(rows[:, modes + 2], hz)))
+        truth_levels.append(_truth_of(rows, forces, laws, modes, _frequency(rows[:, modes + 2], RATE)))
         segments.append({"kind": "phase_resonance", "level": float(f"{level:.6g}"), "level_unit": "N",
                          "start": round(start, 6), "stop": round(stop - 1.0 / RATE, 6),
                          "window": [round(from_here, 6), round(stop - 1.0 / RATE, 6)]})  # fmt: skip
@@ -222,18 +223,6 @@ def make_beam_case(folder: Path, family: str, seed: int) -> None:
 def _kind(law: Local) -> str:
     """Name of a law in ``FAMILIES``; the parts of a law of two have names of their own."""
     return law.name if law.name in FAMILIES else {"quintic": "softening"}[law.element.kind]
-
-
-def _frequency(signal: np.ndarray, near: float) -> float:
-    """Of a steady signal, Hz: by the turn of its phase between its halves."""
-    for _ in range(4):
-        half = round(math.floor(signal.size / 2 * near / RATE) * RATE / near)
-        turn = np.exp(-2j * np.pi * near / RATE * np.arange(half))
-        advance = np.angle(
-            np.sum(signal[half : 2 * half] * turn) / np.sum(signal[:half] * turn) * np.exp(-2j * np.pi * near / RATE * half)
-        )
-        near += float(advance) / (2.0 * math.pi) * RATE / half
-    return near
 
 
 def _truth_of(

@@ -29,7 +29,8 @@ from nmt_bench.data_import import import_data
 from nmt_diagnose.inference.diagnose import observed
 from nmt_diagnose.inference.law_starts import law_of
 from nmt_diagnose.law.held_levels import held_levels
-from nmt_diagnose.law.reading import LawReading, LocalLaw
+from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw
+from nmt_diagnose.law.terms import Term
 from nmt_rig.rig import load_rig
 
 _CLEAR = 10.0  # standard deviations of a harmonic from which a law must be read
@@ -73,7 +74,10 @@ def read_case(folder: Path) -> dict[str, Any]:
             {"place": law.place, "family": law.family, "alike": list(law.other_places), "terms": terms}
         )
     found["strength"] = _strength_error(reading, truth)
-    found["loop"] = _loop_error(reading.laws, truth)
+    # Segments before the levels count among those that a level is numbered by.
+    segments = yaml.safe_load((folder / "sidecar.yaml").read_text(encoding="utf-8"))["segments"]
+    before = next(k for k, segment in enumerate(segments) if segment["kind"] == "phase_resonance")
+    found["loop"] = _loop_error(reading.laws, truth, before)
     return found
 
 
@@ -93,25 +97,33 @@ def _strength_error(reading: LawReading, truth: dict[str, Any]) -> float:
     return float(max(errors, default=math.nan))
 
 
-def _loop_error(laws: Sequence[LocalLaw], truth: dict[str, Any]) -> float:
-    """rms of law − truth over rms of the truth, over all levels with a loop and the harmonics of the loop."""
+def _loop_error(laws: Sequence[LocalLaw], truth: dict[str, Any], before: int) -> float:
+    """rms of law − truth over rms of the truth without means, over all levels with a loop; ``before`` the levels are
+    other segments."""
     miss = total = 0.0
     for law in laws:
         for loop in law.loops:
-            if loop.level >= len(truth["levels"]):
+            if not truth["levels"]:
                 return math.nan
-            place = truth["levels"][loop.level]["places"].get(law.point)
+            place = truth["levels"][loop.level - before]["places"].get(law.point)
             if place is None:
                 return math.inf
             force, moved = (np.array([complex(*z) for z in place[name]]) for name in ("force", "displacement"))
-            series, x = np.fft.rfft(loop.law) / len(loop.law), np.fft.rfft(loop.displacement)
-            orders = np.arange(min(series.size, force.size))
+            x, v = np.array(loop.displacement), np.array(loop.velocity)
+            read = sum(t.coefficient * _term(t).force(x, v) for t in law.terms)
+            series, x = np.fft.rfft(read) / x.size, np.fft.rfft(x)
+            orders = np.arange(force.size)
             shift = np.angle(x[1]) - np.angle(moved[1])
             turned = force[orders] * np.exp(1j * orders * shift)
-            seen = np.abs(series[orders]) > 1e-9 * np.abs(series).max()
-            miss += float(np.sum(np.abs(2.0 * series[orders] - turned)[seen] ** 2))
+            miss += float(np.sum(np.abs(2.0 * series[orders] - turned)[1:] ** 2))
             total += float(np.sum(np.abs(turned[1:]) ** 2))
     return math.sqrt(miss / total) if total > 0.0 else math.nan
+
+
+def _term(term: LawTerm) -> Term:
+    """The formula of a term; a parameter of zero is not stated."""
+    given = term.parameters if term.kind not in ("stop", "stop damping") else (0.0, *term.parameters)[-2:]
+    return Term(term.kind, *given)
 
 
 def is_right(line: dict[str, Any]) -> bool:

@@ -246,41 +246,57 @@ def _truth_of(
     return found
 
 
-def _recipes(models: Path) -> dict[str, laboratory_one.Recipe]:
+def _recipes(seed: int) -> dict[str, laboratory_one.Recipe]:
     """Cases of laboratory one: six with a law, six without one."""
-    scale = laboratory_one._shape
-    ordinary: Any = ((0.01, 0.2),)
+    scale, draw = laboratory_one._shape, np.random.default_rng([1, seed])
+    ordinary = (0.01, 0.2)
     found: dict[str, laboratory_one.Recipe] = {}
 
+    def size() -> float:
+        return float(np.exp(draw.uniform(-0.5, 0.5)))
+
+    def point(*among: int) -> int:
+        return int(draw.choice(among))
+
     def add(name: str, effects: dict[str, Any], group: str, laws: Sequence[tuple[int, str, dict[str, float]]] = (),
-            tolerance: tuple[float, float] = (0.0, 0.0), chain: dict[str, Any] | None = None, amplifier: Any = None,
-            **options: Any) -> None:  # fmt: skip
+            tolerance: tuple[float, float] = ordinary, chain: dict[str, Any] | None = None, amplifier: Any = None) -> None:  # fmt: skip
         number = len(found) + 1
         truth = {
             "group": group,
             "laws": [{"point": p, "family": FAMILIES[f], "strengths": strengths} for p, f, strengths in laws],
             "levels": [],
         }
-        recipe = laboratory_one.Recipe(effects, {"seed": 700 + number, **(chain or {})}, options, truth, tolerance, 7000 + number, amplifier)
-        found[f"one_{number:02d}_{name}"] = recipe
+        chain = {"seed": seed + number, **(chain or {})}
+        recipe = laboratory_one.Recipe(effects, chain, {}, truth, tolerance, 10 * seed + number, amplifier)
+        found[f"one_{seed:04d}_{number:02d}_{name}"] = recipe
 
-    cubic = 1.5e8 / scale(6) ** 4
-    add("cubic", {"cubic": (cubic, 6)}, "library", [(6, "cubic", {"power 3": cubic})], *ordinary)
-    ratio = scale(7) / scale(6)
-    gap = (200.0 / ratio**2, 1.0e-3 * ratio)
-    add("gap", {"gap": (*gap, 7)}, "library", [(7, "gap", {"gap": gap[0], "clearance": gap[1]})], *ordinary)
-    add("quadratic", {"quad": (9.0e3, 6)}, "library", [(6, "quadratic", {"power 2": 9.0e3})])
-    add("slider", {"jenkins2": (3000.0, 0.2, 6)}, "library",
-        [(6, "slider", {"slider": 3000.0, "clearance": 0.2 / 3000.0})], *ordinary)  # fmt: skip
-    add("stribeck", {"ext": [(7, 5, 0.05, 0.8, 0.02)]}, "outside", [(5, "stribeck", {})], *ordinary)
-    add("cubic_and_drag", {"cubic": (1.2e8, 7), "drag": (0.6, 4)}, "outside",
-        [(7, "cubic", {"power 3": 1.2e8}), (4, "drag", {"speed 2": 0.6})])  # fmt: skip
-    add("fine", {}, "other", (), *ordinary)
-    add("joint", {"_muN": 0.82, "_kt": 1.06, "beta_scale": 1.15}, "other", (), *ordinary)
-    add("source", {"shaker": {"R": 5.5}}, "other")
-    add("saturation", {}, "other", amplifier=lambda u: 4.0 * np.tanh(u / 4.0))
+    at = point(5, 6, 7)
+    k = 1.5e8 * size() / scale(at) ** 4
+    add("cubic", {"cubic": (k, at)}, "library", [(at, "cubic", {"power 3": k})])
+    at = point(5, 6, 7)
+    ratio = scale(at) / scale(6)
+    k, gap = 200.0 * size() / ratio**2, 1.0e-3 * ratio
+    add("gap", {"gap": (k, gap, at)}, "library", [(at, "gap", {"gap": k, "clearance": gap})])
+    at = point(5, 6)
+    k = 9.0e3 * size()
+    add("quadratic", {"quad": (k, at)}, "library", [(at, "quadratic", {"power 2": k})])
+    at = point(5, 6)
+    k = 3000.0 * size()
+    add("slider", {"jenkins2": (k, 0.2, at)}, "library", [(at, "slider", {"slider": k, "clearance": 0.2 / k})])
+    at = point(5, 6, 7)
+    force = 0.05 * size() * scale(6) / scale(at)
+    add("stribeck", {"ext": [(7, at, force, 0.8, 0.02 * scale(at) / scale(6))]}, "outside", [(at, "stribeck", {})])
+    k, c = 1.2e8 * size(), 3.0 * size()
+    add("cubic_and_drag", {"cubic": (k, 7), "drag": (c, 5)}, "outside",
+        [(7, "cubic", {"power 3": k}), (5, "drag", {"speed 2": c})])  # fmt: skip
+    add("fine", {}, "other")
+    joint = {"_muN": 1.0 + 0.2 * draw.uniform(-1, 1), "_kt": 1.0 + 0.06 * draw.uniform(-1, 1)}
+    add("joint", {**joint, "beta_scale": 1.0 + 0.2 * draw.uniform(-1, 1)}, "other")
+    add("source", {"shaker": {"R": 3.0 + 2.5 * size()}}, "other")
+    most = 4.0 * size()
+    add("saturation", {}, "other", amplifier=lambda u: most * np.tanh(u / most))
     add("gain", {}, "other", chain={"gain_a4": 0.93})
-    add("loose_mass", {"ext": [(8, 7, 0.004, 3e-4, 3e4)]}, "other", (), *ordinary)
+    add("loose_mass", {"ext": [(8, point(6, 7), 0.004, 3e-4 * size(), 3e4)]}, "other")
     return found
 
 
@@ -288,7 +304,7 @@ def names(laboratory: Path | None, seed: int) -> list[str]:
     """Names of the cases; those of laboratory one only where it is at hand."""
     families = [*IN_LIBRARY, *OUTSIDE, *OTHERS]
     found = [f"beam_{seed + k:04d}_{family}" for k, family in enumerate(families)]
-    return found + ([*_recipes(laboratory / "rigs")] if laboratory is not None else [])
+    return found + ([*_recipes(seed)] if laboratory is not None else [])
 
 
 def make_case(out: Path, name: str, laboratory: Path | None) -> str:
@@ -305,5 +321,5 @@ def make_case(out: Path, name: str, laboratory: Path | None) -> str:
         make_beam_case(folder, family, int(seed))
     elif laboratory is not None:
         simulate, _ = laboratory_one.recipes_of(laboratory)
-        laboratory_one.write_case(simulate, laboratory, folder, _recipes(laboratory / "rigs")[name])
+        laboratory_one.write_case(simulate, laboratory, folder, _recipes(int(name.split("_")[1]))[name])
     return name

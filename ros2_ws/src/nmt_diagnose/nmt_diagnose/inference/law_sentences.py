@@ -18,7 +18,7 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
     if math.isfinite(reading.closed_inside):
         text += f"; it closes {percent(reading.closed_inside)} of the gap at levels left out inside the range"
         if math.isfinite(reading.closed_above):
-            text += f" and {percent(max(reading.closed_above, 0.0))} at the top two"
+            text += f" and {percent(reading.closed_above)} at the top two"
     result = [text + "."]
     alike = [law for law in reading.laws if law.other_places]
     for law in alike:
@@ -27,6 +27,10 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
             f"Point {places} would do nearly as well as {law.place}; equal laws at several places say that the place "
             "may not be in the model."
         )
+    for law in reading.laws:
+        if law.other_families:
+            families = " or ".join(law.other_families)
+            result.append(f"At {_where(law)} {families} would do nearly as well.")
     if not written:
         return tuple(result)
     lacking = not_written(reading.laws)

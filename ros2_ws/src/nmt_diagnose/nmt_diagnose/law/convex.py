@@ -57,8 +57,23 @@ class ConvexFit:
         self.tt = np.einsum("lm,lm->l", target, target)
         self.nn = np.einsum("lmi,lmj->lij", nuisance, nuisance)
         self.nt = np.einsum("lmi,lm->li", nuisance, target)
+        normal = self.nn.sum(axis=0) + np.eye(self.nn.shape[1])
+        self.lower = cholesky(normal, lower=True)
+        self.half = solve_triangular(self.lower, self.nt.sum(axis=0), lower=True)
 
-    def solve(self, columns: FloatArray, signed: BoolArray, score: bool = True) -> Solution:
+    def cost(self, columns: FloatArray, signed: BoolArray) -> float:
+        """:attr:`Solution.cost` of a fit to columns (L, M, k), without the rest of it."""
+        flat = columns.reshape(-1, columns.shape[2])
+        norms = np.sqrt((flat**2).sum(axis=0))
+        flat = flat / np.where(norms > 0.0, norms, 1.0)
+        across = flat.T @ self.nuisance.reshape(len(flat), -1)
+        half = solve_triangular(self.lower, across.T, lower=True)
+        right = flat.T @ self.target.ravel() - half.T @ self.half
+        # At the optimum what a coefficient takes off is its product with its right-hand side; 0 where it is at its bound.
+        theta = _constrained(flat.T @ flat - half.T @ half, right, 0, signed)
+        return float(self.tt.sum() - self.half @ self.half - theta @ right)
+
+    def solve(self, columns: FloatArray, signed: BoolArray) -> Solution:
         """Fit columns (L, M, k); ``signed`` (k,) of those that may have either sign."""
         m = self.nn.shape[1]
         gram, right, norms = self._normal(columns)
@@ -66,7 +81,7 @@ class ConvexFit:
         theta = _constrained(all_normal, all_right, m, signed)
         squares = self._squares(theta, gram, right)
         found = np.nan
-        if score and self.left_out:
+        if self.left_out:
             found = self._predicted([[level] for level in self.left_out], gram, right, signed)
         active = np.flatnonzero(np.concatenate([np.ones(m, bool), theta[m:] != 0.0]))
         normal = all_normal[np.ix_(active, active)] + np.diag(np.where(active < m, 1.0, _JITTER))
@@ -116,12 +131,16 @@ def _constrained(gram: FloatArray, right: FloatArray, m: int, signed: BoolArray)
     free = np.concatenate([np.ones(m, bool), signed])
     a, b = np.flatnonzero(free), np.flatnonzero(~free)
     normal = gram + np.diag(np.where(np.arange(size) < m, 1.0, _JITTER))
-    factor = cho_factor(normal[np.ix_(a, a)])
+    factor = cho_factor(normal[np.ix_(a, a)]) if a.size else None
     theta = np.zeros(size)
+
+    def by_free(values: FloatArray) -> FloatArray:
+        return np.asarray(cho_solve(factor, values)) if factor is not None else values
+
     if b.size:
-        across = cho_solve(factor, normal[np.ix_(a, b)])
+        across = by_free(normal[np.ix_(a, b)])
         schur = normal[np.ix_(b, b)] - normal[np.ix_(b, a)] @ across
-        reduced = right[b] - normal[np.ix_(b, a)] @ cho_solve(factor, right[a])
+        reduced = right[b] - normal[np.ix_(b, a)] @ by_free(right[a])
         scale = np.sqrt(np.maximum(np.diag(schur), 1e-300))
         schur, reduced = schur / np.outer(scale, scale) + _JITTER * 1e2 * np.eye(b.size), reduced / scale
         try:
@@ -129,5 +148,5 @@ def _constrained(gram: FloatArray, right: FloatArray, m: int, signed: BoolArray)
         except np.linalg.LinAlgError:
             upper = cholesky(schur + 1e-6 * np.eye(b.size))
         theta[b] = nnls(upper, solve_triangular(upper, reduced, trans="T"))[0] / scale
-    theta[a] = cho_solve(factor, right[a] - normal[np.ix_(a, b)] @ theta[b])
+    theta[a] = by_free(right[a] - normal[np.ix_(a, b)] @ theta[b])
     return theta

@@ -132,30 +132,29 @@ class LawSearch:
         signs = [t.signed for _, block in parts for t in block.terms]
         found = []
         for family in blocks(x, v).values():
+            if any(where == place and block.name == family[0].name for where, block in parts):
+                continue
 
-            def solved(block: Block, score: bool = False) -> Solution:
+            def beside(block: Block) -> tuple[FloatArray, BoolArray]:
                 columns = self.columns(place, block.terms, x, v)
                 if before is not None:
                     columns = np.concatenate([before, columns], axis=2)
-                return problem.solve(columns, np.array([*signs, *(t.signed for t in block.terms)]), score)
+                return columns, np.array([*signs, *(t.signed for t in block.terms)])
 
             best = family[0]
             if len(family) > 1:
-                costs = [solved(block).cost for block in family]
+                costs = [problem.cost(*beside(block)) for block in family]
                 best = family[int(np.argmin(costs))]
                 if best.contact:
-                    best = _between(family, int(np.argmin(costs)), lambda block: solved(block).cost)
-            fit = solved(best, score=True)
+                    best = _between(family, int(np.argmin(costs)), lambda block: problem.cost(*beside(block)))
+            fit = problem.solve(*beside(best))
             if np.any(fit.coefficients[len(signs) :]):
                 found.append(Candidate((*parts, (place, best)), fit, (*motions, motion)))
         return found
 
     def law_columns(self, candidate: Candidate) -> FloatArray:
         """Whitened columns (L, M, k) of all terms of a law along the motion of its places."""
-        parts = []
-        for (place, block), motion in zip(candidate.parts, candidate.motions, strict=True):
-            parts.append(self.columns(place, block.terms, *sampled(motion, self.rows.levels.omega)))
-        return np.concatenate(parts, axis=2)
+        return self._along(candidate.parts, candidate.motions)[0]
 
     def forces(self, candidate: Candidate) -> Forces:
         """Forces of a law along the motion of its places."""
@@ -178,7 +177,7 @@ class LawSearch:
             parts = candidate.parts
             if turn:
                 parts = tuple(self._refined(candidate, k, motions, problem) for k in range(len(parts)))
-            candidate = self._fitted(parts, motions, problem)
+            candidate = Candidate(parts, problem.solve(*self._along(parts, motions)), motions)
             if not np.isfinite(candidate.score) or candidate.score > 3.0 * best.score:
                 return best
             settled = abs(candidate.score - best.score) < 0.01 * best.score
@@ -187,16 +186,15 @@ class LawSearch:
                 break
         return best
 
-    def _fitted(
-        self, parts: tuple[tuple[LawPlace, Block], ...], motions: tuple[ComplexArray, ...], problem: ConvexFit,
-        score: bool = True,
-    ) -> Candidate:  # fmt: skip
-        signed = np.array([t.signed for _, block in parts for t in block.terms])
+    def _along(
+        self, parts: tuple[tuple[LawPlace, Block], ...], motions: tuple[ComplexArray, ...]
+    ) -> tuple[FloatArray, BoolArray]:
+        """Columns of parts along motions, and which of their coefficients may have either sign."""
         columns = [
             self.columns(place, block.terms, *sampled(motion, self.rows.levels.omega))
             for (place, block), motion in zip(parts, motions, strict=True)
         ]
-        return Candidate(parts, problem.solve(np.concatenate(columns, axis=2), signed, score), motions)
+        return np.concatenate(columns, axis=2), np.array([t.signed for _, block in parts for t in block.terms])
 
     def _refined(
         self, candidate: Candidate, number: int, motions: tuple[ComplexArray, ...], problem: ConvexFit
@@ -209,7 +207,7 @@ class LawSearch:
         def cost(log_factor: float) -> float:
             parts = list(candidate.parts)
             parts[number] = (place, moved(block, float(np.exp(log_factor))))
-            return self._fitted(tuple(parts), motions, problem, score=False).fit.cost
+            return problem.cost(*self._along(tuple(parts), motions))
 
         found = minimize_scalar(cost, bounds=(-0.4, 0.4), method="bounded", options={"xatol": 2e-3, "maxiter": 20})
         return place, moved(block, float(np.exp(found.x))) if found.fun < cost(0.0) else block

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop, force_loops
 from nmt_diagnose.law.held_levels import HeldLevels, held_levels
 from nmt_diagnose.law.law_rows import LawRows
@@ -52,6 +54,7 @@ class LocalLaw:
         terms: its terms.
         valid_to_m: largest displacement that was visited, m.
         other_places: places at which a law of its family does nearly as well.
+        other_families: families that do nearly as well at its place and do not have its terms among theirs.
         loops: force over displacement and velocity, level by level.
     """
 
@@ -61,6 +64,7 @@ class LocalLaw:
     terms: tuple[LawTerm, ...]
     valid_to_m: float
     other_places: tuple[str, ...]
+    other_families: tuple[str, ...]
     loops: tuple[ForceLoop, ...]
 
     @property
@@ -131,10 +135,10 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
     best = fewest(finalists)
     best = _with_second(search, best)
     laws = tuple(_law(search, best, number, finalists) for number in range(len(best.parts)))
-    above = _above(search, best)
+    above = _closed(*_above(search, best))
     return LawReading(
-        levels.test.name, levels.count, laws, before, best.score, _closed(before, best.score), _closed(*above),
-        _refusals(search, best, before),
+        levels.test.name, levels.count, laws, before, best.score, _closed(before, best.score), above,
+        _refusals(search, best, before, above),
     )  # fmt: skip
 
 
@@ -185,7 +189,7 @@ def _above(search: LawSearch, best: Candidate) -> tuple[float, float]:
     )
 
 
-def _refusals(search: LawSearch, best: Candidate, before: float) -> tuple[str, ...]:
+def _refusals(search: LawSearch, best: Candidate, before: float, closed_above: float) -> tuple[str, ...]:
     limits, result = THRESHOLDS.law, []
     if best.score > limits.told_score_ratio * before:
         result.append(f"with it {100.0 * best.score / before:.0f} % of the misfit stay; half is asked for")
@@ -196,6 +200,8 @@ def _refusals(search: LawSearch, best: Candidate, before: float) -> tuple[str, .
     ]
     if pulled:
         result.append(f"it needs what chain and model are not ordinarily off by: {', '.join(pulled)}")
+    if closed_above < 0.0:
+        result.append(f"the top two levels are predicted worse with it: {percent(closed_above)} of the gap is closed")
     return tuple(result)
 
 
@@ -208,20 +214,31 @@ def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Ca
     family_words = family([(term, c) for term, c, _ in acting])
     motion: ComplexArray = best.motions[number]
     x, _ = sampled(motion, search.rows.levels.omega)
-    others: dict[str, float] = {}
+    places: dict[str, None] = {}
+    families: dict[str, None] = {}
     for candidate in finalists if len(best.parts) == 1 else ():
-        where = candidate.parts[0][0]
-        words = family([(term, c) for _, term, c in candidate.terms()]) if candidate.elements else ""
-        if where != place and words == family_words and nearly_as_well(candidate.score, best.score):
-            others[_name(where)] = candidate.score
+        if not candidate.elements or not nearly_as_well(candidate.score, best.score):
+            continue
+        where, there = candidate.parts[0][0], [(term, c) for _, term, c in candidate.terms()]
+        words = family(there)
+        if where != place and words == family_words:
+            places[_name(where)] = None
+        elif where == place and words != family_words and not _forms(acting) <= _forms(there):
+            families[words] = None
     terms = tuple(
         LawTerm(term.kind, tuple(p for p in (float(term.first), float(term.second)) if p), c, s, term.unit)
         for term, c, s in acting
     )
     return LocalLaw(
-        place.point, place.other_point, family_words, terms, float(np.abs(x).max()), tuple(others),
-        force_loops(search, best, number),
+        place.point, place.other_point, family_words, terms, float(np.abs(x).max()), tuple(places),
+        tuple(families), force_loops(search, best, number),
     )  # fmt: skip
+
+
+def _forms(terms: Sequence[tuple[Any, ...]]) -> set[tuple[str, float]]:
+    """Formulas of terms without what a search moves: exponents stay."""
+    exponents = ("power", "speed", "amplitude")
+    return {(term.kind, term.first if term.kind in exponents else 0.0) for term, *_ in terms}
 
 
 def nearly_as_well(score: float, best: float) -> bool:

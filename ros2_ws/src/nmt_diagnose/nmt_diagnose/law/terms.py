@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.kernels import njit
 from nmt_diagnose.law.modal_frame import ORDERS
 
 SAMPLES = 512
@@ -85,14 +86,22 @@ def slider_force(x: FloatArray, slip: float) -> FloatArray:
         x: one period of the displacement, m, (…, n).
         slip: slip displacement, m.
     """
+    flat = np.ascontiguousarray(x.reshape(-1, x.shape[-1]))
+    return _slider_loops(flat, slip).reshape(x.shape)
+
+
+@njit(cache=True)
+def _slider_loops(x: FloatArray, slip: float) -> FloatArray:
+    """Spring force behind the slider, row by row."""
     result = np.empty_like(x)
-    at = np.zeros(x.shape[:-1])
-    # The second period is the closed loop: a slider forgets its start at the first full slip.
-    for turn in range(2):
-        for k in range(x.shape[-1]):
-            at = np.clip(at, x[..., k] - slip, x[..., k] + slip)
-            if turn:
-                result[..., k] = x[..., k] - at
+    for row in range(x.shape[0]):
+        at = 0.0
+        # The second period is the closed loop: a slider forgets its start at the first full slip.
+        for turn in range(2):
+            for k in range(x.shape[1]):
+                at = min(max(at, x[row, k] - slip), x[row, k] + slip)
+                if turn == 1:
+                    result[row, k] = x[row, k] - at
     return result
 
 

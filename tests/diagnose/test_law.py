@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from diagnose.simulated_levels import chain_of_masses, held, modes
 
+from nmt_diagnose.inference.law_starts import _effects
+from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.law.reading import LawReading, read_law
 
 
@@ -54,6 +56,34 @@ def test_friction_that_weakens_with_speed_is_no_law_of_the_library_but_is_read()
     assert law.place == "4"
     assert law.family == "dry friction that weakens with speed"
     assert found.closed_inside > 0.9
+
+
+def test_two_laws_at_two_places_are_read_and_written() -> None:
+    found = reading((4, "cubic", (3.0e8,), ()), (2, "stribeck", (0.01, 1e-3, 0.0, 1.0), ()))
+    assert found.is_stated
+    assert sorted((law.place, law.family) for law in found.laws) == [("2", "dry friction"), ("4", "hardening spring")]
+    by_place = {law.place: law for law in found.laws}
+    strengths = {place: sum(term.coefficient for term in law.terms) for place, law in by_place.items()}
+    assert strengths == {"4": pytest.approx(3.0e8, rel=0.03), "2": pytest.approx(0.01, rel=0.05)}
+    # Each loop is that of its place: the other law is taken off.
+    loop = by_place["4"].loops[-1]
+    force = 3.0e8 * np.array(loop.displacement) ** 3
+    assert np.sqrt(np.mean((np.array(loop.measured) - force) ** 2)) < 0.08 * np.sqrt(np.mean(force**2))
+    elements = with_law(chain_of_masses(), found).local_elements
+    assert sorted((element.kind, element.point) for element in elements) == [("cubic_spring", 4), ("tanh_friction", 2)]
+    starts = [name for law in found.laws for name, _ in _effects(law)]
+    assert sorted(starts) == ["cubic_stiffness", "second_friction_contact"]
+
+
+def test_two_laws_at_one_place_are_read() -> None:
+    found = reading((4, "drag", (3.0,), ()), (4, "quintic", (-3.0e10,), ()))
+    families = sorted((law.place, law.family) for law in found.laws)
+    assert families == [("4", "damping that grows with speed"), ("4", "softening spring")]
+
+
+def test_one_law_has_no_second_beside_it() -> None:
+    laws = [(3, "cubic", (4.0e8,)), (3, "drag", (3.0,)), (2, "gap", (8.0e3, 2.0e-4))]
+    assert [len(reading((*law, ())).laws) for law in laws] == [1] * len(laws)
 
 
 def test_a_wrong_gain_alone_is_no_law() -> None:

@@ -66,11 +66,15 @@ def random_problem(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_the_convex_fit_is_that_of_a_bounded_solver(seed: int) -> None:
     target, nuisance, columns = random_problem(seed)
     signed = np.array([True, False, False, False])
-    found = ConvexFit(target, nuisance, []).solve(columns, signed, score=False)
+    fit = ConvexFit(target, nuisance, [])
+    found = fit.solve(columns, signed)
     matrix = np.vstack([np.concatenate([nuisance, columns], axis=2).reshape(60, 7), np.eye(3, 7)])
     low = np.array([-np.inf] * 4 + [0.0] * 3)
     other = lsq_linear(matrix, np.append(target.ravel(), np.zeros(3)), (low, np.inf), tol=1e-14).x
     assert np.allclose(np.append(found.nuisance, found.coefficients), other, atol=1e-5)
+    cost = float(np.sum((matrix @ other - np.append(target.ravel(), np.zeros(3))) ** 2))
+    assert fit.cost(columns, signed) == pytest.approx(cost, rel=1e-8)
+    assert found.cost == pytest.approx(cost, rel=1e-8)
 
 
 def test_the_score_is_that_of_fits_without_the_level() -> None:

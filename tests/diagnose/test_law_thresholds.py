@@ -79,10 +79,10 @@ def shares_of(after: float, before: float = 1.0) -> Any:
     return SimpleNamespace(after=after, before=before)
 
 
-def refused(score: float, pull: float) -> bool:
+def refused(score: float, pull: float, above: float = 0.9) -> bool:
     search: Any = SimpleNamespace(names=("gain",))
     best = law(score, fit=SimpleNamespace(nuisance=np.array([pull])))
-    return bool(reading._refusals(search, best, 1.0))
+    return bool(reading._refusals(search, best, 1.0, above))
 
 
 def has_second(first: float, second: float) -> bool:
@@ -122,11 +122,15 @@ EDGES = {
     "told_score_ratio": lambda: [refused(score, 0.0) for score in (0.49, 0.51)] == [False, True],
     "pull_sigmas": lambda: [refused(0.1, pull) for pull in (2.9, 3.1)] == [False, True],
     "second_score_ratio": lambda: [has_second(4.0, 4.0 * share) for share in (0.74, 0.76)] == [True, False],
-    "second_from_score": lambda: [has_second(first, 0.1) for first in (0.99, 1.01)] == [False, True],
+    "second_from_score": lambda: [has_second(first, 0.1) for first in (0.49, 0.51)] == [False, True],
     "least_null_score": lambda: [is_looked_for(score) for score in (0.99, 1.01)] == [False, True],
     "start_score_ratio": lambda: [worth_a_start(shares_of(score)) for score in (0.79, 0.81)] == [True, False],
     "dry_slip_share": lambda: abs(dry_slip() - 0.02 * 1e-3) < 1e-12,
 }  # fmt: skip
+
+
+def test_a_law_that_makes_the_top_levels_worse_is_refused() -> None:
+    assert [refused(0.1, 0.0, above) for above in (0.01, -0.01, float("nan"))] == [False, True, False]
 
 
 @pytest.mark.parametrize("name", EDGES)

@@ -29,7 +29,7 @@ def reading(*refusals: str) -> LawReading:
         law = 2e9 * x**3 + 3.0 * v
         loops.append(ForceLoop(level, tuple(x), tuple(v), tuple(law + 0.01), STD, tuple(law)))
     term = LawTerm("power", (3.0,), 2e9, 1e7, "N/m^3")
-    law = LocalLaw(5, 0, "hardening spring", (term,), 1e-3, (), (), tuple(loops))
+    law = LocalLaw(5, 0, "hardening spring", (term,), 1e-3, (), tuple(loops))
     return LawReading("backbone", 8, (law,), 20.0, 2.0, 0.95, 0.9, refusals)
 
 

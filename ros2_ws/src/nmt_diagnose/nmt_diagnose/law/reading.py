@@ -54,8 +54,8 @@ class LocalLaw:
         terms: its terms.
         valid_to_m: largest displacement that was visited, m.
         other_places: places at which a law of its family does nearly as well.
-        other_families: families that do nearly as well at its place and do not have its terms among theirs.
         loops: force over displacement and velocity, level by level.
+        other_families: families that do nearly as well at its place and do not have its terms among theirs.
     """
 
     point: int
@@ -64,8 +64,8 @@ class LocalLaw:
     terms: tuple[LawTerm, ...]
     valid_to_m: float
     other_places: tuple[str, ...]
-    other_families: tuple[str, ...]
     loops: tuple[ForceLoop, ...]
+    other_families: tuple[str, ...] = ()
 
     @property
     def place(self) -> str:
@@ -231,7 +231,7 @@ def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Ca
     )
     return LocalLaw(
         place.point, place.other_point, family_words, terms, float(np.abs(x).max()), tuple(places),
-        tuple(families), force_loops(search, best, number),
+        force_loops(search, best, number), tuple(families),
     )  # fmt: skip
 
 

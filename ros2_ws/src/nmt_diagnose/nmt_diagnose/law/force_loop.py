@@ -63,9 +63,8 @@ def force_loops(search: LawSearch, candidate: Candidate, number: int) -> tuple[F
         kept = np.where(np.arange(ORDERS + 1) <= rows.highest, force[k], 0.0)
         kept[0] = 0.0
         waves = [_wave(series) for series in (measured[k], kept)]
-        number_in_plan = rows.levels.test.levels[rows.levels.numbers[k]].index
         drawn = [_rounded(wave) for wave in (x[k, ::step], v[k, ::step], *waves)]
-        result.append(ForceLoop(number_in_plan, drawn[0], drawn[1], drawn[2], float(std[k]), drawn[3]))
+        result.append(ForceLoop(rows.levels.numbers[k], drawn[0], drawn[1], drawn[2], float(std[k]), drawn[3]))
     return tuple(result)
 
 

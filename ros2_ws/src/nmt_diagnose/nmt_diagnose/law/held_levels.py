@@ -1,4 +1,8 @@
-"""Held levels as complex amplitudes: what locked windows say of force and motion, harmonic by harmonic."""
+"""Held levels as complex amplitudes: what locked windows, decays and backbone tables say of force and motion.
+
+A decay and a table give frequency and damping ratio over amplitude. They are levels of the fundamental alone at which
+the modal force 2iζω²q would act: that of phase resonance, and of a decay to first order in the damping.
+"""
 
 from __future__ import annotations
 
@@ -10,27 +14,32 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest, RingDownTest
 from nmt_diagnose.observations.observables import Observations, Part, Rows
+
+_MOST_NODES = 12
+"""Amplitudes of a decay or a table: more say the same again."""
 
 
 @dataclass(frozen=True)
 class HeldLevels:
-    """Windows of one phase-resonance test, ascending motion.
+    """Levels of one test, ascending motion.
 
     Attributes:
         test: the test.
-        numbers: position of each level among those of the test, (L,).
+        numbers: of each level in the plan of the test, (L,).
         omega: angular frequency, rad/s, (L,).
         force: harmonics 0 … H of the measured force, N, (L, H + 1); order 0 is 0.
         force_std: standard uncertainty of its fundamental, N, (L,).
+        ratio, ratio_std: damping ratio of each level in the place of the force, and what frequency and damping are
+            uncertain by together, (L,); None where the force is measured.
         channels: of the responses, C.
         motion: harmonics of the displacements, m, (L, C, H + 1); order 0 is 0, NaN where a channel was not used.
         motion_std: their standard uncertainties, m, (L, C, H + 1).
         chain: tolerances of the measuring chain; None = it measures as the rig file says.
     """
 
-    test: PhaseResonanceTest
+    test: PhaseResonanceTest | RingDownTest | BackboneTable
     numbers: tuple[int, ...]
     omega: FloatArray
     force: ComplexArray
@@ -39,6 +48,8 @@ class HeldLevels:
     motion: ComplexArray
     motion_std: FloatArray
     chain: MeasuringChain | None
+    ratio: FloatArray | None = None
+    ratio_std: FloatArray | None = None
 
     @property
     def count(self) -> int:
@@ -55,6 +66,8 @@ class HeldLevels:
         return HeldLevels(
             self.test, tuple(self.numbers[k] for k in kept), self.omega[kept], self.force[kept], self.force_std[kept],
             self.channels, self.motion[kept], self.motion_std[kept], self.chain,
+            None if self.ratio is None else self.ratio[kept],
+            None if self.ratio_std is None else self.ratio_std[kept],
         )  # fmt: skip
 
 
@@ -66,6 +79,8 @@ def held_levels(observations: Observations, number: int) -> HeldLevels | None:
         number: of the test.
     """
     test = observations.tests[number]
+    if isinstance(test, RingDownTest | BackboneTable):
+        return _nodes(observations, number, test)
     if not isinstance(test, PhaseResonanceTest) or test.held == "response" or len(test.drive_points) > 1:
         return None
     rows, here = observations.rows, observations.rows.test == number
@@ -94,9 +109,48 @@ def held_levels(observations: Observations, number: int) -> HeldLevels | None:
     chain = observations.chains[number] if observations.chains else None
     channels = tuple(test.channels[k] for k in moved)
     found = HeldLevels(
-        test, tuple(range(len(test.levels))), omega, force, force_std, channels, motion, motion_std, chain
+        test, tuple(level.index for level in test.levels), omega, force, force_std, channels, motion, motion_std, chain
     )
     return found.take(order) if order else None
+
+
+def _nodes(observations: Observations, number: int, test: RingDownTest | BackboneTable) -> HeldLevels | None:
+    """Amplitudes of a decay or a table as levels, spread evenly over the logarithm of the amplitude."""
+    if test.channel.quantity not in MOTIONS:
+        return None
+    channels = test.channels if isinstance(test, RingDownTest) else (test.channel,)
+    rows, here, count = observations.rows, observations.rows.test == number, len(test.amplitudes)
+    found = {part: (np.full(count, np.nan), np.full(count, np.nan)) for part in (Part.LOG_FREQUENCY, Part.DAMPING)}
+    for part, (value, std) in found.items():
+        where = here & (rows.part == part)
+        value[rows.level[where]], std[rows.level[where]] = observations.values[where], observations.sigma[where]
+    (log_omega, log_std), (ratio, ratio_std) = found[Part.LOG_FREQUENCY], found[Part.DAMPING]
+    values, std = np.full((count, len(channels), 2), np.nan, complex), np.full((count, len(channels), 2), np.nan)
+    values[:, 0, 1], std[:, 0, 1] = test.amplitudes, 0.0
+    for channel in range(1, len(channels)):
+        for part in (Part.LOG_MAGNITUDE, Part.PHASE):
+            where = here & (rows.part == part) & (rows.channel == channel)
+            level, value = rows.level[where], observations.values[where]
+            known = values[level, channel, 1] if part is Part.PHASE else 1.0
+            values[level, channel, 1] = known * np.exp(value if part is Part.LOG_MAGNITUDE else 1j * value)
+            std[level, channel, 1] = np.abs(values[level, channel, 1]) * observations.sigma[where]
+    omega = np.exp(log_omega)
+    scale = (1j * omega[:, None, None]) ** np.array([MOTIONS[c.quantity] for c in channels])[None, :, None]
+    values[:, :, 0], std[:, :, 0] = 0.0, 0.0
+    usable = np.flatnonzero(np.isfinite(omega) & np.isfinite(ratio) & (np.asarray(test.amplitudes) > 0.0))
+    if not usable.size:
+        return None
+    order = usable[np.argsort(np.asarray(test.amplitudes)[usable], kind="stable")]
+    spots = np.linspace(0, order.size - 1, min(order.size, _MOST_NODES)).round().astype(int)
+    chain = observations.chains[number] if observations.chains else None
+    chosen = [int(k) for k in order[spots]]
+    complete = np.flatnonzero(np.isfinite(values[chosen]).all(axis=(0, 2)))
+    levels = HeldLevels(
+        test, tuple(range(count)), omega, np.zeros((count, 2), complex), np.zeros(count),
+        tuple(channels[int(k)] for k in complete), (values / scale)[:, complete], (std / np.abs(scale))[:, complete],
+        chain, ratio, np.hypot(log_std, ratio_std),
+    )  # fmt: skip
+    return levels.take(chosen)
 
 
 def _amplitudes(

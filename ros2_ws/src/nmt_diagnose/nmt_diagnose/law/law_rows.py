@@ -41,6 +41,12 @@ class LawRows:
         self.others = frame.others(levels.omega)
         self.force = np.zeros((levels.count, ORDERS + 1), complex)
         self.force[:, : self.highest + 1] = levels.force[:, : self.highest + 1]
+        self.drive, self.force_std = frame.drive, levels.force_std
+        if levels.ratio is not None and levels.ratio_std is not None:
+            # Nothing drives a decay: what stands for the drive acts on the mode under test alone.
+            self.drive = np.where(np.arange(frame.omega.size) == frame.target, 1.0, 0.0)
+            modal = 2.0 * levels.omega**2 * (np.nan_to_num(levels.motion[:, :, 1]) @ self.take_q)
+            self.force[:, 1], self.force_std = 1j * levels.ratio * modal, levels.ratio_std * np.abs(modal)
 
     def of_force(self, participation: FloatArray, force: ComplexArray) -> ComplexArray:
         """Rows (…, L, R) of a local force of harmonics (…, L, ORDERS + 1)."""
@@ -74,7 +80,7 @@ class LawRows:
         motion = np.nan_to_num(self.levels.motion)
         y = motion[:, :, 1]
         rows = self.assembled(np.zeros(self.levels.count, complex), y, motion[:, :, 2 : self.highest + 1])
-        return rows - self.of_force(self.frame.drive, -self.force)
+        return rows - self.of_force(self.drive, -self.force)
 
     @cached_property
     def sigma(self) -> FloatArray:
@@ -82,8 +88,8 @@ class LawRows:
         levels, limits = self.levels, THRESHOLDS.law
         std = np.where(np.isfinite(levels.motion), levels.motion_std, np.inf)
         size = np.abs(np.nan_to_num(levels.motion))
-        modal = np.abs(self.frame.drive[self.frame.target])
-        drive = modal * np.hypot(levels.force_std, limits.force_share * np.abs(self.force[:, 1]))
+        modal = np.abs(self.drive[self.frame.target])
+        drive = modal * np.hypot(self.force_std, limits.force_share * np.abs(self.force[:, 1]))
         # What a law does is known as well as the motion that it does it along.
         first = np.nan_to_num(levels.motion[:, :, 1])
         missing = np.abs(self.measured[:, 0])
@@ -114,7 +120,7 @@ class LawRows:
     def coordinate(self, forces: list[tuple[FloatArray, ComplexArray]]) -> ComplexArray:
         """q of each level (L,), other forces than the drive given as participation and harmonics."""
         y = np.nan_to_num(self.levels.motion[:, :, 1]).copy()
-        for participation, force in [(self.frame.drive, -self.force), *forces]:
+        for participation, force in [(self.drive, -self.force), *forces]:
             y += (self.others @ (self.frame.sensors * participation).T) * force[:, 1:2]
         return np.asarray(y @ self.take_q)
 
@@ -122,7 +128,7 @@ class LawRows:
         """Harmonics (L, ORDERS + 1) of the motion of a place, m: fundamental from q, the rest by the model."""
         result = np.zeros((self.levels.count, ORDERS + 1), complex)
         target = self.frame.target
-        for other, force in [(self.frame.drive, -self.force), *forces]:
+        for other, force in [(self.drive, -self.force), *forces]:
             both = participation * other
             result[:, 1] -= (self.others @ both) * force[:, 1]
             for h in (0, *range(2, ORDERS + 1)):

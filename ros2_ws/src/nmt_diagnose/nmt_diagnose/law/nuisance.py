@@ -65,7 +65,7 @@ def nuisance_columns(
         turn = tolerance.phase_at(float(np.median(levels.omega)))
         add(f"phase of {name}", 1j * column, math.hypot(turn, form))
     tolerance = _tolerance(rows, force_name)
-    drive = -rows.of_force(frame.drive, -rows.force)
+    drive = -rows.of_force(rows.drive, -rows.force)
     add("gain of the force", drive, tolerance.gain)
     add("phase of the force", 1j * drive, tolerance.phase_at(float(np.median(levels.omega))))
     if known is not None and motion is not None:

@@ -112,13 +112,18 @@ def read_law(rig: Rig, observations: Observations) -> LawReading | None:
     found = [
         levels for number in range(len(observations.tests))
         if (levels := held_levels(observations, number)) is not None
-        and levels.count >= THRESHOLDS.law.fewest_levels and levels.harmonics >= 2
+        and levels.count >= THRESHOLDS.law.fewest_levels and (levels.harmonics >= 2 or _stands_alone(rig, levels))
     ]  # fmt: skip
     if not found:
         return None
-    levels = max(found, key=lambda one: (one.count, float(np.nanmax(np.abs(one.motion)))))
+    levels = max(found, key=lambda one: (one.harmonics > 1, one.count, float(np.nanmax(np.abs(one.motion)))))
     frame = ModalFrame.of(rig, levels)
     return None if frame is None else _read(LawSearch(LawRows(frame, levels), rig), levels)
+
+
+def _stands_alone(rig: Rig, levels: HeldLevels) -> bool:
+    """Whether levels without a force are those of the structure: a shaker that stays attached belongs to them."""
+    return levels.ratio is not None and (rig.exciter is None or rig.exciter.kind == "force")
 
 
 def _read(search: LawSearch, levels: HeldLevels) -> LawReading:

@@ -26,6 +26,7 @@ import yaml
 from independent import laboratory_laws
 
 from nmt_bench.data_import import import_data
+from nmt_core.errors import BenchError
 from nmt_diagnose.inference.diagnose import observed
 from nmt_diagnose.inference.law_starts import law_of
 from nmt_diagnose.law.held_levels import held_levels
@@ -49,21 +50,25 @@ def read_case(folder: Path) -> dict[str, Any]:
     """What is read from one case, and what the truth says of it."""
     truth = yaml.safe_load((folder / "truth.yaml").read_text(encoding="utf-8"))
     rig = load_rig(str(folder / "model.yaml"), vibrating=False)
-    with tempfile.TemporaryDirectory() as bags:
-        import_data(folder / "sidecar.yaml", Path(bags) / "bag")
-        observations = observed(rig, [Path(bags) / "bag"])
+    found: dict[str, Any] = {"case": folder.name, "group": truth["group"], "seconds": 0.0, "laws": []}
+    found |= {"true": [f"{law['family']} at {law['point']}" for law in truth["laws"]], "stated": False}
+    try:
+        with tempfile.TemporaryDirectory() as bags:
+            import_data(folder / "sidecar.yaml", Path(bags) / "bag")
+            observations = observed(rig, [Path(bags) / "bag"])
+    except BenchError as error:
+        return {**found, "refusals": [str(error)], "harmonic_sigma": math.inf, "levels": 0}
     begin = time.process_time()
     reading = law_of(rig, observations)
     seconds = time.process_time() - begin
-    found: dict[str, Any] = {"case": folder.name, "group": truth["group"], "seconds": seconds, "laws": []}
-    found["true"] = [f"{law['family']} at {law['point']}" for law in truth["laws"]]
+    found["seconds"] = seconds
     levels = [held for k in range(len(observations.tests)) if (held := held_levels(observations, k)) is not None]
     with np.errstate(invalid="ignore", divide="ignore"):
         ratios = [np.nanmax(np.abs(held.motion[:, :, 2:]) / held.motion_std[:, :, 2:]) for held in levels]
     found["harmonic_sigma"] = float(max(ratios, default=math.nan))
     found["levels"] = max((held.count for held in levels), default=0)
     if reading is None:
-        return {**found, "stated": False, "refusals": ["no reading"]}
+        return {**found, "refusals": ["no reading"]}
     found |= {
         "stated": reading.is_stated, "refusals": list(reading.refusals), "before": reading.before,
         "after": reading.after, "inside": reading.closed_inside, "above": reading.closed_above,

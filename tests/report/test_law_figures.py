@@ -74,4 +74,4 @@ def test_formulas_name_side_and_size() -> None:
     assert formula("stop", (1.0,)) == "spring where x > 0 mm"
     assert formula("slider", (5e-5,)) == "spring that slips at 0.05 mm"
     assert formula("speed", (1.5,)) == "|v|¹·⁵ sgn v"
-    assert formula("weakening friction", (1e-3, 0.05)) == "tanh(v / 0.001 m/s) exp(−|v| / 0.05 m/s)"
+    assert formula("weakening friction", (1e-3, 0.05)) == "tanh(v / 0.001 m/s) exp(−(v / 0.05 m/s)²)"

@@ -18,12 +18,12 @@ class Block:
     Attributes:
         name: of the family.
         terms: its terms.
-        refined: whether the first parameter of its terms, which they share, is moved to where the fit is best.
+        refined: number of the parameter of its terms, 1 or 2, that is moved to where the fit is best; 0 = none.
     """
 
     name: str
     terms: tuple[Term, ...]
-    refined: bool = False
+    refined: int = 0
 
     @property
     def contact(self) -> bool:
@@ -50,25 +50,27 @@ def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
     found = {
         "quadratic": powers(2), "cubic": powers(3), "quintic": powers(5), "quadratic and cubic": powers(2, 3),
         "cubic and quintic": powers(3, 5), "polynomial": powers(2, 3, 5),
-        "gap": [Block("gap", (Term("gap", g), Term("gap damping", g)), True) for g in a * free],
-        "slider": [Block("slider", (Term("slider", slip),), True) for slip in fine],
+        "gap": [Block("gap", (Term("gap", g), Term("gap damping", g)), 1) for g in a * free],
+        "slider": [Block("slider", (Term("slider", slip),), 1) for slip in fine],
         "sliders": [Block("sliders", tuple(Term("slider", slip) for slip in slips))],
         "drag": [Block("drag", (Term("speed", n),)) for n in (1.5, 2.0, 3.0)],
         "amplitude damping": [Block("amplitude damping", (Term("amplitude", 2.0),))],
-        "friction": [Block("friction", (Term("friction", w),), True) for w in creep],
+        "friction": [Block("friction", (Term("friction", w),), 1) for w in creep],
         "weakening friction": [
-            Block("weakening friction", (Term("friction", w), Term("weakening friction", w, fall)))
+            Block("weakening friction", (Term("friction", w), Term("weakening friction", w, fall)), 2)
             for w in creep[:4]
             for fall in s * np.array([0.03, 0.08, 0.2, 0.5])
         ],
-        "brake": [Block("brake", (Term("brake", w),), True) for w in s * np.geomspace(0.05, 1.0, 8)],
+        "brake": [Block("brake", (Term("brake", w),), 1) for w in s * np.geomspace(0.05, 1.0, 8)],
     }  # fmt: skip
     for side, name in ((1.0, "stop above"), (-1.0, "stop below")):
         ends = float((side * x).max()) * np.append(0.0, free)
-        found[name] = [Block(name, (Term("stop", g, side), Term("stop damping", g, side)), True) for g in ends]
+        found[name] = [Block(name, (Term("stop", g, side), Term("stop damping", g, side)), 1) for g in ends]
     return found
 
 
 def moved(block: Block, factor: float) -> Block:
-    """The block with the first parameter of its terms times a factor."""
-    return Block(block.name, tuple(Term(t.kind, factor * t.first, t.second) for t in block.terms), block.refined)
+    """The block with the refined parameter of its terms times a factor."""
+    first, second = (factor, 1.0) if block.refined == 1 else (1.0, factor)
+    terms = tuple(Term(t.kind, first * t.first, second * t.second) for t in block.terms)
+    return Block(block.name, terms, block.refined)

@@ -201,7 +201,7 @@ class LawSearch:
     ) -> tuple[LawPlace, Block]:
         """One part with the parameter of its block moved to where the fit is best."""
         place, block = candidate.parts[number]
-        if not block.refined or not block.terms[0].first > 0.0:
+        if not block.refined or (block.refined == 1 and not block.terms[0].first > 0.0):
             return place, block
 
         def cost(log_factor: float) -> float:
@@ -221,6 +221,12 @@ class LawSearch:
         for place in self.places():
             motion = self.rows.motion(place.participation, [*known, *forces])
             found += self._at(place, motion, problem, first)
+        return sorted(found, key=lambda candidate: candidate.score)
+
+    def firsts(self, pair: Candidate) -> list[Candidate]:
+        """Blocks in the place of the first law of a pair, the best first: it was chosen for both."""
+        second = Candidate(pair.parts[1:], pair.fit, pair.motions[1:])
+        found = self._at(pair.parts[0][0], pair.motions[0], self.problem(self.forces(pair)), second)
         return sorted(found, key=lambda candidate: candidate.score)
 
 

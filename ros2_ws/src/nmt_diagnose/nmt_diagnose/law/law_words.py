@@ -65,7 +65,7 @@ def formula(kind: str, parameters: Sequence[float]) -> str:
         "power": f"x{power}", "gap": f"spring where |x| > {size} mm", "gap damping": f"damper where |x| > {size} mm",
         "slider": f"spring that slips at {size} mm", "speed": f"|v|{power} sgn v", "amplitude": f"|x|{power} v",
         "friction": f"tanh(v / {significant(first, 2)} m/s)",
-        "weakening friction": f"tanh(v / {significant(first, 2)} m/s) exp(−|v| / {last} m/s)",
+        "weakening friction": f"tanh(v / {significant(first, 2)} m/s) exp(−(v / {last} m/s)²)",
         "brake": f"v / (1 + (v / {significant(first, 2)} m/s)²)",
     }[kind]  # fmt: skip
 

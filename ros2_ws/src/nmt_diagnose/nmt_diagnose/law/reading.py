@@ -159,7 +159,7 @@ def _with_second(search: LawSearch, first: Candidate) -> Candidate:
     size = len(first.parts[0][1].terms)
     values, std = pair.fit.coefficients[size:], _stds(pair)[size:]
     sure = np.any(np.abs(values[values != 0.0]) > limits.pull_sigmas * std[values != 0.0])
-    return pair if sure else first
+    return fewest([pair, *(search.again(other) for other in search.firsts(pair)[:3])]) if sure else first
 
 
 def _stds(candidate: Candidate) -> FloatArray:

@@ -60,7 +60,7 @@ class Term:
         if self.kind == "friction":
             return np.asarray(np.tanh(v / a))
         if self.kind == "weakening friction":
-            return np.asarray(np.tanh(v / a) * np.exp(-np.abs(v) / b))
+            return np.asarray(np.tanh(v / a) * np.exp(-((v / b) ** 2)))
         if self.kind == "brake":
             return np.asarray(v / (1.0 + (v / a) ** 2))
         raise ValueError(f"there is no term of kind {self.kind}")

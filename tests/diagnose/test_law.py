@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 from diagnose.simulated_levels import chain_of_masses, held, modes
 
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.law_starts import _effects
 from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.law.reading import LawReading, read_law
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RingDownTest
+from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
+from nmt_rig.rig import Rig, validate_rig
+from nmt_rig.rig_file import RigDocument
 
 
 def reading(*laws, **how) -> LawReading:
@@ -84,6 +90,65 @@ def test_two_laws_at_one_place_are_read() -> None:
 def test_one_law_has_no_second_beside_it() -> None:
     laws = [(3, "cubic", (4.0e8,)), (3, "drag", (3.0,)), (2, "gap", (8.0e3, 2.0e-4))]
     assert [len(reading((*law, ())).laws) for law in laws] == [1] * len(laws)
+
+
+def amplitudes(decay: bool, cubic: float = 0.0, friction: float = 0.0, bent: float = 0.0) -> Observations:
+    """A decay or a table of a mass of 2 kg at 20 Hz with a cubic spring and dry friction, by their describing functions.
+
+    The squared frequency has ¾ k a² / m more (Nayfeh and Mook, Nonlinear Oscillations, 1979), the damping 4 F / (π ω² m a)
+    / 2 (Den Hartog, Trans. ASME 53, 1931). ``bent`` is a relative error of the frequency that nothing makes.
+    """
+    mass, first, ratio = 2.0, 2.0 * np.pi * 20.0, 0.004
+    a = np.geomspace(2e-5, 1e-3, 30)[::-1]
+    omega = np.sqrt(first**2 + 0.75 * cubic * a**2 / mass) * (1.0 + bent)
+    damping = ratio * first / omega + 2.0 * friction / (np.pi * omega**2 * mass * a)
+    table, draw = RowTable(), np.random.default_rng(1)
+    for k, size in enumerate(a):
+        place = Place(k, 0.1 * k, float(omega[k] / (2.0 * np.pi)), float(size))
+        table.add(Part.LOG_FREQUENCY, float(np.log(omega[k]) + 1e-6 * draw.standard_normal()), 1e-6, 0.0, place, 0, 1)
+        table.add(Part.DAMPING, float(damping[k] + 1e-5 * draw.standard_normal()), 1e-5, 0.0, place, 0, 1)
+    channel = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1)
+    test = RingDownTest("decay", 1, channel, a, 20.0) if decay else BackboneTable("table", 1, channel, a)
+    found = table.observations(test)
+    return Observations(found.tests, found.rows, found.values, found.std, found.floor, chains=(MeasuringChain(),))
+
+
+def one_mass(kind: str = "force") -> Rig:
+    values = {
+        "name": "mass",
+        "structure": {"kind": "modal", "modes": [{"frequency_hz": 20.0, "damping_ratio": 0.004, "modal_mass_kg": 2.0}]},
+    }
+    rig = validate_rig(RigDocument("test", values, {}))
+    return rig if kind == "force" else rig.model_copy(update={"exciter": rig.exciter.model_copy(update={"kind": kind})})
+
+
+@pytest.mark.parametrize("decay", [True, False])
+def test_decays_and_tables_give_the_law_of_one_mode(decay: bool) -> None:
+    spring = read_law(one_mass(), amplitudes(decay, cubic=5.0e8))
+    assert spring is not None
+    assert spring.is_stated
+    (law,) = spring.laws
+    (term,) = law.terms
+    assert (law.family, term.parameters) == ("hardening spring", (3.0,))
+    assert term.coefficient == pytest.approx(5.0e8, rel=0.02)
+    rubbed = read_law(one_mass(), amplitudes(decay, friction=0.02))
+    assert rubbed is not None
+    assert rubbed.is_stated
+    (law,) = rubbed.laws
+    assert law.family in ("dry friction", "friction of a slider behind a spring")
+    loss = [t.coefficient * (t.parameters[0] if t.kind == "slider" else 1.0) for t in law.terms]
+    assert sum(loss) == pytest.approx(0.02, rel=0.05)
+
+
+def test_a_decay_of_the_model_has_no_law() -> None:
+    for bent in (0.0, 0.005):
+        found = read_law(one_mass(), amplitudes(True, bent=bent))
+        assert found is not None
+        assert not found.laws
+
+
+def test_a_decay_with_a_shaker_attached_is_not_read() -> None:
+    assert read_law(one_mass("electrodynamic_shaker"), amplitudes(True, cubic=5.0e8)) is None
 
 
 def test_a_wrong_gain_alone_is_no_law() -> None:

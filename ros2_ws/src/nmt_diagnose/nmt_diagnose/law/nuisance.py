@@ -10,6 +10,7 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.modal_frame import KnownForces
+from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.channel_tolerances import ChannelTolerance
 from nmt_rig.rig import Rig
@@ -50,7 +51,8 @@ def nuisance_columns(
     damping = max(limits.mode_damping_std * zeta, limits.least_damping_std)
     add("damping of the mode", residual(-2j * omega_t * levels.omega * q), damping)
     typical = float(np.sqrt(np.mean(rows.shape**2)))
-    force_name = next((c.name for c in levels.test.channels if c not in levels.channels), "")
+    recorded = levels.test.channels if isinstance(levels.test, PhaseResonanceTest) else ()
+    force_name = next((c.name for c in recorded if c not in levels.channels), "")
     for k, (name, tolerance) in enumerate([(c.name, _tolerance(rows, c.name)) for c in levels.channels]):
         # Near a node of the mode its form is off by a share of what it is elsewhere.
         form = limits.form_std * max(1.0, typical / abs(rows.shape[k]))

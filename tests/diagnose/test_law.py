@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from diagnose.simulated_levels import chain_of_masses, held, modes
+from scipy.optimize import brentq
 
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.law_starts import _effects
+from nmt_diagnose.law.law_blocks import Block
 from nmt_diagnose.law.law_elements import with_law
+from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch
 from nmt_diagnose.law.reading import LawReading, read_law
+from nmt_diagnose.law.terms import Term
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RingDownTest
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
@@ -62,6 +69,37 @@ def test_friction_that_weakens_with_speed_is_no_law_of_the_library_but_is_read()
     assert law.place == "4"
     assert law.family == "dry friction that weakens with speed"
     assert found.closed_inside > 0.9
+
+
+@pytest.mark.parametrize("compliance", [0.5, 2.0])
+def test_a_mean_force_moves_a_soft_place_to_its_equilibrium(compliance: float) -> None:
+    """x₀ = −C k ⟨max(x₀ + a cos − g, 0)⟩, also where repeating it goes away from its solution (C k s > 1)."""
+    angles = 2.0 * np.pi * np.arange(512) / 512
+    gap, amplitude, stiffness, participation = 2e-4, 1e-3, 1e3, np.array([1.0])
+    motion = np.zeros((1, 16), complex)
+    motion[0, 1] = amplitude
+
+    def mean_force(mean: float) -> float:
+        return stiffness * float(np.mean(np.maximum(mean + amplitude * np.cos(angles) - gap, 0.0)))
+
+    softness = compliance / (0.3 * stiffness)
+    expected = brentq(lambda mean: mean + softness * mean_force(mean), -1e-3, 0.0, xtol=1e-15)
+
+    def moved(place: LawPlace, forces) -> np.ndarray:
+        result = motion.copy()
+        result[:, 0] = -softness * forces[0][1][:, 0]
+        return result
+
+    rows = SimpleNamespace(levels=SimpleNamespace(omega=np.array([100.0])), denominators=[np.array([[1.0 / softness]])])
+    search = SimpleNamespace(rows=rows, motion=moved)
+    search.forces = lambda candidate: LawSearch.forces(search, candidate)
+    place = LawPlace(1, 0, participation)
+    fit = SimpleNamespace(coefficients=np.array([stiffness]))
+    candidate = Candidate(((place, Block("stop above", (Term("stop", gap, 1.0),))),), fit, (motion,))
+    for _ in range(4):
+        found = LawSearch._moved(search, candidate, 0, search.forces(candidate))
+        candidate = replace(candidate, motions=(found,))
+    assert found[0, 0].real == pytest.approx(expected, rel=1e-3)
 
 
 def test_two_laws_at_two_places_are_read_and_written() -> None:

@@ -89,7 +89,7 @@ def has_second(first: float, second: float) -> bool:
     fit = SimpleNamespace(coefficients=np.array([1.0, 1.0]), nuisance=np.zeros(0), covariance=1e-4 * np.eye(2))
     block = SimpleNamespace(terms=(1,))
     pair = law(second, 2, fit=fit)
-    search: Any = SimpleNamespace(seconds=lambda _: [pair], again=lambda one: one)
+    search: Any = SimpleNamespace(seconds=lambda _: [pair], firsts=lambda _: [], again=lambda one: one)
     return reading._with_second(search, law(first, parts=[(None, block)])) is pair
 
 

@@ -106,16 +106,17 @@ def _loop_error(laws: Sequence[LocalLaw], truth: dict[str, Any], before: int) ->
     """rms of law − truth over rms of the truth without means, over all levels with a loop; ``before`` the levels are
     other segments."""
     miss = total = 0.0
-    for law in laws:
-        for loop in law.loops:
+    for point in dict.fromkeys(law.point for law in laws):
+        mine = [law for law in laws if law.point == point]
+        for loop in mine[0].loops:
             if not truth["levels"]:
                 return math.nan
-            place = truth["levels"][loop.level - before]["places"].get(law.point)
+            place = truth["levels"][loop.level - before]["places"].get(point)
             if place is None:
                 return math.inf
             force, moved = (np.array([complex(*z) for z in place[name]]) for name in ("force", "displacement"))
             x, v = np.array(loop.displacement), np.array(loop.velocity)
-            read = sum(t.coefficient * _term(t).force(x, v) for t in law.terms)
+            read = sum(t.coefficient * _term(t).force(x, v) for law in mine for t in law.terms)
             series, x = np.fft.rfft(read) / x.size, np.fft.rfft(x)
             orders = np.arange(force.size)
             shift = np.angle(x[1]) - np.angle(moved[1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -19,6 +19,8 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import ChainSection, Rig
 
 Forces = list[tuple[FloatArray, ComplexArray]]
+_LEAST_STIFFNESS = 0.3
+"""Of a place with its law over that without it, up to which a mean is looked for."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +175,7 @@ class LawSearch:
         for turn in range(MOTION_ROUNDS):
             forces = self.forces(candidate)
             problem = self.problem(forces)
-            motions = tuple(self.motion(place, forces) for place, _ in candidate.parts)
+            motions = tuple(self._moved(candidate, k, forces) for k in range(len(candidate.parts)))
             parts = candidate.parts
             if turn:
                 parts = tuple(self._refined(candidate, k, motions, problem) for k in range(len(parts)))
@@ -185,6 +187,24 @@ class LawSearch:
             if settled and turn:
                 break
         return best
+
+    def _moved(self, candidate: Candidate, number: int, forces: Forces) -> ComplexArray:
+        """Motion of a place under the forces of a law, its mean by a step of Newton's method.
+
+        On a soft suspension the mean force moves the place by more than it fell off by: repeated alone it diverges.
+        """
+        place, _ = candidate.parts[number]
+        before, motion = candidate.motions[number], self.motion(place, forces)
+        shift = 1e-3 * np.abs(before[:, 1])
+        motions = list(candidate.motions)
+        motions[number] = before + shift[:, np.newaxis] * (np.arange(before.shape[1]) == 0)
+        moved_on = self.forces(replace(candidate, motions=tuple(motions)))[number][1][:, 0]
+        stiffness = (moved_on - forces[number][1][:, 0]).real / shift
+        compliance = (place.participation**2 / self.rows.denominators[0]).sum(axis=1).real
+        # Where the law takes the equilibrium away there is no step to go.
+        share = 1.0 / np.maximum(1.0 + compliance * stiffness, _LEAST_STIFFNESS)
+        motion[:, 0] = before[:, 0] + share * (motion[:, 0] - before[:, 0])
+        return motion
 
     def _along(
         self, parts: tuple[tuple[LawPlace, Block], ...], motions: tuple[ComplexArray, ...]

@@ -7,7 +7,7 @@ python docs/make_pictures.py out/pictures --notebooks  # and the outputs of the 
 
 bench.svg: the nodes, and the backbone they measured. harmonics.svg: what control of the force's harmonics does.
 self_excited.svg: a damping curve that passes through zero. resonances.svg: a jump of an internal resonance, an isola.
-two_exciters.svg: close modes with one shaker and with two.
+two_exciters.svg: close modes with one shaker and with two. law.svg: a missing force that was read from levels.
 page.png: the live page replaying the demo. The others: the first screen of every kind of report, for docs/gallery.md.
 """
 
@@ -29,7 +29,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 from nbclient import NotebookClient
-from nonlinear_pictures import draw_exciters, draw_resonances, draw_self_excited
+from nonlinear_pictures import draw_exciters, draw_law, draw_resonances, draw_self_excited
 from PIL import Image
 
 from nmt_extract.modal_table import read_csv, read_json
@@ -294,6 +294,7 @@ def main(arguments: list[str] | None = None) -> int:
         runs = [options.results / name for name in ("internal", "jumping", "primary", "isola", "subharmonic")]
         draw_resonances(*runs, made / "resonances.svg")
         draw_exciters(options.results / "frame", options.results / "frame_one", made / "two_exciters.svg")
+        draw_law(made / "law.svg")
         asyncio.run(screenshots(options.results, made))
         asyncio.run(live_page(options.results / "demo" / "bag", made / "page.png"))
         shrink(made)

@@ -12,13 +12,17 @@ from matplotlib.figure import Figure
 
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
+from nmt_diagnose.law.reading import read_law
 from nmt_extract.backbone_jumps import find_jumps
 from nmt_extract.limit_cycles import limit_cycles
 from nmt_extract.modal_table import read_json
+from nmt_report.law_figures import drawn_loops
+from nmt_report.svg import figure_style
 from nmt_rig.reference import compute_reference, point_shapes
 from nmt_rig.rig import load_rig
 
 INK, LINE, ACCENT, SECOND = "#1c2733", "#5b6b7b", "#c0392b", "#1f77b4"
+FALLING = (4, "stribeck", (0.004, 4e-3, 1.0, 0.1), ())
 _SMALL: dict[str, Any] = {"fontsize": 8, "color": INK}
 
 
@@ -70,6 +74,17 @@ def draw_self_excited(results: Path, target: Path) -> None:
         right.plot([1e3 * cycle.modal_amplitude], [0.0], "o", **style)
     right.legend(fontsize=8, frameon=False, loc="upper left")
     save(figure, target)
+
+
+def draw_law(target: Path) -> None:
+    """The missing force of a chain with friction that weakens with speed; its levels were integrated elsewhere."""
+    from diagnose.simulated_levels import chain_of_masses, held
+
+    reading = read_law(chain_of_masses(), held([FALLING], forces=np.geomspace(0.05, 0.4, 6)))
+    if reading is None or not reading.is_stated:
+        raise RuntimeError("the law of the picture is not read")
+    with figure_style(), matplotlib.rc_context({"svg.hashsalt": "nmt", "figure.facecolor": "white"}):
+        save(drawn_loops(reading.laws[0]), target)
 
 
 def draw_resonances(passed: Path, jumping: Path, primary: Path, isola: Path, subharmonic: Path, target: Path) -> None:

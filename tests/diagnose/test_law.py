@@ -131,10 +131,10 @@ def test_one_law_has_no_second_beside_it() -> None:
 
 
 def amplitudes(decay: bool, cubic: float = 0.0, friction: float = 0.0, bent: float = 0.0) -> Observations:
-    """A decay or a table of a mass of 2 kg at 20 Hz with a cubic spring and dry friction, by their describing functions.
+    """A decay or a table of 2 kg at 20 Hz with a cubic spring and dry friction, by their describing functions.
 
-    The squared frequency has ¾ k a² / m more (Nayfeh and Mook, Nonlinear Oscillations, 1979), the damping 4 F / (π ω² m a)
-    / 2 (Den Hartog, Trans. ASME 53, 1931). ``bent`` is a relative error of the frequency that nothing makes.
+    The squared frequency has ¾ k a² / m more (Nayfeh and Mook, Nonlinear Oscillations, 1979), the damping
+    2 F / (π ω² m a) (Den Hartog, Trans. ASME 53, 1931). ``bent`` is a relative error of the frequency.
     """
     mass, first, ratio = 2.0, 2.0 * np.pi * 20.0, 0.004
     a = np.geomspace(2e-5, 1e-3, 30)[::-1]

@@ -164,7 +164,9 @@ def make_beam_case(folder: Path, family: str, seed: int) -> None:
 
     def add(rows: np.ndarray) -> float:
         nonlocal begin
-        pieces.append(np.column_stack([rows[:, -1], rows[:, 2 * modes : 3 * modes] @ beam.shapes[np.array(SENSORS) - 1].T]))
+        pieces.append(
+            np.column_stack([rows[:, -1], rows[:, 2 * modes : 3 * modes] @ beam.shapes[np.array(SENSORS) - 1].T])
+        )
         begin += len(rows) / RATE
         return begin
 
@@ -211,8 +213,9 @@ def make_beam_case(folder: Path, family: str, seed: int) -> None:
     truth = {
         "group": "other" if not laws else "library" if family in IN_LIBRARY else "outside",
         "laws": [
-            {"point": law.point, "family": FAMILIES[_kind(law)], "strengths": {k: float(v) for k, v in law.strengths.items()}}
+            {"point": law.point, "family": FAMILIES[_kind(law)], "strengths": {k: float(v) for k, v in strengths.items()}}
             for law in laws
+            for strengths in [law.strengths]
         ],
         "levels": truth_levels,
     }  # fmt: skip
@@ -249,7 +252,6 @@ def _truth_of(
 def _recipes(seed: int) -> dict[str, laboratory_one.Recipe]:
     """Cases of laboratory one: six with a law, six without one."""
     scale, draw = laboratory_one._shape, np.random.default_rng([1, seed])
-    ordinary = (0.01, 0.2)
     found: dict[str, laboratory_one.Recipe] = {}
 
     def size() -> float:
@@ -258,8 +260,10 @@ def _recipes(seed: int) -> dict[str, laboratory_one.Recipe]:
     def point(*among: int) -> int:
         return int(draw.choice(among))
 
-    def add(name: str, effects: dict[str, Any], group: str, laws: Sequence[tuple[int, str, dict[str, float]]] = (),
-            tolerance: tuple[float, float] = ordinary, chain: dict[str, Any] | None = None, amplifier: Any = None) -> None:  # fmt: skip
+    def add(
+        name: str, effects: dict[str, Any], group: str, laws: Sequence[tuple[int, str, dict[str, float]]] = (),
+        chain: dict[str, Any] | None = None, amplifier: Any = None,
+    ) -> None:  # fmt: skip
         number = len(found) + 1
         truth = {
             "group": group,
@@ -267,7 +271,7 @@ def _recipes(seed: int) -> dict[str, laboratory_one.Recipe]:
             "levels": [],
         }
         chain = {"seed": seed + number, **(chain or {})}
-        recipe = laboratory_one.Recipe(effects, chain, {}, truth, tolerance, 10 * seed + number, amplifier)
+        recipe = laboratory_one.Recipe(effects, chain, {}, truth, (0.01, 0.2), 10 * seed + number, amplifier)
         found[f"one_{seed:04d}_{number:02d}_{name}"] = recipe
 
     at = point(5, 6, 7)

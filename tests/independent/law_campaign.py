@@ -97,7 +97,11 @@ def _strength_error(reading: LawReading, truth: dict[str, Any]) -> float:
                 close = [t.parameters[0] for t in terms if t.kind in ("gap", "stop", "slider") and t.parameters]
                 read = close[0] if close else math.nan
             else:
-                read = sum(t.coefficient for t in terms if t.kind == kind and (not exponent or t.parameters[0] == float(exponent)))
+                read = sum(
+                    t.coefficient
+                    for t in terms
+                    if t.kind == kind and (not exponent or t.parameters[0] == float(exponent))
+                )
             errors.append(abs(read / value - 1.0))
     return float(max(errors, default=math.nan))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,24 +27,41 @@ _SHAPED = 6.0
 
 
 def law_figure(law: LocalLaw, number: int) -> ReportFigure:
-    """Missing force over displacement and over velocity, and every loop by its own size.
+    """The loops of a law for a page.
 
     Args:
         law: with its loops.
         number: of the law, for the anchor.
     """
+    name = f"law-{number}"
+    title = f"Missing force at {_where(law)}: {law.family}"
+    caption = (
+        "The force that the model lacks, along one period of the place, at levels named by their largest "
+        "displacement. Points: by the rows of the level alone, of the harmonics that were measured, without the mean. "
+        "Lines: the law, which all levels share. A spring is one line over the displacement; what takes energy "
+        "encloses an area there and, where it is a damper, is one line over the velocity. Levels at which two standard "
+        "deviations are more than the force are not drawn."
+    )
+    return ReportFigure(name, title, caption, svg_text(drawn_loops(law), name, title), wide=True)
+
+
+def drawn_loops(law: LocalLaw) -> Figure:
+    """Missing force over displacement and over velocity, and every loop by its own size."""
     figure = Figure(figsize=(12.9, 4.5))
     panels = figure.subplots(1, 3)
     figure.subplots_adjust(left=0.055, right=0.99, bottom=0.125, top=0.8, wspace=0.21)
-    colours = level_colours(len(law.loops))
-    reaches = [float(np.abs(loop.displacement).max()) for loop in law.loops]
+    # Where the uncertainty is larger than the force, it would cover the others.
+    loops = [loop for loop in law.loops if _size(loop) > _BAND * loop.std] or law.loops[-1:]
+    colours = level_colours(len(loops))
+    reaches = [float(np.abs(loop.displacement).max()) for loop in loops]
     unit, scale = ("mm", 1e3) if max(reaches) >= 1e-4 else ("µm", 1e6)
-    largest = max(float(np.abs(loop.law).max()) for loop in law.loops)
-    for loop, reach, colour in zip(law.loops, reaches, colours, strict=True):
+    largest = max(map(_size, loops))
+    newtons, per_newton = ("N", 1.0) if largest >= 0.1 else ("mN", 1e3)
+    for loop, reach, colour in zip(loops, reaches, colours, strict=True):
         x, v = np.array(loop.displacement), np.array(loop.velocity)
-        _draw(panels[0], loop, scale * x, 1.0, colour)
-        _draw(panels[1], loop, v, 1.0, colour)
-        size = float(np.abs(loop.law).max())
+        _draw(panels[0], loop, scale * x, 1.0 / per_newton, colour)
+        _draw(panels[1], loop, v, 1.0 / per_newton, colour)
+        size = _size(loop)
         if size > _SHAPED * loop.std:
             _draw(panels[2], loop, x / reach, size, colour)
     for axes, title in zip(panels, ("over displacement", "over velocity", "each loop by its own size"), strict=True):
@@ -52,10 +70,10 @@ def law_figure(law: LocalLaw, number: int) -> ReportFigure:
         axes.set_title(title)
         axes.set_axisbelow(True)
     for axes in panels[:2]:
-        axes.set_ylim(-1.15 * largest, 1.15 * largest)
+        axes.set_ylim(-1.2 * per_newton * largest, 1.2 * per_newton * largest)
     panels[2].set_ylim(-1.6, 1.6)
     panels[0].set_xlabel(f"displacement / {unit}")
-    panels[0].set_ylabel("missing force / N")
+    panels[0].set_ylabel(f"missing force / {newtons}")
     panels[1].set_xlabel("velocity / (m/s)")
     panels[2].set_xlabel("displacement / largest of the level")
     panels[2].set_ylabel("force / largest of the law's")
@@ -65,18 +83,14 @@ def law_figure(law: LocalLaw, number: int) -> ReportFigure:
     handles += [Patch(color=MUTED, alpha=0.3, linewidth=0.0), Line2D([], [], color=INK, linewidth=1.4)]
     texts += ["read from each level", f"±{_BAND:g} standard deviations", "law"]
     figure.legend(
-        handles, texts, loc="upper right", ncols=len(handles), bbox_to_anchor=(1.0, 1.0), columnspacing=1.3,
+        handles, texts, loc="upper right", ncols=len(handles), bbox_to_anchor=(0.995, 1.0), columnspacing=1.3,
         handlelength=1.8,
     )  # fmt: skip
-    name = f"law-{number}"
-    title = f"Missing force at {_where(law)}: {law.family}"
-    caption = (
-        "The force that the model lacks, along one period of the place, at levels named by their largest "
-        "displacement. Points: by the rows of the level alone, of the harmonics that were measured, without the mean. "
-        "Lines: the law, which all levels share. A spring is one line over the displacement; what takes energy "
-        "encloses an area there and, where it is a damper, is one line over the velocity."
-    )
-    return ReportFigure(name, title, caption, svg_text(figure, name, title), wide=True)
+    return figure
+
+
+def _size(loop: ForceLoop) -> float:
+    return float(np.abs(loop.law).max())
 
 
 def _draw(axes: Axes, loop: ForceLoop, x: FloatArray, size: float, colour: tuple[float, float, float]) -> None:
@@ -95,7 +109,7 @@ def _runs(x: FloatArray) -> list[list[int]]:
     order = [int(k) for k in (begin + np.arange(x.size + 1)) % x.size]
     found: list[list[int]] = [[order[0]]]
     falling = True
-    for before, after in zip(order, order[1:], strict=False):
+    for before, after in pairwise(order):
         if (x[after] < x[before]) != falling and len(found[-1]) > 1:
             found.append([before])
         falling = bool(x[after] < x[before])

@@ -69,7 +69,7 @@ class ConvexFit:
         across = flat.T @ self.nuisance.reshape(len(flat), -1)
         half = solve_triangular(self.lower, across.T, lower=True)
         right = flat.T @ self.target.ravel() - half.T @ self.half
-        # At the optimum what a coefficient takes off is its product with its right-hand side; 0 where it is at its bound.
+        # At the optimum a coefficient takes off its product with its right-hand side, 0 at its bound.
         theta = _constrained(flat.T @ flat - half.T @ half, right, 0, signed)
         return float(self.tt.sum() - self.half @ self.half - theta @ right)
 

@@ -86,7 +86,7 @@ class LawThresholds:
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     second_from_score: float = threshold(
-        0.5, "1", "Score from which on a second law is looked for: healthy structures leave 0.2 to 0.5 of their tolerances.",
+        0.5, "1", "Score from which on a second law is looked for: healthy structures leave 0.2 to 0.5 of tolerances.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     start_score_ratio: float = threshold(

@@ -69,7 +69,8 @@ def local_force(name: str, case: dict[str, Any], point: int, draw: np.random.Gen
     stuck = 2.0 * float(draw.uniform(0.004, 0.008)) * omega**2 / phi2
 
     def one(kind: str, parameters: Sequence[float], sliders: Sequence[tuple[float, float]] = (), **strengths: float):
-        return [Local(point, name, Element(kind, shapes, tuple(parameters), tuple(sliders)), strengths)]
+        plain = {key: float(value) for key, value in strengths.items()}
+        return [Local(point, name, Element(kind, shapes, tuple(parameters), tuple(sliders)), plain)]
 
     if name in ("cubic", "softening"):
         k = (spring if name == "cubic" else -soft) / (0.75 * w**2)
@@ -213,9 +214,8 @@ def make_beam_case(folder: Path, family: str, seed: int) -> None:
     truth = {
         "group": "other" if not laws else "library" if family in IN_LIBRARY else "outside",
         "laws": [
-            {"point": law.point, "family": FAMILIES[_kind(law)], "strengths": {k: float(v) for k, v in strengths.items()}}
+            {"point": law.point, "family": FAMILIES[_kind(law)], "strengths": law.strengths}
             for law in laws
-            for strengths in [law.strengths]
         ],
         "levels": truth_levels,
     }  # fmt: skip

@@ -87,7 +87,8 @@ def slider_force(x: FloatArray, slip: float) -> FloatArray:
         slip: slip displacement, m.
     """
     flat = np.ascontiguousarray(x.reshape(-1, x.shape[-1]))
-    return _slider_loops(flat, slip).reshape(x.shape)
+    loops: FloatArray = _slider_loops(flat, slip)
+    return loops.reshape(x.shape)
 
 
 @njit(cache=True)

@@ -135,6 +135,9 @@ def test_another_integrator_finds_the_same_motion(kind: str) -> None:
         if kind == "bouc_wen":
             rate = v * (1.0 - abs(z / p[1]) ** p[2] * 0.5 * (1.0 + np.sign(v * z)))
             return p[0] * (p[3] * w + (1.0 - p[3]) * z), rate
+        if kind == "pinched":
+            rate = v * (1.0 - abs(z / p[1]) ** p[2] * 0.5 * (1.0 + np.sign(v * z)))
+            return p[0] * z, rate / (1.0 + p[3] * math.exp(-((z / p[4]) ** 2)))
         beyond = abs(w) - p[-1 if kind in ("stop", "gap") else 1] if kind in ("stop", "gap", "backlash") else 0.0
         outward = math.copysign(1.0, w)
         return {
@@ -147,6 +150,8 @@ def test_another_integrator_finds_the_same_motion(kind: str) -> None:
             "stribeck": lambda: p[0] * math.tanh(v / p[1]) * (1.0 + p[2] * math.exp(-((v / p[3]) ** 2))),
             "backlash": lambda: outward * max(beyond * (p[0] + p[2] * v * outward), 0.0) if beyond > 0.0 else 0.0,
             "eddy_brake": lambda: p[0] * v / (1.0 + (v / p[1]) ** 2),
+            "polynomial": lambda: w * (p[0] + w * (p[1] + w * (p[2] + w**2 * p[3]))),
+            "magnet": lambda: 4.0 * p[0] * w * (p[1] / (p[1] ** 2 - w**2) ** 2 - p[1] ** -3),
         }[kind](), 0.0
 
     def rates(t: float, y: np.ndarray) -> list[float]:

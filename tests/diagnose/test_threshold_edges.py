@@ -14,6 +14,7 @@ from diagnose.test_residuals import run_observations
 from diagnose.test_warnings import GAP
 from scipy.stats import f as fisher
 
+from nmt_bench.commands import linear_command
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.effects.location import Cause, Explanation, Location
 from nmt_diagnose.effects.structure_effects import _excess, largest_air_drag
@@ -32,6 +33,7 @@ from nmt_diagnose.inference.warnings import beyond_physical_limits
 from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.prediction.converter import recorded_harmonics
 from nmt_diagnose.prediction.lateness import delay_of
+from nmt_diagnose.thresholds.next_test import NextTestThresholds
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import load_rig
 from nmt_signals.channel_faults.clipping import clipping_level
@@ -276,6 +278,9 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "candidates.largest_drag_coefficient": (lambda: drag("joint_resonator"), pytest.approx(0.5 * 1.2 * 10.0 * 0.2)),
     "candidates.least_sheet_kg_m2": (lambda: drag("joint_resonator"), pytest.approx(0.5 * 1.2 * 10.0 * 0.2)),
     # The arithmetic of the reasons.
+    "next_test.random_seconds": (
+        lambda: 2.0 < NextTestThresholds().random_seconds / linear_command.DEFAULT_DURATION < 2.1, True
+    ),
     "tolerances.phase_deg": (lambda: TOLERANCES.phase_deg, pytest.approx(math.degrees(math.atan(0.1 / 30)), rel=0.1)),
     "tolerances.delay_s": (lambda: TOLERANCES.delay_s, pytest.approx(1.0 / 100_000)),
     "tolerances.mains": (lambda: 20.0 * math.log10(TOLERANCES.mains), pytest.approx(-60.0)),

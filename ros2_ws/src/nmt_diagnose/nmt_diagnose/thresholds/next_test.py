@@ -34,7 +34,7 @@ class NextTestThresholds:
     random_seconds: float = threshold(
         123.0, "s",
         "Bench time of './nmt linear' as it comes: two records of a minute and what they need to begin and to end.",
-        "",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[next_test.random_seconds]",
     )  # fmt: skip
     typical_response_std: float = threshold(
         5e-3, "1",

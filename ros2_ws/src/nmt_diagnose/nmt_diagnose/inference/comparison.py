@@ -28,6 +28,9 @@ from nmt_diagnose.inference.sources import SourceLocation, places
 from nmt_diagnose.inference.warnings import beyond_physical_limits
 from nmt_diagnose.thresholds import THRESHOLDS
 
+_DIGITS = 6
+"""Of the probability by which classes are ordered: one that is practically none comes before no other."""
+
 
 @dataclass(frozen=True)
 class SourceEvidence:
@@ -425,7 +428,7 @@ class Hypotheses:
             at = {found.explanation.place: share for found, share in self._placed(head.effects)}
             result.append(EquivalentClass(tuple(members), weight, library_share, against, at))
         return tuple(
-            sorted(result, key=lambda member: (-member.probability if member.adequate else 0.0, -member.given_library))
+            sorted(result, key=lambda it: (-round(it.probability, _DIGITS) if it.adequate else 0.0, -it.given_library))
         )
 
     def _head(self, same: Sequence[FittedExplanation]) -> FittedExplanation:

@@ -301,7 +301,8 @@ def _pairs(standing: Standing) -> list[FittedExplanation]:
     """Explanations by two effects, and by one that a pair led to its optimum; the best first."""
     search, singles = standing.search, standing.named
     search.tell("looking for second effects")
-    pairs = search.pairs(singles)
+    # What one of them has not reached yet would decide which of them are left out.
+    pairs = best_of([search.again(pair) for pair in search.pairs(singles)])
     reached = search.pruned(pairs)
     if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
         before = {explanation.explanation for explanation in pairs}

@@ -38,7 +38,7 @@ class SearchThresholds:
         "",
     )  # fmt: skip
     second_effects: int = threshold(
-        2, "1",
+        3, "1",
         "Second effects that are fitted to each head.",
         "",
     )  # fmt: skip

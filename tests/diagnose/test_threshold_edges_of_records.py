@@ -141,7 +141,7 @@ def exceeds(scale: float, null: float = 1.0) -> bool:
         return SimpleNamespace(fit=SimpleNamespace(errors=SimpleNamespace(squares=np.array([10.0 * size**2]))))
 
     data = SimpleNamespace(counts=np.array([10.0]), groups=SimpleNamespace(degrees=np.array([6.0])))
-    return Search._exceeds_noise(SimpleNamespace(data=data), found(scale), found(null))  # type: ignore[arg-type]
+    return Search.exceeds_noise(SimpleNamespace(data=data), found(scale), found(null))  # type: ignore[arg-type]
 
 
 def misfit(name: str) -> float:

@@ -11,7 +11,7 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.inference.explanations import FittedExplanation, best_of
-from nmt_diagnose.inference.fitting import FitError, fit
+from nmt_diagnose.inference.fitting import FitError, FitResult, approach, fit
 from nmt_diagnose.inference.search import Search
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, read_law
 from nmt_diagnose.observations.observables import Observations
@@ -58,16 +58,26 @@ def _fitted(
     candidates = [candidate for candidate, _ in starts]
     spreads = [search.spread_of(candidate, theta) for candidate, theta in starts]
     parametrisation = search.parametrisation(candidates, spreads)
+    best: FitResult | None = None
     for share in (1.0, 0.3):
-        theta = np.concatenate(
-            [null.fit.theta, *[_weaker(candidate, parameters, share) for candidate, parameters in starts]]
-        )
-        try:
-            fitted = fit(search.data, parametrisation, theta, null.fit.prediction, exact=False)
-            return FittedExplanation(tuple(candidates), search.widened(fitted))
-        except (FitError, BenchError, ArithmeticError, np.linalg.LinAlgError):
-            continue
-    return None
+        added = [_weaker(candidate, parameters, share) for candidate, parameters in starts]
+        # The law was read with the model as it was given; without it a strong law has bent the model's own parameters.
+        for model in (null.fit.theta, np.zeros_like(null.fit.theta)):
+            theta = np.concatenate([model, *added])
+            try:
+                if best is None:
+                    found = fit(search.data, parametrisation, theta, null.fit.prediction, exact=False)
+                else:
+                    found = approach(search.data, parametrisation, theta)
+                found = search.widened(found)
+            except (FitError, BenchError, ArithmeticError, np.linalg.LinAlgError):
+                continue
+            best = found if best is None or found.cost < best.cost else best
+            if not search.exceeds_noise(FittedExplanation(tuple(candidates), best)):
+                break
+        if best is not None:
+            break
+    return None if best is None else FittedExplanation(tuple(candidates), best)
 
 
 def _weaker(candidate: Candidate, theta: FloatArray, share: float) -> FloatArray:

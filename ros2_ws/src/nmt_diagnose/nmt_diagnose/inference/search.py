@@ -482,7 +482,7 @@ class Search:
         found = [self.added(base, score) for score in wanted]
         fits = [explanation for explanation in found if explanation is not None]
         best_yet = max([*begun, *fits], key=lambda explanation: explanation.fit.log_evidence, default=base)
-        if not base.candidates and self._exceeds_noise(best_yet, base):
+        if not base.candidates and self.exceeds_noise(best_yet, base):
             for number in self._fitted_by_levels_first(wanted, fits):
                 self.tell(f"fitting {self.candidates[number].label} from low levels")
                 known = [
@@ -499,7 +499,7 @@ class Search:
                     from_initial_model = self.from_initial_model(number)
                     more += [] if from_initial_model is None else [from_initial_model]
                 found += more
-                if any(not self._exceeds_noise(explanation, base) for explanation in more):
+                if any(not self.exceeds_noise(explanation, base) for explanation in more):
                     break
         return best_of([explanation for explanation in found if explanation is not None])
 
@@ -560,7 +560,7 @@ class Search:
                 continue
         return best_of(found)
 
-    def _exceeds_noise(self, found: FittedExplanation, null: FittedExplanation | None = None) -> bool:
+    def exceeds_noise(self, found: FittedExplanation, null: FittedExplanation | None = None) -> bool:
         """Whether a fit leaves so much in any group of rows that its parameters are bent by what is missing.
 
         Args:
@@ -632,7 +632,7 @@ class Search:
 
     def refitted_from_model(self, found: FittedExplanation) -> FittedExplanation:
         """An explanation fitted again from the model as given where its fit leaves too much; the better of the two."""
-        if not self._exceeds_noise(found):
+        if not self.exceeds_noise(found):
             return found
         fitted = found.fit
         theta = fitted.theta.copy()

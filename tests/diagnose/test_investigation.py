@@ -169,6 +169,27 @@ def test_a_failed_test_is_repeated_and_nothing_is_lost(tmp_path: Path) -> None:
     assert record.ended == "named"
 
 
+def test_a_test_that_was_cut_short_is_asked_for_again(tmp_path: Path) -> None:
+    """Ctrl-C or a killed process: its levels were not measured."""
+    bench = Bench([NOTHING])
+    whole = investigated(tmp_path, bench)
+    cut = replace(whole.tests[2], state="asked", seconds=math.nan)
+    kept = replace(whole, tests=(*whole.tests[:2], cut), turns=whole.turns[:1], ended="", conclusion="")
+    again = Bench([NOTHING])
+    record = investigated(tmp_path, again, record=kept)
+    assert [test.words[3] for test in again.made] == ["0.3,0.4", "0.5,0.6"]
+    assert record.tests[2].state == "failed"
+    assert len({test.name for test in record.tests}) == len(record.tests)
+
+
+def test_no_level_above_one_that_was_declined_is_proposed(tmp_path: Path) -> None:
+    bench = Bench([NOTHING])
+    record = investigated(tmp_path, bench, agree=lambda test: NO if "0.3,0.4" in test.words else YES)
+    assert [test.words[3] for test in bench.made[1:]] == ["0.1,0.2"]
+    assert record.ended == "stopped"
+    assert "declined" in record.conclusion
+
+
 def test_a_record_is_read_as_it_was_written(tmp_path: Path) -> None:
     record = investigated(tmp_path, Bench([NOTHING]))
     kept = read_record(tmp_path)

@@ -47,7 +47,7 @@ def investigation_page(record: InvestigationRecord) -> str:
             ("Tests", f"{len(record.measured)} in {record.bench_s:.0f} s of bench time" if record.real else ""),
             (
                 "Diagnoses",
-                f"{len(thinking)}, {median(thinking):.0f} s of processor time in the median" if thinking else "",
+                f"{len(thinking)}, {median(thinking):.0f} s each in the median" if thinking else "",
             ),
         ],
         sections=[

@@ -133,7 +133,6 @@ def _settings(options: InvestigateOptions, rig: Rig) -> InvestigationSettings:
 
     words = [word for change in options.set for word in ("--set", change)]
     words += ["--device", options.device] if options.device else []
-    words += ["--latency-blocks", str(options.latency_blocks)] if options.latency_blocks else []
     return InvestigationSettings(
         until=options.until,
         budget_s=math.inf if options.budget is None else options.budget,
@@ -141,6 +140,7 @@ def _settings(options: InvestigateOptions, rig: Rig) -> InvestigationSettings:
         periods=options.periods,
         random_s=options.random,
         options=tuple(words),
+        run_options=("--latency-blocks", str(options.latency_blocks)) if options.latency_blocks else (),
     )
 
 
@@ -218,10 +218,10 @@ class _Bench:
         from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 
         bags = [self._options.out / name for name in names] or list(self._options.real)
-        began = time.process_time()
+        began = time.monotonic()
         settings = DiagnosisSettings(jobs=self._jobs, plan=self._plan)
         self._outcome = diagnose_bags(self._model, bags, settings=settings)
-        return self._outcome.diagnosis, time.process_time() - began
+        return self._outcome.diagnosis, time.monotonic() - began
 
     def _agree(self, test: AskedTest) -> str:
         from nmt_diagnose.investigation.investigation import NO, STOP, YES

@@ -32,6 +32,7 @@ class InvestigationSettings:
         periods: whole periods of a window.
         random_s: length of each record of the linear test, s.
         options: further words for each test (``--device`` and the like).
+        run_options: further words for each test at levels.
     """
 
     until: float = 0.95
@@ -40,12 +41,13 @@ class InvestigationSettings:
     periods: int = 50
     random_s: float = 20.0
     options: tuple[str, ...] = ()
+    run_options: tuple[str, ...] = ()
 
 
 Measure = Callable[[AskedTest], float]
 """Carries a test out and returns its bench time in s; raises BenchError where it failed."""
 Think = Callable[[Sequence[str]], tuple[Diagnosis, float]]
-"""Diagnoses the tests of these names; the diagnosis and its processor time in s."""
+"""Diagnoses the tests of these names; the diagnosis and the time that it took in s."""
 Agree = Callable[[AskedTest], str]
 """What a person says to a test: yes, no or stop."""
 
@@ -71,7 +73,9 @@ class Investigation:
         agree: Agree = lambda _: YES,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self.record, self.settings, self.folder = record, settings, folder
+        # What was under way when an earlier call ended was not measured: it is asked for again.
+        tests = [replace(test, state="failed", seconds=0.0) if test.state == "asked" else test for test in record.tests]
+        self.record, self.settings, self.folder = replace(record, tests=tuple(tests)), settings, folder
         self._measure, self._think, self._agree, self._tell = measure, think, agree, tell
         self.diagnosis: Diagnosis | None = None
 
@@ -141,14 +145,13 @@ class Investigation:
         # A linear test belongs to its exciter and mode.
         if linear and "--exciter" not in found and "--set" not in found:
             found += ["--linear", str(self.folder / linear / "linear.json")]
-        return (*found, *self.settings.options)
+        return (*found, *self.settings.options, *self.settings.run_options)
 
     def _next_levels(self) -> AskedTest | None:
-        """The next third of the plan above what was measured; None at its end."""
-        top = max(
-            (max(_levels(test.words)) for test in self.record.tests if test.state != "failed" and _levels(test.words)),
-            default=0.0,
-        )
+        """The next third of the plan above what was measured; None at its end, and above levels that were declined."""
+        if any(test.state == "declined" and _levels(test.words) for test in self.record.tests):
+            return None
+        top = max((max(_levels(test.words)) for test in self.record.measured if _levels(test.words)), default=0.0)
         more = [level for level in self.settings.levels if level > 1.001 * top]
         more = more[: max(1, math.ceil(len(self.settings.levels) / 3))]
         if not more:
@@ -221,8 +224,11 @@ class Investigation:
         verdict, sure = self.diagnosis.verdict, self._sure(answers)
         if sure and verdict is Verdict.EFFECT and self.diagnosis.adequate:
             self._end("named", text)
-        elif sure and verdict in (Verdict.NONE, Verdict.CALIBRATION) and self._next_levels() is None:
+        elif sure and verdict in (Verdict.NONE, Verdict.CALIBRATION) and not (self._next_levels() or self._declined()):
             self._end("no_gap", text)
+
+    def _declined(self) -> bool:
+        return any(test.state == "declined" for test in self.record.tests)
 
     def _sure(self, answers: Mapping[str, float]) -> bool:
         assert self.diagnosis is not None
@@ -238,6 +244,8 @@ class Investigation:
         left = [item for item in found.next_test if item.command]
         if self._next_levels() is not None or any(not self._affordable(self._asked(item)) for item in left):
             self._end("budget", f"The bench time is used up. So far: {found.sentences[1]}")
+        elif self._declined():
+            self._end("stopped", f"What is left to measure was declined. So far: {found.sentences[1]}")
         elif found.verdict is Verdict.UNKNOWN:
             self._end("unknown", " ".join(found.sentences[:2]))
         elif found.verdict in (Verdict.NONE, Verdict.CALIBRATION):

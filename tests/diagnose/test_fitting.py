@@ -17,7 +17,7 @@ from nmt_diagnose.inference.comparison import source_locations
 from nmt_diagnose.inference.diagnose import free_parameters, model_alone
 from nmt_diagnose.inference.fitting import ChainErrors, _normal, approach, data_about, fit
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.noise import Groups
+from nmt_diagnose.inference.noise import Groups, chance_of
 from nmt_diagnose.inference.search import Search
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.prediction.forward import Forward
@@ -70,12 +70,13 @@ def test_a_fit_from_afar_arrives_where_one_from_nearby_does() -> None:
 def test_the_chance_of_a_scale_is_that_of_fishers_distribution() -> None:
     groups = Groups(np.array([0, 0, 1, 1]), ("one", "two"), np.array([6.0, 6.0]), np.zeros(2))
     counts = np.array([20.0, 20.0])
-    assert groups.chance(np.array([20.0, 20.0]), counts) == pytest.approx(
+    assert chance_of(groups.tails(np.array([20.0, 20.0]), counts)) == pytest.approx(
         min(1.0, 2.0 * fisher.sf(1.0, 20, 6)), rel=1e-9
     )
-    assert groups.chance(np.array([20.0, 20.0 * 100.0]), counts) == pytest.approx(2.0 * fisher.sf(100.0, 20, 6))
+    tails = groups.tails(np.array([20.0, 20.0 * 100.0]), counts)
+    assert chance_of(tails) == pytest.approx(2.0 * fisher.sf(100.0, 20, 6))
     known = replace(groups, degrees=np.array([np.inf, np.inf]))
-    assert known.chance(np.array([1e6, 1e6]), counts) == 1.0
+    assert chance_of(known.tails(np.array([1e6, 1e6]), counts)) == 1.0
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 1.8e-3, -6e-3])

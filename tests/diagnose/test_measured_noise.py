@@ -31,6 +31,7 @@ from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel,
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 
@@ -389,3 +390,13 @@ def test_two_laws_that_explain_everything_may_imitate_a_third() -> None:
     assert compared.classes[0].objections == (IMITATION,)
     assert compared.classes[0].probability == pytest.approx(0.05 / 0.15, rel=1e-3)
     assert compared.unknown == pytest.approx(0.1 / 0.15, rel=1e-3)
+
+
+def test_no_gap_leaves_room_for_what_is_too_weak_to_see() -> None:
+    found = diagnosed(observed(MODEL))
+    assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    share = THRESHOLDS.comparison.too_weak_share
+    assert found.probabilities["none"] == pytest.approx(1.0 - share, abs=0.02)
+    assert found.probabilities["unknown"] == pytest.approx(share, abs=0.02)
+    # A gap that is there leaves none.
+    assert diagnosed(observed(HARDENING)).probabilities["unknown"] < 0.05

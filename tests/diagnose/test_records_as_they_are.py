@@ -12,9 +12,10 @@ from scipy.signal import TransferFunction, lsim
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.tolerances import TOLERANCES
-from nmt_diagnose.inference.diagnose import diagnose_bags
+from nmt_diagnose.inference.diagnose import diagnose_bags, free_parameters, model_alone
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.observations.conditions import RecordTest
 from nmt_diagnose.observations.kinds.record_observations import _begins_in_motion, _head
 from nmt_diagnose.observations.noise.input_noise import InputNoise, input_noise, noise_lines, propagated_noise
@@ -98,6 +99,30 @@ def test_the_zero_of_a_sensor_is_an_error_of_the_record(tmp_path: Path) -> None:
     assert test.zeros[1] == pytest.approx(math.hypot(0.1 * np.abs(y + y_zero).max(), np.mean(y + y_zero)), rel=1e-3)
     found = diagnosed(rig, bag)
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION), found.verdict
+
+
+def test_the_zero_of_a_sensor_is_one_for_quiet_and_loud_records(tmp_path: Path) -> None:
+    """A cubic spring tells the zero of the voltage from that of the response: it moves the working point."""
+    count, zero = 2048, 0.025
+    volts = np.concatenate([band_noise(count, 1, 0.005), band_noise(count, 2, 0.08)])
+    y = np.concatenate([cubic_response(volts[:count]), cubic_response(volts[count:])])
+    y = y + 1e-3 * np.random.default_rng(4).standard_normal(y.size)
+    bag = imported(tmp_path, volts + zero, y, [(0, count), (count, 2 * count)])
+    rig = with_cubic(tmp_path)
+    observations = read_observations([bag], rig)
+    quiet, loud = observations.tests
+    assert isinstance(quiet, RecordTest)
+    assert isinstance(loud, RecordTest)
+    assert zero > 4.0 * quiet.zeros[0]
+    assert zero < loud.zeros[0]
+    everything = np.ones(len(observations.rows), dtype=bool)
+    modes = LowLevelModes(observations, rig)
+    _, _, null, data = model_alone(rig, observations, free_parameters(rig, observations), everything, modes)
+    errors = dict(zip(data.chain_names, null.fit.errors.chain, strict=True))
+    for test in (quiet, loud):
+        own = errors.get(f"zero of u in {test.name}", 0.0) * test.zeros[0]
+        assert errors["zero of u"] * loud.zeros[0] + own == pytest.approx(-zero, rel=0.2)
+    assert max(map(abs, errors.values())) < 2.0
 
 
 @pytest.mark.parametrize("start", [(0.0, 0.0), (0.08, -25.0)])

@@ -23,7 +23,7 @@ from nmt_diagnose.inference.diagnose import _verdict
 from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Share, Verdict
 from nmt_diagnose.inference.fitting import Data, FitResult
 from nmt_diagnose.inference.gap import ClosedShare, _share
-from nmt_diagnose.inference.noise import Groups
+from nmt_diagnose.inference.noise import Groups, beyond_noise
 from nmt_diagnose.inference.residual_tests import residual_tests
 from nmt_diagnose.inference.result_rows import place_rows
 from nmt_diagnose.inference.search import _spread_of
@@ -137,7 +137,7 @@ def place_odds(size: float) -> float:
 def excess(chance: float) -> bool:
     """Whether a scale that is by this chance as large counts as more than noise."""
     groups = Groups(np.zeros(10, dtype=np.int64), ("a",), np.array([6.0]), np.zeros(1))
-    return bool(groups.excess(np.array([10.0 * fisher.isf(chance, 10, 6)]), np.array([10.0]))[0])
+    return bool(beyond_noise(groups.tails(np.array([10.0 * fisher.isf(chance, 10, 6)]), np.array([10.0])))[0])
 
 
 def beyond(value: float) -> float:

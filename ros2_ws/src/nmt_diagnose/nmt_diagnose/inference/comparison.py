@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,8 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Explanation, Location
 from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import Data, Metric
+from nmt_diagnose.inference.gap import ClosedShare
+from nmt_diagnose.inference.noise import chance_of
 from nmt_diagnose.inference.size import (
     IMITATION,
     Objection,
@@ -87,7 +89,8 @@ class Comparison:
         classes: named explanations, the most probable class first.
         places: share of each place in what is missing; sum 1 where something is.
         log_odds: ln of everything else over none.
-        by_label: probability of none, unknown and each explanation.
+        by_label: probability of none, unknown and each explanation. What acts and is too weak to show in any row is
+            unknown there.
         small: what best explains a difference that the recordings show and that does not matter.
     """
 
@@ -98,6 +101,49 @@ class Comparison:
     log_odds: float
     by_label: Mapping[str, float]
     small: FittedExplanation | None = None
+
+    def to_judge(self) -> tuple[EquivalentClass, ...]:
+        """Classes whose predictions of held-out rows are judged: the first, and one effect of two that lead."""
+        count = THRESHOLDS.verdict.judged_explanations
+        first = set(self.classes[0].head.explanation.causes) if self.classes else set()
+        parts = (it for it in self.classes[count:] if set(it.head.explanation.causes) < first)
+        return (*self.classes[:count], *parts)
+
+
+def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedShare]) -> Comparison:
+    """The comparison with one effect at its head where it closes most of a gap that two together may not explain.
+
+    What closes most of a gap alone is established by that, whatever acts beside it. A second law is named with it where
+    it takes most of what the first leaves.
+
+    Args:
+        comparison: of all explanations.
+        shares: of the gap that explanations close on data held out.
+    """
+    if not comparison.classes or comparison.classes[0].adequate:
+        return comparison
+    leader = comparison.classes[0]
+    value = {id(it): shares[it.head.explanation].value for it in comparison.classes if it.head.explanation in shares}
+    least = THRESHOLDS.verdict.partial_closed_share
+    of_two = value.get(id(leader), math.nan)
+    if of_two < THRESHOLDS.verdict.partial_closed_share_of_two:
+        least *= of_two  # nothing is named for certain: what comes nearest is the one that does most of it
+    causes = set(leader.head.explanation.causes)
+    alone = [
+        it
+        for it in comparison.classes[1:]
+        if it.objections and set(it.head.explanation.causes) < causes and value.get(id(it), -math.inf) >= least
+    ]
+    if not alone:
+        return comparison
+    single = max(alone, key=lambda it: value[id(it)])
+    most = THRESHOLDS.verdict.second_effect_leaves * (1.0 - value[id(single)])
+    if imitates(leader.head) and 1.0 - of_two <= most:
+        return comparison
+    causes = set(single.head.explanation.causes)
+    acts = sum(it.given_library for it in comparison.classes if causes <= set(it.head.explanation.causes))
+    others = (it for it in comparison.classes if it is not single)
+    return replace(comparison, classes=(replace(single, given_library=acts), *others))
 
 
 def source_locations(data: Data, base: FittedExplanation) -> list[SourceLocation]:
@@ -254,7 +300,7 @@ class Hypotheses:
         """ln of the probability that an explanation leaves noise and asks nothing of the model that nobody believes."""
         errors, total = found.fit.errors, 0.0
         if left_over(self.data, found, self.data.observations.matters):
-            chance = self.data.groups.chance(errors.squares, self.data.counts)
+            chance = chance_of(self.data.tails(errors))
             total += min(0.0, math.log(max(chance, 1e-300) / THRESHOLDS.comparison.noise_probability))
         bent, chance = self._implausible(found)
         if bent:
@@ -357,7 +403,8 @@ class Hypotheses:
         unknown = float(p_unnamed.sum() + p_named @ (1.0 - noise))
         given_library = p_named / max(float(p_named.sum()), 1e-300)
         p_named = p_named * noise
-        labels = {"none": float(weights[0]), "unknown": unknown}
+        too_weak = THRESHOLDS.comparison.too_weak_share * float(weights[0])
+        labels = {"none": float(weights[0]) - too_weak, "unknown": unknown + too_weak}
         for explanation, p in zip(stated, p_named, strict=True):
             labels[explanation.explanation.label] = labels.get(explanation.explanation.label, 0.0) + float(p)
         return Comparison(

@@ -17,7 +17,14 @@ from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import at_strength
 from nmt_diagnose.inference.chain import SharedDelay, shared_delays
-from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, misfit, sources
+from nmt_diagnose.inference.comparison import (
+    Comparison,
+    EquivalentClass,
+    Hypotheses,
+    by_plain_effect,
+    misfit,
+    sources,
+)
 from nmt_diagnose.inference.diagnosis import DetectableEffect, Diagnosis, Gap, NextTest, Value, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.explanations import FittedExplanation, Score, best_of
@@ -496,7 +503,6 @@ def _diagnosed(
     findings = find(rig, observations, settings, tell, compared)
     data, null, comparison = findings.data, findings.null, findings.comparison
     tell("predicting what was held out")
-    leader = comparison.classes[0] if comparison.classes else None
     as_given_errors = best_chain_errors(data, findings.as_given.values)
     held_out = named_tests(observations, settings.hold_out) & compared
     finite = np.all(
@@ -507,8 +513,10 @@ def _diagnosed(
         explanation_fit.head.explanation: _closed(
             findings, all_data, explanation_fit.head, held_out_splits, settings.seed
         )
-        for explanation_fit in comparison.classes[: THRESHOLDS.verdict.judged_explanations]
+        for explanation_fit in comparison.to_judge()
     }
+    comparison = by_plain_effect(comparison, shares)
+    leader = comparison.classes[0] if comparison.classes else None
     share = None if leader is None else shares[leader.head.explanation]
     verdict = Verdict.UNKNOWN
     if not findings.inadequate:

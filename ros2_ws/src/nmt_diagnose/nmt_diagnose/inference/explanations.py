@@ -106,6 +106,4 @@ def leaves_noise_only(data: Data, found: FittedExplanation) -> bool:
     """Whether a fit leaves noise only and bends neither parameters nor measuring chain: nothing asks for more."""
     fitted = found.fit
     pulls = np.concatenate([fitted.theta[: len(fitted.parametrisation.calibration)], fitted.errors.chain])
-    return not data.groups.excess(fitted.errors.squares, data.counts).any() and bool(
-        np.all(np.abs(pulls) < THRESHOLDS.comparison.credible_sigmas)
-    )
+    return not data.excess(fitted.errors).any() and bool(np.all(np.abs(pulls) < THRESHOLDS.comparison.credible_sigmas))

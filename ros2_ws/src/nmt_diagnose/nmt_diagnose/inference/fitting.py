@@ -17,7 +17,7 @@ from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArr
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.chain import is_tolerance, linear_chain
 from nmt_diagnose.inference.misfit import Whitening, misfit_of
-from nmt_diagnose.inference.noise import Groups, groups_of, sigma_of
+from nmt_diagnose.inference.noise import Groups, beyond_noise, groups_of, sigma_of
 from nmt_diagnose.observations.conditions import RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.forward import Forward, Prediction
@@ -60,6 +60,15 @@ class Data:
     chain_names: tuple[str, ...]
     used: BoolArray
     lines: IntArray
+
+    def tails(self, errors: ChainErrors) -> FloatArray:
+        """Probability that what a fit leaves in each group is noise, by its size and by its trend, (2K,)."""
+        groups = self.groups
+        return np.concatenate([groups.tails(errors.squares, self.counts), groups.trends(errors.residual, self.used)])
+
+    def excess(self, errors: ChainErrors) -> BoolArray:
+        """Groups in which a fit leaves more than noise, by its size or by its trend over levels, (K,)."""
+        return np.asarray(beyond_noise(self.tails(errors)).reshape(2, -1).any(axis=0))
 
     def difference(self, values: FloatArray, errors: FloatArray | None = None) -> FloatArray:
         """Measured minus predicted over σ, whitened, 0 where a row is not used, (m,).

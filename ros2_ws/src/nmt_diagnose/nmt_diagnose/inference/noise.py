@@ -22,7 +22,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.inference.misfit import least_scale
-from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.observations.conditions import BackboneTable, PhaseResonanceTest, RandomTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -39,12 +39,14 @@ class Groups:
         names: of the groups, (K,).
         degrees: ν of the prior of each, (K,); infinite where the scale is known to be 1.
         least: least s² of each, (K,).
+        rank: of each row's level among those of its test, the lowest 0, (m,); −1 where a test has no levels.
     """
 
     of: IntArray
     names: tuple[str, ...]
     degrees: FloatArray
     least: FloatArray
+    rank: IntArray | None = None
 
     def sums(self, squares: FloatArray) -> FloatArray:
         """Sum over each group, (K,), of values (m,)."""
@@ -70,30 +72,77 @@ class Groups:
         result[learnt] = fisher.sf(squares[learnt] / counts[learnt], counts[learnt], self.degrees[learnt])
         return result
 
-    def excess(self, squares: FloatArray, counts: FloatArray) -> BoolArray:
-        """Which learnt scales are larger than their prior allows (Fisher's F, Bonferroni), (K,)."""
-        tails = self.tails(squares, counts)
-        return np.asarray(
-            np.nan_to_num(tails, nan=1.0) * max(1, int(np.sum(np.isfinite(tails))))
-            < THRESHOLDS.comparison.noise_probability
-        )
+    def trends(self, residual: FloatArray, used: BoolArray) -> FloatArray:
+        """Probability that the lowest or the highest levels of a group are left so much more than its others, (K,).
 
-    def chance(self, squares: FloatArray, counts: FloatArray) -> float:
-        """Probability by their prior that some learnt scale is as large as the largest (Fisher's F, Holm's correction).
+        Noise is alike at all levels, and how much of it there is the others tell; what a model lacks acts from some
+        level on, or up to it (Fisher's F for each number of levels at either end, Bonferroni).
 
         Args:
-            squares: Σ (e/σ)² of each group, (K,).
-            counts: rows of each, (K,).
+            residual: over standard deviations, (m,).
+            used: rows that are compared, (m,).
+
+        Returns:
+            Probabilities; NaN of groups without a learnt scale and of tests with too few levels.
         """
-        tails = self.tails(squares, counts)
-        tails = tails[np.isfinite(tails)]
-        return float(min(1.0, tails.min() * tails.size)) if tails.size else 1.0
+        result = np.full(self.degrees.size, np.nan)
+        if self.rank is None:
+            return result
+        ranked = used & (self.rank >= 0)
+        for group in np.unique(self.of[ranked]):
+            selected = ranked & (self.of == group)
+            rank = np.unique(self.rank[selected], return_inverse=True)[1]
+            levels = int(rank.max()) + 1
+            if not np.isfinite(self.degrees[group]) or levels < THRESHOLDS.comparison.fewest_levels_of_trend:
+                continue
+            squares, counts = np.bincount(rank, residual[selected] ** 2), np.bincount(rank)
+            ends = (np.cumsum(squares), np.cumsum(counts)), (np.cumsum(squares[::-1]), np.cumsum(counts[::-1]))
+            nu = self.degrees[group]
+            tails = []
+            for sums, numbers in ends:
+                sums, numbers = sums[: levels // 2], numbers[: levels // 2]
+                degrees = nu + counts.sum() - numbers
+                others = np.maximum((nu + squares.sum() - sums) / degrees, self.least[group])
+                tails.append(fisher.sf(sums / numbers / others, numbers, degrees))
+            result[group] = min(1.0, float(np.min(tails)) * 2.0 * (levels // 2))
+        return result
 
     def weights(self, squares: FloatArray, counts: FloatArray) -> FloatArray:
         """1/s² of each group, (K,): most probable given its squares."""
         nu = np.where(np.isfinite(self.degrees), self.degrees, 1.0)
         scales = np.maximum((nu + squares) / (nu + counts), self.least)
         return np.where(np.isfinite(self.degrees), 1.0 / scales, 1.0)
+
+
+def beyond_noise(tails: FloatArray) -> BoolArray:
+    """Which of some tests are failed by more than chance (Bonferroni), (n,).
+
+    Args:
+        tails: probability of each, (n,); NaN where there is none.
+    """
+    count = max(1, int(np.sum(np.isfinite(tails))))
+    return np.asarray(np.nan_to_num(tails, nan=1.0) * count < THRESHOLDS.comparison.noise_probability)
+
+
+def chance_of(tails: FloatArray) -> float:
+    """Probability that some test is failed as much as the worst (Bonferroni); argument as of :func:`beyond_noise`."""
+    finite = tails[np.isfinite(tails)]
+    return float(min(1.0, finite.min() * finite.size)) if finite.size else 1.0
+
+
+def _rank_of(observations: Observations) -> IntArray:
+    """Rank of each row's level among the amplitudes of its test, (m,); −1 where a test has none."""
+    rows = observations.rows
+    result = np.full(len(rows), -1, dtype=np.int64)
+    for number, test in enumerate(observations.tests):
+        if not isinstance(test, BackboneTable | PhaseResonanceTest):
+            continue
+        selected = rows.test == number
+        levels, index = np.unique(rows.level[selected], return_inverse=True)
+        amplitudes = np.zeros(levels.size)
+        np.maximum.at(amplitudes, index.ravel(), np.nan_to_num(np.abs(rows.amplitude[selected])))
+        result[selected] = np.argsort(np.argsort(amplitudes, kind="stable"))[index.ravel()]
+    return result
 
 
 def groups_of(observations: Observations, share: FloatArray) -> Groups:
@@ -115,7 +164,7 @@ def groups_of(observations: Observations, share: FloatArray) -> Groups:
         of[index] = names.setdefault(name, len(names))
         known[int(of[index])] = part in _CONVERTER
     degrees = np.array([np.inf if known[k] else THRESHOLDS.fits.scale_degrees_of_freedom for k in range(len(names))])
-    return Groups(of, tuple(names), degrees, least_scale(of, len(names), share))
+    return Groups(of, tuple(names), degrees, least_scale(of, len(names), share), _rank_of(observations))
 
 
 def _kind(test: object, part: Part, harmonic: int, channel: int) -> str:

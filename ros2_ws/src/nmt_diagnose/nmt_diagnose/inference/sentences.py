@@ -89,7 +89,19 @@ def sentences(
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
     which += _places(head)
+    which += _beside(ranking)
     return (place, which + ".", _how_far(gap, "Adding it") + _left(remainder), *_ahead(ahead))
+
+
+def _beside(ranking: Sequence[Ranked]) -> str:
+    """What a second effect beside a partial explanation closes, where that has been fitted."""
+    head = ranking[0].effect.split(" + ")
+    for other in ranking[1:] if not ranking[0].adequate else ():
+        effects = other.effect.split(" + ")
+        if set(head) < set(effects) and math.isfinite(other.closed.value):
+            second = joined(_title(name) for name in effects if name not in head)
+            return f"; with {second} beside it {percent(other.closed.value, 1)} of the gap"
+    return ""
 
 
 def _places(head: Ranked) -> str:

@@ -114,7 +114,7 @@ def left_over(
     errors, groups, rows = found.fit.errors, data.groups, data.observations.rows
     result = []
     raw = data.residual(found.fit.prediction.values, errors.chain)
-    for number in np.flatnonzero(groups.excess(errors.squares, data.counts)):
+    for number in np.flatnonzero(data.excess(errors)):
         selected = data.used & (groups.of == number)
         if not loop and np.all(rows.part[selected] == Part.PHASE_ERROR):
             continue

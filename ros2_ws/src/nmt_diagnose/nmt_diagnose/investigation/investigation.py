@@ -14,7 +14,7 @@ from pathlib import Path
 from scipy.special import entr
 
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.diagnosis import Diagnosis, NextTest, Verdict
+from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, NextTest, Verdict
 from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord, Turn
 from nmt_sequencer.level_plan import parse_levels
 
@@ -267,9 +267,14 @@ class Investigation:
 
 
 def answers_of(diagnosis: Diagnosis) -> dict[str, float]:
-    """Probability of ``none``, ``unknown`` and of each set of effects wherever they act, the most probable first."""
+    """Probability of ``none``, ``unknown`` and of each set of effects wherever they act, the most probable first.
+
+    Where there is no gap, an effect that is too weak to see is none that a test of this rig would tell.
+    """
     found: dict[str, float] = {}
+    no_gap = diagnosis.verdict in (Verdict.NONE, Verdict.CALIBRATION)
     for label, p in diagnosis.probabilities.items():
+        label = NULL if no_gap and label == UNKNOWN else label
         name = " + ".join(sorted(part.split("@")[0].strip() for part in label.split(" + ")))
         found[name] = found.get(name, 0.0) + p
     return dict(sorted(found.items(), key=lambda item: -item[1]))

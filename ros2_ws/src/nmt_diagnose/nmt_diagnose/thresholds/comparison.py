@@ -37,6 +37,17 @@ class ComparisonThresholds:
         "usual 5 %.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.noise_probability]",
     )  # fmt: skip
+    too_weak_share: float = threshold(
+        0.16, "1",
+        "Share of tests without a gap in which something acts that shows in no row: 4 of 25 of laboratories one and "
+        "three.",
+        "tests/diagnose/test_measured_noise.py::test_no_gap_leaves_room_for_what_is_too_weak_to_see",
+    )  # fmt: skip
+    fewest_levels_of_trend: int = threshold(
+        5, "levels",
+        "Levels of a test from which those at one end are compared with the others.",
+        "tests/diagnose/test_trend_over_levels.py::test_few_levels_have_no_trend",
+    )  # fmt: skip
     place_form_std: float = threshold(
         0.02, "1",
         "Error of an ordinary model's mode shapes at a point, and so of what an effect there does to the rows.",

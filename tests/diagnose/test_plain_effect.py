@@ -1,0 +1,82 @@
+"""Which effect leads where two may not explain a gap: one that closes most of it alone, or both."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import pytest
+from diagnose.predicted_observations import chain, observations_of_model
+
+from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.effects.library import candidates
+from nmt_diagnose.inference.comparison import IMITATION, Comparison, EquivalentClass, by_plain_effect
+from nmt_diagnose.inference.explanations import FittedExplanation
+from nmt_diagnose.inference.fitting import FitResult
+from nmt_diagnose.inference.gap import ClosedShare
+from nmt_diagnose.inference.size import Objection
+from nmt_diagnose.prediction.operating_range import operating_range
+
+MODEL = chain()
+REMAINS = Objection("run: response", "response", 0.04)
+
+
+@pytest.fixture(scope="module")
+def library() -> dict[str, Candidate]:
+    """The first candidate of each effect."""
+    observations = observations_of_model(MODEL, seed=1, drives=(0.1, 0.4))
+    operating = operating_range(MODEL, observations.tests, observations=observations)
+    return {it.effect.name: it for it in reversed(candidates(MODEL, operating))}
+
+
+def of(library: dict[str, Candidate], effects: str, probability: float, *against: Objection) -> EquivalentClass:
+    found = FittedExplanation(tuple(library[name] for name in effects.split("+")), cast(FitResult, None))
+    return EquivalentClass((found,), 0.0, probability, against)
+
+
+def led(*closes: tuple[EquivalentClass, float]) -> tuple[str, float]:
+    """Effects and probability of what leads, from classes, the most probable first, and what each closes."""
+    comparison = Comparison(0.0, 1.0, tuple(it for it, _ in closes), {}, 100.0, {})
+    nan = math.nan
+    shares = {it.head.explanation: ClosedShare(1.0, nan, 0.0, value, nan, nan) for it, value in closes}
+    first = by_plain_effect(comparison, shares).classes[0]
+    return "+".join(first.head.explanation.effects), first.given_library
+
+
+@pytest.mark.parametrize("against", [IMITATION, REMAINS])
+@pytest.mark.parametrize(
+    ("pair", "alone", "second", "leads"),
+    [
+        (0.99, 0.98, "power_law_damping", 1),  # half of what one leaves
+        (0.995, 0.91, "power_law_damping", 2),
+        (0.995, 0.91, "response_gain", 1),  # no law
+        (0.96, 0.79, "power_law_damping", 2),  # one is not most of the gap
+    ],
+)
+def test_what_closes_most_of_a_gap_alone_is_named_first(
+    library: dict[str, Candidate], pair: float, alone: float, second: str, leads: int, against: Objection
+) -> None:
+    two = of(library, f"cubic_stiffness+{second}", 0.9, against)
+    one = of(library, "cubic_stiffness", 0.0, REMAINS)
+    other = of(library, "quintic_stiffness", 0.1, REMAINS)
+    effects, probability = led((two, pair), (other, 0.97), (one, alone))
+    assert effects == ("cubic_stiffness" if leads == 1 else f"cubic_stiffness+{second}")
+    assert probability == pytest.approx(0.9)  # that the effect acts, alone or beside another
+
+
+@pytest.mark.parametrize(("alone", "leads"), [(0.5, 1), (0.4, 2)])
+def test_of_two_that_are_not_the_gap_the_one_that_does_most_comes_nearest(
+    library: dict[str, Candidate], alone: float, leads: int
+) -> None:
+    two = of(library, "cubic_stiffness+response_gain", 0.9, REMAINS)
+    assert len(led((two, 0.56), (of(library, "cubic_stiffness", 0.1, REMAINS), alone))[0].split("+")) == leads
+
+
+def test_two_effects_that_explain_everything_stay_together(library: dict[str, Candidate]) -> None:
+    two = of(library, "cubic_stiffness+response_gain", 1.0)
+    assert led((two, 0.995), (of(library, "cubic_stiffness", 0.0, REMAINS), 0.98))[0] == "cubic_stiffness+response_gain"
+
+
+def test_one_effect_that_leaves_noise_is_judged_by_its_probability(library: dict[str, Candidate]) -> None:
+    two = of(library, "cubic_stiffness+power_law_damping", 1.0, IMITATION)
+    assert led((two, 0.99), (of(library, "cubic_stiffness", 0.0), 0.99))[0] == "cubic_stiffness+power_law_damping"

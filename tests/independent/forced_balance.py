@@ -139,6 +139,37 @@ class OneElement:
         )  # fmt: skip
         return float(best.x), at(float(best.x))
 
+    def exponents(self, orbit: Orbit, steps: int = 400) -> np.ndarray:
+        """Floquet exponents (1/s) of an orbit by its variational equation, largest real part first; no memory.
+
+        Imaginary parts are those nearest to zero. The equation is integrated by the classical method of Runge and
+        Kutta, with the slopes of the law by differences.
+        """
+        n, h = self.local.size, 2.0 * math.pi / orbit.omega / steps
+        turning = np.exp(1j * np.outer(0.5 * h * orbit.omega * np.arange(2 * steps + 1), self.orders))
+        w, v = (turning @ orbit.local).real, (turning @ (1j * self.orders * orbit.omega * orbit.local)).real
+        dw, dv = 1e-6 * np.abs(w).max(), 1e-6 * np.abs(v).max()
+        slopes = np.array([
+            (self.law(w + dw, v) - self.law(w - dw, v)) / (2.0 * dw),
+            (self.law(w, v + dv) - self.law(w, v - dv)) / (2.0 * dv),
+        ])  # fmt: skip
+        along = np.outer(self.local, self.local)
+        inverse = np.linalg.inv(self.mass)
+
+        def rate(k: int) -> np.ndarray:
+            below = -inverse @ np.hstack([self.stiffness + slopes[0, k] * along, self.damping + slopes[1, k] * along])
+            return np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), below])
+
+        turned = np.eye(2 * n)
+        for k in range(steps):
+            a, b, c = rate(2 * k), rate(2 * k + 1), rate(2 * k + 2)
+            k1 = a @ turned
+            k2 = b @ (turned + 0.5 * h * k1)
+            k3 = b @ (turned + 0.5 * h * k2)
+            turned = turned + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + c @ (turned + h * k3))
+        found = np.log(np.linalg.eigvals(turned).astype(complex)) / (h * steps)
+        return np.asarray(found[np.argsort(-found.real)])
+
     def simulate(self, orbit: Orbit, force: float, periods: int, instant: Callable[..., float]) -> complex:
         """x₁ (m) in the last of so many periods of a time integration that starts on the orbit.
 

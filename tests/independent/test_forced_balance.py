@@ -65,6 +65,27 @@ def test_a_slipping_joint_takes_the_power_that_the_force_gives():
     assert fed == pytest.approx(lost, rel=1e-5)
 
 
+def test_exponents_of_a_linear_orbit_are_its_poles_less_the_frequency():
+    balance = chain_of_one(100.0, 0.4, cubic(0.0))
+    orbit = balance.at_lag(1.0, pure(balance, 2.0), 9.9, 0.3 * np.exp(-1j))
+    found = balance.exponents(orbit)
+    assert found.real == pytest.approx([-0.2, -0.2], rel=1e-6)
+    assert np.abs(found.imag) == pytest.approx([abs(math.sqrt(100.0 - 0.04) - orbit.omega)] * 2, rel=1e-5)
+
+
+def test_one_exponent_passes_through_zero_at_a_fold():
+    balance = chain_of_one(16000.0, 2.5298221281347035, cubic(1.6e10), samples=128)
+    force = pure(balance, 0.32)
+    lag, orbit = balance.fold(1.63, force, 155.0, 0.8e-3, 1.0)
+    assert balance.exponents(orbit)[0].real == pytest.approx(0.0, abs=0.05)
+    before, after = (
+        balance.exponents(balance.at_lag(lag + side, force, orbit.omega, orbit.drive[0])) for side in (-0.1, 0.1)
+    )
+    assert before[0].real < -0.5
+    assert after[0].real > 0.5
+    assert after.real.sum() == pytest.approx(-2.5298221281347035, rel=1e-6)  # as the damping says
+
+
 def test_a_fold_is_where_the_frequency_turns():
     balance = chain_of_one(16000.0, 2.5298221281347035, cubic(1.6e10), samples=128)
     force = pure(balance, 0.32)

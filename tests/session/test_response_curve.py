@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from independent.forced_balance import chain_of_one, cubic
 from independent.harmonic_continuation import CubicModes, PhaseBranch, Solution
 from scipy.optimize import minimize_scalar
 
@@ -30,7 +31,8 @@ BALANCE = CubicModes(ONE, np.array([0.01]), ONE, ONE, 1.0, 11)
 def measure(folder, forces, **settings):
     """Points, acts of steering and bag of a run of the shipped rig."""
     acts = []
-    plan = plan_test("strong_cubic", forces, test="response_curve", window_periods=20, ramp=0.3, **settings)
+    settings = {"window_periods": 20, "ramp": 0.3, **settings}
+    plan = plan_test("strong_cubic", forces, test="response_curve", **settings)
 
     def listen(topic, record):
         if topic == "steering":
@@ -92,6 +94,34 @@ def test_a_hardening_curve_is_followed_through_both_folds(tmp_path):
     assert [row.split(",")[2] for row in folds[1:]] == ["fold", "fold", "tip"]
 
 
+def test_a_perturbed_drive_tells_the_floquet_exponents_on_both_sides_of_a_fold(tmp_path):
+    result, _, bag = measure(tmp_path, [0.32], lag_deg=(75.0, 135.0), spacing=1.0, floquet=True, window_periods=30)
+    balance = chain_of_one(16000.0, 0.02 * OMEGA, cubic(1.6e10), samples=128)
+    force = np.zeros(balance.orders.size, complex)
+    force[0] = 0.32
+    signs = set()
+    for point in result.points:
+        lag = 0.5 * math.pi + point.phase_error
+        motion = abs(point.shape_harmonics[1, 0]) * np.exp(-1j * lag)
+        orbit = balance.at_lag(lag, force, point.omega_rad_s, motion)
+        assert point.frequency_hz == pytest.approx(orbit.omega / (2.0 * math.pi), rel=1e-3)  # as without perturbation
+        assert abs(motion) == pytest.approx(orbit.response, rel=3e-3)
+        first, second = balance.exponents(orbit)[:2]
+        for measured, std, expected in (
+            (point.floquet_growth, point.floquet_growth_std, first.real),
+            (point.floquet_second_growth, point.floquet_second_growth_std, second.real),
+            (point.floquet_frequency, point.floquet_frequency_std, abs(first.imag)),
+        ):
+            assert measured == pytest.approx(expected, abs=max(0.1 * abs(first), 2.0 * std))
+        assert point.floquet_growth_std < 0.15 * abs(first)
+        signs.add(point.floquet_growth > 0.0)
+    assert signs == {True, False}
+    (curve,) = response_curves(result.points)
+    assert np.array_equal(curve.floquet_stable, (curve.growth < 0.0).astype(float))
+    again = extract_bag(bag).points
+    assert all(one.identical(other) for one, other in zip(again, result.points, strict=True))
+
+
 def test_at_a_held_response_the_force_is_that_of_the_balance(tmp_path):
     result, _, _ = measure(tmp_path, [0.5e-3], lag_deg=(50.0, 130.0), spacing=0.5, control="response")
     for point in result.points:
@@ -124,6 +154,8 @@ def test_dead_time_bounds_the_cut_off():
         ({"lag_deg": (90.0, 90.0)}, "from one lag to another"),
         ({"lag_deg": (20.0,)}, "a first and a last lag"),
         ({"spacing": 5.0}, "spacing of points"),
+        ({"perturbation": 0.5}, "perturbation of the drive must be from 0"),
+        ({"floquet": True, "window_periods": 19}, "at least 20 periods, got 19"),
         ({"control": "voltage"}, "levels of force or response"),
         ({"frequencies_hz": (20.0,)}, "follows from its lag"),
         ({"refinement": 1e-3}, "A response curve test has no refinement"),

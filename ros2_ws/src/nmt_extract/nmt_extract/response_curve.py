@@ -8,6 +8,7 @@ drive-point displacement behind the force, of which frequency and response are s
 * Stability of the orbit with the force as it is and no control: with δ the decay of the mode, the lag answers to the
   frequency as (s + δ) / (s² + 2 δ s + δ dΩ/dϑ), so that one real exponent passes through zero with dΩ/dϑ, and the orbit
   is stable where the frequency rises with the lag. This holds for held force and simple folds.
+* Floquet exponents, where the drive was perturbed: see :mod:`nmt_extract.modal.floquet_exponents`.
 
 Uncertainties of folds and tip have two parts: that of the values they hang on, and a fifth of what changes when every
 second point is left out: the error of a cubic spline falls to a sixteenth when the distance of its points is halved,
@@ -38,9 +39,10 @@ COVERAGE = 2.0
 _COARSE_SHARE = 0.2
 CURVE_COLUMNS = (
     "curve", "level", "lag_rad", "lag_rad_std", "frequency_hz", "frequency_hz_std", "response_m", "response_m_std",
-    "force_n", "force_n_std", "stable",
+    "force_n", "force_n_std", "stable", "growth_per_s", "growth_per_s_std",
 )  # fmt: skip
-"""Columns of ``response_curve.csv``; ``stable`` is 1, 0, or nan where it is left open."""
+"""Columns of ``response_curve.csv``; ``stable`` is 1, 0, or nan where it is left open; ``growth_per_s`` is nan where
+no Floquet exponents were measured."""
 PLACE_COLUMNS = (
     "curve", "level", "place", "lag_rad", "lag_rad_std", "frequency_hz", "frequency_hz_std", "response_m",
     "response_m_std",
@@ -131,6 +133,22 @@ class ResponseCurve:
             found[np.abs(self.lag - fold.lag) <= near] = math.nan
         return found
 
+    @property
+    def growth(self) -> FloatArray:
+        """Largest real part of the Floquet exponents in open loop, 1/s; NaN where they were not measured."""
+        return np.array([point.floquet_growth for point in self.points])
+
+    @property
+    def growth_std(self) -> FloatArray:
+        """Standard uncertainties of the growth, 1/s."""
+        return np.array([point.floquet_growth_std for point in self.points])
+
+    @property
+    def floquet_stable(self) -> FloatArray:
+        """1 where the growth is negative, 0 where it is positive, NaN within two standard uncertainties of zero."""
+        clear = np.abs(self.growth) > COVERAGE * self.growth_std
+        return np.where(clear, (self.growth < 0.0).astype(np.float64), math.nan)
+
     def _places(self, values: FloatArray, values_std: FloatArray, place: Place) -> tuple[CurvePlace, ...]:
         """Extremes of values over the lag."""
         if self.lag.size < LEAST_POINTS:
@@ -169,6 +187,22 @@ class ResponseCurve:
 def _weights(lag: FloatArray, place: float, order: int) -> FloatArray:
     """What a derivative of the spline at a place changes by with each value, ``(points,)``."""
     return np.asarray(_spline(lag, np.eye(lag.size))(place, order), dtype=np.float64)
+
+
+def _words_of_floquet(curve: ResponseCurve) -> str:
+    """What the exponents say beside the direction of the branch; empty where none were measured."""
+    measured = ~np.isnan(curve.floquet_stable)
+    both = measured & ~np.isnan(curve.stable)
+    apart = both & (curve.floquet_stable != curve.stable)
+    if not measured.any():
+        return ""
+    if not apart.any():
+        return f"; Floquet exponents of {int(measured.sum())} points say the same of their stability"
+    lags = ", ".join(f"{math.degrees(lag):.1f}°" for lag in curve.lag[apart])
+    return (
+        f"; Floquet exponents and the direction of the branch disagree on the stability at {lags}: look at the other "
+        "modes there, of which the direction says nothing"
+    )
 
 
 def is_of_curve(points: Iterable[ModalPoint]) -> bool:
@@ -229,7 +263,7 @@ def _sentence(curve: ResponseCurve) -> str:
     )
     if curve.tip is not None:
         words += f"; its tip is {curve.tip.response:.4g} m at {curve.tip.frequency_hz:.4f} Hz"
-    return f"{words}."
+    return f"{words}{_words_of_floquet(curve)}."
 
 
 def write_response_curves(curves: Sequence[ResponseCurve], folder: Path | str) -> None:
@@ -244,7 +278,7 @@ def write_response_curves(curves: Sequence[ResponseCurve], folder: Path | str) -
         head = [str(number), repr(curve.level)]
         columns = (
             curve.lag, curve.lag_std, curve.frequency_hz, curve.frequency_hz_std, curve.response, curve.response_std,
-            curve.force, curve.force_std, curve.stable,
+            curve.force, curve.force_std, curve.stable, curve.growth, curve.growth_std,
         )  # fmt: skip
         rows += [[*head, *(repr(float(value)) for value in row)] for row in zip(*columns, strict=True)]
         for item in (*curve.folds, *([curve.tip] if curve.tip else [])):

@@ -89,6 +89,7 @@ def lock_event(lock: LockWindow, response: Quantity, sample_rate: float) -> Lock
         time_ns=bench_time_ns(lock.sample, sample_rate),
         response_order=lock.level.response_order,
         held_phase=lock.level.held_phase,
+        perturbation=lock.level.perturbation,
         force_order=lock.level.force_order,
     )
 

@@ -523,6 +523,18 @@ class CurveThresholds:
         "Least tolerance of a drift over a dwell, which light damping would make smaller without need.",
         "tests/session/test_response_curve.py::test_light_damping_does_not_ask_for_endless_patience",
     )  # fmt: skip
+    perturbed_lines: float = threshold(
+        8.0, "1",
+        "Lines of the multisine that perturbs the drive: with fewer, two exponents are told by little more than what "
+        "they are.",
+        "tests/pll/test_multisine.py::test_over_its_window_it_has_its_rms_no_mean_and_eight_lines",
+    )  # fmt: skip
+    perturbed_frequency_share: float = threshold(
+        0.05, "1",
+        "Of the perturbation of the amplitude: of the frequency, which moves a lightly damped response more.",
+        "tests/session/test_response_curve.py::"
+        "test_a_perturbed_drive_tells_the_floquet_exponents_on_both_sides_of_a_fold",
+    )  # fmt: skip
     largest_boost: float = threshold(
         2.5, "1",
         "Factor of the integral gain along a response curve: filter and dead time bear it.",

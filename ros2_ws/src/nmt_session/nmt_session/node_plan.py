@@ -179,8 +179,9 @@ class TestPlan:
         level_limits(self.rig).check(self.levels, control, self.kind, f"The test of rig {self.rig.name}")
         if self.latency_blocks < 0:
             raise BenchError(f"latency_blocks must not be negative, got {self.latency_blocks}.")
-        if self.window_periods is not None and self.window_periods < 3:
-            raise BenchError(f"A window needs at least 3 periods, got {self.window_periods}.")
+        least, window = self.kind.least_periods, self.window_periods
+        if window is not None and window < least:
+            raise BenchError(f"A window needs at least {least} periods, got {window}.")
         for name in ("ramp", "timeout"):
             value = getattr(self, name)
             if value is not None and not 0 < value < 1e6:

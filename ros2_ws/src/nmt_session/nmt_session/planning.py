@@ -35,6 +35,8 @@ class TestSettings(PlanSettings, total=False):
     refinement: float | None
     lag_deg: Sequence[float] | None
     spacing: float | None
+    floquet: bool | None
+    perturbation: float | None
     strategy: str | None
     method: str | None
     overrides: Sequence[str]

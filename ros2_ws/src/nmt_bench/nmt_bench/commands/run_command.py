@@ -136,6 +136,11 @@ class RunOptions:
         "or a tenth of the frequency (default: 0.2)",
         metavar="D",
     )
+    floquet: bool = option(
+        False,
+        "of a response curve: change the drive by a small multisine within the windows, of 20 periods or more, and "
+        "measure the Floquet exponents of each orbit in open loop by it",
+    )
     resonance: str | None = option(
         None,
         "hold the phase lag of a secondary resonance in place of phase resonance: 3:1 superharmonic, 1:3 "
@@ -265,6 +270,7 @@ def _run(options: RunOptions) -> int:
         refinement=options.refine,
         lag_deg=options.lag,
         spacing=options.spacing,
+        floquet=options.floquet or None,
         test="secondary_resonance" if options.resonance else options.kind,
         resonance=options.resonance,
         release=options.release,

@@ -13,12 +13,13 @@ from nmt_core.kinds.kind_of_test import KindOfTest, refuse_foreign
 from nmt_core.kinds.phase_resonance import MOST_HARMONICS, STRATEGIES, PhaseResonanceTest, RingDownTest
 from nmt_core.kinds.random import PEAK_FACTOR, RandomTest
 from nmt_core.kinds.record import RecordedTest
-from nmt_core.kinds.response_curve import ResponseCurveTest
+from nmt_core.kinds.response_curve import FLOQUET_PERIODS, ResponseCurveTest
 from nmt_core.kinds.secondary_resonance import SecondaryResonanceTest
 from nmt_core.kinds.self_excited import METHODS, SelfExcitedTest
 from nmt_core.vocabulary import TestKind
 
 __all__ = [
+    "FLOQUET_PERIODS",
     "GOAL_FIELDS",
     "KINDS",
     "METHODS",

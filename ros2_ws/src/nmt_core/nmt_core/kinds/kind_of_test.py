@@ -100,6 +100,11 @@ class KindOfTest:
         """Length of the window where it is not a number of periods, s; 0 = it is."""
         return 0.0
 
+    @property
+    def least_periods(self) -> int:
+        """Periods that a window of periods needs."""
+        return 3
+
     def steps(self, levels: Sequence[float], backwards: bool = False) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """What a run begins with at these levels, before anything is put in: an amplitude for each step, and its phase.
 

@@ -17,6 +17,11 @@ RESONANT_LAG = 0.5 * math.pi
 LEAST_LAG = math.radians(1.0)
 """Distance of a lag from 0 and from 180°, where it says nothing of the frequency, rad."""
 LEAST_SPACING, LARGEST_SPACING = 0.01, 1.0
+FLOQUET_PERIODS = 20
+"""Periods of a window without which it tells no Floquet exponents."""
+FLOQUET_PERTURBATION = 0.01
+"""Perturbation of the drive unless another is named: small enough for a linear answer, large beside its noise."""
+LARGEST_PERTURBATION = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +34,8 @@ class ResponseCurveTest(PhaseLockedTest):
     Attributes:
         lag_from, lag_to: first and last phase by which the displacement of the drive point lags the force, rad.
         spacing: distance of neighbouring points.
+        perturbation: rms of a multisine that changes the drive within the windows, over its amplitude, for the Floquet
+            exponents; 0 = none.
     """
 
     NUMBER: ClassVar[TestKind] = TestKind.RESPONSE_CURVE
@@ -40,16 +47,24 @@ class ResponseCurveTest(PhaseLockedTest):
     lag_from: float = of_goal(math.radians(10.0))
     lag_to: float = of_goal(math.radians(170.0))
     spacing: float = of_goal(0.2)
+    perturbation: float = 0.0
 
     @classmethod
     def spelled(cls, **settings: Any) -> KindOfTest:
-        """``lag_deg`` has the first and the last lag, degrees."""
+        """``lag_deg`` has the first and the last lag, degrees; ``floquet`` asks for the usual perturbation."""
+        if settings.pop("floquet", False):
+            settings.setdefault("perturbation", FLOQUET_PERTURBATION)
         lags = settings.pop("lag_deg", None)
         if lags is not None:
             if len(lags) != 2:
                 raise BenchError(f"lag_deg needs a first and a last lag in degrees, got {len(lags)} values.")
             settings |= {"lag_from": math.radians(lags[0]), "lag_to": math.radians(lags[1])}
         return super().spelled(**settings)
+
+    @property
+    def least_periods(self) -> int:
+        """Periods that a window needs."""
+        return FLOQUET_PERIODS if self.perturbation else super().least_periods
 
     def check(self, frequencies_hz: Sequence[float], levels: int, control: int, sample_rate: float) -> None:
         """Refuse (BenchError) lags out of range, a spacing out of range, and levels of voltage."""
@@ -67,6 +82,11 @@ class ResponseCurveTest(PhaseLockedTest):
             raise BenchError(
                 f"The spacing of points along a response curve must be from {LEAST_SPACING:g} to {LARGEST_SPACING:g}, "
                 f"got {self.spacing:g}."
+            )
+        if not 0.0 <= self.perturbation <= LARGEST_PERTURBATION:
+            raise BenchError(
+                f"The perturbation of the drive must be from 0 (none) to {LARGEST_PERTURBATION:g} of its amplitude, "
+                f"got {self.perturbation:g}."
             )
         if control == ControlKind.VOLTAGE:
             raise BenchError(

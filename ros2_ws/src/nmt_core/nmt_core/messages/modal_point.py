@@ -188,6 +188,19 @@ class ModalPoint:
         ),
     )
     hysteresis_damping_std: float = math.nan
+    floquet_growth: float = measured(
+        "1/s",
+        "largest real part of the Floquet exponents of the orbit in open loop; NaN where the drive was not perturbed",
+        from_harmonics=False,
+        column=TableColumn("Re λ", "Re <i>λ</i>", unit="1/s", optional=True, rank=2),
+    )
+    floquet_growth_std: float = math.nan
+    floquet_frequency: float = measured(
+        "rad/s", "size of the imaginary part of these exponents; 0 = they are real", from_harmonics=False
+    )
+    floquet_frequency_std: float = math.nan
+    floquet_second_growth: float = measured("1/s", "the other real part of these exponents", from_harmonics=False)
+    floquet_second_growth_std: float = math.nan
     harmonics: int = 0
     points: tuple[int, ...] = ()
     force_harmonics: ComplexArray = field(default_factory=_empty)

@@ -94,7 +94,8 @@ class LevelCommand:
     :class:`~nmt_core.vocabulary.HarmonicsTarget`. ``response_order`` and ``force_order`` say which secondary resonance
     (:mod:`nmt_core.messages.secondary_resonance`), ``release`` is the response amplitude of its release (0 = none).
     ``held_phase`` is the phase by which the force leads the velocity of the drive point where the phase loop holds it,
-    rad (0 = phase resonance).
+    rad (0 = phase resonance). ``perturbation`` is the rms of a multisine that changes the drive within the window, over
+    its amplitude (0 = none).
     """
 
     sequence: int
@@ -118,6 +119,7 @@ class LevelCommand:
     force_order: int = 0
     release: float = 0.0
     held_phase: float = 0.0
+    perturbation: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +140,7 @@ class LockEvent:
         time_ns: bench time of ``sample``, ns.
         response_order, force_order: k and ν of a secondary resonance; 0 = none.
         held_phase: phase by which the held force leads the velocity of the drive point, rad.
+        perturbation: rms of the multisine that changes the drive within the window, over its amplitude; 0 = none.
     """
 
     level_index: int
@@ -154,6 +157,7 @@ class LockEvent:
     response_order: int = 0
     force_order: int = 0
     held_phase: float = 0.0
+    perturbation: float = 0.0
 
     @property
     def window_end(self) -> int:

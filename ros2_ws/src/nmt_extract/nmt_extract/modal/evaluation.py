@@ -18,6 +18,7 @@ from nmt_extract.judgement.channel_history import ChannelHistory
 from nmt_extract.judgement.window_judge import Remark
 from nmt_extract.modal.channel_findings import ChannelFindings
 from nmt_extract.modal.channels import WindowRows, derived, row_of
+from nmt_extract.modal.floquet_exponents import floquet_exponents
 from nmt_extract.modal.periodic_motion import PeriodicMotion
 from nmt_extract.modal.quantities import ModalQuantities, modal_quantities
 from nmt_extract.modal.secondary_quantities import secondary_quantities
@@ -53,6 +54,7 @@ class WindowEvaluation:
         self.self_excited = lock.test is TestKind.SELF_EXCITED
         self.on_curve = lock.test is TestKind.RESPONSE_CURVE
         orders = self.resonance[:2] if self.resonance else (1, 1)
+        self.data = window.data
         self.motion = PeriodicMotion(window, WindowRows.of(window, linear), settings, orders)
         self.channels = ChannelFindings(self.motion, linear, history)
         self.rows = self.channels.rows
@@ -130,7 +132,9 @@ class WindowEvaluation:
         least = least_uncertainties(self, fields)
         window_judge.add_parts(fields, remarks)
         window_judge.not_below(fields, least)
+        exponents, doubt = self._floquet()
         sentences = (
+            doubt,
             f"Left out: {channels.fault_words}" if channels.faults else "",
             channels.gain or channels.doubt,
             mode_sentence(values.shape[0], linear, float(omega[0])),
@@ -171,6 +175,7 @@ class WindowEvaluation:
             response_order=lock.response_order if self.resonance else 0,
             force_order=lock.force_order,
             held_phase=lock.held_phase,
+            **exponents,
             exciter_points=linear.exciter_points if several else (),
             exciter_forces=np.array([motion.amplitudes[0, row] * turns for row in several]).ravel(),
             **fields,
@@ -224,6 +229,19 @@ class WindowEvaluation:
         sizes = np.abs(motion.part_amplitudes[:, self.rows.drive, 1]) if motion.parts else np.ones(2)
         growth = math.log(sizes[-1] / sizes[0]) * sizes.size / (sizes.size - 1) / lengths.sum()
         return window_judge.settling_part(fields, growth, float(turning[1] - turning[0]) / (0.5 * lengths.sum()))
+
+    def _floquet(self) -> tuple[dict[str, float], str]:
+        """Exponents of an orbit whose drive was perturbed, or why there are none."""
+        motion, rows = self.motion, self.rows
+        if not motion.window.lock.perturbation > 0.0:
+            return {}, ""
+        force, drive = self.data[rows.force], self.data[rows.drive]
+        duration = motion.window.samples / motion.window.sample_rate
+        try:
+            found = floquet_exponents(force, drive, motion.cycles, motion.advance, duration)
+        except BenchError as error:
+            return {}, str(error)
+        return found.fields, ""
 
     def _balance(self) -> BalancedMode:
         """Balance of power over parts of the window."""

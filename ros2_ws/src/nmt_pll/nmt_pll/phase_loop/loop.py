@@ -22,6 +22,7 @@ from nmt_pll.level_loop import LevelLoop, LockWindow, LoopOutput
 from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.phase_loop.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.phase_loop.gains import LoopPlant
+from nmt_pll.phase_loop.multisine import Multisine
 from nmt_pll.thresholds import CURVE, PHASE
 
 
@@ -98,6 +99,7 @@ class PhaseLockedLoop(LevelLoop):
         )  # fmt: skip
         self._amplitude_before = 0.0
         self._ramp_end = 0
+        self._multisine = Multisine()
         self._motion = 0j  # fundamental of the response
         self._phase = 0.0  # held by the level now, rad
         self._glide = (0.0, 0, 0)  # phase it comes from, first and last sample of the way
@@ -170,6 +172,11 @@ class PhaseLockedLoop(LevelLoop):
                     lock = self._judge(end)
         amplitudes = force_amplitude, response_amplitude
         output = self._output(end, self.controller.output, error, amplitudes, lock, flags)
+        if lock is not None:
+            self._multisine = Multisine(lock.level.perturbation, lock.first_sample, lock.samples)
+        if state == LoopState.LOCKED and output.amplitude > 0.0:
+            size, pace = self._multisine.factors(end)
+            output = output._replace(amplitude=size * output.amplitude, frequency_hz=pace * output.frequency_hz)
         return output._replace(terms=self.forces.drive_terms(max(output.amplitude, self._ramp_from(end))))
 
     def _held_phase(self, end: int) -> float:

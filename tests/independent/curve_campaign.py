@@ -67,7 +67,9 @@ _BEAM = cantilever(
     7, 0.7, 0.00527668, 0.01156978, 185.0e9, 7830.0, 1.0e-4, 3, 2, _joint, highest=11, samples=1024
 )  # fmt: skip
 _QUICK = {"window_periods": 20, "ramp": 0.3}
+_FLOQUET = {"window_periods": 40, "ramp": 0.3, "spacing": 0.7, "floquet": True}
 _BLOCK = "block_samples=25"
+_STOPS = ("local_elements=[{name: stops, kind: two_sided_gap, point: 1, stiffness_n_m: 8000.0, gap_m: 0.3e-3}]",)
 CASES = {
     "hardening": Case("strong_cubic", _STRONG, (0.16, 0.48, 1.6), settings={**_QUICK, "lag_deg": (12.0, 177.0)}),
     "softening cubic": Case(
@@ -76,7 +78,7 @@ CASES = {
     ),
     "clearance": Case(
         "strong_cubic", chain_of_one(16000.0, _DAMPING, stops(8000.0, 0.3e-3), highest=25), (0.08, 0.32),
-        ('local_elements=[{name: stops, kind: two_sided_gap, point: 1, stiffness_n_m: 8000.0, gap_m: 0.3e-3}]',),
+        _STOPS,
         {**_QUICK, "lag_deg": (12.0, 168.0)},
     ),
     "friction": Case(
@@ -97,6 +99,20 @@ CASES = {
     ),
     "latency 3": Case(
         "strong_cubic", _STRONG, (0.32,), (_BLOCK,), {**_QUICK, "lag_deg": (20.0, 168.0), "latency_blocks": 3}
+    ),
+    "exponents, hardening": Case(
+        "strong_cubic", _STRONG, (0.32,),
+        settings={**_FLOQUET, "lag_deg": (50.0, 160.0)},
+    ),
+    "exponents, clearance": Case(
+        "strong_cubic", chain_of_one(16000.0, _DAMPING, stops(8000.0, 0.3e-3), highest=25), (0.32,), _STOPS,
+        {**_FLOQUET, "lag_deg": (50.0, 150.0)},
+    ),
+    "exponents, internal": Case(
+        "internal_resonance", _three(0.01), (1.2,), settings={**_FLOQUET, "lag_deg": (50.0, 140.0)}
+    ),
+    "exponents, noise": Case(
+        "strong_cubic", _STRONG, (0.32,), _NOISE, {**_FLOQUET, "lag_deg": (50.0, 160.0), "perturbation": 0.03}
     ),
     "noise": Case("strong_cubic", _STRONG, (0.32,), _NOISE, {**_QUICK, "lag_deg": (20.0, 168.0)}),
     "friction, noise": Case(
@@ -127,7 +143,10 @@ def measure(name: str, folder: Path) -> dict[str, Any]:
     points = [point for point in result.points if point.status is PointStatus.OK]
     found = {
         "message": result.message, "bench_s": result.bench_time, "cpu_s": time.process_time() - began,
-        "lost": [[p.level, math.degrees(p.held_phase) + 90.0, p.reason] for p in result.points if p not in points],
+        "lost": [
+            [p.level, math.degrees(p.held_phase) + 90.0, p.reason]
+            for p in result.points if p.status is not PointStatus.OK
+        ],
         "periods": [
             (p.window_first_sample + p.window_samples - begins[p.level_index]) / rate * p.frequency_hz for p in points
         ],
@@ -143,6 +162,11 @@ def measure(name: str, folder: Path) -> dict[str, Any]:
 def _plain(curve: ResponseCurve) -> dict[str, Any]:
     names = ("lag", "lag_std", "frequency_hz", "frequency_hz_std", "response", "response_std", "force", "stable")
     found: dict[str, Any] = {name: getattr(curve, name).tolist() for name in names} | {"level": curve.level}
+    found["exponents"] = [
+        [[p.floquet_growth, p.floquet_growth_std], [p.floquet_second_growth, p.floquet_second_growth_std],
+         [p.floquet_frequency, p.floquet_frequency_std]]
+        for p in curve.points
+    ]  # fmt: skip
     found["harmonics"] = [[[f.real, f.imag] for f in point.force_harmonics.tolist()] for point in curve.points]
     places = [*curve.folds, *([curve.tip] if curve.tip else [])]
     found["places"] = [
@@ -207,6 +231,32 @@ def compare(name: str, curve: dict[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def exponents(name: str, curve: dict[str, Any]) -> list[str]:
+    """Measured and computed exponents of each point, a row each; nothing where they were not measured."""
+    balance, rows = CASES[name].balance, []
+    for k, measured in enumerate(curve.get("exponents", ())):
+        if math.isnan(measured[0][0]):
+            continue
+        lag, force = curve["lag"][k], _forces(balance, curve["harmonics"][k])
+        motion = curve["response"][k] * np.exp(-1j * lag)
+        orbit = balance.at_lag(lag, force, 2.0 * math.pi * curve["frequency_hz"][k], motion)
+        near = np.array(measured)[:, 0]
+        every = balance.exponents(orbit)
+        own = every[np.argsort(np.abs(every.real - near[0]) + np.abs(np.abs(every.imag) - near[2]))[0]]
+        others = every[every != own]
+        other = others[np.argsort(np.abs(others.real - near[1]) + np.abs(np.abs(others.imag) - near[2]))[0]]
+        expected = (own.real, other.real, abs(own.imag))
+        worst = [
+            min(abs(value - true) / abs(own), abs(value - true) / (20.0 * std) if std else math.inf)
+            for (value, std), true in zip(measured, expected, strict=True)
+        ]
+        words = ", ".join(
+            f"{value:.3f} ± {std:.3f} ({true:.3f})" for (value, std), true in zip(measured, expected, strict=True)
+        )
+        rows.append(f"    {math.degrees(lag):.1f}°: {words} {'within' if max(worst) <= 0.1 else 'OUTSIDE'}")
+    return rows
+
+
 def _turn(lag: np.ndarray, frequency: np.ndarray, place: float) -> float:
     """1 where the measured frequency has a maximum near a lag, −1 at a minimum."""
     near = np.argsort(np.abs(lag - place))[:4]
@@ -236,6 +286,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"{row['wrong']}{' (' + str(row['missing']) + ' missing)' if row['missing'] else ''} | {periods:.0f} |",
                 flush=True,
             )
+            print("\n".join(exponents(name, curve)), flush=True)
         for level, lag, reason in measured["lost"]:
             print(f"    {name}, {level:g} N, {lag:.1f}°: {reason}", flush=True)
 

@@ -91,19 +91,39 @@ class OneElement:
         Raises:
             ArithmeticError: there is none near.
         """
+        return self._solved(lag, force, omega, motion)[0]
+
+    def at_response(self, lag: float, response: float, omega: float, force: float) -> tuple[Orbit, float]:
+        """The response of an amplitude (m) at a lag (rad) near ω (rad/s), and the force (N) it needs, near a guess.
+
+        Raises:
+            ArithmeticError: there is none near.
+        """
+        pure = np.zeros(self.orders.size, complex)
+        pure[0] = force
+        return self._solved(lag, pure, omega, response * np.exp(-1j * lag), response)
+
+    def _solved(
+        self, lag: float, force: np.ndarray, omega: float, motion: complex, held: float = 0.0
+    ) -> tuple[Orbit, float]:
+        """At a force, or at a response that is held (m), for which the size of the force is one more unknown."""
         local = self.guess(omega, motion, force)
-        length, unit = abs(local[0]), omega
+        length, unit, given = abs(local[0]), omega, force
 
         def residual(unknowns: np.ndarray) -> np.ndarray:
+            force = given
+            if held:
+                force, unknowns = given * unknowns[-1], unknowns[:-1]
             speed = unknowns[-1] * unit
             w = (unknowns[:-1:2] + 1j * unknowns[1:-1:2]) * length
             cc, cd, dd = self.receptances(speed)
             g = self.element(w, speed)
             open_ = (w - cd * force + cc * g) / length
             x = dd[0] * force[0] - cd[0] * g[0]
-            return np.append(np.column_stack([open_.real, open_.imag]).ravel(), (x / abs(x) * np.exp(1j * lag)).imag)
+            found = np.append(np.column_stack([open_.real, open_.imag]).ravel(), (x / abs(x) * np.exp(1j * lag)).imag)
+            return np.append(found, abs(x) / held - 1.0) if held else found
 
-        unknowns = np.append(np.column_stack([local.real, local.imag]).ravel() / length, 1.0)
+        unknowns = np.append(np.column_stack([local.real, local.imag]).ravel() / length, [1.0] * (2 if held else 1))
         for _ in range(60):
             here = residual(unknowns)
             if np.abs(here).max() < 1e-10:
@@ -117,10 +137,12 @@ class OneElement:
             unknowns = unknowns - step * min(1.0, 0.1 / np.abs(step).max())
         else:
             raise ArithmeticError(f"no response at a lag of {math.degrees(lag):g}°")
+        size = float(unknowns[-1]) if held else 1.0
+        unknowns = unknowns[:-1] if held else unknowns
         found = float(unknowns[-1] * unit)
         w = (unknowns[:-1:2] + 1j * unknowns[1:-1:2]) * length
         _, cd, dd = self.receptances(found)
-        return Orbit(found, w, dd * force - cd * self.element(w, found))
+        return Orbit(found, w, dd * given * size - cd * self.element(w, found)), float(abs(given[0]) * size)
 
     def slope(self, orbit: Orbit, lag: float, force: np.ndarray, step: float = 1e-4) -> float:
         """dω/dϑ at an orbit, rad/s a rad."""

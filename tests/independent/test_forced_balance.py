@@ -37,6 +37,15 @@ def test_a_cubic_spring_is_that_of_the_balance_with_a_jacobian_of_modes():
     assert np.abs(orbit.drive - expected.series[:, 0]).max() < 1e-8
 
 
+def test_the_force_of_a_held_response_is_the_one_that_leads_to_it():
+    balance = chain_of_one(1.0, 0.02, cubic(1.0))
+    orbit, force = balance.at_response(1.3, 0.8, 1.2, 0.02)
+    again = balance.at_lag(1.3, pure(balance, force), orbit.omega, orbit.drive[0])
+    assert orbit.response == pytest.approx(0.8, rel=1e-9)
+    assert again.response == pytest.approx(0.8, rel=1e-8)
+    assert again.omega == pytest.approx(orbit.omega, rel=1e-9)
+
+
 def test_stops_keep_the_orbit_of_a_time_integration():
     balance = chain_of_one(16000.0, 2.53, stops(8000.0, 3e-4), highest=25)
     orbit = balance.at_lag(1.2, pure(balance, 0.2), 133.0, 5.5e-4 * np.exp(-1.2j))

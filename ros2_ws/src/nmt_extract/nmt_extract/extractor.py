@@ -43,7 +43,7 @@ class Extractor:
             minimum_periods=self.settings.minimum_periods,
         )
         self.add_record = self._assembler.add_record
-        self._levels: dict[int, tuple[float, str]] = {}
+        self._levels: dict[int, tuple[float, str, float]] = {}
         self._history = ChannelHistory()
         self._passed_over: set[int] = set()
         self._lock_samples: dict[int, int] = {}
@@ -70,16 +70,18 @@ class Extractor:
                 self._not_locked.append(self._not_locked_point(last_sample, level_index, reason, response_unit))
         self._assembler.add_state(last_sample, state, reason)
 
-    def add_level(self, index: int, amplitude: float, unit: str, harmonics_control: int = 0) -> None:
+    def add_level(
+        self, index: int, amplitude: float, unit: str, harmonics_control: int = 0, held_phase: float = 0.0
+    ) -> None:
         """Take a level of the plan; the unit of controlled responses may be empty.
 
-        ``harmonics_control``: up to which the force's harmonics are controlled in it, see
-        :class:`~nmt_core.messages.records.LevelCommand`.
+        ``held_phase``: by which its force leads the velocity, rad. ``harmonics_control``: up to which the force's
+        harmonics are controlled in it, see :class:`~nmt_core.messages.records.LevelCommand`.
 
         A level of amplitude zero ends the excitation and is no level of the plan.
         """
         if amplitude > 0.0:
-            self._levels[index] = (amplitude, unit)
+            self._levels[index] = (amplitude, unit, held_phase)
             self._passed_over.discard(index)
             if harmonics_control:
                 self._history.driven[index] = harmonics_control
@@ -133,7 +135,7 @@ class Extractor:
         return counters
 
     def _not_locked_point(self, sample: int, level_index: int, reason: str, response_unit: str) -> ModalPoint:
-        level, unit = self._levels.get(level_index, (float("nan"), ""))
+        level, unit, held_phase = self._levels.get(level_index, (float("nan"), "", 0.0))
         why = f": {reason.rstrip('.')}" if reason else ""
         return ModalPoint(
             level_index=level_index,
@@ -141,5 +143,6 @@ class Extractor:
             reason=f"The level did not lock{why}.",
             level=level,
             level_unit=unit or response_unit,
+            held_phase=held_phase,
             time_ns=bench_time_ns(sample, self._assembler.sample_rate),
         )

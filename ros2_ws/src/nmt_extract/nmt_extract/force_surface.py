@@ -80,15 +80,15 @@ class ForceSurface:
         reference: frequency that the polynomials are about, rad/s.
         coefficients: of Z / its scale over (Ω / reference − 1), lowest first, N/m, ``(amplitudes, degree + 1)``.
         scatter: standard deviation of Z about its fit, N/m, ``(amplitudes,)``.
-        low_hz, high_hz: lowest and highest frequency measured, Hz.
+        band_hz: lowest and highest frequency measured at each amplitude, Hz, ``(amplitudes, 2)``; nothing is said of
+            frequencies outside, where polynomials run away.
     """
 
     amplitude: FloatArray
     reference: float
     coefficients: ComplexArray
     scatter: FloatArray
-    low_hz: float
-    high_hz: float
+    band_hz: FloatArray
 
     @classmethod
     def of(cls, curves: Sequence[ResponseCurve]) -> ForceSurface:
@@ -117,14 +117,12 @@ class ForceSurface:
             rows.append((joined[0], joined[1], joined[2], joined[3]))
         reference = 2.0 * math.pi * float(np.mean(np.concatenate([row[0] for row in rows])))
         fits = [_fit(*row, reference) for row in rows]
-        every = np.concatenate([row[0] for row in rows])
         return cls(
             np.array([float(np.mean(row[1])) for row in rows]),
             reference,
             np.array([fit[0] for fit in fits]),
             np.array([fit[1] for fit in fits]),
-            float(every.min()),
-            float(every.max()),
+            np.array([[float(row[0].min()), float(row[0].max())] for row in rows]),
         )
 
     def stiffness(self, frequency_hz: FloatArray, response: FloatArray) -> ComplexArray:
@@ -156,11 +154,17 @@ class ForceSurface:
         return np.asarray((found * powers).sum(axis=-1))
 
     def grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Frequencies (Hz), amplitudes (m) and forces (N) over what was measured, ``(amplitudes, frequencies)``."""
-        frequency, response = np.meshgrid(
-            np.linspace(self.low_hz, self.high_hz, _GRID), np.linspace(self.amplitude[0], self.amplitude[-1], _GRID)
-        )
+        """Frequencies (Hz), amplitudes (m) and forces (N) within what was measured, ``(amplitudes, frequencies)``."""
+        responses = np.linspace(self.amplitude[0], self.amplitude[-1], _GRID)
+        bands = np.array([self.band(float(response)) for response in responses])
+        frequency = np.linspace(bands[:, 0], bands[:, 1], _GRID, axis=1)
+        response = np.repeat(responses[:, np.newaxis], _GRID, axis=1)
         return frequency, response, self.force(frequency, response)
+
+    def band(self, response: float) -> tuple[float, float]:
+        """Lowest and highest frequency (Hz) of which something is known at an amplitude (m)."""
+        low, high = (float(np.interp(response, self.amplitude, edge)) for edge in self.band_hz.T)
+        return low, high
 
     def cut(self, force: float) -> tuple[ForceCut, ...]:
         """Contours at a constant force (N) within what was measured."""
@@ -176,7 +180,7 @@ class ForceSurface:
         stiffness = np.polynomial.Polynomial(spline(response**2))
         size = stiffness * np.polynomial.Polynomial(stiffness.coef.conj())  # |Z|² for real places
         roots = np.polynomial.Polynomial(size.coef.real).deriv().roots()
-        ends = [2.0 * math.pi * hertz / self.reference - 1.0 for hertz in (self.low_hz, self.high_hz)]
+        ends = [2.0 * math.pi * hertz / self.reference - 1.0 for hertz in self.band(response)]
         inner = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > ends[0]) & (roots.real < ends[1])]
         places = np.array([*ends, *inner])
         forces = response * np.abs(stiffness(places))

@@ -31,4 +31,5 @@ def rejected_point(lock: LockEvent, sample_rate: float, reason: str) -> ModalPoi
         window_first_sample=lock.window_first_sample,
         window_samples=lock.window_samples,
         window_periods=lock.window_periods,
+        held_phase=lock.held_phase,
     )

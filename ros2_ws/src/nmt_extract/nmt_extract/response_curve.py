@@ -89,6 +89,7 @@ class ResponseCurve:
         response, response_std: |x| at the drive point, m.
         force, force_std: |F₁|, N.
         points: as measured.
+        missing: points whose lag was asked for and never measured, in their order.
     """
 
     level: float
@@ -102,6 +103,7 @@ class ResponseCurve:
     force: FloatArray
     force_std: FloatArray
     points: tuple[ModalPoint, ...]
+    missing: tuple[ModalPoint, ...] = ()
 
     @property
     def holds_force(self) -> bool:
@@ -217,14 +219,16 @@ def response_curves(points: Sequence[ModalPoint]) -> tuple[ResponseCurve, ...]:
         points: of one test. Points without values are left out, and of points at one lag all but the last.
     """
     curves = []
-    for _, group in groupby(points, key=lambda point: point.level):
+    for _, each in groupby(points, key=lambda point: point.level):
+        group = list(each)
         good = {point.held_phase: point for point in group if point.status is Status.OK}
+        bad = tuple(point for point in group if point.status is not Status.OK and point.held_phase not in good)
         if good:
-            curves.append(_curve(sorted(good.values(), key=lambda point: point.phase_error)))
+            curves.append(_curve(sorted(good.values(), key=lambda point: point.phase_error), bad))
     return tuple(curves)
 
 
-def _curve(points: list[ModalPoint]) -> ResponseCurve:
+def _curve(points: list[ModalPoint], missing: tuple[ModalPoint, ...]) -> ResponseCurve:
     def of(name: str) -> FloatArray:
         return np.array([float(getattr(point, name)) for point in points])
 
@@ -243,12 +247,26 @@ def _curve(points: list[ModalPoint]) -> ResponseCurve:
         force,
         np.nan_to_num(of("force_n_std")),
         tuple(points),
+        missing,
     )
 
 
 def curve_sentences(curves: Sequence[ResponseCurve]) -> list[str]:
-    """Folds and tip of each curve, one sentence a curve."""
-    return [_sentence(curve) for curve in curves if curve.holds_force and curve.lag.size >= LEAST_POINTS]
+    """Folds and tip of each curve, one sentence a curve, and what was not reached."""
+    said = [_sentence(curve) for curve in curves if curve.holds_force and curve.lag.size >= LEAST_POINTS]
+    return said + [_words_of_missing(curve) for curve in curves if curve.missing]
+
+
+def _words_of_missing(curve: ResponseCurve) -> str:
+    """Which points were tried and not reached, and why not."""
+    lags = sorted({math.degrees(RESONANT_LAG + point.held_phase) for point in curve.missing})
+    where = f"{lags[0]:.1f}°" if len(lags) == 1 else f"{len(lags)} lags from {lags[0]:.1f} to {lags[-1]:.1f}°"
+    first, more = curve.missing[0].reason.rstrip("."), len(curve.missing)
+    return (
+        f"At {curve.level:g} {curve.level_unit} the curve has no point at {where}, tried {more} "
+        f"{'time' if more == 1 else 'times'}: by the step, half of it, and from the other end. At the first: {first}. "
+        "What the lag does not hold at a held force, --control response holds at an amplitude."
+    )
 
 
 def _sentence(curve: ResponseCurve) -> str:

@@ -49,8 +49,9 @@ def curve_values(
     # What moves at the rate r with the decay δ has r / δ to go; over a dwell of n periods it goes 2 π n ζ of that.
     ratio = linear.damping_ratios[linear.target_mode]
     dwell = 2.0 * math.pi * float(chosen.get("dwell_periods", defaults.dwell_periods)) * ratio
+    held = control == ControlKind.RESPONSE.label  # where the force is what settles, by twice the rate of the response
     for name, share in (
-        ("amplitude_tolerance", CURVE.steadiness),
+        ("amplitude_tolerance", CURVE.held_steadiness if held else CURVE.steadiness),
         ("frequency_tolerance", CURVE.frequency_steadiness),
     ):
         chosen.setdefault(name, max(min(dwell, 1.0) * share, CURVE.least_tolerance))

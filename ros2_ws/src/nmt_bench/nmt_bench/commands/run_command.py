@@ -151,7 +151,8 @@ class RunOptions:
         None,
         "with --resonance 1:3: drive-point response (m or m/s^2) that the mode is brought to before the drive "
         "turns to three times its frequency; about half the amplitude of the isola's tip, which "
-        "'./nmt synthesis --resonance 1:3' tells",
+        "'./nmt synthesis --resonance 1:3' tells; of a response curve: amplitude that is held at its first lag "
+        "before the force is, the way onto an isola",
         metavar="A",
     )
     start_frequency: float | None = option(

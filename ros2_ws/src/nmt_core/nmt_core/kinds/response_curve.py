@@ -36,6 +36,8 @@ class ResponseCurveTest(PhaseLockedTest):
         spacing: distance of neighbouring points.
         perturbation: rms of a multisine that changes the drive within the windows, over its amplitude, for the Floquet
             exponents; 0 = none.
+        release: response amplitude at the drive point that is held at the lag of the first point before the force is,
+            m or m/s²: the way onto a branch that rest does not lead to; 0 = from rest.
     """
 
     NUMBER: ClassVar[TestKind] = TestKind.RESPONSE_CURVE
@@ -48,6 +50,7 @@ class ResponseCurveTest(PhaseLockedTest):
     lag_to: float = of_goal(math.radians(170.0))
     spacing: float = of_goal(0.2)
     perturbation: float = 0.0
+    release: float = 0.0
 
     @classmethod
     def spelled(cls, **settings: Any) -> KindOfTest:
@@ -87,6 +90,13 @@ class ResponseCurveTest(PhaseLockedTest):
             raise BenchError(
                 f"The perturbation of the drive must be from 0 (none) to {LARGEST_PERTURBATION:g} of its amplitude, "
                 f"got {self.perturbation:g}."
+            )
+        if self.release < 0.0:
+            raise BenchError(f"The response amplitude of a release must not be negative, got {self.release:g}.")
+        if self.release and control == ControlKind.RESPONSE:
+            raise BenchError(
+                "At a held response amplitude no release is needed, as the loop holds every amplitude; leave out "
+                "--release."
             )
         if control == ControlKind.VOLTAGE:
             raise BenchError(

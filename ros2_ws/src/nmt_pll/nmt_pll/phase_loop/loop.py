@@ -67,7 +67,11 @@ class PhaseLockedLoop(LevelLoop):
         self.filter = AdaptiveFourierFilter(2, settings.harmonics, self.cutoff, sample_rate)
         dead_time = (PHASE.dead_time_blocks + settings.latency_blocks) * self.block_duration
         self.plant = LoopPlant.from_description(linear)
-        self.schedule = GainSchedule(self.plant, settings, self.cutoff, dead_time)
+        self.schedule = self._force_schedule = GainSchedule(self.plant, settings, self.cutoff, dead_time)
+        # A release needs no more bandwidth than other tests, and with more it would chase what rings at its start.
+        gentle = max(dead_time, PHASE.dead_time_blocks * CURVE.release_block_s)
+        usual = min(self.cutoff, LoopSettings().resolved_cutoff(linear))
+        self._release_schedule = GainSchedule(self.plant, settings, usual, gentle)
         mode = linear.frequencies_rad_s[linear.target_mode]
         self.controller = FrequencyController(
             2.0 * math.pi * settings.start_frequency_hz or mode, settings.guard_low * mode, settings.guard_high * mode
@@ -100,6 +104,7 @@ class PhaseLockedLoop(LevelLoop):
         self._amplitude_before = 0.0
         self._ramp_end = 0
         self._multisine = Multisine()
+        self._release = 0.0  # response amplitude that is held until the force takes over; 0 = the level's own
         self._motion = 0j  # fundamental of the response
         self._phase = 0.0  # held by the level now, rad
         self._glide = (0.0, 0, 0)  # phase it comes from, first and last sample of the way
@@ -238,7 +243,8 @@ class PhaseLockedLoop(LevelLoop):
             self.filter.reset()
             self.decay = self.plant.structure_decay
         warm_up = 5.0 / self.cutoff if was_quiet else 0.0
-        if was_quiet and level.held_phase != 0.0:  # off resonance a fast loop would chase the free vibration
+        # Off resonance a fast loop would chase the free vibration.
+        if was_quiet and level.held_phase != 0.0 and not level.release:
             warm_up = max(warm_up, level.ramp + CURVE.free_decays / self.plant.plant_decay)
         ramp_end = end + round(level.ramp * self.sample_rate)
         self._closed_from = end + round(max(warm_up, 0.5 * level.ramp if was_quiet else 0.0) * self.sample_rate)
@@ -253,6 +259,9 @@ class PhaseLockedLoop(LevelLoop):
             delay = self.settings.ramp_delay_periods * 2.0 * math.pi / self.controller.output
             self._running_from = self._judged_from = end + round(delay * self.sample_rate)
         self._amplitude_before, self._ramp_end = self._amplitude, ramp_end
+        if was_quiet:
+            self._release = level.release if level.test is TestKind.RESPONSE_CURVE else 0.0
+        self.schedule = self._release_schedule if self._release > 0.0 else self._force_schedule
         self._amplitude = self._start_voltage(level, was_quiet)
         if was_quiet:
             self.response_controller.start(self._amplitude)
@@ -261,18 +270,23 @@ class PhaseLockedLoop(LevelLoop):
         self.dwell.clear()
         self._deviation = 0.0
 
+    def _held(self, level: LevelCommand) -> tuple[int, float]:
+        """What the amplitude controller holds now, and at what amplitude."""
+        return (ControlKind.RESPONSE, self._release) if self._release > 0.0 else (level.control, level.amplitude)
+
     def _start_voltage(self, level: LevelCommand, was_quiet: bool) -> float:
         """Drive voltage a level starts with; controlled amplitudes start from the linear estimate."""
-        if level.control == ControlKind.VOLTAGE:
-            return level.amplitude
+        control, amplitude = self._held(level)
+        if control == ControlKind.VOLTAGE:
+            return amplitude
         if not was_quiet:
             return self._amplitude
         per_volt = self.linear.displacement_per_volt
-        if level.control == ControlKind.FORCE:
+        if control == ControlKind.FORCE:
             per_volt = self.linear.force_per_volt
         else:
             per_volt *= self._per_displacement()
-        return level.amplitude / per_volt if per_volt > 0 else 1.0e-3
+        return amplitude / per_volt if per_volt > 0 else 1.0e-3
 
     def _per_displacement(self) -> float:
         """Amplitude of the response quantity for a unit displacement at the present frequency."""
@@ -290,15 +304,16 @@ class PhaseLockedLoop(LevelLoop):
         self.controller.update(error, gains, self.block_duration)
         level = self._level
         if level is not None and level.control != ControlKind.VOLTAGE and end > self._closed_from:
-            measured = force if level.control == ControlKind.FORCE else response
-            if level.control == ControlKind.FORCE:
+            control, amplitude = self._held(level)
+            measured = force if control == ControlKind.FORCE else response
+            if control == ControlKind.FORCE:
                 self.amplitude_controller.bandwidth = self.schedule.force_bandwidth(self.decay)
                 self._amplitude = self.amplitude_controller.update(
-                    self._amplitude, level.amplitude, measured, self.block_duration
+                    self._amplitude, amplitude, measured, self.block_duration
                 )
             else:
                 self._amplitude = self.response_controller.update(
-                    level.amplitude,
+                    amplitude,
                     measured,
                     self.schedule.amplitude_bandwidth,
                     self.schedule.plant_decay(self.decay),
@@ -306,7 +321,7 @@ class PhaseLockedLoop(LevelLoop):
                     error,
                 )
             self._ramp = self.block_duration
-            deviation = math.log(max(measured, 1e-300) / level.amplitude)
+            deviation = math.log(max(measured, 1e-300) / amplitude)
             self._deviation += 2.0 / self.dwell.length * (deviation - self._deviation)
         if self.controller.at_bound:
             self._bound_since = self._bound_since or end
@@ -345,6 +360,11 @@ class PhaseLockedLoop(LevelLoop):
                 self._give_up(end, reason)
             return None
         if not self.criteria.locked(statistics, self._deviation) or self.forces.obstacle:
+            return None
+        if self._release > 0.0:  # what it needs is near the force of the level, which is held from now on
+            self._release, self.schedule = 0.0, self._force_schedule
+            self.dwell.clear()
+            self._deviation = 0.0
             return None
         reason = f"phase error {math.degrees(statistics.mean):.3f} deg over {self.settings.dwell_periods:g} periods"
         if self.forces.summary:

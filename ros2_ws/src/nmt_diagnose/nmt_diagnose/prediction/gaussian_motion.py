@@ -20,8 +20,9 @@ from nmt_rig.model.aft import ElementTables, LocalTables
 
 # Frequencies about each pole at which the motion is added up, in half widths of its peak.
 _ABOUT = np.sinh(np.linspace(-6.0, 6.0, 61)) / 4.0
-# Most turns and relative change that ends the search for a motion and the local forces that belong to it.
-_TURNS, _SETTLED = 40, 1e-9
+# Most turns and relative change that ends the search for a motion and the local forces that belong to it; below
+# the last, poles that move with rounding move the sums, and a change that does not fall is theirs.
+_TURNS, _SETTLED, _ROUNDING = 40, 1e-9, 1e-6
 _NODES = tuple(NODES)
 
 
@@ -137,6 +138,8 @@ def _settled(
                 abs(d_new[i] - damping[i]) * mobility * fast[i] / moved[i],
             )
         if not change < 0.9 * before:
+            if change < _ROUNDING:
+                break
             size *= 0.5
         before = change
         for i in range(count):

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 DEFAULT_DURATION = 60.0
 DEFAULT_BAND = "10:2000"
+_BAND_SHARE = 0.4  # of the sample rate
 _STEPS = "evaluating the recording", "writing the report"
 
 
@@ -50,7 +51,11 @@ class LinearOptions:
     bag: Path | None = option(None, "evaluate a recording again instead of measuring", metavar="BAG")
     level: float | None = option(None, "drive, V rms (default: the number of the rig's lowest test level)", metavar="V")
     duration: float = option(DEFAULT_DURATION, "length of the record at each level, s (default: 60)", metavar="S")
-    band: str = option(DEFAULT_BAND, "band of the noise, Hz (default: 10:2000)", metavar="LOW:HIGH")
+    band: str = option(
+        DEFAULT_BAND,
+        "band of the noise, Hz (default: 10:2000, no further than 0.4 of the sample rate)",
+        metavar="LOW:HIGH",
+    )
     mode: int | None = option(
         None,
         "target: number of the fitted mode in the band, from 1 (default: the rig's test.mode, less one where "
@@ -124,6 +129,8 @@ def _measure(options: LinearOptions, band: tuple[float, float], console: Any) ->
     from nmt_sequencer.level_plan import parse_levels
 
     rig = load_rig(options.rig, options.set)
+    if options.band == DEFAULT_BAND:
+        band = band[0], min(band[1], _BAND_SHARE * rig.sample_rate_hz)
     level = options.level if options.level is not None else min(parse_levels(rig.test.levels))
     if not 0.0 < level < float("inf"):
         raise BenchError(f"--level must be positive, got {level:g} V.")

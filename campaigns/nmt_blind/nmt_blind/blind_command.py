@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED
 from nmt_bench.commands.shared_options import jobs_option, scheduler_option, task_page_option
 from nmt_bench.commands.worker_count import worker_count
+from nmt_core.errors import BenchError
 from nmt_core.options import argument, needed_option, option
 
 if TYPE_CHECKING:
@@ -28,7 +29,8 @@ SUMMARY = "blind check of the diagnosis: make sealed cases, diagnose, score"
 DESCRIPTION = (
     "Checks the diagnosis on simulated tests whose truth it cannot know. 'make' seals the truth and writes "
     "bags, 'run' diagnoses them, 'score' opens the seal and compares; 'laboratory' does all of it with cases "
-    "that others have made. All parts go on where they stopped."
+    "that others have made. 'rigs' draws rigs that are driven, 'investigate' investigates them beside a fixed plan. "
+    "All parts go on where they stopped."
 )
 
 
@@ -121,6 +123,30 @@ class LaboratoryOptions:
     )
     keep_bags: bool = option(False, "keep what was imported")
     jobs: int | None = jobs_option()
+    page: bool = task_page_option()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigsOptions:
+    """draw rigs that are driven: model.yaml, real.yaml, truth.yaml in a folder for each; every third is healthy"""
+
+    rig: str = option("beam", "rig that they are drawn from (default: beam)", choices=RIGS)
+    seeds: str = needed_option("seeds, one a rig: the first and the one after the last, such as 0:20", metavar="A:B")
+    out: Path = needed_option("folder that gets a folder for each rig", metavar="DIR")
+
+
+@dataclass(frozen=True, kw_only=True)
+class InvestigateRigsOptions:
+    """investigate sealed rigs and run a fixed plan (linear test, ten levels, low and high random) on each"""
+
+    folder: Path = argument("a folder for each rig: model.yaml, real.yaml, truth.yaml", metavar="DIR")
+    out: Path = needed_option(
+        "folder for the results (investigations.csv, investigations.json, a folder for each rig)", metavar="DIR"
+    )
+    only: str = option("", "only these rigs (default: all)", metavar="NAME,…")
+    until: float = option(0.95, "probability from which an answer is taken (default: 0.95)", metavar="P")
+    limit: float = option(1800.0, "processor time of an investigation or a diagnosis, s (default: 1800)", metavar="S")
+    keep_bags: bool = option(False, "keep what was recorded")
     page: bool = task_page_option()
 
 
@@ -253,6 +279,48 @@ def _laboratory(options: LaboratoryOptions) -> int:
     return EXIT_FAILED if any(line.answer.outcome == "refused" for line in lines) else EXIT_DONE
 
 
+def _rigs(options: RigsOptions) -> int:
+    from nmt_blind.cases.driven_rigs import make_rigs
+
+    first, _, end = options.seeds.partition(":")
+    if not (first.isdigit() and end.isdigit() and int(first) < int(end)):
+        raise BenchError(f"--seeds are the first and the one after the last, such as 0:20; got {options.seeds}.")
+    names = make_rigs(options.out, options.rig, range(int(first), int(end)))
+    _console().print(f"{len(names)} rigs in {options.out}", soft_wrap=True)
+    return EXIT_DONE
+
+
+def _investigate(options: InvestigateRigsOptions) -> int:
+    from nmt_blind.campaign.investigations import print_lines, run_investigations, write_tables
+
+    if not 0.5 < options.until < 1.0:
+        raise BenchError(f"--until is a probability between 0.5 and 1, got {options.until:g}.")
+    only = tuple(word.strip() for word in options.only.split(",") if word.strip())
+    with _bar(options, "investigating") as bar:
+
+        def say(done: int, total: int, newest: str) -> None:
+            if newest:
+                bar.say(newest)
+            bar.update(done, total)
+
+        lines = run_investigations(
+            options.folder,
+            options.out,
+            (sys.executable, "-m", "nmt_bench"),
+            only,
+            options.until,
+            options.limit,
+            options.keep_bags,
+            say,
+        )
+        files = write_tables(lines, options.out)
+    console = _console()
+    for line in print_lines(lines):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
+    console.print(f"written: {', '.join(str(file) for file in files)}", soft_wrap=True)
+    return EXIT_FAILED if any(line.investigation.trouble or line.plan.trouble for line in lines) else EXIT_DONE
+
+
 def _console() -> Any:
     from nmt_bench.commands.console import make_console
 
@@ -321,5 +389,7 @@ PART_COMMANDS = {
     "score": _score,
     "explain": _explain,
     "laboratory": _laboratory,
+    "rigs": _rigs,
+    "investigate": _investigate,
 }
 """What does each part; its options are those that it takes."""

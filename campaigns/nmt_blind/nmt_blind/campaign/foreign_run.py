@@ -295,12 +295,13 @@ def write_tables(lines: Sequence[ForeignLine], out: Path) -> tuple[Path, Path]:
     return files
 
 
-def child(words: Sequence[str], limit: float) -> tuple[float, str]:
+def child(words: Sequence[str], limit: float, accepted: Sequence[int] = (0,)) -> tuple[float, str]:
     """Run a command; its processor time in s, and in a sentence why it failed, empty where it did not.
 
     Args:
         words: of the command.
         limit: of its processor time, s; infinite = none.
+        accepted: exit codes that are no failure.
     """
     ceiling = max(1, math.ceil(limit)) if math.isfinite(limit) else 0
 
@@ -326,7 +327,7 @@ def child(words: Sequence[str], limit: float) -> tuple[float, str]:
             raise
         code = process.returncode = os.waitstatus_to_exitcode(status)
         seconds = usage.ru_utime + usage.ru_stime
-        if code == 0:
+        if code in accepted:
             return seconds, ""
         if ceiling and code in (-signal.SIGXCPU, -signal.SIGKILL) and seconds > ceiling - 1:
             return seconds, f"ended after {ceiling} s of processor time, the limit"

@@ -47,7 +47,7 @@ class InvestigationSettings:
 Measure = Callable[[AskedTest], float]
 """Carries a test out and returns its bench time in s; raises BenchError where it failed."""
 Think = Callable[[Sequence[str]], tuple[Diagnosis, float]]
-"""Diagnoses the tests of these names; the diagnosis and the time that it took in s."""
+"""Diagnoses the tests of these names; the diagnosis and the processor time that it took in s."""
 Agree = Callable[[AskedTest], str]
 """What a person says to a test: yes, no or stop."""
 

@@ -53,7 +53,7 @@ class Turn:
     Attributes:
         tests: how many had been measured.
         bench_s: bench time until then, s.
-        thinking_s: time that the diagnosis took, s.
+        thinking_s: processor time that the diagnosis took, s.
         verdict: of the diagnosis.
         answers: probability of ``none``, ``unknown`` and of each set of effects, the most probable first.
         sentence: which effect, as the diagnosis says it.

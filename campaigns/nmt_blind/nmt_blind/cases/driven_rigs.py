@@ -1,0 +1,146 @@
+"""Rigs that are driven blindly: a folder for each, with the model, the rig file of what is driven, and the truth.
+
+``model.yaml`` is what its owner believes, ``real.yaml`` what is driven: a simulated rig with what it really has, or a
+rig with a section ``device`` behind which a simulator of others answers. ``truth.yaml`` is that of a laboratory's case,
+see :mod:`nmt_blind.campaign.foreign_case`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nmt_blind.cases.blind_rigs import blind_rig
+from nmt_blind.cases.draw import Case, TrueEffect, draw_cases
+from nmt_blind.cases.operating import operating_point
+from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
+from nmt_core.errors import BenchError
+from nmt_core.files.whole_file import write_whole
+from nmt_core.files.yaml_text import yaml_text
+
+MODEL_FILE, REAL_FILE, TRUTH_FILE = "model.yaml", "real.yaml", "truth.yaml"
+KINDS = ("null", "effect")
+LEAST_SIZE = 3.0
+"""Of an effect, see `InjectedEffect.natural`: what is smaller hides in noise and tolerances, whatever is measured."""
+
+
+@dataclass(frozen=True)
+class DrivenRig:
+    """A rig's folder.
+
+    Attributes:
+        folder: where it lies.
+    """
+
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """That of the folder."""
+        return self.folder.name
+
+    @property
+    def model(self) -> Path:
+        """What is believed."""
+        return self.folder / MODEL_FILE
+
+    @property
+    def real(self) -> Path:
+        """What is driven."""
+        return self.folder / REAL_FILE
+
+    @property
+    def truth(self) -> Path:
+        """What is true of it."""
+        return self.folder / TRUTH_FILE
+
+
+def read_rigs(folder: Path, only: Sequence[str] = ()) -> list[DrivenRig]:
+    """The rigs in a folder, by name.
+
+    Args:
+        folder: holds a folder for each rig; what has no ``truth.yaml`` is none.
+        only: names of rigs; empty = all.
+
+    Raises:
+        BenchError: there is none, not the one that is named, or a file is missing.
+    """
+    found = [DrivenRig(path.parent.absolute()) for path in sorted(folder.glob(f"*/{TRUTH_FILE}"))]
+    if not found:
+        raise BenchError(
+            f"The folder {folder} holds no rigs to be driven; each is a folder with {MODEL_FILE}, {REAL_FILE} and "
+            f"{TRUTH_FILE}: make some with './nmt blind rigs'."
+        )
+    names = [rig.name for rig in found]
+    for name in only:
+        if name not in names:
+            raise BenchError(f"There is no rig {name} in {folder}; it has {', '.join(names)}.")
+    for rig in found:
+        if not (rig.model.is_file() and rig.real.is_file()):
+            raise BenchError(f"The rig {rig.folder} lacks {MODEL_FILE} or {REAL_FILE}; make it again.")
+    return [rig for rig in found if not only or rig.name in only]
+
+
+def make_rigs(out: Path, rig_name: str, seeds: Sequence[int]) -> list[str]:
+    """Draw rigs, a third of them healthy, the others with one effect, and write their folders, truth last.
+
+    Args:
+        out: gets a folder for each; one that has its truth is kept.
+        rig_name: name of the blind rig.
+        seeds: one a rig; the same seed gives the same rig.
+
+    Returns:
+        Names of the rigs.
+
+    Raises:
+        BenchError: there is no such blind rig.
+    """
+    rig = blind_rig(rig_name)
+    model, names = rig.model(), []
+    operating = None
+    for seed in seeds:
+        name = f"{rig_name}_{seed:04d}"
+        names.append(name)
+        folder = out / name
+        if (folder / TRUTH_FILE).is_file():
+            continue
+        operating = operating or operating_point(model, rig.bench)
+        wanted = KINDS[0 if seed % 3 == 0 else 1]
+        drawn = draw_cases(model, operating, 24, seed, (wanted,))
+        # A healthy rig whose parameters are those of its model would be the model itself.
+        case = next(
+            case
+            for case in drawn
+            if (case.effects or case.shifted) and all(effect.size >= LEAST_SIZE for effect in case.effects)
+        )
+        folder.mkdir(parents=True, exist_ok=True)
+        real = with_edits(model, [*case.edits, Edit(("seed",), case.noise_seed)])
+        write_whole(folder / MODEL_FILE, rig.file.read_text(encoding="utf-8"))
+        write_whole(folder / REAL_FILE, rig_yaml(real))
+        write_whole(folder / TRUTH_FILE, yaml_text(truth_of(case)))
+    return names
+
+
+def truth_of(case: Case) -> dict[str, Any]:
+    """Content of the ``truth.yaml`` of a drawn case without or with one effect of the library."""
+    if not case.effects:
+        # Parameters that are off by less than what matters are none.
+        return {"kind": "healthy", "verdicts": ["none", "calibration"]}
+    (effect,) = case.effects
+    return {
+        "kind": "effect",
+        "verdicts": ["effect"],
+        "effects": [effect.name],
+        "place": _place(effect),
+        "parameters": dict(effect.figures),
+        "remark": f"{effect.value:.4g} {effect.unit} at {effect.place} {effect.detail}, size {effect.size:g}",
+    }
+
+
+def _place(effect: TrueEffect) -> list[str]:
+    """Words of which the stated place has to hold one."""
+    words = [word for word in re.split(r"[^\w]+", effect.detail) if word]
+    return words[:1] or [effect.place]

@@ -1,0 +1,138 @@
+"""Rigs that are driven blindly: what is sealed when, what is run again, and what the table says."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from blind.blind_campaign import operating, short_rig
+
+from nmt_blind.campaign.foreign_case import judge, read_truth
+from nmt_blind.campaign.investigations import information_slope, print_lines, run_investigations, summary, write_tables
+from nmt_blind.cases.draw import draw_cases
+from nmt_blind.cases.driven_rigs import LEAST_SIZE, read_rigs, truth_of
+from nmt_blind.cases.rig_edits import rig_yaml, with_edits
+from nmt_core.errors import BenchError
+
+RIG = short_rig()
+
+PROGRAM = """
+import json, pathlib, sys
+words = sys.argv[1:]
+out = pathlib.Path(words[words.index("--out") + 1])
+out.mkdir(parents=True, exist_ok=True)
+sealed = (out.parents[1] / "seal.json").exists() or (out.parents[2] / "seal.json").exists()
+pathlib.Path(sys.argv[0]).with_name("calls").open("a").write(f"{words[0]} {sealed}\\n")
+cubic = {"effect": "cubic_stiffness", "place": "structure", "detail": "4", "probability": 0.99, "equivalents": []}
+said = {"verdict": "effect", "ranking": [cubic], "where": [], "probabilities": {"cubic_stiffness@4": 0.99}}
+if words[0] == "investigate":
+    tests = [{"state": "measured", "seconds": 30.0, "expected": e, "received": r}
+             for e, r in ((None, None), (0.5, 0.6), (0.25, 0.1))]
+    turns = [{"thinking_s": 4.0}, {"thinking_s": 8.0}]
+    (out / "investigate.json").write_text(json.dumps({"tests": tests, "turns": turns, "ended": "named"}))
+    (out / "diagnosis").mkdir()
+    (out / "diagnosis" / "diagnosis.json").write_text(json.dumps(said))
+elif words[0] == "diagnose":
+    (out / "diagnosis.json").write_text(json.dumps(said | {"verdict": "unknown", "ranking": []}))
+else:
+    (out / "run.json").write_text(json.dumps({"result": {"bench_time_s": 45.0}}))
+sys.exit(3 if words[0] == "investigate" else 0)
+"""
+
+
+def rig_folder(folder: Path, name: str) -> Path:
+    """A rig with a cubic spring at point 4."""
+    made = folder / name
+    made.mkdir(parents=True)
+    for file in ("model.yaml", "real.yaml"):
+        (made / file).write_text(rig_yaml(RIG.model()), encoding="utf-8")
+    truth = {"kind": "effect", "verdicts": ["effect"], "effects": ["cubic_stiffness"], "place": ["4"]}
+    (made / "truth.yaml").write_text(yaml.safe_dump(truth), encoding="utf-8")
+    return made
+
+
+def run(tmp_path: Path, **more: Any) -> list[Any]:
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM, encoding="utf-8")
+    return run_investigations(tmp_path / "rigs", tmp_path / "out", (sys.executable, str(program)), **more)
+
+
+def test_truths_are_sealed_before_anything_is_run_and_results_are_kept(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        rig_folder(tmp_path / "rigs", name)
+    said: list[str] = []
+    lines = run(tmp_path, say=lambda done, total, line: said.append(f"{done}/{total} {line}"))
+    calls = (tmp_path / "calls").read_text().splitlines()
+    assert [call.split()[0] for call in calls[:6]] == ["investigate", "linear", "run", "linear", "linear", "diagnose"]
+    assert all(call.endswith("True") for call in calls)
+    assert len(calls) == 12
+    assert [text.split()[0] for text in said] == ["0/2", "1/2", "2/2"]
+    assert "a: cubic_stiffness @ 4: right (effect cubic_stiffness structure 4) 90 s" in said[1]
+    assert print_lines(run(tmp_path)) == print_lines(lines)
+    assert len((tmp_path / "calls").read_text().splitlines()) == 12
+
+
+def test_the_table_has_both_ways(tmp_path: Path) -> None:
+    rig_folder(tmp_path / "rigs", "a")
+    lines = run(tmp_path)
+    found = summary(lines)
+    assert found["classes"]["investigation"]["right"] == 1
+    assert found["classes"]["plan"]["honest unknown"] == 1
+    assert found["bench_s_median"] == {"investigation": 90.0, "plan": 180.0}
+    assert found["bench_share_where_right"] == 0.5
+    assert found["turn_s_median"] == 6.0
+    assert found["information_slope"] == pytest.approx((0.5 * 0.6 + 0.25 * 0.1) / (0.5**2 + 0.25**2))
+    text = "\n".join(print_lines(lines))
+    assert "investigation: right 1; bench time 90 s in the median" in text
+    files = write_tables(lines, tmp_path / "out")
+    assert json.loads(files[1].read_text())["rigs"][0]["plan_outcome"] == "honest unknown"
+
+
+def test_a_truth_that_was_changed_later_is_refused(tmp_path: Path) -> None:
+    folder = rig_folder(tmp_path / "rigs", "a")
+    run(tmp_path)
+    with (folder / "truth.yaml").open("a", encoding="utf-8") as file:
+        file.write("remark: something else\n")
+    with pytest.raises(BenchError, match="changed after it was sealed"):
+        run(tmp_path)
+
+
+def test_folders_without_rigs_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match="blind rigs"):
+        read_rigs(tmp_path)
+    (rig_folder(tmp_path, "a") / "real.yaml").unlink()
+    with pytest.raises(BenchError, match="make it again"):
+        read_rigs(tmp_path)
+    with pytest.raises(BenchError, match="There is no rig c"):
+        read_rigs(tmp_path, ("c",))
+
+
+def test_what_is_true_of_a_drawn_rig_is_judged_right(tmp_path: Path) -> None:
+    """The words of the truth are those of a diagnosis that is right, for every effect that is drawn."""
+    model = RIG.model()
+    cases = draw_cases(model, operating(), 60, 2, ("null", "effect"))
+    for number, case in enumerate(case for case in cases if all(e.size >= LEAST_SIZE for e in case.effects)):
+        path = tmp_path / f"{number}.yaml"
+        path.write_text(yaml.safe_dump(truth_of(case)), encoding="utf-8")
+        truth = read_truth(path)
+        if not case.effects:
+            assert truth.kind == "healthy"
+            continue
+        with_edits(model, case.edits)
+        (effect,) = case.effects
+        head = {"effect": effect.name, "place": effect.place, "detail": effect.detail, "probability": 0.99}
+        diagnosis = {"verdict": "effect", "ranking": [head], "where": [], "probabilities": {}}
+        assert judge(truth, diagnosis).outcome == "right"
+        head["effect"] = "clock_error" if effect.name != "clock_error" else "cubic_stiffness"
+        assert judge(truth, diagnosis).outcome == "confidently wrong"
+
+
+def test_the_slope_of_information_goes_through_the_origin() -> None:
+    assert information_slope([(0.5, 0.5), (0.2, 0.2)]) == pytest.approx(1.0)
+    assert information_slope([(0.5, 0.25), (0.2, 0.1)]) == pytest.approx(0.5)
+    assert math.isnan(information_slope([]))

@@ -154,9 +154,12 @@ class _Bench:
     """
 
     def __init__(self, options: InvestigateOptions, model: Rig, jobs: int, console: Any) -> None:
+        from nmt_diagnose.inference.memory import Memory
+
         self._options, self._model, self._jobs, self._console = options, model, jobs, console
         self._plan: tuple[float, ...] = ()
         self._outcome: Any = None
+        self._memory = Memory()
 
     def investigate(self, record: InvestigationRecord, settings: InvestigationSettings) -> InvestigationRecord:
         """Go on with an investigation to its end; its report is written whatever ends it."""
@@ -219,7 +222,7 @@ class _Bench:
         bags = [self._options.out / name for name in names] or list(self._options.real)
         began = _processor_time()
         settings = DiagnosisSettings(jobs=self._jobs, plan=self._plan)
-        self._outcome = diagnose_bags(self._model, bags, settings=settings)
+        self._outcome = diagnose_bags(self._model, bags, settings=settings, memory=self._memory)
         return self._outcome.diagnosis, _processor_time() - began
 
     def _agree(self, test: AskedTest) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.effects.calibration import CalibrationParameter, calibration_parameters, mode_dampings
 from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.effects.library import library
+from nmt_diagnose.effects.location import Explanation
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import at_strength
 from nmt_diagnose.inference.chain import SharedDelay, shared_delays
@@ -44,6 +45,7 @@ from nmt_diagnose.inference.law_sentences import law_sentences
 from nmt_diagnose.inference.law_starts import law_of, with_laws
 from nmt_diagnose.inference.look_ahead import next_tests
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
+from nmt_diagnose.inference.memory import Memory
 from nmt_diagnose.inference.progress import Progress
 from nmt_diagnose.inference.remainder import remainder
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
@@ -180,6 +182,7 @@ def diagnose_bags(
     floor_bags: Sequence[Path | str] = (),
     settings: DiagnosisSettings | None = None,
     progress: Progress | None = None,
+    memory: Memory | None = None,
 ) -> DiagnosisOutcome:
     """Diagnose the gap between a rig file and bags of the real side.
 
@@ -189,14 +192,15 @@ def diagnose_bags(
         floor_bags: repeats of tests among ``bags``.
         settings: None = defaults.
         progress: called with a sentence as the work goes on.
+        memory: of earlier diagnoses of the same model and rig; takes what this one leaves.
 
     Raises:
         BenchError: bags or rig cannot be used, with a sentence.
     """
     rig = model if isinstance(model, Rig) else load_rig(str(model), vibrating=False)
     settings = settings or DiagnosisSettings()
-    observations = observed(rig, bags, floor_bags, settings, progress)
-    return diagnose_observations(rig, observations, settings, progress)
+    observations = observed(rig, bags, floor_bags, settings, progress, memory)
+    return diagnose_observations(rig, observations, settings, progress, memory)
 
 
 def observed(
@@ -205,11 +209,13 @@ def observed(
     floor_bags: Sequence[Path | str] = (),
     settings: DiagnosisSettings | None = None,
     progress: Progress | None = None,
+    memory: Memory | None = None,
 ) -> Observations:
     """Rows of the bags with the noise that they show; arguments as for :func:`diagnose_bags`."""
     settings = settings or DiagnosisSettings()
     reading = ObservationSettings(calibration=settings.calibration, lines=THRESHOLDS.fits.random_lines)
-    found = read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model)
+    readings = None if memory is None else memory.readings
+    found = read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model, readings)
     return replace(found, matters=dict(settings.matters))
 
 
@@ -219,6 +225,7 @@ def find(
     settings: DiagnosisSettings,
     tell: Progress = lambda _: None,
     compared: BoolArray | None = None,
+    memory: Memory | None = None,
 ) -> Findings:
     """Fit and compare all explanations.
 
@@ -228,6 +235,7 @@ def find(
         settings: of the diagnosis.
         tell: called with a sentence as the work goes on.
         compared: rows that take part, (m,); None = all.
+        memory: of earlier diagnoses; takes what this one leaves.
 
     Raises:
         BenchError: the model has no solution for any of the observations.
@@ -251,8 +259,13 @@ def find(
     standing = Standing(search, null, ())
     relief = max((score.relief for score in scores), default=0.0)
     if leaves_something(data, null, settings.matters, loop=True) or relief > relief_that_counts(search.data, null):
-        law = None if beyond_effects else law_of(rig, observations.take(fitted))
-        singles = _singles(search, null, scores, with_laws(search, null, law), modes, rig)
+        begun, passed = memory.begun(search, null) if memory is not None else [], frozenset[Explanation]()
+        if begun and memory is not None:
+            passed = memory.far | {it.fitted for it in begun}
+        else:
+            law = None if beyond_effects else law_of(rig, observations.take(fitted))
+            begun = with_laws(search, null, law)
+        singles = _singles(search, null, scores, begun, modes, rig, passed)
         standing = _about_best(standing, rig, observations, singles)
         pairs = _pairs(standing)
         if pairs and pairs[0].fit.log_evidence > standing.named[0].fit.log_evidence:
@@ -280,7 +293,10 @@ def find(
     for location in best.explanation.locations:
         explained[location.kind] = max(explained.get(location.kind, 0.0), null.fit.cost - best.fit.cost)
     unmoved = best is first_null  # since the scan
-    visible = _detectable(search, scores if unmoved else search.scores(best), rig) if settings.look_ahead else ()
+    scored = settings.look_ahead and (unmoved or memory is None)  # to be scored anew takes as long as the first scan
+    visible = _detectable(search, scores if unmoved else search.scores(best), rig) if scored else ()
+    if memory is not None:
+        memory.keep(named, [it.found for it in standing.left_out])
     lacking = modes.lacking(data, best.fit)
     return Findings(
         data, search, as_given, null, tuple(named), comparison, explained, visible, (*modes.disordered, *lacking),
@@ -295,9 +311,10 @@ def _singles(
     begun: Sequence[FittedExplanation],
     modes: LowLevelModes,
     rig: Rig,
+    passed: Collection[Explanation] = (),
 ) -> list[FittedExplanation]:
-    """Explanations by one effect and those that were begun, the best first."""
-    singles = best_of([*begun, *search.singles(null, scores, begun)])
+    """Explanations by one effect and those that were begun, the best first; those that are passed need no fit."""
+    singles = best_of([*begun, *search.singles(null, scores, begun, passed)])
     if modes.far_from(rig) and modes.exceed_priors(null.fit.parametrisation, null.fit.theta):
         search.tell("bringing the modes of explanations to the measured ones")
         singles = best_of([*singles, *search.from_modes(null, modes)])
@@ -468,6 +485,7 @@ def diagnose_observations(
     observations: Observations,
     settings: DiagnosisSettings | None = None,
     progress: Progress | None = None,
+    memory: Memory | None = None,
 ) -> DiagnosisOutcome:
     """Diagnose observations that have been read already; see :func:`diagnose_bags`.
 
@@ -483,7 +501,7 @@ def diagnose_observations(
         rig = rig.model_copy(update={"coordinate": "angle"})
     observations = replace(observations, matters=dict(settings.matters))
     hum = observations.rows.part == Part.LINE
-    outcome = _diagnosed(rig, observations, settings, tell, ~hum)
+    outcome = _diagnosed(rig, observations, settings, tell, ~hum, memory)
     large = large_lines(observations, settings.matters.get("harmonics", 0.0))
     if outcome.diagnosis.verdict in (Verdict.EFFECT, Verdict.UNKNOWN) or not stands_out(observations, large):
         return outcome
@@ -496,11 +514,16 @@ def diagnose_observations(
 
 
 def _diagnosed(
-    rig: Rig, observations: Observations, settings: DiagnosisSettings, tell: Progress, compared: BoolArray
+    rig: Rig,
+    observations: Observations,
+    settings: DiagnosisSettings,
+    tell: Progress,
+    compared: BoolArray,
+    memory: Memory | None = None,
 ) -> DiagnosisOutcome:
     """Diagnosis of those rows that are compared, (m,)."""
     held_out_splits = splits(observations, settings.hold_out)
-    findings = find(rig, observations, settings, tell, compared)
+    findings = find(rig, observations, settings, tell, compared, memory)
     data, null, comparison = findings.data, findings.null, findings.comparison
     tell("predicting what was held out")
     as_given_errors = best_chain_errors(data, findings.as_given.values)

@@ -93,7 +93,7 @@ def _start(candidates: Sequence[Candidate], law: LocalLaw) -> tuple[Candidate, F
             site = candidate.site
             places = {(site.point, site.other_point), (site.other_point, site.point)}
             if candidate.effect.name == name and (law.point, law.other_point) in places and site.option == "":
-                theta = _theta(candidate, values)
+                theta = parameters_at(candidate, values)
                 if theta is not None:
                     return candidate, theta
     return None
@@ -138,7 +138,7 @@ def _of_term(term: LawTerm) -> list[tuple[str, Mapping[str, float]]]:
     return []
 
 
-def _theta(candidate: Candidate, values: Mapping[str, float]) -> FloatArray | None:
+def parameters_at(candidate: Candidate, values: Mapping[str, float]) -> FloatArray | None:
     """Dimensionless parameters of a candidate at some values; None where they are out of its reach."""
     theta = []
     for parameter in candidate.effect.parameters:

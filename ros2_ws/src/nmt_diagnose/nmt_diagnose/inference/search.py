@@ -7,7 +7,7 @@ effects at their best places are then fitted from there.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -354,9 +354,20 @@ class Search:
         return result
 
     def singles(
-        self, null: FittedExplanation, scores: Sequence[Score], begun: Sequence[FittedExplanation] = ()
+        self,
+        null: FittedExplanation,
+        scores: Sequence[Score],
+        begun: Sequence[FittedExplanation] = (),
+        passed: Collection[Explanation] = (),
     ) -> list[FittedExplanation]:
-        """Explanations by one effect, the best first; none is climbed from low levels where one that was begun fits."""
+        """Explanations by one effect, the best first; none is climbed from low levels where one that was begun fits.
+
+        Args:
+            null: the model alone.
+            scores: of all candidates, the best first.
+            begun: explanations that are fitted already.
+            passed: explanations that need no fit; places have been compared where there are any.
+        """
         wanted = self.chosen(
             null,
             scores,
@@ -364,6 +375,7 @@ class Search:
             THRESHOLDS.search.first_locations,
             THRESHOLDS.search.least_cost_fall,
         )
+        wanted = [score for score in wanted if Explanation((self.candidates[score.candidate].cause,)) not in passed]
         self.tell(f"fitting {len(wanted)} explanations")
         found = self._all(null, wanted, begun)
         # To first order on the model alone many places do the same to the rows; fitted they differ.
@@ -373,7 +385,7 @@ class Search:
             if score.gain > THRESHOLDS.search.other_locations_share * scores[0].gain
         }
         known = {explanation.explanation for explanation in found}
-        for best in best_by_effect(found)[: THRESHOLDS.search.pair_heads]:
+        for best in best_by_effect(found)[: 0 if passed else THRESHOLDS.search.pair_heads]:
             for number in likely:
                 other = self.candidates[number]
                 if other.effect.name in best.effects and Explanation((other.cause,)) not in known:

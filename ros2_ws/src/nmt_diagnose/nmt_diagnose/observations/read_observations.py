@@ -55,6 +55,7 @@ def read_observations(
     settings: ObservationSettings | None = None,
     progress: Callable[[str], None] | None = None,
     allow_own_model: bool = True,
+    readings: dict[tuple[str, str], Observations] | None = None,
 ) -> Observations:
     """All observables of a real side.
 
@@ -70,6 +71,7 @@ def read_observations(
         settings: None = defaults.
         progress: called with a sentence as the work goes on.
         allow_own_model: take recordings that ``model`` itself made, too.
+        readings: of earlier calls with the same model and settings, by name and digest; takes what this one reads.
 
     Raises:
         BenchError: there is no such bag, a bag is damaged or of another rig, the model itself made it, or nothing in
@@ -78,7 +80,7 @@ def read_observations(
     settings = settings or ObservationSettings()
     if not bags:
         raise BenchError("The diagnosis needs at least one bag of the real side; give --real.")
-    observations = _read_all(bags, model, settings, progress)
+    observations = _read_all(bags, model, settings, progress, readings)
     made = [(path, origin) for (path, _), origin in zip(observations.inputs, observations.origins, strict=True)]
     if not allow_own_model:
         refuse_own_recordings(model, made)
@@ -101,21 +103,29 @@ def read_observations(
 
 
 def _read_all(
-    bags: Sequence[Path | str], model: Rig, settings: ObservationSettings, progress: Callable[[str], None] | None
+    bags: Sequence[Path | str],
+    model: Rig,
+    settings: ObservationSettings,
+    progress: Callable[[str], None] | None,
+    readings: dict[tuple[str, str], Observations] | None = None,
 ) -> Observations:
     parts: list[Observations] = []
     path_by_digest: dict[str, str] = {}
     names: set[str] = set()
+    readings = {} if readings is None else readings
     for path in map(Path, bags):
-        if progress is not None:
-            progress(f"reading {path}")
-        bag = Bag.open(path)
         digest = bag_digest(path)
         if digest in path_by_digest:
             parts.append(empty((f"The bag {path} is the same as {path_by_digest[digest]} and is used once.",)))
             continue
         path_by_digest[digest] = str(path)
         name = _unique(_name(path), names)
+        if (name, digest) in readings:
+            parts.append(readings[name, digest])
+            continue
+        if progress is not None:
+            progress(f"reading {path}")
+        bag = Bag.open(path)
         try:
             part = read_bag(bag, name, model, settings)
         except BenchError as refusal:
@@ -124,7 +134,8 @@ def _read_all(
             sentence = str(refusal)
             part = empty((sentence if isinstance(refusal, NotCoveredError) else f"{name} is left out: {sentence}",))
         origin = origin_of(bag, path, [test.name for test in part.tests])
-        parts.append(replace(part, inputs=((str(path), digest),), origins=(origin,)))
+        readings[name, digest] = replace(part, inputs=((str(path), digest),), origins=(origin,))
+        parts.append(readings[name, digest])
     return joined(parts)
 
 

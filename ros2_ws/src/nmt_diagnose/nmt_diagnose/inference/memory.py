@@ -1,0 +1,107 @@
+"""What a diagnosis leaves to the next one of the same model and rig, which has more recordings.
+
+Recordings are read once. Explanations that competed are fitted from where they stood. One that was far behind on the
+recordings before cannot catch up as long as the best of those that competed leaves noise only on all of them: it is
+not fitted again. Where the best one leaves more, everything is looked for anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.effects.location import Cause, Explanation
+from nmt_diagnose.inference.explanations import FittedExplanation, best_of, leaves_noise_only
+from nmt_diagnose.inference.fitting import FitError, fit
+from nmt_diagnose.inference.law_starts import parameters_at
+from nmt_diagnose.inference.search import Search
+from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
+
+
+@dataclass(frozen=True)
+class Remembered:
+    """An explanation that competed.
+
+    Attributes:
+        causes: its effects at their places.
+        values: of the parameters of each, by name, in their units: scales follow the motion of the recordings.
+        parameters: of the model and its chain by name, dimensionless.
+    """
+
+    causes: tuple[Cause, ...]
+    values: tuple[Mapping[str, float], ...]
+    parameters: Mapping[str, float]
+
+
+@dataclass
+class Memory:
+    """What is remembered.
+
+    Attributes:
+        readings: observations of a recording by its name and digest.
+        near: explanations that competed.
+        far: explanations that were fitted and lay far behind the best.
+    """
+
+    readings: dict[tuple[str, str], Observations] = field(default_factory=dict)
+    near: tuple[Remembered, ...] = ()
+    far: frozenset[Explanation] = frozenset()
+
+    def keep(self, named: Sequence[FittedExplanation], left_out: Sequence[FittedExplanation]) -> None:
+        """Remember explanations.
+
+        Args:
+            named: those that competed.
+            left_out: those that did not.
+        """
+        if not named:
+            self.near, self.far = (), frozenset()
+            return
+        least = max(it.fit.log_evidence for it in named) - THRESHOLDS.search.far_behind_log_evidence
+        near = [it for it in named if it.fit.log_evidence > least][: THRESHOLDS.search.finalists]
+        self.near = tuple(
+            Remembered(
+                tuple(candidate.cause for candidate in it.candidates),
+                tuple(it.fit.parametrisation.values(it.fit.theta, k) for k in range(len(it.candidates))),
+                dict(zip((p.name for p in it.fit.parametrisation.calibration), it.fit.theta, strict=False)),
+            )
+            for it in near
+        )
+        self.far = (self.far | {it.fitted for it in (*named, *left_out)}) - {it.fitted for it in near}
+
+    def begun(self, search: Search, null: FittedExplanation) -> list[FittedExplanation]:
+        """The explanations that competed, fitted to the data of a search; the best first.
+
+        Empty where the best of them leaves more than noise.
+        """
+        if self.near:
+            search.tell(f"fitting {len(self.near)} explanations from where they stood")
+        found = best_of([one for it in self.near if (one := _fitted(search, null, it)) is not None])
+        return found if found and leaves_noise_only(search.data, found[0]) else []
+
+
+def _fitted(search: Search, null: FittedExplanation, remembered: Remembered) -> FittedExplanation | None:
+    candidates: list[Candidate] = []
+    added: list[FloatArray] = []
+    for cause, values in zip(remembered.causes, remembered.values, strict=True):
+        candidate = next((it for it in search.candidates if it.cause == cause), None)
+        theta = None if candidate is None else parameters_at(candidate, values)
+        if candidate is None or theta is None or not np.all(np.isfinite(theta)):
+            return None
+        candidates.append(candidate)
+        added.append(theta)
+    spreads = [search.spread_of(candidate, theta) for candidate, theta in zip(candidates, added, strict=True)]
+    parametrisation = search.parametrisation(candidates, spreads)
+    held = [remembered.parameters.get(parameter.name, 0.0) for parameter in parametrisation.calibration]
+    start = np.concatenate([held, *added])
+    try:
+        found = search.widened(fit(search.data, parametrisation, start, null.fit.prediction, exact=False))
+    except FitError:
+        return None
+    return FittedExplanation(tuple(candidates), found) if math.isfinite(found.log_evidence) else None

@@ -9,7 +9,7 @@ import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -185,35 +185,7 @@ class _Bench:
         return record
 
     def _measure(self, test: AskedTest) -> float:
-        """Run the command of a test; its bench time, s.
-
-        Raises:
-            BenchError: it was refused, or nothing was measured.
-        """
-        folder, log = self._options.out / test.name, self._options.out / f"{test.name}.log"
-        number = int(test.name.split("_")[0])
-        words = [*test.words, "--out", str(folder), "--quiet", "--seed", str(self._options.seed + number)]
-        words += ["--reference", "none", *(() if test.words[0] == "linear" else ("--no-report",))]
-        with log.open("w", encoding="utf-8") as file:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "nmt_bench", *words], stdin=subprocess.DEVNULL, stdout=file, stderr=file,
-                preexec_fn=_begin_test,
-            )  # fmt: skip
-            try:
-                code = process.wait()
-            except KeyboardInterrupt:
-                self._say("ending the test by its ramp")
-                process.send_signal(signal.SIGINT)
-                process.wait()
-                raise
-        if code not in (EXIT_DONE, EXIT_PARTLY):
-            lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-            why = lines[-1].removeprefix("nmt: ") if lines else f"it ended with {code}"
-            raise BenchError(
-                f"Test {test.name} failed: {why.rstrip('.')}; its drive is at zero. See {log}; the same command tries "
-                "it again."
-            )
-        return _bench_time(folder)
+        return measure(test, self._options.out, self._options.seed, self._say)
 
     def _think(self, names: Sequence[str]) -> tuple[Diagnosis, float]:
         from nmt_diagnose.inference.diagnose import diagnose_bags
@@ -278,6 +250,44 @@ class _Bench:
                 if test.state == "asked":
                     self._console.print(f"./nmt {shlex.join(test.words)}", soft_wrap=True)
         self._console.print(f"Report: {(self._options.out / 'report.html').resolve()}", soft_wrap=True)
+
+
+def measure(test: AskedTest, out: Path, seed: int = 0, say: Callable[[str], None] = lambda _: None) -> float:
+    """Run the command of a test in a process of its own; its bench time, s.
+
+    Args:
+        test: its name is that of the folder.
+        out: gets the folder, and the log beside it.
+        seed: of the rig's noise, to which the number of the test is added.
+        say: called with a sentence.
+
+    Raises:
+        BenchError: it was refused, or nothing was measured.
+    """
+    folder, log = out / test.name, out / f"{test.name}.log"
+    number = int(test.name.split("_")[0])
+    words = [*test.words, "--out", str(folder), "--quiet", "--seed", str(seed + number)]
+    words += ["--reference", "none", *(() if test.words[0] == "linear" else ("--no-report",))]
+    with log.open("w", encoding="utf-8") as file:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "nmt_bench", *words], stdin=subprocess.DEVNULL, stdout=file, stderr=file,
+            preexec_fn=_begin_test,
+        )  # fmt: skip
+        try:
+            code = process.wait()
+        except KeyboardInterrupt:
+            say("ending the test by its ramp")
+            process.send_signal(signal.SIGINT)
+            process.wait()
+            raise
+    if code not in (EXIT_DONE, EXIT_PARTLY):
+        lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        why = lines[-1].removeprefix("nmt: ") if lines else f"it ended with {code}"
+        raise BenchError(
+            f"Test {test.name} failed: {why.rstrip('.')}; its drive is at zero. See {log}; the same command tries it "
+            "again."
+        )
+    return _bench_time(folder)
 
 
 def _begin_test() -> None:

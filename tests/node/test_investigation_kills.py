@@ -1,0 +1,103 @@
+"""A node that is killed in the middle of an investigation: its drive ends at zero, nothing is lost, and it goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from node.kill_trials import MARK, marked
+
+from nmt_bench.commands.investigate_command import measure
+from nmt_core.errors import BenchError
+from nmt_diagnose.inference.diagnosis import Ranked, Share, Verdict
+from nmt_diagnose.investigation.investigation import Investigation, InvestigationSettings
+from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord, read_record
+from nmt_record.bag.bag_reader import Bag
+from nmt_session.node_plan import NODES
+
+RIG = "joint_resonator"
+LINEAR = AskedTest("01_linear", ("linear", RIG, "--duration", "5"), "a random test", "", seconds=10.0, state="measured")
+_LONGEST = 60.0  # s of wall time until a bag has begun
+
+
+@pytest.fixture(scope="module")
+def linear(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of an investigation whose linear test has been made."""
+    folder = tmp_path_factory.mktemp("investigation")
+    measure(LINEAR, folder)
+    return folder
+
+
+def sure(_: Any) -> tuple[Any, float]:
+    """A diagnosis that names its cause."""
+    first = Ranked("cubic_stiffness", "structure", "2", 0.99, (), {}, Share(0.9, 0.8, 1.0), 9.0)
+    return SimpleNamespace(
+        verdict=Verdict.EFFECT, sentences=("where", "which"), ranking=(first,), next_test=(), adequate=True,
+        probabilities={"cubic_stiffness@2": 0.99},
+    ), 0.0  # fmt: skip
+
+
+def investigation(folder: Path, record: InvestigationRecord, periods: int) -> Investigation:
+    settings = InvestigationSettings(levels=(0.3, 0.5), periods=periods)
+    return Investigation(record, settings, folder, partial(measure, out=folder), sure)
+
+
+def kill(mark: str, node: str, bag: Path) -> None:
+    """Kill a node once the bag of the test has samples of its first level."""
+    end = time.monotonic() + _LONGEST
+    while time.monotonic() < end:
+        size = sum(path.stat().st_size for path in bag.glob("*.mcap")) if bag.is_dir() else 0
+        found = [process for process, name in marked(mark).items() if name == node]
+        if size > 200_000 and found:
+            os.kill(found[0], signal.SIGKILL)
+            return
+        time.sleep(0.02)
+
+
+def last_drive(bag: Path) -> float:
+    """Largest drive of the last recorded block, V."""
+    found = Bag.open(bag)
+    voltages = [topic for topic in found.sample_topics if "voltage" in topic]
+    blocks = [block for topic in voltages for block in found.blocks(topic)]
+    return float(np.abs(blocks[-1].data).max())
+
+
+@pytest.mark.parametrize(
+    "node", ["pll", *(pytest.param(name, marks=pytest.mark.campaign) for name in NODES if name != "pll")]
+)
+def test_a_killed_node_costs_its_test_only(node: str, linear: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through the second test of three: the loop in every run of the suite, the others where campaigns are run."""
+    mark = f"{os.getpid()}-{node}"
+    monkeypatch.setenv(MARK, mark)
+    begun = InvestigationRecord(RIG, RIG, tests=(LINEAR,))
+    victim = threading.Thread(target=kill, args=(mark, node, linear / "02_levels" / "bag"))
+    victim.start()
+    with pytest.raises(BenchError, match="its drive is at zero") as failure:
+        investigation(linear, begun, 200_000).run()
+    victim.join()
+    assert "Traceback" not in str(failure.value)
+    assert not marked(mark)
+    kept = read_record(linear)
+    assert kept is not None
+    assert [test.state for test in kept.tests] == ["measured", "failed"]
+    if node not in ("plant", "recorder"):  # else nobody was left to say it, or to write it down
+        assert last_drive(linear / "02_levels" / "bag") == 0.0
+    monkeypatch.delenv(MARK)
+    record = investigation(linear, kept, 20).run()
+    assert [test.state for test in record.tests] == ["measured", "failed", "measured"]
+    assert record.ended == "named"
+    result = json.loads((linear / "03_levels" / "run.json").read_text())["result"]
+    assert result["message"].startswith("2 of 2 levels")
+    for name in ("02_levels", "03_levels"):
+        for path in sorted((linear / name).rglob("*"), reverse=True):
+            path.rmdir() if path.is_dir() else path.unlink()
+        (linear / name).rmdir()

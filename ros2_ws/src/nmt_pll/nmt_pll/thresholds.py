@@ -520,7 +520,7 @@ class CurveThresholds:
     )  # fmt: skip
     held_steadiness: float = threshold(
         6.0e-4, "1",
-        "The same where the response is held: the force that is measured has the growth of the response in it, and more "
+        "The same where the response is held: the force that is measured has the growth of the response in it, more "
         "so where the damping is less than the linear one.",
         "tests/session/test_isola.py::test_a_branch_that_rest_does_not_lead_to_is_foretold_reached_and_measured",
     )  # fmt: skip

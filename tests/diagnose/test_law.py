@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch
 from nmt_diagnose.law.reading import LawReading, read_law
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RingDownTest
+from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RingDownTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
@@ -187,6 +188,89 @@ def test_a_decay_of_the_model_has_no_law() -> None:
 
 def test_a_decay_with_a_shaker_attached_is_not_read() -> None:
     assert read_law(one_mass("electrodynamic_shaker"), amplitudes(True, cubic=5.0e8)) is None
+
+
+def lines(reference: str, cubic: float, friction: float, responses: str = "relative") -> tuple[Rig, Observations]:
+    """Stepped sines of 2 kg at 20 Hz with a cubic spring and dry friction, by their describing functions.
+
+    A force of amplitude P, or a base of acceleration P / m, and the displacement relative to it have the ratio
+    (k + ¾ κ a² − m ω² + i (c ω + 4 F / (π a)))⁻¹ (Nayfeh and Mook; Den Hartog): at a given a it is solved for ω.
+    """
+    mass, first, ratio = 2.0, 2.0 * np.pi * 20.0, 0.01
+    stiffness, damper = mass * first**2, 2.0 * ratio * mass * first
+    structure = {
+        "kind": "matrices", "mass_kg": [[mass]], "stiffness_n_m": [[stiffness]], "damping_ratios": [ratio],
+        "base_vector": [1.0], "base_load_kg": [mass], "points_at": [{"point": 1, "row": 0}],
+    }  # fmt: skip
+    table_section = {"kind": "shaking_table", "point": 1, "responses": responses}
+    exciter = {"kind": "force", "point": 1} if reference == "force" else table_section
+    values = {
+        "name": "mass", "structure": structure, "exciter": exciter,
+        "sensors": [{"quantity": "displacement", "point": 1}, {"quantity": "force", "point": "drive"}],
+        "extraction": {"quantity": "displacement", "linear_modes": 1},
+    }  # fmt: skip
+    rig = validate_rig(RigDocument("test", values, {}))
+    channel = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1)
+    draw, found = np.random.default_rng(2), []
+    for number, force in enumerate((0.05, 0.1, 0.2, 0.4)):
+
+        def impedance(omega: float, a: float) -> complex:
+            real = stiffness + 0.75 * cubic * a**2 - mass * omega**2
+            return complex(real, damper * omega + 4.0 * friction / (np.pi * a))
+
+        def too_stiff(omega: float, a: float, force: float = force) -> float:
+            return abs(impedance(omega, a)) * a - force
+
+        top = (force - 4.0 * friction / np.pi) / (damper * first)
+        rows = []
+        for a in np.linspace(0.5, 0.97, 6) * top:
+            middle = math.sqrt((stiffness + 0.75 * cubic * a**2) / mass)
+            for low, high in ((0.8 * middle, middle), (middle, 1.2 * middle)):
+                if too_stiff(middle, a) < 0.0:
+                    omega = float(brentq(too_stiff, low, high, args=(a,)))
+                    rows.append((omega, 1.0 / impedance(omega, a)))
+        omega, compliance = (np.array(part) for part in zip(*sorted(rows, key=lambda row: row[0]), strict=True))
+        measured = compliance if reference == "force" else -mass * compliance
+        if reference == "base" and responses == "absolute":
+            measured = measured - 1.0 / omega**2
+        measured = measured * (1.0 + 1e-3 * draw.standard_normal(omega.size))
+        test = SteppedSineTest(
+            f"up {number}", 1, (channel,), reference, reference, omega / (2.0 * np.pi),
+            np.full(omega.size, force if reference == "force" else force / mass), measured[:, np.newaxis],
+            np.full(omega.size, 1e-3),
+        )  # fmt: skip
+        found.append(test)
+    table = RowTable()
+    for k in range(len(found)):
+        table.add(Part.LOG_MAGNITUDE, 0.0, 1e-3, 0.0, Place(k, 0.0, 20.0, 1.0), 0, 1)
+    one = table.observations(found[0])
+    rows_of_all = replace(one.rows, test=np.arange(len(found)))
+    return rig, Observations(tuple(found), rows_of_all, one.values, one.std, one.floor)
+
+
+@pytest.mark.parametrize(
+    ("reference", "responses"), [("force", "relative"), ("base", "relative"), ("base", "absolute")]
+)
+def test_stepped_sines_at_several_forces_give_the_law(reference: str, responses: str) -> None:
+    spring = read_law(*lines(reference, 2.0e9, 0.0, responses))
+    assert spring is not None
+    assert spring.is_stated
+    (law,) = spring.laws
+    (term,) = law.terms
+    assert (law.family, term.parameters) == ("hardening spring", (3.0,))
+    assert term.coefficient == pytest.approx(2.0e9, rel=0.02)
+    rubbed = read_law(*lines(reference, 0.0, 0.015, responses))
+    assert rubbed is not None
+    assert rubbed.is_stated
+    (law,) = rubbed.laws
+    loss = [t.coefficient * (t.parameters[0] if t.kind == "slider" else 1.0) for t in law.terms]
+    assert sum(loss) == pytest.approx(0.015, rel=0.05)
+
+
+def test_a_stepped_sine_of_the_model_has_no_law() -> None:
+    found = read_law(*lines("base", 0.0, 0.0, "absolute"))
+    assert found is not None
+    assert not found.laws
 
 
 def test_a_wrong_gain_alone_is_no_law() -> None:

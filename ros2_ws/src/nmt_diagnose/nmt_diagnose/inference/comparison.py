@@ -113,8 +113,7 @@ class Comparison:
 def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedShare]) -> Comparison:
     """The comparison with one effect at its head where it closes most of a gap that two together may not explain.
 
-    What closes most of a gap alone is established by that, whatever acts beside it. A second law is named with it where
-    it takes most of what the first leaves.
+    What closes most of a gap alone is established by that, whatever acts beside it.
 
     Args:
         comparison: of all explanations.
@@ -137,9 +136,6 @@ def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedS
     if not alone:
         return comparison
     single = max(alone, key=lambda it: value[id(it)])
-    most = THRESHOLDS.verdict.second_effect_leaves * (1.0 - value[id(single)])
-    if imitates(leader.head) and 1.0 - of_two <= most:
-        return comparison
     causes = set(single.head.explanation.causes)
     acts = sum(it.given_library for it in comparison.classes if causes <= set(it.head.explanation.causes))
     others = (it for it in comparison.classes if it is not single)

@@ -1,4 +1,6 @@
-"""Held levels as complex amplitudes: what locked windows, decays and backbone tables say of force and motion.
+"""Held levels as complex amplitudes: what locked windows, stepped sines, decays and tables say of force and motion.
+
+Each line of a stepped sine is a steady state under a known force: lines about a resonance at several forces are levels.
 
 A decay and a table give frequency and damping ratio over amplitude. They are levels of the fundamental alone at which
 the modal force 2iζω²q would act: that of phase resonance, and of a decay to first order in the damping.
@@ -6,7 +8,7 @@ the modal force 2iζω²q would act: that of phase resonance, and of a decay to 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,11 +16,21 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest, RingDownTest
+from nmt_diagnose.observations.conditions import (
+    BackboneTable,
+    MeasuredChannel,
+    PhaseResonanceTest,
+    RingDownTest,
+    SteppedSineTest,
+)
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 
 _MOST_NODES = 12
 """Amplitudes of a decay or a table: more say the same again."""
+_LINES = 6
+"""Lines of a response at one force: half of the motion of its peak and more, evenly over its logarithm."""
+_BAND = 0.15
+"""Of a mode, relative: a peak that moves further is not that of one level."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +41,8 @@ class HeldLevels:
         test: the test.
         numbers: of each level in the plan of the test, (L,).
         omega: angular frequency, rad/s, (L,).
-        force: harmonics 0 … H of the measured force, N, (L, H + 1); order 0 is 0.
+        force: harmonics 0 … H of the measured force, N, or of the acceleration of the base, m/s², (L, H + 1); order 0
+            is 0.
         force_std: standard uncertainty of its fundamental, N, (L,).
         ratio, ratio_std: damping ratio of each level in the place of the force, and what frequency and damping are
             uncertain by together, (L,); None where the force is measured.
@@ -39,7 +52,7 @@ class HeldLevels:
         chain: tolerances of the measuring chain; None = it measures as the rig file says.
     """
 
-    test: PhaseResonanceTest | RingDownTest | BackboneTable
+    test: PhaseResonanceTest | RingDownTest | BackboneTable | SteppedSineTest
     numbers: tuple[int, ...]
     omega: FloatArray
     force: ComplexArray
@@ -81,6 +94,8 @@ def held_levels(observations: Observations, number: int) -> HeldLevels | None:
     test = observations.tests[number]
     if isinstance(test, RingDownTest | BackboneTable):
         return _nodes(observations, number, test)
+    if isinstance(test, SteppedSineTest):
+        return _lines(observations, number, test)
     if not isinstance(test, PhaseResonanceTest) or test.held == "response" or len(test.drive_points) > 1:
         return None
     rows, here = observations.rows, observations.rows.test == number
@@ -151,6 +166,62 @@ def _nodes(observations: Observations, number: int, test: RingDownTest | Backbon
         chain, ratio, np.hypot(log_std, ratio_std),
     )  # fmt: skip
     return levels.take(chosen)
+
+
+def _lines(observations: Observations, number: int, first: SteppedSineTest) -> HeldLevels | None:
+    """Lines of all responses to a held force or base over the same channels as levels; None but for the first test."""
+    same = [other for other, test in enumerate(observations.tests) if _alike(first, test)]
+    same = [other for other in same if np.any(observations.rows.test == other)]
+    if not same or same[0] != number or first.held != first.reference or first.reference not in ("force", "base"):
+        return None
+    tests = [_with_channels_of(first, observations.tests[other]) for other in same]
+    if any(channel.quantity not in MOTIONS for channel in first.channels):
+        return None
+    forces = {round(float(np.log(np.max(test.levels))), 2) for test in tests}
+    size = [np.abs(test.measured[:, 0]) * test.levels / (2.0 * np.pi * test.lines_hz) ** 2 for test in tests]
+    if len(forces) < 2:  # what does not change with the amplitude is no law
+        return None
+    loudest = max(range(len(tests)), key=lambda k: float(size[k].max()))
+    peak = tests[loudest].lines_hz[int(np.argmax(size[loudest]))]
+    parts: list[tuple[FloatArray, ...]] = []
+    for test, moved in zip(tests, size, strict=True):
+        near = np.flatnonzero(np.abs(np.log(test.lines_hz / peak)) < _BAND)
+        near = near[moved[near] >= 0.5 * moved[near].max()] if near.size else near
+        order = near[np.argsort(moved[near], kind="stable")]
+        chosen = order[np.unique(np.linspace(0, order.size - 1, min(order.size, _LINES)).round().astype(int))]
+        if order.size:
+            force = test.levels[chosen]
+            amplitude = test.measured[chosen] * force[:, np.newaxis]
+            parts.append((test.lines_hz[chosen], force, amplitude, test.noise[chosen], moved[chosen]))
+    lines, force, amplitude, noise, moved = (np.concatenate(part) for part in zip(*parts, strict=True))
+    omega = 2.0 * np.pi * lines
+    powers = np.array([MOTIONS[channel.quantity] for channel in first.channels])
+    motion = np.zeros((*amplitude.shape, 2), complex)
+    motion[:, :, 1] = first.scale * amplitude / (1j * omega[:, np.newaxis]) ** powers
+    driven = np.zeros((lines.size, 2), complex)
+    driven[:, 1] = force
+    chain = observations.chains[number] if observations.chains else None
+    more = f" and {len(tests) - 1} more" if len(tests) > 1 else ""
+    test = replace(first, name=f"{first.name}{more}")
+    found = HeldLevels(
+        test, tuple(range(lines.size)), omega, driven, np.zeros(lines.size), tuple(first.channels), motion,
+        np.abs(motion) * noise[:, np.newaxis, np.newaxis], chain,
+    )  # fmt: skip
+    return found.take([int(k) for k in np.argsort(moved, kind="stable")])
+
+
+def _alike(first: SteppedSineTest, test: object) -> bool:
+    """Whether a test is another response at the same drive and channels as the first, with phases."""
+    if not isinstance(test, SteppedSineTest) or set(test.channels) != set(first.channels):
+        return False
+    kinds = [(it.drive_point, it.held, it.reference, it.phase_known, it.imposed) for it in (first, test)]
+    return kinds[0] == kinds[1] and test.phase_known and not test.imposed
+
+
+def _with_channels_of(first: SteppedSineTest, test: object) -> SteppedSineTest:
+    assert isinstance(test, SteppedSineTest)
+    order = [test.channels.index(channel) for channel in first.channels]
+    return replace(test, channels=first.channels, measured=test.measured[:, order])
 
 
 def _amplitudes(

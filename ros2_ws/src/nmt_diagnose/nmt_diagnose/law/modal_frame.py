@@ -7,13 +7,14 @@ local force that is missing is φ G₁ = b F₁ − D(ω) q, D = ω_t² − ω²
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.law.held_levels import HeldLevels
+from nmt_diagnose.observations.conditions import SteppedSineTest
 from nmt_rig.model.aft import LocalForces
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
@@ -22,6 +23,7 @@ from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.structure import Structure
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_elements, build_structure
+from nmt_rig.rig_sections import ShakingTableSection
 
 ORDERS = 15
 """Highest harmonic of local forces and of the motion that they make."""
@@ -40,6 +42,7 @@ class ModalFrame:
         drive: participation of the drive point, (n,).
         sensors: participation of the channels' points, (C, n).
         elements: local elements with a force beside the linear one.
+        carried: displacement of the channels' points per displacement of the base, beside that of the structure, (C,).
     """
 
     structure: Structure
@@ -50,6 +53,7 @@ class ModalFrame:
     drive: FloatArray
     sensors: FloatArray
     elements: tuple[LocalElement, ...]
+    carried: FloatArray
 
     @classmethod
     def of(cls, rig: Rig, levels: HeldLevels) -> ModalFrame | None:
@@ -61,7 +65,7 @@ class ModalFrame:
             elements = build_elements(rig, structure)
             modes = sticking_modes(structure, elements)
             sensors = np.array([structure.direction(channel.point) for channel in levels.channels])
-            drive = structure.direction(levels.test.drive_point)
+            drive = _drive(structure, levels)
         except (BenchError, KeyError, np.linalg.LinAlgError):
             return None
         swinging = np.flatnonzero(modes.frequencies > 0.0)
@@ -73,8 +77,16 @@ class ModalFrame:
         zeta = np.where(np.isfinite(modes.damping_ratios), modes.damping_ratios, 0.0)
         shapes = modes.full_shapes
         return cls(
-            structure, modes.frequencies, zeta, shapes, target, shapes.T @ drive, sensors @ shapes, nonlinear
+            structure, modes.frequencies, zeta, shapes, target, shapes.T @ drive, sensors @ shapes, nonlinear,
+            _carried(rig, structure, levels),
         )  # fmt: skip
+
+    def relative(self, levels: HeldLevels) -> HeldLevels:
+        """The levels with the motion of the base taken off that of the channels."""
+        base = -levels.force[:, 1] / levels.omega**2
+        motion = levels.motion.copy()
+        motion[:, :, 1] -= base[:, np.newaxis] * self.carried
+        return replace(levels, motion=motion)
 
     def at(self, point: int, other_point: int = 0) -> FloatArray:
         """Participation (n,) of a place: a point, or between two."""
@@ -111,6 +123,31 @@ class ModalFrame:
         shares = weights[np.newaxis] / np.abs(d)[:, np.newaxis]
         errors = shares * (change / np.abs(d))[:, np.newaxis]
         return np.asarray(np.sqrt((errors**2).sum(axis=2)) / np.sqrt((shares**2).sum(axis=2)))
+
+
+def _by_base(levels: HeldLevels) -> bool:
+    return isinstance(levels.test, SteppedSineTest) and levels.test.reference == "base"
+
+
+def _drive(structure: Structure, levels: HeldLevels) -> FloatArray:
+    """What the measured force acts on, (N,): the drive point, or all masses where it is the motion of their base.
+
+    Raises:
+        BenchError: the structure does not say how its base excites it.
+    """
+    if not _by_base(levels):
+        return structure.direction(levels.test.drive_point)
+    if structure.base_load is None:
+        raise BenchError("the structure does not say how its base excites it")
+    return -structure.base_load
+
+
+def _carried(rig: Rig, structure: Structure, levels: HeldLevels) -> FloatArray:
+    """Share of the motion of the base that sensors see beside that of the structure, (C,)."""
+    absolute = isinstance(rig.exciter, ShakingTableSection) and rig.exciter.responses == "absolute"
+    if not (absolute and _by_base(levels)):
+        return np.zeros(len(levels.channels))
+    return np.array([structure.base_motion.get(channel.point, 1.0) for channel in levels.channels])
 
 
 class KnownForces:

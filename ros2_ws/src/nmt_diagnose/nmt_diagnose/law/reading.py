@@ -18,6 +18,7 @@ from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, fewest
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.terms import sampled
+from nmt_diagnose.observations.conditions import SteppedSineTest
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -118,12 +119,18 @@ def read_law(rig: Rig, observations: Observations) -> LawReading | None:
         return None
     levels = max(found, key=lambda one: (one.harmonics > 1, one.count, float(np.nanmax(np.abs(one.motion)))))
     frame = ModalFrame.of(rig, levels)
-    return None if frame is None else _read(LawSearch(LawRows(frame, levels), rig), levels)
+    if frame is None:
+        return None
+    levels = frame.relative(levels)
+    return _read(LawSearch(LawRows(frame, levels), rig), levels)
 
 
 def _stands_alone(rig: Rig, levels: HeldLevels) -> bool:
-    """Whether levels without a force are those of the structure: a shaker that stays attached belongs to them."""
-    return levels.ratio is not None and (rig.exciter is None or rig.exciter.kind == "force")
+    """Whether fundamentals alone tell a law: lines of a stepped sine, and levels without a force where no shaker that
+    stays attached belongs to them."""
+    if levels.ratio is None:
+        return isinstance(levels.test, SteppedSineTest)
+    return rig.exciter is None or rig.exciter.kind == "force"
 
 
 def _read(search: LawSearch, levels: HeldLevels) -> LawReading:

@@ -33,11 +33,6 @@ class VerdictThresholds:
         "crossover distortion of an amplifier.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.partial_closed_share_of_two]",
     )  # fmt: skip
-    second_effect_leaves: float = threshold(
-        1.0 / 3.0, "1",
-        "Share of what one law leaves on held-out data that two leave at most for the second to be named with it.",
-        "tests/diagnose/test_plain_effect.py",
-    )  # fmt: skip
     nearest_closed_share: float = threshold(
         1.0 / 3.0, "1",
         "Share of the gap below which the nearest explanation is no part of the answer.",

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from independent.forced_balance import chain_of_one, cubic
+from independent.epmc_by_receptance import coulomb_force
+from independent.forced_balance import cantilever, chain_of_one, cubic
 from independent.harmonic_continuation import CubicModes, PhaseBranch, Solution
 from scipy.optimize import minimize_scalar
 
@@ -120,6 +121,27 @@ def test_a_perturbed_drive_tells_the_floquet_exponents_on_both_sides_of_a_fold(t
     assert np.array_equal(curve.floquet_stable, (curve.growth < 0.0).astype(float))
     again = extract_bag(bag).points
     assert all(one.identical(other) for one, other in zip(again, result.points, strict=True))
+
+
+def test_with_a_shaker_and_friction_the_curve_goes_to_its_other_side(tmp_path):
+    plan = plan_test(
+        "beam", [0.3], test="response_curve", window_periods=12, ramp=0.3, lag_deg=(115.0, 160.0), spacing=0.5,
+        timeout=20.0, harmonics_control="auto",
+    )  # fmt: skip
+    with Session(plan, tmp_path) as session:
+        result = session.run()
+    assert all(point.status is PointStatus.OK for point in result.points), [point.reason for point in result.points]
+    beam = cantilever(
+        7, 0.7, 0.00527668, 0.01156978, 185.0e9, 7830.0, 1.0e-4, 3, 2,
+        lambda w, v: coulomb_force(w, 8000.0, 1.0), highest=7, samples=512,
+    )  # fmt: skip
+    force = np.zeros(beam.orders.size, complex)
+    for point in result.points:
+        lag, response = 0.5 * math.pi + point.phase_error, abs(point.shape_harmonics[1, 0])
+        force[0] = point.force_n
+        orbit = beam.at_lag(lag, force, point.omega_rad_s, response * np.exp(-1j * lag))
+        assert point.frequency_hz == pytest.approx(orbit.omega / (2.0 * math.pi), rel=1e-3)
+        assert response == pytest.approx(orbit.response, rel=2e-3)
 
 
 def test_at_a_held_response_the_force_is_that_of_the_balance(tmp_path):

@@ -21,6 +21,10 @@ class ControllerGains:
     proportional: float
     integral: float
 
+    def scaled(self, share: float) -> ControllerGains:
+        """Gains of a loop that is slower by a factor, with the same shape of its answer."""
+        return ControllerGains(share * self.proportional, share**2 * self.integral)
+
     def on_slope(self, slope: float, decay: float) -> ControllerGains:
         """Gains at a point of a response curve at which the lag answers as (s + δ) / (s² + 2 δ s + D), D = δ dω/dϑ.
 

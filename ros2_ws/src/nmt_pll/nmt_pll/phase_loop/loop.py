@@ -104,6 +104,8 @@ class PhaseLockedLoop(LevelLoop):
         self._amplitude_before = 0.0
         self._ramp_end = 0
         self._multisine = Multisine()
+        # An exciter that damps couples force and phase away from resonance: a strong phase loop swings with both.
+        self._is_gentle = self.plant.plant_decay > CURVE.exciter_decay_ratio * self.plant.structure_decay
         self._release = 0.0  # response amplitude that is held until the force takes over; 0 = the level's own
         self._motion = 0j  # fundamental of the response
         self._phase = 0.0  # held by the level now, rad
@@ -270,6 +272,12 @@ class PhaseLockedLoop(LevelLoop):
         self.dwell.clear()
         self._deviation = 0.0
 
+    @property
+    def _on_curve(self) -> bool:
+        """Whether the level is a point of a response curve at a held force."""
+        level = self._level
+        return level is not None and level.test is TestKind.RESPONSE_CURVE and level.control == ControlKind.FORCE
+
     def _held(self, level: LevelCommand) -> tuple[int, float]:
         """What the amplitude controller holds now, and at what amplitude."""
         return (ControlKind.RESPONSE, self._release) if self._release > 0.0 else (level.control, level.amplitude)
@@ -301,6 +309,8 @@ class PhaseLockedLoop(LevelLoop):
         gains = self.schedule.gains(self.decay)
         if self._slope != 0.0:
             gains = gains.on_slope(self._slope, self.decay)
+        if self._is_gentle and self._on_curve:
+            gains = gains.scaled(CURVE.gentle_share)
         self.controller.update(error, gains, self.block_duration)
         level = self._level
         if level is not None and level.control != ControlKind.VOLTAGE and end > self._closed_from:
@@ -339,6 +349,7 @@ class PhaseLockedLoop(LevelLoop):
                 f"({self.controller.integrator / (2 * math.pi):.2f} Hz): this is not the target mode"
             )
         if end > self._deadline and self.machine.state == LoopState.ACQUIRING:
+            self._is_gentle ^= self._on_curve  # between folds only strong gains hold, elsewhere gentle ones may
             return f"no lock within the time-out: {self._obstacle(valid)}"
         if self.machine.state == LoopState.LOCKED and not valid:
             return "force or response fell below its amplitude floor"

@@ -16,11 +16,12 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.coverage import covers
-from nmt_diagnose.observations.conditions import PhaseResonanceTest
+from nmt_diagnose.observations.conditions import PhaseResonanceTest, SteppedSineTest
 from nmt_diagnose.observations.kinds.phase_resonance_observations import _terms
 from nmt_diagnose.observations.kinds.ring_down_observations import _close_mode
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.read_observations import read_observations
+from nmt_extract.response_curve import response_curves
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
 
@@ -117,6 +118,23 @@ def test_a_spring_that_takes_the_frequency_far_is_followed(tmp_path: Path) -> No
     assert distance(observations, rig) < 1.5
 
 
+def test_a_response_curve_is_what_its_model_predicts_on_every_branch(tmp_path: Path) -> None:
+    """Lines of which some are between the folds; a spring that is 5 % off is told by them."""
+    curve = {"test": "response_curve", "lag_deg": (60.0, 165.0), "spacing": 0.45, "window_periods": 20, "ramp": 0.3}
+    with Session(plan_test("strong_cubic", [0.32], **curve), tmp_path / "run") as session:
+        result = session.run()
+    assert result.bag is not None
+    rig = load_rig("strong_cubic")
+    observations = read_observations([result.bag], rig)
+    test = observations.tests[0]
+    assert isinstance(test, SteppedSineTest)
+    assert test.lines_hz.size == len(result.points)
+    (measured,) = response_curves(result.points)
+    assert np.count_nonzero(measured.stable == 0.0) > 1
+    assert distance(observations, rig) < 1.5
+    assert distance(observations, load_rig("strong_cubic", ["local_elements.0.stiffness_n_m3=1.68e10"])) > 2.0
+
+
 def test_what_an_oscillator_did_not_make_is_no_drive() -> None:
     """A harmonic counts where it stands out of its scatter, and all do where nobody knows what was commanded."""
     rng = np.random.default_rng(1)
@@ -155,7 +173,6 @@ def test_a_kind_is_taken_or_refused_in_one_sentence(kind: TestKind) -> None:
             TestKind.SWEEP,
             TestKind.SECONDARY_RESONANCE,
             TestKind.SELF_EXCITED,
-            TestKind.RESPONSE_CURVE,
         )
     )  # fmt: skip)
 

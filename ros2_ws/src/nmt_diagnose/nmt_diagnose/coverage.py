@@ -9,7 +9,6 @@ from nmt_core.vocabulary import TestKind
 _NOT_PREDICTED = {
     TestKind.SWEEP: "a swept response is no steady state",
     TestKind.SECONDARY_RESONANCE: "its model follows resonances at the frequency of the drive",
-    TestKind.RESPONSE_CURVE: "its model follows responses that are stable, and not between folds",
     TestKind.SELF_EXCITED: "its model follows motions that a drive holds or that decay",
 }
 
@@ -24,6 +23,11 @@ def covers(test: DrivenTest) -> str:
         return (
             f"The diagnosis takes no part of {test.words}, as {_NOT_PREDICTED[test.kind]}; use windows at phase "
             "resonance or stepped sines near resonance."
+        )
+    if test.has_several_exciters and test.kind is TestKind.RESPONSE_CURVE:
+        return (
+            f"The diagnosis takes no part of {test.words}, as its model has one force at every line; use windows at "
+            "phase resonance, random tests or ring-downs."
         )
     if test.has_several_exciters and test.kind is TestKind.RECORD:
         return (

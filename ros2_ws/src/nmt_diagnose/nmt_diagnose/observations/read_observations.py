@@ -45,7 +45,7 @@ from nmt_record.windows.recorded_tests import recorded_tests
 from nmt_record.windows.segments import Segment, segments
 from nmt_rig.rig import Rig
 
-_LOCKED = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE)
+_LOCKED = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE, TestKind.RESPONSE_CURVE)
 
 
 def read_observations(
@@ -59,10 +59,10 @@ def read_observations(
 ) -> Observations:
     """All observables of a real side.
 
-    Locked windows, random tests, ring-downs, records and reduced tables become tests; imported stepped sines become
-    frequency responses at their measured force, those of the bench's own runs near resonance count as locked windows
-    whose phase nobody controlled. What :func:`~nmt_diagnose.coverage.covers` does not take and what cannot be used is
-    left out, with a sentence in ``notes``.
+    Locked windows, random tests, ring-downs, records and reduced tables become tests; imported stepped sines and
+    response curves become frequency responses at their measured force, stepped sines of the bench's own runs near
+    resonance count as locked windows whose phase nobody controlled. What :func:`~nmt_diagnose.coverage.covers` does not
+    take and what cannot be used is left out, with a sentence in ``notes``.
 
     Args:
         bags: bags of one rig: recorded runs or imports.
@@ -276,7 +276,8 @@ def _signals(
             selected = [(window.segment, window.stretch) for window in locked if window.segment.kind is kind]
             if selected:
                 test_name = f"{name}/{kind.label}" if several else name
-                if kind is TestKind.STEPPED_SINE and "imported" in run and is_response(selected):
+                imported = kind is TestKind.STEPPED_SINE and "imported" in run and is_response(selected)
+                if imported or kind is TestKind.RESPONSE_CURVE:
                     parts.append(stepped_sine_observations(test_name, selected, view, channels, settings))
                     continue
                 parts.append(

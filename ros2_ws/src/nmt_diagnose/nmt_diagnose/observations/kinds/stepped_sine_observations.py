@@ -1,4 +1,9 @@
-"""Observables of imported stepped-sine windows: frequency responses over the measured force of each line."""
+"""Observables of imported stepped sines and of response curves: responses over the measured force of each line.
+
+The model takes every line at its measured amplitude, which has one solution on whatever branch. So the points of a
+response curve are lines as those of stepped sines are, the unstable ones too. They stay in the order in which they were
+measured, along the curve, which has no jump.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +15,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import MOTIONS
+from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
 from nmt_diagnose.observations.kinds.phase_resonance_observations import LockedWindow, analyse_window
@@ -20,6 +25,8 @@ from nmt_diagnose.observations.observables import Observations, Part, Place, Row
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.windows.segments import Segment
+
+_WAYS = {1: " up", -1: " down", 0: ""}
 
 
 def is_response(windows: Sequence[tuple[Segment, SampleStretch]]) -> bool:
@@ -36,9 +43,10 @@ def stepped_sine_observations(
     channels: dict[str, MeasuredChannel],
     settings: ObservationSettings,
 ) -> Observations:
-    """Observables of stepped-sine windows: a test for each level and direction.
+    """Observables of stepped-sine windows: a test for each level and direction, of response curves for each curve.
 
-    The level of a line is its measured force, whatever was held. Lines on both sides of a jump are left out.
+    The level of a line is its measured force, whatever was held. Lines of stepped sines on both sides of a jump are
+    left out.
 
     Args:
         name: of the tests.
@@ -57,12 +65,12 @@ def stepped_sine_observations(
     parts = []
     groups = _groups(analysed)
     for number, group in enumerate(groups):
-        direction = _direction(group)
+        direction = 0 if _is_curve(group[0]) else _direction(group)
         test_name = name
         if len(groups) > 1:
             level = group[0].segment.level
             text = f" at {level:g} {group[0].segment.level_unit}" if math.isfinite(level) else f" {number + 1}"
-            test_name = f"{name}{text} {'up' if direction > 0 else 'down'}"
+            test_name = f"{name}{text}{_WAYS[direction]}"
         if len(group) < THRESHOLDS.reading.stepped_fewest_lines:
             notes.append(
                 f"{test_name}: {len(group)} lines are no frequency response; measure "
@@ -79,7 +87,7 @@ def _groups(windows: Sequence[LockedWindow]) -> list[list[LockedWindow]]:
     for window in windows:
         last = result[-1] if result else []
         same = bool(last) and _level(window) == _level(last[-1])
-        if same and len(last) > 1:
+        if same and len(last) > 1 and not _is_curve(window):
             turn = (window.frequency_hz - last[-1].frequency_hz) * (last[1].frequency_hz - last[0].frequency_hz)
             same = turn > 0.0
         if same:
@@ -92,6 +100,10 @@ def _groups(windows: Sequence[LockedWindow]) -> list[list[LockedWindow]]:
 def _level(window: LockedWindow) -> float | None:
     level = window.segment.level
     return float(f"{level:.3g}") if math.isfinite(level) else None
+
+
+def _is_curve(window: LockedWindow) -> bool:
+    return window.segment.kind is TestKind.RESPONSE_CURVE
 
 
 def _direction(group: Sequence[LockedWindow]) -> int:
@@ -108,7 +120,8 @@ def _one(
 ) -> Observations:
     force = group[0].stretch.find(Quantity.FORCE)
     assert force is not None
-    order = sorted(group, key=lambda window: window.frequency_hz)
+    curve = direction == 0
+    order = list(group) if curve else sorted(group, key=lambda window: window.frequency_hz)
     common = [k for k, c in channels.items() if c.quantity in MOTIONS and all(k in window.rows for window in order)]
     if not common:
         return empty((f"{name}: no response channel is usable in all windows; left out.",))
@@ -117,7 +130,7 @@ def _one(
     common.sort(key=lambda key: float(np.median(found[key][1])))
     kept = np.all([std <= settings.largest_std for _, std in found.values()], axis=0)
     notes = []
-    for first, last in jumps_of(found[common[0]][0]):
+    for first, last in () if curve else jumps_of(found[common[0]][0]):
         kept[first : last + 1] = False
         notes.append(jump_note(name, order[first].frequency_hz, order[last].frequency_hz))
     lines = np.flatnonzero(kept)
@@ -140,7 +153,7 @@ def _one(
         drive_point=view.rig.drive_point,
         channels=tuple(channels[key] for key in common),
         reference="force",
-        held="force",
+        held="force" if not curve or group[0].segment.level_unit == "N" else "response",
         lines_hz=frequency,
         levels=level,
         measured=np.column_stack([found[key][0][lines] for key in common]),

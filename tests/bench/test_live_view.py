@@ -20,6 +20,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.records import DriveStop, LoopStatus, RunState
 from nmt_core.vocabulary import OutputState, PointStatus, ResultCode, RunPhase, SteeringAct, StopCause
+from nmt_extract.response_curve import response_curves
 from nmt_record.bag.bag_reader import Bag
 from nmt_report.quantity_format import uncertain
 from nmt_sequencer.steering import SteeringRequest
@@ -108,6 +109,30 @@ def test_what_was_steered_is_shown_with_its_sample(tmp_path: Path) -> None:
     assert [row["text"] for row in head["plan"]] == ["0.2", "0.5", "0.3"]
     assert "level 1 skipped by a test" in head["acts"][0]
     assert "sample 1" in head["acts"][0]
+
+
+def test_a_response_curve_grows_with_the_stability_of_its_points(tmp_path: Path) -> None:
+    curve = {"test": "response_curve", "lag_deg": (70.0, 150.0), "spacing": 0.45, "ramp": 0.3, "window_periods": 12}
+    view = LiveView()
+    sizes = []
+
+    def listen(topic: str, record: Any) -> None:
+        view.take(record)
+        if topic == "modal_point":
+            sizes.append(facts(view)[1]["curve_f"].size)
+
+    with Session(plan_test("strong_cubic", [0.32], **curve), listener=listen) as session:
+        result = session.run()
+    head, arrays = facts(view)
+    assert head["test"] == "response_curve"
+    assert head["curve_axis"] == "response at the drive point / m"
+    assert sizes == list(range(1, len(result.points) + 1))
+    (measured,) = response_curves(result.points)
+    assert arrays["curve_f"] == pytest.approx(measured.frequency_hz, rel=1e-6)
+    assert arrays["curve_y"] == pytest.approx(measured.response, rel=1e-6)
+    assert np.array_equal(arrays["curve_stable"], measured.stable, equal_nan=True)
+    assert {0.0, 1.0} <= set(arrays["curve_stable"])
+    assert not arrays["curve_number"].any()
 
 
 def test_a_level_that_does_not_lock_shows_why(tmp_path: Path) -> None:

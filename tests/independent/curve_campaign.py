@@ -66,7 +66,7 @@ _STRONG = chain_of_one(16000.0, _DAMPING, cubic(1.6e10), samples=128)
 _BEAM = cantilever(
     7, 0.7, 0.00527668, 0.01156978, 185.0e9, 7830.0, 1.0e-4, 3, 2, _joint, highest=11, samples=1024
 )  # fmt: skip
-_QUICK = {"window_periods": 20, "ramp": 0.3}
+_QUICK = {"window_periods": 16, "ramp": 0.3}
 _FLOQUET = {"window_periods": 40, "ramp": 0.3, "spacing": 0.7, "floquet": True}
 _BLOCK = "block_samples=25"
 _STOPS = ("local_elements=[{name: stops, kind: two_sided_gap, point: 1, stiffness_n_m: 8000.0, gap_m: 0.3e-3}]",)
@@ -114,7 +114,7 @@ CASES = {
     "exponents, noise": Case(
         "strong_cubic", _STRONG, (0.32,), _NOISE, {**_FLOQUET, "lag_deg": (50.0, 160.0), "perturbation": 0.03}
     ),
-    "noise": Case("strong_cubic", _STRONG, (0.32,), _NOISE, {**_QUICK, "lag_deg": (20.0, 168.0)}),
+    "noise": Case("strong_cubic", _STRONG, (0.32,), _NOISE, {**_QUICK, "window_periods": 40, "lag_deg": (20.0, 168.0)}),
     "friction, noise": Case(
         "beam", _BEAM, (1.0,), _NOISE, {**_QUICK, "lag_deg": (20.0, 160.0), "harmonics_control": "auto"}
     ),

@@ -514,7 +514,7 @@ class CurveThresholds:
         "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
     )  # fmt: skip
     steadiness: float = threshold(
-        2.5e-3, "1",
+        2.0e-3, "1",
         "Share by which the response may still be behind the point it moves along the curve with, at lock.",
         "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
     )  # fmt: skip

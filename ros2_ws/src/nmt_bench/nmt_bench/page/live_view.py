@@ -38,6 +38,7 @@ from nmt_core.vocabulary import (
     StopCause,
 )
 from nmt_extract.mode_identity import mode_verdict
+from nmt_extract.response_curve import is_of_curve, response_curves
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import duration, engineering_exponent, plain, power_of_ten, significant
 from nmt_report.run_verdict import run_verdict
@@ -280,6 +281,15 @@ class LiveView:
                 ("point_d_std", [100.0 * point.damping_ratio_std for point in good]),
             ):
                 arrays[name] = np.array(values, dtype=np.float64)
+            curves = response_curves(points) if is_of_curve(points) else ()
+            held = all(curve.holds_force for curve in curves)
+            for name, columns in (
+                ("curve_f", [curve.frequency_hz for curve in curves]),
+                ("curve_y", [curve.response if held else curve.force for curve in curves]),
+                ("curve_stable", [curve.stable for curve in curves]),
+                ("curve_number", [np.full(curve.lag.size, float(k)) for k, curve in enumerate(curves)]),
+            ):
+                arrays[name] = np.concatenate([*columns, np.empty(0)])
             if "reference_d" in arrays:
                 arrays["reference_d"] = 100.0 * arrays["reference_d"]
             head, rows = self._table(points)
@@ -299,6 +309,7 @@ class LiveView:
                     "stopped": self._stop_text(),
                     "stop_state": "" if self._stop is None else self._stop.cause.name.lower(),
                     "level_unit": unit_text(self._level_unit),
+                    "curve_axis": "response at the drive point / m" if held else "force / N",
                     "plan": self._plan_rows(),
                     "point_levels": [point.level_index + 1 for point in good],
                     "table_head": head,

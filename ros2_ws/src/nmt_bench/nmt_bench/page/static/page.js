@@ -183,6 +183,40 @@
     }), data);
   }
 
+  // A curve turns back over the frequency, so it is drawn here; the chart itself has the points in ascending order.
+  function responseCurves() {
+    const f = factArrays.curve_f || [], y = factArrays.curve_y || [];
+    if (!f.length) { return; }
+    const order = Array.from(f, (_, k) => k).sort((a, b) => f[a] - f[b]);
+    plot("plot-curve", () => ({
+      scales: { x: { time: false, range: (chart, a, b) => padded(a, b) }, y: { range: (chart, a, b) => [0, padded(0, b)[1]] } },
+      axes: [axis("frequency / Hz", { values: ticks }), axis(facts.curve_axis, { values: ticks })],
+      series: [{}, line("measured", 0, { stroke: null, paths: () => null })],
+      hooks: { draw: [branches] },
+    }), [order.map((k) => f[k]), order.map((k) => y[k])]);
+  }
+
+  function branches(chart) {
+    const f = factArrays.curve_f || [], y = factArrays.curve_y, stable = factArrays.curve_stable, curve = factArrays.curve_number;
+    const context = chart.ctx, ratio = devicePixelRatio, at = (k) => [chart.valToPos(f[k], "x", true), chart.valToPos(y[k], "y", true)];
+    context.save();
+    context.lineWidth = 1.5 * ratio;
+    for (let k = 0; k < f.length; k++) {
+      context.strokeStyle = context.fillStyle = colour(COLOURS[curve[k] % 8]);
+      if (k && curve[k] === curve[k - 1]) {
+        context.setLineDash(stable[k] === 0 || stable[k - 1] === 0 ? [6 * ratio, 4 * ratio] : []);
+        context.beginPath();
+        context.moveTo(...at(k - 1)); context.lineTo(...at(k));
+        context.stroke();
+      }
+      context.setLineDash([]);
+      context.beginPath();
+      context.arc(...at(k), 3 * ratio, 0, 2 * Math.PI);
+      if (stable[k] === 0) { context.stroke(); } else { context.fill(); }
+    }
+    context.restore();
+  }
+
   function errorBars(chart) {
     const [x, , y, std] = chart.data, context = chart.ctx;
     context.save();
@@ -362,12 +396,13 @@
 
   const perNewton = () => (facts.response_unit.includes("/") ? "(" + facts.response_unit + ")/N" : facts.response_unit + "/N");
 
-  const givesPoints = (test) => ["phase_resonance", "self_excited", "secondary_resonance"].includes(test);
+  const givesPoints = (test) => ["phase_resonance", "self_excited", "secondary_resonance", "response_curve"].includes(test);
 
   function drawKinds() {
-    const test = facts.test, modal = givesPoints(test);
+    const test = facts.test, modal = givesPoints(test) && test !== "response_curve";
     get("backbone-panel").hidden = get("damping-panel").hidden = !modal;
     get("frf-panel").hidden = get("coherence-panel").hidden = test !== "random";
+    get("curve-panel").hidden = test !== "response_curve";
     get("swept-panel").hidden = test !== "sweep" && test !== "stepped_sine";
     get("decay-panel").hidden = test !== "ring_down";
     for (const id of ["orbit-panel", "loop-panel", "nyquist-panel", "shape-panel"]) { get(id).hidden = test === "random"; }
@@ -554,7 +589,8 @@
       repeated.value = begun.some((row) => String(row.index) === chosen) ? chosen : "";
     }
     controls();
-    if (givesPoints(facts.test)) {
+    if (facts.test === "response_curve") { responseCurves(); }
+    if (!get("backbone-panel").hidden) {
       backbone("plot-frequency", "modal frequency / Hz", factArrays.point_f, factArrays.point_f_std, factArrays.reference_f, 2e-3);
       backbone("plot-damping", "modal damping ratio / %", factArrays.point_d, factArrays.point_d_std, factArrays.reference_d, 0.05);
     }

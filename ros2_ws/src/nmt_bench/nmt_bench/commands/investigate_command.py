@@ -55,6 +55,10 @@ class InvestigateOptions:
         _DEFAULT_RANDOM, "length of each of the two records of the linear test, s (default: 20)", metavar="S"
     )
     ask: bool = option(False, "ask before each test: yes, no (another one) or stop")
+    page: bool = option(
+        False,
+        "page in the browser with what was asked and learnt, to answer (with --ask) and to stop; prints its address",
+    )
     out: Path = dated_folder_option("investigate.json, report.html, diagnosis/, a folder for each test", "investigate")
     set: tuple[str, ...] = option((), "change a value of the real rig; may be repeated", metavar="KEY=VALUE")
     device: str = device_option()
@@ -105,6 +109,8 @@ def run(options: InvestigateOptions) -> int:
         raise BenchError(f"The folder {options.out} cannot be made ({error.strerror}); choose another one.") from error
     if not made and not (options.out / RECORD_FILE).exists() and any(options.out.iterdir()):
         raise BenchError(f"The folder {options.out} holds something else; choose another one with --out.")
+    if options.page and options.real:
+        raise BenchError("--page is of an investigation with --rig; with --real nothing is run.")
     bench = _Bench(options, model, jobs, console)
     if options.real:
         record = bench.propose(replace(record, bags=bags, ended="", conclusion=""))
@@ -154,26 +160,53 @@ class _Bench:
     """
 
     def __init__(self, options: InvestigateOptions, model: Rig, jobs: int, console: Any) -> None:
+        from nmt_bench.page.task_answers import TaskAnswers
+        from nmt_bench.page.task_feed import TaskFeed
         from nmt_diagnose.inference.memory import Memory
 
         self._options, self._model, self._jobs, self._console = options, model, jobs, console
         self._plan: tuple[float, ...] = ()
         self._outcome: Any = None
         self._memory = Memory()
+        self._feed = TaskFeed()
+        self._answers = TaskAnswers()
 
     def investigate(self, record: InvestigationRecord, settings: InvestigationSettings) -> InvestigationRecord:
         """Go on with an investigation to its end; its report is written whatever ends it."""
+        from nmt_bench.page.task_answers import TaskAnswers
+        from nmt_bench.page.task_feed import task_page
         from nmt_diagnose.investigation.investigation import YES, Investigation
 
         self._plan = settings.levels
         agree = self._agree if self._options.ask else (lambda _: YES)
-        found = Investigation(
-            record, settings, self._options.out, self._measure, self._think, agree, self._say
-        )  # fmt: skip
-        try:
-            return found.run()
-        finally:
-            self._write(found.record)
+        title = f"Investigation of {Path(record.real).stem}"
+        with task_page(self._options.page, title, self._console, asks=True) as self._feed:
+            self._answers = TaskAnswers(self._feed.answers)
+            found = Investigation(
+                record, settings, self._options.out, self._measure, self._think, agree, self._say, self._tell_page
+            )
+            self._tell_page(record)
+            try:
+                return found.run()
+            finally:
+                self._write(found.record)
+                self._feed.tell(outcome=found.record.conclusion[:250])
+
+    def _tell_page(self, record: InvestigationRecord) -> None:
+        """What was asked and learnt so far."""
+        from nmt_report.investigation_report import shown_answers, tests_table
+
+        names = shown_answers(record) if record.turns else []
+        self._feed.tell(
+            timeline={
+                name.replace("_", " "): [
+                    [round(turn.bench_s, 1), round(turn.answers.get(name, 0.0), 3)] for turn in record.turns[-20:]
+                ]
+                for name in names
+            }
+        )
+        rows = [(str(row.cells[0]), " · ".join(map(str, row.cells[1:]))) for row in tests_table(record).rows]
+        self._feed.table(("Test", "What, why; bench time; expected and received information; state"), rows[-12:])
 
     def propose(self, record: InvestigationRecord) -> InvestigationRecord:
         """Diagnose the recordings and put the proposed tests into the record."""
@@ -198,20 +231,15 @@ class _Bench:
         return self._outcome.diagnosis, _processor_time() - began
 
     def _agree(self, test: AskedTest) -> str:
-        from nmt_diagnose.investigation.investigation import NO, STOP, YES
-
         seconds = f", {test.seconds:.0f} s" if math.isfinite(test.seconds) else ""
         self._console.print(f"{test.text}{seconds}: {test.why}.\n  ./nmt {shlex.join(test.words)}", soft_wrap=True)
-        while True:
-            try:
-                answer = input("Run it? yes, no (another one) or stop: ").strip().lower()
-            except EOFError:
-                return STOP
-            for word in (YES, NO, STOP):
-                if answer and word.startswith(answer):
-                    return word
+        self._feed.tell(question=f"{test.text}{seconds}: {test.why}.")
+        answer = self._answers.wait("Run it? yes, no (another one) or stop: ")
+        self._feed.tell(question="")
+        return answer
 
     def _say(self, sentence: str) -> None:
+        self._feed.step(sentence)
         if not self._options.quiet:
             self._console.print(sentence, soft_wrap=True)
 

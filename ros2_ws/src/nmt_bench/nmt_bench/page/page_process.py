@@ -22,11 +22,13 @@ _GRACE = 3.0  # s
 
 @dataclass(frozen=True)
 class ServedPage:
-    """A page that is being served: its process, the lines that tell its addresses, and the pipe that it reads."""
+    """A page that is being served: its process, the lines that tell its addresses, and the pipes that it reads and
+    writes."""
 
     pid: int
     lines: tuple[str, ...]
     feed: int
+    answers: int
 
 
 @contextlib.contextmanager
@@ -57,7 +59,9 @@ def page_process(log: Path, arguments: tuple[str, ...] = (), lines: int = 2) -> 
         )
     try:
         assert process.stdin is not None
-        yield ServedPage(process.pid, tuple(_addresses(process, log, lines)), process.stdin.fileno())
+        assert process.stdout is not None
+        addresses = tuple(_addresses(process, log, lines))
+        yield ServedPage(process.pid, addresses, process.stdin.fileno(), process.stdout.fileno())
     finally:
         process.terminate()
         process.send_signal(signal.SIGCONT)  # one that was stopped could not hear

@@ -145,18 +145,19 @@ async def serve(
         close()
 
 
-async def serve_task(tell: Callable[[PageServer], None], port: int = 0) -> None:
+async def serve_task(tell: Callable[[PageServer], None], port: int = 0, asks: bool = False) -> None:
     """Serve the progress of a command, told line by line on standard input, until SIGINT or SIGTERM.
 
     Args:
         tell: told of the server when it listens.
         port: 0 = a free one.
+        asks: the command asks; what is answered goes line by line to standard output.
 
     Raises:
         BenchError: the port is taken.
     """
     ended = _told_to_end()
-    view = TaskView()
+    view = TaskView(answered=_say if asks else None)
     with contextlib.suppress(OSError):
         os.nice(_NICE)
     server = PageServer(view, NoBench(), port)
@@ -173,6 +174,11 @@ async def serve_task(tell: Callable[[PageServer], None], port: int = 0) -> None:
         await ended.wait()
     finally:
         await server.close()
+
+
+def _say(word: str) -> None:
+    sys.stdout.write(f"{word}\n")
+    sys.stdout.flush()
 
 
 def _told_to_end() -> asyncio.Event:

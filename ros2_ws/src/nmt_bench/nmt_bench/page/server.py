@@ -21,6 +21,7 @@ from nmt_bench.page.frames import write_frame
 from nmt_bench.page.guard import Guard, Role
 from nmt_bench.page.start_goal import start_form, start_request
 from nmt_bench.page.stop_door import StopDoor
+from nmt_bench.page.task_view import TaskView
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import SteeringAct
 from nmt_sequencer.level_plan import check_levels
@@ -133,6 +134,7 @@ class PageServer:
                 web.post("/start", self._start),
                 web.post("/stop", self._stop),
                 web.post("/replay", self._replay),
+                web.post("/answer", self._answered),
             ]
         )
         self._runner = web.AppRunner(application, access_log=None, keepalive_timeout=15.0, handle_signals=False)
@@ -277,6 +279,15 @@ class PageServer:
             raise web.HTTPNotFound
         self.player.control(order)
         return _answer(ServiceAnswer(True, ""))
+
+    async def _answered(self, request: web.Request) -> web.StreamResponse:
+        """What a person answers to a command that asks."""
+        order = await self._order(request)
+        view = self.view
+        if not isinstance(view, TaskView) or not view.asks:
+            raise web.HTTPNotFound
+        answer = view.answer(order.get("answer"))
+        return _answer(answer, 200 if answer.taken else 400)
 
     # -- frames --------------------------------------------------------------------------------------------------
 

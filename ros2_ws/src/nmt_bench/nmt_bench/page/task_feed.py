@@ -21,10 +21,11 @@ class TaskFeed:
 
     Args:
         pipe: file descriptor; negative: there is no page.
+        answers: file descriptor of what is answered on the page, a word a line; negative: none is.
     """
 
-    def __init__(self, pipe: int = -1) -> None:
-        self._pipe = pipe
+    def __init__(self, pipe: int = -1, answers: int = -1) -> None:
+        self._pipe, self.answers = pipe, answers
         if pipe >= 0:
             os.set_blocking(pipe, False)
 
@@ -47,13 +48,14 @@ class TaskFeed:
 
 
 @contextlib.contextmanager
-def task_page(wanted: bool, title: str, console: Any) -> Iterator[TaskFeed]:
+def task_page(wanted: bool, title: str, console: Any, asks: bool = False) -> Iterator[TaskFeed]:
     """The page of a command while it works, its address printed; without a page a feed that goes nowhere.
 
     Args:
         wanted: whether ``--page`` was given.
         title: of the page.
         console: gets the address.
+        asks: the command asks, and the page may answer.
 
     Raises:
         BenchError: the page does not come up.
@@ -63,10 +65,12 @@ def task_page(wanted: bool, title: str, console: Any) -> Iterator[TaskFeed]:
         return
     with (
         tempfile.TemporaryDirectory(prefix="nmt-page-") as folder,
-        page_process(Path(folder) / "page.log", ("--task",), lines=1) as page,
+        page_process(
+            Path(folder) / "page.log", ("--task", *(("--asks",) if asks else ())), lines=2 if asks else 1
+        ) as page,
     ):
         for line in page.lines:
             console.print(line, soft_wrap=True)
-        feed = TaskFeed(page.feed)
+        feed = TaskFeed(page.feed, page.answers if asks else -1)
         feed.tell(title=title)
         yield feed

@@ -1,6 +1,7 @@
 """What the page shows of work that computes and measures nothing: a diagnosis, a study, a campaign; free of ROS.
 
-News come as JSON objects, one a line; see :mod:`nmt_bench.page.task_feed`. What is not as expected is passed over.
+News come as JSON objects, one a line; see :mod:`nmt_bench.page.task_feed`. What is not as expected is passed over. A
+command that asks gets the answer of the page as a line, too.
 """
 
 from __future__ import annotations
@@ -13,12 +14,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from nmt_bench.page.bench_link import ServiceAnswer
 from nmt_bench.page.frames import write_frame
 from nmt_report.quantity_format import duration
 
 _MOST_STEPS = 300
 _MOST_ROWS = 40
 _LONGEST = 300  # characters of a text
+_MOST_LINES, _MOST_POINTS = 6, 100
+ANSWERS = ("yes", "no", "stop")
+"""What a page may answer: do it, another one, end."""
 
 
 @dataclass
@@ -33,13 +38,16 @@ class TaskView:
 
     Args:
         clock: s, monotonic.
+        answered: gets what a person answers; None = the command asks nothing.
     """
 
     FRAME_PERIOD = 0.5
     PAGE = "task.html"
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+    def __init__(
+        self, clock: Callable[[], float] = time.monotonic, answered: Callable[[str], None] | None = None
+    ) -> None:
+        self._clock, self._answered = clock, answered
         self._lock = threading.RLock()
         self.version = 0
         """Counts what has changed."""
@@ -53,6 +61,8 @@ class TaskView:
         self._counted_from = 0
         self._heading: tuple[str, str] = ("", "")
         self._rows: list[tuple[str, str]] = []
+        self._question = ""
+        self._timeline: dict[str, list[list[float]]] = {}
 
     def take_line(self, line: bytes) -> None:
         """Take one line of the feed."""
@@ -64,7 +74,12 @@ class TaskView:
             self.take(news)
 
     def take(self, news: dict[str, Any]) -> None:
-        """Take news: ``title``, ``step``, ``done`` and ``total``, ``heading`` and ``rows``, ``outcome``."""
+        """Take news: ``title``, ``step``, ``done`` and ``total``, ``heading`` and ``rows``, ``timeline``, ``question``,
+        ``outcome``.
+
+        A question that is empty is one that was answered elsewhere. The timeline has points (time, probability) by
+        name.
+        """
         with self._lock:
             now = self._clock()
             self._title = _text(news.get("title")) or self._title
@@ -81,6 +96,10 @@ class TaskView:
                 self._rows = [(_text(a), _text(b)) for a, b in pairs[:_MOST_ROWS]]
             if isinstance(heading, list) and len(heading) == 2:
                 self._heading = (_text(heading[0]), _text(heading[1]))
+            if "question" in news:
+                self._question = _text(news["question"])
+            if isinstance(news.get("timeline"), dict):
+                self._timeline = _lines(news["timeline"])
             outcome = _text(news.get("outcome"))
             if outcome:
                 self._end(outcome, now)
@@ -93,8 +112,27 @@ class TaskView:
                 self._end("The command has ended; the terminal says what came of it.", self._clock())
                 self.version += 1
 
+    @property
+    def asks(self) -> bool:
+        """Whether the command takes answers."""
+        return self._answered is not None
+
+    def answer(self, word: Any) -> ServiceAnswer:
+        """Take what a person answers: ``yes`` or ``no`` to what is asked now, ``stop`` at any time."""
+        if word not in ANSWERS:
+            return ServiceAnswer(False, f"An answer is one of {', '.join(ANSWERS)}")
+        with self._lock:
+            if self._answered is None or math.isfinite(self._ended):
+                return ServiceAnswer(False, "Nothing is asked here")
+            if not self._question and word != "stop":
+                return ServiceAnswer(False, "Nothing is asked now; it was answered, or a test is under way")
+            self._question = ""
+            self.version += 1
+            self._answered(word)
+        return ServiceAnswer(True, {"yes": "It is run", "no": "Another one is looked for", "stop": "It ends"}[word])
+
     def _end(self, outcome: str, now: float) -> None:
-        self._outcome, self._ended = outcome, now
+        self._outcome, self._ended, self._question = outcome, now, ""
         if self._steps and math.isnan(self._steps[-1].ended):
             self._steps[-1].ended = now
 
@@ -134,6 +172,9 @@ class TaskView:
                     "steps": steps,
                     "heading": list(self._heading),
                     "rows": [list(row) for row in self._rows],
+                    "question": self._question,
+                    "asks": self.asks,
+                    "timeline": self._timeline,
                     "outcome": self._outcome,
                 },
                 {},
@@ -160,3 +201,17 @@ class TaskView:
 
 def _text(value: Any) -> str:
     return value[:_LONGEST] if isinstance(value, str) else ""
+
+
+def _lines(value: dict[Any, Any]) -> dict[str, list[list[float]]]:
+    """Points by name, of those that are points: a time from 0 on, and a probability."""
+    found: dict[str, list[list[float]]] = {}
+    for name, points in list(value.items())[:_MOST_LINES]:
+        if isinstance(points, list):
+            found[_text(name)] = [
+                [float(point[0]), float(point[1])]
+                for point in points[:_MOST_POINTS]
+                if isinstance(point, list) and len(point) == 2 and all(isinstance(v, int | float) for v in point)
+                and 0.0 <= point[0] < math.inf and 0.0 <= point[1] <= 1.0
+            ]  # fmt: skip
+    return found

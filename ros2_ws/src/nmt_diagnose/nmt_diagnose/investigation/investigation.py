@@ -61,6 +61,7 @@ class Investigation:
         folder: where tests and record are kept.
         measure, think, agree: do the work.
         tell: called with a sentence as it goes on.
+        changed: called with the record whenever it has grown.
     """
 
     def __init__(
@@ -72,11 +73,12 @@ class Investigation:
         think: Think,
         agree: Agree = lambda _: YES,
         tell: Callable[[str], None] = lambda _: None,
+        changed: Callable[[InvestigationRecord], None] = lambda _: None,
     ) -> None:
         # What was under way when an earlier call ended was not measured: it is asked for again.
         tests = [replace(test, state="failed", seconds=0.0) if test.state == "asked" else test for test in record.tests]
         self.record, self.settings, self.folder = replace(record, tests=tuple(tests)), settings, folder
-        self._measure, self._think, self._agree, self._tell = measure, think, agree, tell
+        self._measure, self._think, self._agree, self._tell, self._changed = measure, think, agree, tell, changed
         self.diagnosis: Diagnosis | None = None
 
     def run(self) -> InvestigationRecord:
@@ -87,8 +89,12 @@ class Investigation:
         """
         while (test := self._next_test()) is not None:
             self._carry_out(test)
-        self.record.write(self.folder)
+        self._written()
         return self.record
+
+    def _written(self) -> None:
+        self.record.write(self.folder)
+        self._changed(self.record)
 
     def _next_test(self) -> AskedTest | None:
         """What is measured next; None where it has ended, and the record says why."""
@@ -203,7 +209,7 @@ class Investigation:
 
     def _keep(self, test: AskedTest) -> None:
         self.record = self.record.with_test(test)
-        self.record.write(self.folder)
+        self._written()
 
     # -- what is learnt -----------------------------------------------------------------------------------------------
 
@@ -220,7 +226,7 @@ class Investigation:
         text = self.diagnosis.sentences[1] if len(self.diagnosis.sentences) > 1 else ""
         turn = Turn(len(names), self.record.bench_s, seconds, self.diagnosis.verdict.value, answers, text)
         self.record = replace(self.record, turns=(*self.record.turns, turn))
-        self.record.write(self.folder)
+        self._written()
         verdict, sure = self.diagnosis.verdict, self._sure(answers)
         if sure and verdict is Verdict.EFFECT and self.diagnosis.adequate:
             self._end("named", text)
@@ -263,7 +269,7 @@ class Investigation:
 
     def _end(self, why: str, sentence: str) -> None:
         self.record = replace(self.record, ended=why, conclusion=sentence)
-        self.record.write(self.folder)
+        self._written()
 
 
 def answers_of(diagnosis: Diagnosis) -> dict[str, float]:

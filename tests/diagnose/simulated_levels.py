@@ -63,6 +63,7 @@ def held(
     forces: Sequence[float] = FORCES,
     detuned: float = 1.0,
     seed: int = 1,
+    second: float = 0.0,
 ) -> Observations:
     """Observations of sines at levels, near the first resonance.
 
@@ -72,16 +73,19 @@ def held(
         forces: amplitudes, N.
         detuned: frequency over that of the first mode.
         seed: of the noise.
+        second: force of an exciter at the last point over that at the first; 0 = there is none.
     """
     omega, ratios, shapes = modes()
     elements = [Element(kind, shapes[point - 1], values, sliders) for point, kind, values, sliders in laws]
     frequency = detuned * omega[0] / (2.0 * np.pi)
-    simulator = Simulator(omega / (2.0 * np.pi), ratios, shapes[0], elements)
+    simulator = Simulator(omega / (2.0 * np.pi), ratios, shapes[0] + second * shapes[-1], elements)
     generator = np.random.default_rng(seed)
     channels = (
         MeasuredChannel("f1", Quantity.FORCE, 1),
         *(MeasuredChannel(f"a{p + 1}", Quantity.ACCELERATION, p + 1) for p in range(len(MASSES))),
     )
+    points = (1, len(MASSES)) if second else (1,)
+    channels += tuple(MeasuredChannel(f"f{p}", Quantity.FORCE, p) for p in points[1:])
     settle = round(4.0 / ratios[0])
     table, levels = RowTable(), []
     for k, force in enumerate(forces):
@@ -90,8 +94,9 @@ def held(
         out, _ = simulator.sine(force, frequency, 4, PER_PERIOD)
         count = len(MASSES)
         signals = np.column_stack([out[:, 3 * count], out[:, 2 * count : 3 * count] @ shapes.T])
+        signals = np.column_stack([signals, *[second * out[:, 3 * count] for _ in points[1:]]])
         spectra = 2.0 * np.fft.rfft(signals, axis=0)[::4][: HARMONICS + 1].T / len(signals)
-        spectra[1:] *= np.asarray(gains)[:, None]
+        spectra[1 : 1 + count] *= np.asarray(gains)[:, None]
         place = Place(k, 10.0 * k, frequency, force)
         table.add(Part.LOG_FREQUENCY, float(np.log(2.0 * np.pi * frequency)), 1e-7, 0.0, place)
         for number, row in enumerate(spectra):
@@ -104,6 +109,6 @@ def held(
                 table.add(Part.REAL, float(ratio.real), NOISE, 0.0, place, number, order)
                 table.add(Part.IMAG, float(ratio.imag), NOISE, 0.0, place, number, order)
         levels.append(LockedLevel(k, force, 0.0, 1e-4, frequency, 10.0 * k, 10.0 * k + 5.0, 0.0, 1, force))
-    test = PhaseResonanceTest("levels", (1,), "a1", channels, HARMONICS, "voltage", tuple(levels))
+    test = PhaseResonanceTest("levels", points, "a1", channels, HARMONICS, "voltage", tuple(levels))
     found = table.observations(test)
     return Observations(found.tests, found.rows, found.values, found.std, found.floor, chains=(MeasuringChain(),))

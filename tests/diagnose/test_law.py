@@ -126,6 +126,17 @@ def test_two_laws_at_one_place_are_read() -> None:
     assert families == [("4", "damping that grows with speed"), ("4", "softening spring")]
 
 
+def test_two_exciters_drive_a_structure_whose_law_is_read() -> None:
+    found = reading((3, "cubic", (4.0e8,), ()), second=-0.4)
+    (law,) = found.laws
+    assert found.is_stated
+    assert (law.place, law.family) == ("3", "hardening spring")
+    assert law.terms[0].coefficient == pytest.approx(4.0e8, rel=0.01)
+    healthy = reading(second=-0.4)
+    assert healthy.laws == ()
+    assert healthy.before < 1.0
+
+
 def test_one_law_has_no_second_beside_it() -> None:
     laws = [(3, "cubic", (4.0e8,)), (3, "drag", (3.0,)), (2, "gap", (8.0e3, 2.0e-4))]
     assert [len(reading((*law, ())).laws) for law in laws] == [1] * len(laws)

@@ -24,11 +24,11 @@ def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
     frame = ModalFrame.of(chain_of_masses(), levels)
     assert frame is not None
     rows = LawRows(frame, levels)
-    modal = abs(frame.drive[frame.target])
+    modal = abs(frame.drive[0, frame.target])
     q_std = np.sqrt((rows.take_q**2 * levels.motion_std[:, :, 1] ** 2).sum(axis=1))
-    force = np.abs(levels.force[:, 1])
+    force = np.abs(levels.force[0, :, 1])
     parts = [
-        modal * levels.force_std, 0.002 * modal * force, 0.02 * np.abs(rows.measured[:, 0]), np.abs(rows.target) * q_std
+        modal * levels.force_std[0], 0.002 * modal * force, 0.02 * np.abs(rows.measured[:, 0]), np.abs(rows.target) * q_std
     ]  # fmt: skip
     assert rows.sigma[:, 0] == pytest.approx(np.sqrt(sum(part**2 for part in parts)), rel=1e-9)
     size = np.abs(levels.motion[:, 0, 1])

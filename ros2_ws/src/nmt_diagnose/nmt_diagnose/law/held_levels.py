@@ -41,9 +41,9 @@ class HeldLevels:
         test: the test.
         numbers: of each level in the plan of the test, (L,).
         omega: angular frequency, rad/s, (L,).
-        force: harmonics 0 … H of the measured force, N, or of the acceleration of the base, m/s², (L, H + 1); order 0
-            is 0.
-        force_std: standard uncertainty of its fundamental, N, (L,).
+        force: harmonics 0 … H of the measured force of each exciter, N, or of the acceleration of the base, m/s²,
+            (E, L, H + 1); order 0 is 0.
+        force_std: standard uncertainties of their fundamentals, N, (E, L).
         ratio, ratio_std: damping ratio of each level in the place of the force, and what frequency and damping are
             uncertain by together, (L,); None where the force is measured.
         channels: of the responses, C.
@@ -77,15 +77,15 @@ class HeldLevels:
     def take(self, kept: list[int]) -> HeldLevels:
         """Some of the levels."""
         return HeldLevels(
-            self.test, tuple(self.numbers[k] for k in kept), self.omega[kept], self.force[kept], self.force_std[kept],
-            self.channels, self.motion[kept], self.motion_std[kept], self.chain,
+            self.test, tuple(self.numbers[k] for k in kept), self.omega[kept], self.force[:, kept],
+            self.force_std[:, kept], self.channels, self.motion[kept], self.motion_std[kept], self.chain,
             None if self.ratio is None else self.ratio[kept],
             None if self.ratio_std is None else self.ratio_std[kept],
         )  # fmt: skip
 
 
 def held_levels(observations: Observations, number: int) -> HeldLevels | None:
-    """The levels of a test of the observations; None where it has no force, no motion or several exciters.
+    """The levels of a test of the observations; None where it has no motion, or an exciter without a force.
 
     Args:
         observations: the real side.
@@ -96,30 +96,34 @@ def held_levels(observations: Observations, number: int) -> HeldLevels | None:
         return _nodes(observations, number, test)
     if isinstance(test, SteppedSineTest):
         return _lines(observations, number, test)
-    if not isinstance(test, PhaseResonanceTest) or test.held == "response" or len(test.drive_points) > 1:
+    if not isinstance(test, PhaseResonanceTest) or test.held == "response":
         return None
     rows, here = observations.rows, observations.rows.test == number
-    forces = [k for k, channel in enumerate(test.channels) if channel.quantity is Quantity.FORCE]
+    sensors = {c.point: k for k, c in reversed(list(enumerate(test.channels))) if c.quantity is Quantity.FORCE}
+    forces = [sensors[point] for point in test.drive_points if point in sensors]
     moved = [k for k, channel in enumerate(test.channels) if channel.quantity in MOTIONS]
-    if not moved or (not forces and test.held != "force"):
+    single = test.held == "force" and len(test.drive_points) == 1
+    if not moved or (len(forces) < len(test.drive_points) and not single):
         return None
     values, std = _amplitudes(observations, rows, here, len(test.levels), len(test.channels), test.harmonics)
     omega = np.full(len(test.levels), np.nan)
     frequency = here & (rows.part == Part.LOG_FREQUENCY)
     omega[rows.level[frequency]] = np.exp(observations.values[frequency])
-    force, force_std = np.zeros((len(test.levels), test.harmonics + 1), complex), np.zeros(len(test.levels))
-    if test.held == "force":
+    force = np.zeros((len(test.drive_points), len(test.levels), test.harmonics + 1), complex)
+    force_std = np.zeros(force.shape[:2])
+    if single:
         for k, level in enumerate(test.levels):
             terms = np.array(level.terms[0][: test.harmonics])
-            force[k, 1 : 1 + terms.size] = level.force_n * terms
+            force[0, k, 1 : 1 + terms.size] = level.force_n * terms
     else:
-        force, force_std = np.nan_to_num(values[:, forces[0]]), np.nan_to_num(std[:, forces[0], 1])
+        force = np.nan_to_num(np.moveaxis(values[:, forces], 1, 0))
+        force_std = np.nan_to_num(np.moveaxis(std[:, forces, 1], 1, 0))
     orders = np.maximum(np.arange(test.harmonics + 1), 1)
     powers = np.array([MOTIONS[test.channels[k].quantity] for k in moved])
     scale = (1j * omega[:, None, None] * orders) ** powers[None, :, None]
     motion, motion_std = values[:, moved] / scale, std[:, moved] / np.abs(scale)
     size = np.nanmax(np.abs(motion[:, :, 1]), axis=1, initial=0.0)
-    usable = np.isfinite(omega) & (np.abs(force[:, 1]) > 0.0) & (size > 0.0)
+    usable = np.isfinite(omega) & (np.abs(force[:, :, 1]).max(axis=0) > 0.0) & (size > 0.0)
     order = [int(k) for k in np.argsort(size, kind="stable") if usable[k]]
     chain = observations.chains[number] if observations.chains else None
     channels = tuple(test.channels[k] for k in moved)
@@ -161,7 +165,7 @@ def _nodes(observations: Observations, number: int, test: RingDownTest | Backbon
     chosen = [int(k) for k in order[spots]]
     complete = np.flatnonzero(np.isfinite(values[chosen]).all(axis=(0, 2)))
     levels = HeldLevels(
-        test, tuple(range(count)), omega, np.zeros((count, 2), complex), np.zeros(count),
+        test, tuple(range(count)), omega, np.zeros((1, count, 2), complex), np.zeros((1, count)),
         tuple(channels[int(k)] for k in complete), (values / scale)[:, complete], (std / np.abs(scale))[:, complete],
         chain, ratio, np.hypot(log_std, ratio_std),
     )  # fmt: skip
@@ -198,13 +202,13 @@ def _lines(observations: Observations, number: int, first: SteppedSineTest) -> H
     powers = np.array([MOTIONS[channel.quantity] for channel in first.channels])
     motion = np.zeros((*amplitude.shape, 2), complex)
     motion[:, :, 1] = first.scale * amplitude / (1j * omega[:, np.newaxis]) ** powers
-    driven = np.zeros((lines.size, 2), complex)
-    driven[:, 1] = force
+    driven = np.zeros((1, lines.size, 2), complex)
+    driven[0, :, 1] = force
     chain = observations.chains[number] if observations.chains else None
     more = f" and {len(tests) - 1} more" if len(tests) > 1 else ""
     test = replace(first, name=f"{first.name}{more}")
     found = HeldLevels(
-        test, tuple(range(lines.size)), omega, driven, np.zeros(lines.size), tuple(first.channels), motion,
+        test, tuple(range(lines.size)), omega, driven, np.zeros((1, lines.size)), tuple(first.channels), motion,
         np.abs(motion) * noise[:, np.newaxis, np.newaxis], chain,
     )  # fmt: skip
     return found.take([int(k) for k in np.argsort(moved, kind="stable")])

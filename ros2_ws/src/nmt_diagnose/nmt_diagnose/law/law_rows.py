@@ -7,7 +7,7 @@ are not under test, each level has the complex rows
 * P Y₁ with P = 1 − φ φ⁺, the shape,
 * Y_h = −Σ φ_i p_i G_h / D_i(hω) for h = 2 … H, in the output domain,
 
-φ⁺ the row that takes q out of the responses. The drive is a force −F at the drive point, so that what it does can be
+φ⁺ the row that takes q out of the responses. The drive is a force −F at each drive point, so that what it does can be
 taken off all rows; what is left is the missing force and errors of chain and model.
 """
 
@@ -39,14 +39,15 @@ class LawRows:
         self.denominators = [frame.denominators(levels.omega, h) for h in range(ORDERS + 1)]
         self.target = self.denominators[1][:, frame.target]
         self.others = frame.others(levels.omega)
-        self.force = np.zeros((levels.count, ORDERS + 1), complex)
-        self.force[:, : self.highest + 1] = levels.force[:, : self.highest + 1]
-        self.drive, self.force_std = frame.drive, levels.force_std
+        force = np.zeros((*levels.force.shape[:2], ORDERS + 1), complex)
+        force[..., : self.highest + 1] = levels.force[..., : self.highest + 1]
+        drive, self.force_std = frame.drive, levels.force_std
         if levels.ratio is not None and levels.ratio_std is not None:
             # Nothing drives a decay: what stands for the drive acts on the mode under test alone.
-            self.drive = np.where(np.arange(frame.omega.size) == frame.target, 1.0, 0.0)
+            drive = np.where(np.arange(frame.omega.size) == frame.target, 1.0, 0.0)[np.newaxis]
             modal = 2.0 * levels.omega**2 * (np.nan_to_num(levels.motion[:, :, 1]) @ self.take_q)
-            self.force[:, 1], self.force_std = 1j * levels.ratio * modal, levels.ratio_std * np.abs(modal)
+            force[0, :, 1], self.force_std = 1j * levels.ratio * modal, (levels.ratio_std * np.abs(modal))[np.newaxis]
+        self.drives = list(zip(drive, -force, strict=True))
 
     def of_force(self, participation: FloatArray, force: ComplexArray) -> ComplexArray:
         """Rows (…, L, R) of a local force of harmonics (…, L, ORDERS + 1)."""
@@ -80,7 +81,9 @@ class LawRows:
         motion = np.nan_to_num(self.levels.motion)
         y = motion[:, :, 1]
         rows = self.assembled(np.zeros(self.levels.count, complex), y, motion[:, :, 2 : self.highest + 1])
-        return rows - self.of_force(self.drive, -self.force)
+        for participation, force in self.drives:
+            rows = rows - self.of_force(participation, force)
+        return rows
 
     @cached_property
     def sigma(self) -> FloatArray:
@@ -88,8 +91,11 @@ class LawRows:
         levels, limits = self.levels, THRESHOLDS.law
         std = np.where(np.isfinite(levels.motion), levels.motion_std, np.inf)
         size = np.abs(np.nan_to_num(levels.motion))
-        modal = np.abs(self.drive[self.frame.target])
-        drive = modal * np.hypot(self.force_std, limits.force_share * np.abs(self.force[:, 1]))
+        of_each = [
+            np.abs(participation[self.frame.target]) * np.hypot(noise, limits.force_share * np.abs(force[:, 1]))
+            for (participation, force), noise in zip(self.drives, self.force_std, strict=True)
+        ]
+        drive = np.sqrt(np.sum(np.square(of_each), axis=0))
         # What a law does is known as well as the motion that it does it along.
         first = np.nan_to_num(levels.motion[:, :, 1])
         missing = np.abs(self.measured[:, 0])
@@ -120,7 +126,7 @@ class LawRows:
     def coordinate(self, forces: list[tuple[FloatArray, ComplexArray]]) -> ComplexArray:
         """q of each level (L,), other forces than the drive given as participation and harmonics."""
         y = np.nan_to_num(self.levels.motion[:, :, 1]).copy()
-        for participation, force in [(self.drive, -self.force), *forces]:
+        for participation, force in [*self.drives, *forces]:
             y += (self.others @ (self.frame.sensors * participation).T) * force[:, 1:2]
         return np.asarray(y @ self.take_q)
 
@@ -128,7 +134,7 @@ class LawRows:
         """Harmonics (L, ORDERS + 1) of the motion of a place, m: fundamental from q, the rest by the model."""
         result = np.zeros((self.levels.count, ORDERS + 1), complex)
         target = self.frame.target
-        for other, force in [(self.drive, -self.force), *forces]:
+        for other, force in [*self.drives, *forces]:
             both = participation * other
             result[:, 1] -= (self.others @ both) * force[:, 1]
             for h in (0, *range(2, ORDERS + 1)):

@@ -39,7 +39,7 @@ class ModalFrame:
         zeta: damping ratios, (n,).
         shapes: mass-normalised, on all degrees of freedom, 1/√kg, (N, n).
         target: number of the mode under test.
-        drive: participation of the drive point, (n,).
+        drive: participation of the drive points, (E, n).
         sensors: participation of the channels' points, (C, n).
         elements: local elements with a force beside the linear one.
         carried: displacement of the channels' points per displacement of the base, beside that of the structure, (C,).
@@ -77,13 +77,13 @@ class ModalFrame:
         zeta = np.where(np.isfinite(modes.damping_ratios), modes.damping_ratios, 0.0)
         shapes = modes.full_shapes
         return cls(
-            structure, modes.frequencies, zeta, shapes, target, shapes.T @ drive, sensors @ shapes, nonlinear,
+            structure, modes.frequencies, zeta, shapes, target, drive @ shapes, sensors @ shapes, nonlinear,
             _carried(rig, structure, levels),
         )  # fmt: skip
 
     def relative(self, levels: HeldLevels) -> HeldLevels:
         """The levels with the motion of the base taken off that of the channels."""
-        base = -levels.force[:, 1] / levels.omega**2
+        base = -levels.force[0, :, 1] / levels.omega**2
         motion = levels.motion.copy()
         motion[:, :, 1] -= base[:, np.newaxis] * self.carried
         return replace(levels, motion=motion)
@@ -130,16 +130,17 @@ def _by_base(levels: HeldLevels) -> bool:
 
 
 def _drive(structure: Structure, levels: HeldLevels) -> FloatArray:
-    """What the measured force acts on, (N,): the drive point, or all masses where it is the motion of their base.
+    """What each measured force acts on, (E, N): a drive point, or all masses where it is the motion of their base.
 
     Raises:
         BenchError: the structure does not say how its base excites it.
     """
     if not _by_base(levels):
-        return structure.direction(levels.test.drive_point)
+        points = getattr(levels.test, "drive_points", (levels.test.drive_point,))
+        return np.array([structure.direction(point) for point in points])
     if structure.base_load is None:
         raise BenchError("the structure does not say how its base excites it")
-    return -structure.base_load
+    return -structure.base_load[np.newaxis]
 
 
 def _carried(rig: Rig, structure: Structure, levels: HeldLevels) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.law.law_rows import LawRows
-from nmt_diagnose.law.modal_frame import KnownForces
+from nmt_diagnose.law.modal_frame import ORDERS, KnownForces
 from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.channel_tolerances import ChannelTolerance
@@ -52,7 +52,9 @@ def nuisance_columns(
     add("damping of the mode", residual(-2j * omega_t * levels.omega * q), damping)
     typical = float(np.sqrt(np.mean(rows.shape**2)))
     recorded = levels.test.channels if isinstance(levels.test, PhaseResonanceTest) else ()
-    force_name = next((c.name for c in recorded if c not in levels.channels), "")
+    points = getattr(levels.test, "drive_points", ())
+    sensors = {c.point: c.name for c in reversed(recorded) if c not in levels.channels}
+    force_names = [sensors.get(point, "") for point in points]
     for k, (name, tolerance) in enumerate([(c.name, _tolerance(rows, c.name)) for c in levels.channels]):
         # Near a node of the mode its form is off by a share of what it is elsewhere.
         form = limits.form_std * max(1.0, typical / abs(rows.shape[k]))
@@ -66,10 +68,12 @@ def nuisance_columns(
         add(f"gain of {name}", column, math.hypot(tolerance.gain, form))
         turn = tolerance.phase_at(float(np.median(levels.omega)))
         add(f"phase of {name}", 1j * column, math.hypot(turn, form))
-    tolerance = _tolerance(rows, force_name)
-    drive = -rows.of_force(rows.drive, -rows.force)
-    add("gain of the force", drive, tolerance.gain)
-    add("phase of the force", 1j * drive, tolerance.phase_at(float(np.median(levels.omega))))
+    for number, (participation, force) in enumerate(rows.drives):
+        name = force_names[number] if number < len(force_names) else ""
+        tolerance, what = _tolerance(rows, name), "the force" if len(rows.drives) == 1 else name
+        drive = -rows.of_force(participation, force)
+        add(f"gain of {what}", drive, tolerance.gain)
+        add(f"phase of {what}", 1j * drive, tolerance.phase_at(float(np.median(levels.omega))))
     if known is not None and motion is not None:
         for name, column, std in _of_elements(rows, rig, known, motion):
             add(name, column, std)
@@ -117,7 +121,7 @@ def known_motion(
 ) -> tuple[ComplexArray, list[tuple[FloatArray, ComplexArray]]]:
     """Motion of the model's own elements (r, L, ORDERS + 1) and their forces, for other local forces that are known."""
     forces: list[tuple[FloatArray, ComplexArray]] = []
-    motion = np.zeros((len(known.participation), rows.levels.count, rows.force.shape[1]), complex)
+    motion = np.zeros((len(known.participation), rows.levels.count, ORDERS + 1), complex)
     for _ in range(MOTION_ROUNDS):
         motion = np.array([rows.motion(p, [*forces, *others]) for p in known.participation])
         made = known.of(motion, rows.levels.omega)

@@ -28,7 +28,8 @@ def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
     q_std = np.sqrt((rows.take_q**2 * levels.motion_std[:, :, 1] ** 2).sum(axis=1))
     force = np.abs(levels.force[0, :, 1])
     parts = [
-        modal * levels.force_std[0], 0.002 * modal * force, 0.02 * np.abs(rows.measured[:, 0]), np.abs(rows.target) * q_std
+        modal * levels.force_std[0], 0.002 * modal * force, 0.02 * np.abs(rows.measured[:, 0]),
+        np.abs(rows.target) * q_std,
     ]  # fmt: skip
     assert rows.sigma[:, 0] == pytest.approx(np.sqrt(sum(part**2 for part in parts)), rel=1e-9)
     size = np.abs(levels.motion[:, 0, 1])

@@ -109,7 +109,9 @@ class LaboratoryOptions:
     """import and diagnose the cases that another laboratory has made, and class the answers"""
 
     folder: Path = argument(
-        "a folder for each case: model.yaml, sidecar.yaml (or several) with its data, truth.yaml", metavar="DIR"
+        "a folder for each case: model.yaml, sidecar.yaml (or several) with its data, truth.yaml; of real recordings "
+        "with a plan, the commands to run",
+        metavar="DIR",
     )
     out: Path = needed_option(
         "folder for the results (laboratory.csv, laboratory.json, a folder for each case)", metavar="DIR"
@@ -251,7 +253,10 @@ def _explain(options: ExplainOptions) -> int:
 
 def _laboratory(options: LaboratoryOptions) -> int:
     from nmt_blind.campaign.foreign_run import print_lines, run_laboratory, write_tables
+    from nmt_blind.campaign.recordings import has_plans
 
+    if has_plans(options.folder):
+        return _recordings(options)
     only = tuple(word.strip() for word in options.only.split(",") if word.strip())
     with _bar(options, "diagnosing") as bar:
 
@@ -277,6 +282,26 @@ def _laboratory(options: LaboratoryOptions) -> int:
         console.print(line, soft_wrap=True, markup=False, highlight=False)
     console.print(f"written: {', '.join(str(file) for file in files)}", soft_wrap=True)
     return EXIT_FAILED if any(line.answer.outcome == "refused" for line in lines) else EXIT_DONE
+
+
+def _recordings(options: LaboratoryOptions) -> int:
+    from nmt_blind.campaign.recordings import run_recordings, summary_words, write_recordings
+
+    only = tuple(word.strip() for word in options.only.split(",") if word.strip())
+    with _bar(options, "diagnosing") as bar:
+
+        def progress(done: int, total: int, newest: str) -> None:
+            if newest:
+                bar.say(newest)
+            bar.update(done, total)
+
+        program = (sys.executable, "-m", "nmt_bench")
+        found = run_recordings(options.folder, options.out, program, only, options.limit, progress)
+    files = write_recordings(found, options.folder, options.out)
+    console = _console()
+    console.print(summary_words(found), soft_wrap=True, markup=False, highlight=False)
+    console.print(f"written: {', '.join(str(file) for file in files)}", soft_wrap=True)
+    return EXIT_FAILED if any(answer.outcome == "no answer" for answer in found) else EXIT_DONE
 
 
 def _rigs(options: RigsOptions) -> int:

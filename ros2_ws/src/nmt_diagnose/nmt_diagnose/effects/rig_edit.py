@@ -31,13 +31,6 @@ def with_value(rig: Rig, path: Path, value: Any) -> Rig:
     return changed
 
 
-def exciter_paths(rig: Rig) -> tuple[Path, ...]:
-    """Key of each exciter's section."""
-    if rig.exciters is None:
-        return (("exciter",),)
-    return tuple(("exciters", number) for number in range(len(rig.exciters)))
-
-
 def with_exciters(rig: Rig, exciters: Sequence[AnyExciter]) -> Rig:
     """The rig with other exciters."""
     several = list(exciters) if len(exciters) > 1 else None

@@ -293,8 +293,9 @@ def find(
     for location in best.explanation.locations:
         explained[location.kind] = max(explained.get(location.kind, 0.0), null.fit.cost - best.fit.cost)
     unmoved = best is first_null  # since the scan
-    scored = settings.look_ahead and (unmoved or memory is None)  # to be scored anew takes as long as the first scan
-    visible = _detectable(search, scores if unmoved else search.scores(best), rig) if scored else ()
+    visible = (
+        _detectable(search, scores if unmoved else search.scores(best, scores), rig) if settings.look_ahead else ()
+    )
     if memory is not None:
         memory.keep(named, [it.found for it in standing.left_out])
     lacking = modes.lacking(data, best.fit)

@@ -68,9 +68,19 @@ class Search:
         """Parameters of the model and of some effects."""
         return Parametrisation(self.rig, self.parameters, tuple(candidates), tuple(spreads))
 
-    def scores(self, base: FittedExplanation) -> list[Score]:
-        """All candidates on top of a fit, the best first."""
-        found = self._columns(base)
+    def scores(self, base: FittedExplanation, known: Sequence[Score] = ()) -> list[Score]:
+        """All candidates on top of a fit, the best first.
+
+        Args:
+            base: the fit.
+            known: scores on top of another fit, what candidates change being taken from there; empty = it is computed.
+        """
+        taken = base.explanation.causes
+        found = [
+            (score.candidate, score.start, score.column, True)
+            for score in known
+            if not any(cause.same_but_for_form(self.candidates[score.candidate].cause) for cause in taken)
+        ] or self._columns(base)
         if not found:
             return []
         fitted, data = base.fit, self.data

@@ -32,6 +32,12 @@ RIGHT = (
 )
 
 
+@pytest.mark.parametrize("lacking", ["gain", "gain_std", "delay", "delay_std"])
+def test_a_channel_of_which_not_all_was_fitted_leaves_the_page_whole(lacking: str) -> None:
+    channels = [{"channel": "f2", **CHANNEL}, {"channel": "x4", **CHANNEL, lacking: None}]
+    assert "x4" in check_page({**CHECK, "channels": channels})
+
+
 @pytest.mark.campaign
 @pytest.mark.skipif(find_chromium() is None, reason="no Chromium is installed; apt install chromium")
 def test_findings_are_read_from_the_left_and_no_table_is_cut(tmp_path: Path) -> None:

@@ -71,7 +71,8 @@ def check_page(document: Mapping[str, Any]) -> str:
     if modes:
         heads = [("mode", ""), ("found", "Hz"), ("model", "Hz"), ("apart", "%"), ("damping", "%"), ("model", "%")]
         sections.append(("modes", "Modes", html_table(heads, modes, "Of the structure without exciter.")))
-    fitted = [channel for channel in document["channels"] if channel["gain_std"] is not None]
+    needed = ("gain", "gain_std", "delay", "delay_std")  # of a channel whose response is weak only some are known
+    fitted = [channel for channel in document["channels"] if all(channel[name] is not None for name in needed)]
     if fitted:
         with figure_style():
             sections.insert(0, ("fit", "Gains and delays", html_figures([_fit_figure(fitted)])))

@@ -7,11 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract.modal_point import ModalPoint, Status
+from nmt_extract.response_curve import response_curves
 from nmt_extract.synthesis import OtherModes, Synthesis, SynthesisedBackbone, peak, resonance_error
+from nmt_extract.synthesised_responses import compare_curve
 from nmt_report.response_analysis import interpolate_curve, model_responses
 from nmt_rig.linear_description import linear_description
 from nmt_rig.reference import compute_reference
@@ -168,3 +171,42 @@ def test_peak_and_errors() -> None:
     folded = np.array([99.0, 100.0, 101.0, 100.5, 99.5, 101.0]), np.array([1, 2, 3, 2, 1, 0.5]) + 0j
     assert interpolate_curve(*folded, np.array([100.5, 98.0]))[0] == pytest.approx(2.5)
     assert np.isnan(interpolate_curve(*folded, np.array([98.0]))[0])
+
+
+def test_along_a_response_curve_the_synthesis_is_the_forced_response_at_every_lag() -> None:
+    """Of a Duffing oscillator in one-term balance both are explicit; beyond the backbone nothing is said."""
+    stiffening, force, drive = 1e13, 30.0, 0.4
+    lag = np.radians(np.linspace(20.0, 165.0, 30))
+    q = []
+    for angle in lag:  # of q: Ω from the lag, and the balance in quadrature, 2 δ ω Ω q = φ F sin ϑ
+
+        def balance(log_q: float, angle: float = angle) -> float:
+            q = math.exp(log_q)
+            natural, decay = math.sqrt(OMEGA**2 + 0.75 * stiffening * q**2), DAMPING * OMEGA
+            omega = brentq(
+                lambda w: (natural**2 - w**2) * math.sin(angle) - 2.0 * w * decay * math.cos(angle), 0.2, 1e6
+            )
+            return 2.0 * omega * decay * q / (drive * force * math.sin(angle)) - 1.0
+
+        q.append(math.exp(brentq(balance, math.log(1e-7), math.log(1e-2), xtol=1e-13)))
+    amplitude = np.array(q)
+    natural = np.sqrt(OMEGA**2 + 0.75 * stiffening * amplitude**2)
+    # The larger root of Ω² + 2 Ω δ ω cot ϑ − ω̃² = 0.
+    half = DAMPING * OMEGA / np.tan(lag)
+    omega = np.sqrt(natural**2 + half**2) - half
+    points = [
+        ModalPoint(
+            k, Status.OK, "", force, "N", frequency_hz=w / (2 * np.pi), omega_rad_s=w, force_n=force,
+            held_phase=a - 1.5,
+            modal_amplitude=x, phase_error=a - 0.5 * np.pi, active_power=0.5 * w * drive * x * force * math.sin(a),
+        )
+        for k, (a, x, w) in enumerate(zip(lag, amplitude, omega, strict=True))
+    ]  # fmt: skip
+    (curve,) = response_curves(points)
+    assert len(curve.folds) == 2
+    found = compare_curve(backbone(np.geomspace(1e-6, 1e-2, 2000), stiffening), 1, curve)
+    assert np.abs(found.frequency_error).max() < 1e-6
+    assert np.abs(found.force_error).max() < 1e-6
+    assert "30 of 30 points lie within the backbone" in found.sentence
+    short = compare_curve(backbone(np.geomspace(amplitude.min() * 2.0, 1e-2, 500), stiffening), 1, curve)
+    assert 0 < np.isnan(short.force_error).sum() < 30

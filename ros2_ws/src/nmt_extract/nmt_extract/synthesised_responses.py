@@ -18,12 +18,57 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract.modal_table import read_json
+from nmt_extract.response_curve import ResponseCurve, is_of_curve, response_curves
 from nmt_extract.response_table import read_response_csv
 from nmt_extract.swept_response import FrequencyResponseTable
 from nmt_extract.synthesis import OtherModes, ResonanceError, Synthesis, SynthesisedBackbone, covers, resonance_error
 
 POINTS = 801
 """Frequencies of ``synthesis.csv`` where nothing else is asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class CurveError:
+    """How far a synthesis lies from a measured response curve, at the measured amplitudes and lags.
+
+    There the synthesis is explicit, on every branch and at folds: Ω from tan ϑ = 2 Ω ω̃ δ̃ / (ω̃² − Ω²), and the force
+    from the modulus of its equation.
+
+    Attributes:
+        curve: the measured one.
+        frequency_error: relative error of the synthesised frequency, NaN beyond the backbone, (points,).
+        force_error: of the force, (points,).
+    """
+
+    curve: ResponseCurve
+    frequency_error: FloatArray
+    force_error: FloatArray
+
+    @property
+    def sentence(self) -> str:
+        """What it is, for table and report."""
+        known = np.isfinite(self.frequency_error)
+        where = f"Response curve at {self.curve.level:g} {self.curve.level_unit}: "
+        if not known.any():
+            return f"{where}no point lies within the measured amplitudes of the backbone."
+        unstable = int(np.count_nonzero(self.curve.stable[known] == 0.0))
+        return (
+            f"{where}{int(known.sum())} of {known.size} points lie within the backbone, {unstable} of them not stable; "
+            f"the synthesis has their frequency within {100.0 * np.abs(self.frequency_error[known]).max():.2g} % and "
+            f"their force within {100.0 * np.abs(self.force_error[known]).max():.2g} %."
+        )
+
+
+def compare_curve(backbone: SynthesisedBackbone, drive_point: int, curve: ResponseCurve) -> CurveError:
+    """Errors of a synthesis along a measured response curve; see `CurveError`."""
+    amplitude = np.array([point.modal_amplitude for point in curve.points])
+    omega, damping, shape = backbone.at(amplitude)
+    cotangent = 1.0 / np.tan(curve.lag)
+    found = omega * (np.sqrt(1.0 + (damping * cotangent) ** 2) - damping * cotangent)
+    drive = np.abs(shape[:, backbone.points.index(drive_point)])
+    force = amplitude / drive * np.abs(omega**2 - found**2 + 2j * found * omega * damping)
+    measured = 2.0 * math.pi * curve.frequency_hz
+    return CurveError(curve, np.asarray(found / measured - 1.0), np.asarray(force / curve.force - 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +85,7 @@ class SynthesisResult:
         tables: measured sweeps.
         comparisons: how far the synthesis of each channel lies from its sweep around the resonance.
         remarks: sentences on stretches for which the backbone says nothing.
+        measured_curves: response curves of a run that it was compared with.
     """
 
     backbone: SynthesisedBackbone
@@ -52,6 +98,7 @@ class SynthesisResult:
     tables: tuple[FrequencyResponseTable, ...]
     comparisons: tuple[tuple[FrequencyResponseTable, ResonanceError], ...]
     remarks: tuple[str, ...]
+    measured_curves: tuple[CurveError, ...] = ()
 
     def curves(self, force: float) -> list[tuple[FloatArray, ComplexArray]]:
         """Frequency (Hz), shape ``(k,)``, and responses (SI units), ``(channels, k)``, of every curve at a force."""
@@ -81,6 +128,7 @@ def synthesise(
     backbone: Path | str,
     *,
     sweeps: Sequence[Path | str] = (),
+    curves: Sequence[Path | str] = (),
     linear: Path | str | None = None,
     forces: Sequence[float] | None = None,
     low_hz: float | None = None,
@@ -91,9 +139,10 @@ def synthesise(
     Args:
         backbone: ``modal.json`` of a run or an extraction, or its folder.
         sweeps: ``frf.csv`` of sweeps at held force to compare with, or their folders.
+        curves: ``modal.json`` of runs along response curves at held force to compare with, or their folders.
         linear: ``linear.json`` for the other modes, or its folder; None = the linear modes that the run names.
-        forces: N; None = those of the sweeps.
-        low_hz, high_hz: frequencies, Hz; None = those of the sweeps.
+        forces: N; None = those of sweeps and curves.
+        low_hz, high_hz: frequencies, Hz; None = those of sweeps and curves.
 
     Raises:
         BenchError: files that are missing or do not go together, no force or no frequencies.
@@ -116,12 +165,16 @@ def synthesise(
                 f"The sweep at {table.level:g} {table.level_unit} held no force, so it cannot be compared; sweep with "
                 "'--control force'."
             )
-    held = list(dict.fromkeys(table.level for table in tables)) if forces is None else list(forces)
+    followed = [curve for path in curves for curve in _curves_of(Path(path))]
+    levels = [table.level for table in tables] + [curve.level for curve in followed]
+    held = list(dict.fromkeys(levels)) if forces is None else list(forces)
     if not held:
         raise BenchError(
             "Nothing says at which force to synthesise; give a sweep (--sweep SWEEP_OUT) or forces (--levels F)."
         )
-    low, high = _frequencies(low_hz, high_hz, tables)
+    low, high = _frequencies(
+        low_hz, high_hz, [*(table.frequency_hz for table in tables), *(curve.frequency_hz for curve in followed)]
+    )
     synthesised = {force: Synthesis(measured, description.drive_point, others, force) for force in held}
     remarks = [line for s in synthesised.values() for line in s.gaps(2 * math.pi * low, 2 * math.pi * high)]
     channels = _channels(tables, measured.points)
@@ -136,7 +189,24 @@ def synthesise(
         tuple(tables),
         tuple(_compare(tables, synthesised, channels)),
         tuple(remarks),
+        tuple(compare_curve(measured, description.drive_point, curve) for curve in followed),
     )
+
+
+def _curves_of(path: Path) -> tuple[ResponseCurve, ...]:
+    """Response curves at held force of a results folder.
+
+    Raises:
+        BenchError: there are none.
+    """
+    points, _ = read_json(_file(path, "modal.json"))
+    found = tuple(curve for curve in response_curves(points) if curve.holds_force) if is_of_curve(points) else ()
+    if not found:
+        raise BenchError(
+            f"{path} holds no response curve at a held force; give the results of "
+            "'./nmt run RIG --kind response_curve'."
+        )
+    return found
 
 
 def _backbone(path: Path) -> tuple[list[ModalPoint], dict[str, Any]]:
@@ -166,10 +236,8 @@ def backbone_of_run(backbone: Path, linear: Path | None = None) -> tuple[Synthes
     return SynthesisedBackbone.from_points([point for point in points if not point.force_order]), description
 
 
-def _frequencies(
-    low: float | None, high: float | None, tables: Sequence[FrequencyResponseTable]
-) -> tuple[float, float]:
-    measured = [float(f) for table in tables for f in (table.frequency_hz.min(), table.frequency_hz.max())]
+def _frequencies(low: float | None, high: float | None, of: Sequence[FloatArray]) -> tuple[float, float]:
+    measured = [float(f) for hertz in of for f in (hertz.min(), hertz.max())]
     low = low if low is not None else min(measured, default=math.nan)
     high = high if high is not None else max(measured, default=math.nan)
     if math.isnan(low) or math.isnan(high):

@@ -30,7 +30,13 @@ class SynthesisOptions:
     sweep: tuple[Path, ...] = option(
         (), "results folder of './nmt sweep', or a frf.csv, to compare with; may be repeated", metavar="SWEEP_OUT"
     )
-    levels: str | None = option(None, "forces, N (default: those of the sweeps)", metavar="F[,F2…]")
+    curve: tuple[Path, ...] = option(
+        (),
+        "results folder of './nmt run --kind response_curve', or a modal.json, to compare with on every branch; may be "
+        "repeated",
+        metavar="RUN_OUT",
+    )
+    levels: str | None = option(None, "forces, N (default: those of sweeps and curves)", metavar="F[,F2…]")
     start: float | None = option(None, "first frequency, Hz (default: that of the sweeps)", name="--from", metavar="f1")
     stop: float | None = option(None, "last frequency, Hz (default: that of the sweeps)", name="--to", metavar="f2")
     points: int = option(801, "frequencies of synthesis.csv (default: 801)", metavar="N")
@@ -66,6 +72,7 @@ def run(options: SynthesisOptions) -> int:
         result = synthesise(
             options.backbone,
             sweeps=options.sweep,
+            curves=options.curve,
             linear=options.linear,
             forces=None if options.levels is None else parse_levels(options.levels),
             low_hz=options.start,
@@ -80,6 +87,8 @@ def run(options: SynthesisOptions) -> int:
     console.print(f"Backbone of {q.size} amplitudes, q from {q[0]:.3g} to {q[-1]:.3g} m√kg; {result.others.origin}.")
     for line in comparison_lines(result.comparisons, "synthesis"):
         console.print(line)
+    for found in result.measured_curves:
+        console.print(found.sentence, soft_wrap=True)
     for line in result.remarks:
         console.print(line, style="yellow", soft_wrap=True)
     console.print(f"Results in {options.out}: synthesis.csv, report.html")
@@ -167,6 +176,11 @@ def _report(options: SynthesisOptions, result: SynthesisResult) -> str:
         sections=[
             ("responses", "Frequency responses", html_figures(figures)),
             ("errors", "Near the resonance", table if comparisons else Markup("")),
+            (
+                "curves",
+                "Along response curves",
+                Markup("").join(Markup("<p>{}</p>").format(found.sentence) for found in result.measured_curves),
+            ),
         ],
         footer=Markup(
             "(−Ω² + 2iΩω̃δ̃ + ω̃²) <i>q</i> e<sup>iΔΘ</sup> = φ̃₁ᴴ f₁ with ω̃, δ̃, φ̃₁ interpolated over ln <i>q</i> "

@@ -132,6 +132,20 @@ def test_what_no_test_sets_apart_is_said(tmp_path: Path) -> None:
     assert max(float(test.words[3].split(",")[-1]) for test in bench.made[1:]) == PLAN[-1]
 
 
+def test_an_exciter_that_nobody_moves_stays(tmp_path: Path) -> None:
+    """On hardware without a person: the other test is made, and what moving would tell is said."""
+    moved = ahead(
+        "the same levels with the exciter at point 4", "run r.yaml --exciter 4 --levels 0.1:0.2:2", 40.0, 20.0, 0.6
+    )
+    mode = ahead("mode 2", "run r.yaml --set test.mode=2 --levels 0.1:0.2:2", 5.0, 20.0, 0.1)
+    bench = Bench([diagnosis(Verdict.EFFECT, OPEN.probabilities, [moved, mode])])
+    record = investigated(tmp_path, bench, replace(SETTINGS, fixed_exciter=True))
+    assert "mode 2" in [test.text for test in bench.made]
+    assert all("--exciter" not in test.words for test in bench.made)
+    assert record.ended == "not_told_apart"
+    assert "the exciter at point 4 would, by 40: with --ask the exciter is moved" in record.conclusion
+
+
 @pytest.mark.parametrize("budget", [45.0, 70.0, 100.0])
 def test_no_test_is_begun_that_goes_beyond_the_budget(budget: float, tmp_path: Path) -> None:
     """The first two tell nothing alone and are made; those after them only where they are expected to fit."""

@@ -152,6 +152,12 @@ def run_rig(
     place.mkdir(parents=True, exist_ok=True)
     real = load_rig(rig.real)
     result: dict[str, Any] = {"format": FORMAT, "rig": rig.name, "program": program}
+    if real.device is not None:
+        _, trouble = child(
+            [*command, "check", str(rig.real), "--out", str(place / "check"), "--force", "--quiet"], limit
+        )
+        if trouble:
+            raise BenchError(f"The rig {rig.name} cannot be driven: {trouble}")
     words = ["investigate", str(rig.model), "--rig", str(rig.real), "--out", str(place / _INVESTIGATION)]
     words += ["--until", f"{until:g}", "--jobs", "1", "--quiet"]
     _, trouble = child([*command, *words], limit, _DONE)

@@ -146,6 +146,7 @@ def _settings(options: InvestigateOptions, rig: Rig) -> InvestigationSettings:
         random_s=options.random,
         options=tuple(words),
         run_options=("--latency-blocks", str(options.latency_blocks)) if options.latency_blocks else (),
+        fixed_exciter=not options.ask and (rig.device is not None or options.device not in ("", "simulated")),
     )
 
 

@@ -33,6 +33,7 @@ class InvestigationSettings:
         random_s: length of each record of the linear test, s.
         options: further words for each test (``--device`` and the like).
         run_options: further words for each test at levels.
+        fixed_exciter: the exciter stays where it is: that of hardware is moved by people.
     """
 
     until: float = 0.95
@@ -42,6 +43,7 @@ class InvestigationSettings:
     random_s: float = 20.0
     options: tuple[str, ...] = ()
     run_options: tuple[str, ...] = ()
+    fixed_exciter: bool = False
 
 
 Measure = Callable[[AskedTest], float]
@@ -167,13 +169,19 @@ class Investigation:
     def _choose(self) -> AskedTest | None:
         """The test that is expected to tell most for its bench time; None where none is left that may be made."""
         assert self.diagnosis is not None
-        proposed = [self._asked(item) for item in self.diagnosis.next_test if item.command]
+        proposed = [self._asked(item) for item in self._possible()]
         levels = self._next_levels()
         known = {test.words for test in self.record.tests if test.state != "failed"}
         proposed = [test for test in proposed if test.words not in known and self._affordable(test)]
         if proposed:
             return max(proposed, key=lambda test: _worth(test))
         return levels if levels is not None and self._affordable(levels) else None
+
+    def _possible(self) -> list[NextTest]:
+        """Proposed tests that have a command and need nobody at the rig."""
+        assert self.diagnosis is not None
+        fixed = self.settings.fixed_exciter
+        return [it for it in self.diagnosis.next_test if it.command and not (fixed and "--exciter" in it.command)]
 
     def _asked(self, item: NextTest) -> AskedTest:
         words = _without_out(shlex.split(item.command)[1:])
@@ -247,7 +255,7 @@ class Investigation:
         """Say why no further test is made."""
         assert self.diagnosis is not None
         found = self.diagnosis
-        left = [item for item in found.next_test if item.command]
+        left = self._possible()
         if self._next_levels() is not None or any(not self._affordable(self._asked(item)) for item in left):
             self._end("budget", f"The bench time is used up. So far: {found.sentences[1]}")
         elif self._declined():
@@ -263,9 +271,17 @@ class Investigation:
             self._end(
                 "not_told_apart",
                 f"Whether it is {apart} cannot be told with these sensors and exciters: no level of the plan, other "
-                "drive point or mode that is left sets them apart by three standard deviations; a sensor or an exciter "
-                "at another point would.",
+                f"drive point or mode that is left sets them apart by three standard deviations; {self._elsewhere()}.",
             )
+
+    def _elsewhere(self) -> str:
+        """What would set apart what no test that is left does."""
+        assert self.diagnosis is not None
+        moved = [item for item in self.diagnosis.next_test if item not in self._possible()]
+        if not moved:
+            return "a sensor or an exciter at another point would"
+        best = max(moved, key=lambda item: item.expected_sigma)
+        return f"{best.test} would, by {best.expected_sigma:.0f}: with --ask the exciter is moved between tests"
 
     def _end(self, why: str, sentence: str) -> None:
         self.record = replace(self.record, ended=why, conclusion=sentence)

@@ -13,9 +13,16 @@ import yaml
 from blind.blind_campaign import operating, short_rig
 
 from nmt_blind.campaign.foreign_case import judge, read_truth
-from nmt_blind.campaign.investigations import information_slope, print_lines, run_investigations, summary, write_tables
+from nmt_blind.campaign.investigations import (
+    information_slope,
+    pair_of,
+    print_lines,
+    run_investigations,
+    summary,
+    write_tables,
+)
 from nmt_blind.cases.draw import draw_cases
-from nmt_blind.cases.driven_rigs import LEAST_SIZE, read_rigs, truth_of
+from nmt_blind.cases.driven_rigs import LEAST_SIZE, make_pairs, read_rigs, truth_of
 from nmt_blind.cases.rig_edits import rig_yaml, with_edits
 from nmt_core.errors import BenchError
 
@@ -136,3 +143,35 @@ def test_the_slope_of_information_goes_through_the_origin() -> None:
     assert information_slope([(0.5, 0.5), (0.2, 0.2)]) == pytest.approx(1.0)
     assert information_slope([(0.5, 0.25), (0.2, 0.1)]) == pytest.approx(0.5)
     assert math.isnan(information_slope([]))
+
+
+def test_what_becomes_of_a_pair() -> None:
+    def record(*turns: tuple[int, float, float, str], conclusion: str = "") -> dict[str, Any]:
+        return {
+            "tests": [{"state": "measured", "text": text} for text in ("random", "low levels", "mode 2")],
+            "turns": [
+                {"tests": n, "answers": {"force_gain": p, "response_gain": q}, "sentence": text}
+                for n, p, q, text in turns
+            ],
+            "conclusion": conclusion,
+        }
+
+    pair = ("force_gain", "response_gain")
+    alike = "The cause is force gain; these tests cannot tell it from response gain."
+    assert pair_of(pair, record((2, 0.99, 0.01, "The cause is force gain."))) == "parted by the first two tests"
+    later = record((2, 0.6, 0.4, ""), (3, 0.99, 0.01, "The cause is force gain."))
+    assert pair_of(pair, later) == "parted by mode 2"
+    assert pair_of(pair, record((2, 0.99, 0.0, alike), conclusion="Whether it is force gain or response gain")) == (
+        "said to be alike"
+    )
+    assert pair_of(pair, record((2, 0.1, 0.9, ""))).startswith("neither")
+    assert pair_of((), record()) == ""
+
+
+@pytest.mark.campaign
+def test_both_sides_of_a_pair_have_a_rig(tmp_path: Path) -> None:
+    names = make_pairs(tmp_path, "beam")
+    rigs = read_rigs(tmp_path)
+    assert [rig.name for rig in rigs] == sorted(names)
+    for rig in rigs:
+        assert read_truth(rig.truth).effects == (frozenset({rig.pair[0]}),)

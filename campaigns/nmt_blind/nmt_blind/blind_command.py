@@ -133,7 +133,8 @@ class RigsOptions:
     """draw rigs that are driven: model.yaml, real.yaml, truth.yaml in a folder for each; every third is healthy"""
 
     rig: str = option("beam", "rig that they are drawn from (default: beam)", choices=RIGS)
-    seeds: str = needed_option("seeds, one a rig: the first and the one after the last, such as 0:20", metavar="A:B")
+    seeds: str = option("", "seeds, one a rig: the first and the one after the last, such as 0:20", metavar="A:B")
+    pairs: bool = option(False, "two rigs for each pair of effects that are hard to distinguish, instead of seeds")
     out: Path = needed_option("folder that gets a folder for each rig", metavar="DIR")
 
 
@@ -149,6 +150,7 @@ class InvestigateRigsOptions:
     until: float = option(0.95, "probability from which an answer is taken (default: 0.95)", metavar="P")
     limit: float = option(1800.0, "processor time of an investigation or a diagnosis, s (default: 1800)", metavar="S")
     keep_bags: bool = option(False, "keep what was recorded")
+    no_plan: bool = option(False, "investigate only")
     page: bool = task_page_option()
 
 
@@ -305,8 +307,13 @@ def _recordings(options: LaboratoryOptions) -> int:
 
 
 def _rigs(options: RigsOptions) -> int:
-    from nmt_blind.cases.driven_rigs import make_rigs
+    from nmt_blind.cases.driven_rigs import make_pairs, make_rigs
 
+    if options.pairs == bool(options.seeds):
+        raise BenchError("Give either --seeds or --pairs.")
+    if options.pairs:
+        _console().print(f"{len(make_pairs(options.out, options.rig))} rigs in {options.out}", soft_wrap=True)
+        return EXIT_DONE
     first, _, end = options.seeds.partition(":")
     if not (first.isdigit() and end.isdigit() and int(first) < int(end)):
         raise BenchError(f"--seeds are the first and the one after the last, such as 0:20; got {options.seeds}.")
@@ -316,7 +323,7 @@ def _rigs(options: RigsOptions) -> int:
 
 
 def _investigate(options: InvestigateRigsOptions) -> int:
-    from nmt_blind.campaign.investigations import print_lines, run_investigations, write_tables
+    from nmt_blind.campaign.investigations import NOT_RUN, print_lines, run_investigations, write_tables
 
     if not 0.5 < options.until < 1.0:
         raise BenchError(f"--until is a probability between 0.5 and 1, got {options.until:g}.")
@@ -336,6 +343,7 @@ def _investigate(options: InvestigateRigsOptions) -> int:
             options.until,
             options.limit,
             options.keep_bags,
+            not options.no_plan,
             say,
         )
         files = write_tables(lines, options.out)
@@ -343,7 +351,8 @@ def _investigate(options: InvestigateRigsOptions) -> int:
     for line in print_lines(lines):
         console.print(line, soft_wrap=True, markup=False, highlight=False)
     console.print(f"written: {', '.join(str(file) for file in files)}", soft_wrap=True)
-    return EXIT_FAILED if any(line.investigation.trouble or line.plan.trouble for line in lines) else EXIT_DONE
+    troubles = {arm.trouble for line in lines for arm in (line.investigation, line.plan)}
+    return EXIT_FAILED if troubles - {"", NOT_RUN} else EXIT_DONE
 
 
 def _console() -> Any:

@@ -35,6 +35,9 @@ SEAL_FILE = "seal.json"
 _RESULT = "result.json"
 _INVESTIGATION, _PLAN, _DIAGNOSIS = "investigation", "plan", "diagnosis/diagnosis.json"
 _DONE = (0, 3)
+NOT_RUN = "not run"
+_PARTED = 0.05
+"""Largest probability of the other effect of a pair over that of the true one for them to be told apart."""
 _PLAN_LEVELS = 10
 
 
@@ -68,6 +71,7 @@ class RigLine:
         ended: why the investigation ended.
         information: expected and received information of its tests, nats, where both are known, (tests, 2).
         load: largest value that was recorded over its limit, both ways; NaN if nothing was recorded.
+        pair: what became of a pair of effects of which the rig has the first; empty where it is of none.
     """
 
     rig: str
@@ -77,6 +81,7 @@ class RigLine:
     ended: str
     information: tuple[tuple[float, float], ...]
     load: float
+    pair: str = ""
 
 
 def run_investigations(
@@ -87,6 +92,7 @@ def run_investigations(
     until: float = 0.95,
     limit: float = 1800.0,
     keep_bags: bool = False,
+    with_plan: bool = True,
     say: Callable[[int, int, str], None] = lambda done, total, line: None,
 ) -> list[RigLine]:
     """Investigate every rig and run the fixed plan on it; what has been done by this program is kept.
@@ -101,6 +107,7 @@ def run_investigations(
         until: probability from which an investigation takes an answer.
         limit: processor time of an investigation or a diagnosis, s.
         keep_bags: keep what was recorded.
+        with_plan: run the fixed plan, too.
         say: called with rigs done, rigs in all and a line on the newest.
 
     Raises:
@@ -114,7 +121,7 @@ def run_investigations(
         place = out.absolute() / rig.name
         result = _stored(place, program)
         if result is None:
-            result = run_rig(rig, place, tuple(command), program, until, limit)
+            result = run_rig(rig, place, tuple(command), program, until, limit, with_plan)
             if not keep_bags:
                 for bag in place.rglob("bag"):
                     shutil.rmtree(bag, ignore_errors=True)
@@ -142,7 +149,13 @@ def seal(rigs: Sequence[DrivenRig], out: Path) -> None:
 
 
 def run_rig(
-    rig: DrivenRig, place: Path, command: tuple[str, ...], program: str, until: float, limit: float
+    rig: DrivenRig,
+    place: Path,
+    command: tuple[str, ...],
+    program: str,
+    until: float,
+    limit: float,
+    with_plan: bool = True,
 ) -> dict[str, Any]:
     """Both ways of one rig, in processes of their own; a failure is a result, too.
 
@@ -162,7 +175,9 @@ def run_rig(
     words += ["--until", f"{until:g}", "--jobs", "1", "--quiet"]
     _, trouble = child([*command, *words], limit, _DONE)
     result["investigation"] = {"trouble": trouble}
-    result["plan"] = run_plan(rig, real, place / _PLAN, command, limit)
+    result["plan"] = {"bench_s": 0.0, "tests": 0, "seconds": 0.0, "trouble": NOT_RUN}
+    if with_plan:
+        result["plan"] = run_plan(rig, real, place / _PLAN, command, limit)
     result["load"] = largest_load(place, real)
     write_result(place / _RESULT, json.dumps(_finite(result), indent=1, ensure_ascii=False) + "\n")
     return result
@@ -251,7 +266,27 @@ def line_of(rig: DrivenRig, result: Mapping[str, Any], place: Path) -> RigLine:
             if test["expected"] is not None and test["received"] is not None
         ),
         math.nan if result["load"] is None else float(result["load"]),
+        pair_of(rig.pair, record),
     )
+
+
+def pair_of(pair: Sequence[str], record: Mapping[str, Any]) -> str:
+    """What became of a pair of effects of which the first is true: one of three sentences; empty without a pair.
+
+    Args:
+        pair: the true effect and the other one.
+        record: of the investigation.
+    """
+    if not pair or not record.get("turns"):
+        return ""
+    true, other = pair
+    for number, turn in enumerate(record["turns"]):
+        p = [float(turn["answers"].get(name, 0.0)) for name in (true, other)]
+        if p[0] > 0.5 and p[1] < _PARTED * p[0] and other.replace("_", " ") not in turn["sentence"]:
+            made = [test for test in record["tests"] if test["state"] == "measured"][: turn["tests"]]
+            return f"parted by {made[-1]['text'] if number else 'the first two tests'}"
+    both = [name.replace("_", " ") in record["conclusion"] for name in pair]
+    return "said to be alike" if all(both) else "neither parted nor said to be alike"
 
 
 def _judged(truth: ForeignTruth, path: Path, trouble: str) -> ForeignAnswer:
@@ -289,6 +324,11 @@ def summary(lines: Sequence[RigLine]) -> dict[str, Any]:
         "information_received": math.fsum(received for _, received in information),
         "information_slope": information_slope(information),
         "largest_load": max(loads, default=math.nan),
+        "pairs": {
+            word: sum(line.pair.startswith(word) for line in lines)
+            for word in ("parted", "said to be alike", "neither")
+            if any(line.pair for line in lines)
+        },
     }
 
 
@@ -305,6 +345,7 @@ def said(line: RigLine) -> str:
     return (
         f"{line.rig}: {line.truth}: {way(line.investigation)}, {line.ended}, turns {turns} s"
         f"{f', nats {nats}' if nats else ''}; plan {way(line.plan)}; load {line.load:.2f}"
+        f"{f'; {line.pair}' if line.pair else ''}"
     )
 
 
@@ -339,6 +380,8 @@ def print_lines(lines: Sequence[RigLine]) -> list[str]:
         f"information of {found['tests_with_information']} tests: expected {found['information_expected']:.2f} nats, "
         f"received {found['information_received']:.2f} nats, slope {found['information_slope']:.2f}",
         f"largest recorded value over its limit: {found['largest_load']:.2f}",
+        *([f"pairs: {', '.join(f'{word} {n}' for word, n in found['pairs'].items())}"] if found["pairs"] else []),
+        *(f"{line.rig}: {line.pair}" for line in lines if line.pair),
     ]
     return text
 
@@ -361,6 +404,7 @@ def write_tables(lines: Sequence[RigLine], out: Path) -> tuple[Path, Path]:
                     ("tests", arm.tests), ("thinking_s", sum(arm.thinking_s)), ("trouble", arm.trouble),
                 )
             }  # fmt: skip
+        entry["pair"] = line.pair
         entry["expected_nats"] = math.fsum(e for e, _ in line.information)
         entry["received_nats"] = math.fsum(r for _, r in line.information)
         entries.append(entry)

@@ -15,12 +15,14 @@ from typing import Any
 
 from nmt_blind.cases.blind_rigs import blind_rig
 from nmt_blind.cases.draw import Case, TrueEffect, draw_cases
+from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, NEAR_TWINS
 from nmt_blind.cases.operating import operating_point
 from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
 from nmt_core.files.yaml_text import yaml_text
 
+PAIR_FILE = "pair.txt"
 MODEL_FILE, REAL_FILE, TRUTH_FILE = "model.yaml", "real.yaml", "truth.yaml"
 KINDS = ("null", "effect")
 LEAST_SIZE = 3.0
@@ -51,6 +53,12 @@ class DrivenRig:
     def real(self) -> Path:
         """What is driven."""
         return self.folder / REAL_FILE
+
+    @property
+    def pair(self) -> tuple[str, ...]:
+        """Two effects that are hard to distinguish, one of which it has; empty where it is of no pair."""
+        path = self.folder / PAIR_FILE
+        return tuple(path.read_text(encoding="utf-8").split()) if path.is_file() else ()
 
     @property
     def truth(self) -> Path:
@@ -124,12 +132,59 @@ def make_rigs(out: Path, rig_name: str, seeds: Sequence[int]) -> list[str]:
     return names
 
 
+def make_pairs(out: Path, rig_name: str) -> list[str]:
+    """Two rigs for each pair of effects that are hard to distinguish: one with the first, one with the other.
+
+    Args:
+        out: gets a folder for each; one that has its truth is kept.
+        rig_name: name of the blind rig.
+
+    Returns:
+        Names of the rigs; effects that have no place on this rig have none.
+
+    Raises:
+        BenchError: there is no such blind rig.
+    """
+    rig = blind_rig(rig_name)
+    model, names = rig.model(), []
+    operating = operating_point(model, rig.bench)
+    for number, pair in enumerate(NEAR_TWINS):
+        for side, name in enumerate(pair):
+            effect = INJECTED_EFFECTS[name]
+            spots = effect.spots(model)
+            if not spots:
+                continue
+            names.append(f"{rig_name}_pair_{number:02d}_{side}")
+            folder = out / names[-1]
+            if (folder / TRUTH_FILE).is_file():
+                continue
+            spot = spots[number % len(spots)]
+            value = effect.value(model, operating, spot, LEAST_SIZE)
+            true = TrueEffect(
+                name, effect.place_at(model, spot), spot.label, LEAST_SIZE, value, effect.unit, effect.known,
+                effect.figures(model, operating, spot, value),
+            )  # fmt: skip
+            edits = effect.edits(model, operating, spot, value)
+            real = with_edits(model, [*edits, Edit(("seed",), 100 + 2 * number + side)])
+            folder.mkdir(parents=True, exist_ok=True)
+            write_whole(folder / MODEL_FILE, rig.file.read_text(encoding="utf-8"))
+            write_whole(folder / REAL_FILE, rig_yaml(real))
+            write_whole(folder / PAIR_FILE, " ".join((name, pair[1 - side])) + "\n")
+            write_whole(folder / TRUTH_FILE, yaml_text(truth_of_effect(true)))
+    return names
+
+
 def truth_of(case: Case) -> dict[str, Any]:
     """Content of the ``truth.yaml`` of a drawn case without or with one effect of the library."""
     if not case.effects:
         # Parameters that are off by less than what matters are none.
         return {"kind": "healthy", "verdicts": ["none", "calibration"]}
     (effect,) = case.effects
+    return truth_of_effect(effect)
+
+
+def truth_of_effect(effect: TrueEffect) -> dict[str, Any]:
+    """Content of the ``truth.yaml`` of a rig with one effect of the library."""
     return {
         "kind": "effect",
         "verdicts": ["effect"],

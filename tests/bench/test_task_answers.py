@@ -48,8 +48,8 @@ async def posted(server: PageServer, client: aiohttp.ClientSession, answer: Any,
 
 
 def test_what_is_asked_is_answered_once_and_a_stop_is_always_taken() -> None:
-    said: list[str] = []
-    view = TaskView(answered=said.append)
+    words: list[str] = []
+    view = TaskView(answered=words.append)
 
     async def test() -> None:
         async with page(view) as (server, client):
@@ -67,13 +67,13 @@ def test_what_is_asked_is_answered_once_and_a_stop_is_always_taken() -> None:
             assert await posted(server, client, "stop") == (400, "Nothing is asked here")
 
     run(test)
-    assert said == ["no", "stop"]
+    assert words == ["no", "stop"]
 
 
 def test_nobody_else_answers() -> None:
     """Who only watches, pages of others, and pages of work that asks nothing."""
-    said: list[str] = []
-    view = TaskView(answered=said.append)
+    words: list[str] = []
+    view = TaskView(answered=words.append)
     view.take({"question": "mode 2"})
 
     async def test() -> None:
@@ -91,7 +91,7 @@ def test_nobody_else_answers() -> None:
             assert (await posted(server, client, "yes"))[0] == 404
 
     run(test)
-    assert said == []
+    assert words == []
 
 
 def test_the_timeline_takes_points_only() -> None:
@@ -160,8 +160,8 @@ def test_a_question_of_an_investigation_reaches_its_page_and_comes_back(
                         head = read_frame(await live.receive_bytes(timeout=30.0))[0]
                         if head["kind"] == "task" and head["question"]:
                             break
-                order, own = {"answer": "no"}, {"Origin": origin}
-                async with client.post(f"{origin}/answer", json=order, headers=own) as response:
+                order, headers = {"answer": "no"}, {"Origin": origin}
+                async with client.post(f"{origin}/answer", json=order, headers=headers) as response:
                     assert response.status == 200
                 return head | {"answer": await waiting}
 

@@ -72,14 +72,14 @@ def run(tmp_path: Path, **more: Any) -> list[Any]:
 def test_truths_are_sealed_before_anything_is_run_and_results_are_kept(tmp_path: Path) -> None:
     for name in ("a", "b"):
         rig_folder(tmp_path / "rigs", name)
-    said: list[str] = []
-    lines = run(tmp_path, say=lambda done, total, line: said.append(f"{done}/{total} {line}"))
+    reported: list[str] = []
+    lines = run(tmp_path, say=lambda done, total, line: reported.append(f"{done}/{total} {line}"))
     calls = (tmp_path / "calls").read_text().splitlines()
     assert [call.split()[0] for call in calls[:6]] == ["investigate", "linear", "run", "linear", "linear", "diagnose"]
     assert all(call.endswith("True") for call in calls)
     assert len(calls) == 12
-    assert [text.split()[0] for text in said] == ["0/2", "1/2", "2/2"]
-    assert "a: cubic_stiffness @ 4: right (effect cubic_stiffness structure 4) 90 s" in said[1]
+    assert [text.split()[0] for text in reported] == ["0/2", "1/2", "2/2"]
+    assert "a: cubic_stiffness @ 4: right (effect cubic_stiffness structure 4) 90 s" in reported[1]
     assert print_lines(run(tmp_path)) == print_lines(lines)
     assert len((tmp_path / "calls").read_text().splitlines()) == 12
 

@@ -161,6 +161,9 @@ HEAVY = "structure.added_masses=[{point: 5, mass_kg: 0.004}]"
 BOTH = ("--refine", "0.0005", "--direction", "both")
 LIGHT = "structure.damping_factors=[0.2,0.2,0.2]"
 ACROSS = "0.0016,0.0017,0.0018,0.00186,0.0019,0.00202,0.0021,0.0022,0.0024"
+NOISE = ("2e-8", *["4.5e-15"] * 4, "1e-6")
+NOISY = [w for k, n in enumerate(NOISE) for w in ("--set", f"sensors.{k}.noise_psd={n}")]
+NOISY += ["--set", "sensors.3.gain=1.06"]
 REPORTS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "report": ("demo", 1150, ("demo",)),
     "linear": ("linear", 800, ("linear", "joint_resonator")),
@@ -195,6 +198,11 @@ REPORTS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "frame_one": ("frame_one", 0, ("run", "frame", "--exciter", "2", "--set", "test.window_periods=50")),
     "heavy": ("heavy", 0, ("run", "beam", "--set", HEAVY, "--levels", "0.05:1.5:8", "--periods", "60")),
     "diagnosis": ("diagnosis", 1150, ("diagnose", "--model", "beam", "--real", "heavy")),
+    "investigation": (
+        "investigation",
+        1150,
+        ("investigate", "beam", "--rig", "beam", *NOISY, "--jobs", "1"),
+    ),
     "study": ("study", 1000, ("study", "exciter_location", "--quick")),
     "identification": ("identification", 1150, ("study", "identification")),
 }

@@ -28,6 +28,9 @@ KINDS = ("null", "effect")
 LEAST_SIZE = 3.0
 """Of an effect, see `InjectedEffect.natural`: what is smaller hides in noise and tolerances, whatever is measured."""
 
+PAIR_SIZE = 10.0
+"""Of the effects of pairs: a gain of size 3 is less than what matters."""
+
 
 @dataclass(frozen=True)
 class DrivenRig:
@@ -159,9 +162,9 @@ def make_pairs(out: Path, rig_name: str) -> list[str]:
             if (folder / TRUTH_FILE).is_file():
                 continue
             spot = spots[number % len(spots)]
-            value = effect.value(model, operating, spot, LEAST_SIZE)
+            value = effect.value(model, operating, spot, PAIR_SIZE)
             true = TrueEffect(
-                name, effect.place_at(model, spot), spot.label, LEAST_SIZE, value, effect.unit, effect.known,
+                name, effect.place_at(model, spot), spot.label, PAIR_SIZE, value, effect.unit, effect.known,
                 effect.figures(model, operating, spot, value),
             )  # fmt: skip
             edits = effect.edits(model, operating, spot, value)

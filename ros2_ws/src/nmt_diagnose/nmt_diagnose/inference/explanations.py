@@ -74,6 +74,8 @@ class Score:
         reach: standard deviations for each unit of strength.
         column: change of the rows over the strength, over σ, (m,).
         relief: part of the gain by parameters and chain that return to what is believed of them.
+        signed: whether the strength may have either sign.
+        origin: parameters that the column is of, of strength 0 where it is a derivative there; None = not known.
     """
 
     candidate: int
@@ -82,6 +84,8 @@ class Score:
     reach: float
     column: FloatArray
     relief: float = 0.0
+    signed: bool = True
+    origin: FloatArray | None = None
 
 
 def best_of(found: Sequence[FittedExplanation]) -> list[FittedExplanation]:

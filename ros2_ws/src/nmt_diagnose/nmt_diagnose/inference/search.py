@@ -77,9 +77,10 @@ class Search:
         """
         taken = base.explanation.causes
         found = [
-            (score.candidate, score.start, score.column, True)
+            (score.candidate, score.origin, score.column, score.signed)
             for score in known
-            if not any(cause.same_but_for_form(self.candidates[score.candidate].cause) for cause in taken)
+            if score.origin is not None
+            and not any(cause.same_but_for_form(self.candidates[score.candidate].cause) for cause in taken)
         ] or self._columns(base)
         if not found:
             return []
@@ -119,7 +120,7 @@ class Search:
                 relief = gain
             position = strength_position(self.candidates[number])
             own_start = at_strength(self.candidates[number], start, start[position] or strength)
-            result.append(Score(number, own_start, gain, reach, column, relief))
+            result.append(Score(number, own_start, gain, reach, column, relief, signed, start))
         return sorted(result, key=lambda score: -score.gain)
 
     def _instead_of_chain_error(self, fitted: FitResult, column: FloatArray) -> tuple[float, float] | None:
@@ -444,12 +445,15 @@ class Search:
             known: those among which heads have been chosen before.
         """
         found: list[FittedExplanation] = []
+        scores: list[Score] = []
         before = {explanation.explanation for explanation in best_by_effect(known)[: THRESHOLDS.search.pair_heads]}
         for single in best_by_effect(singles)[: THRESHOLDS.search.pair_heads]:
             if single.explanation in before or leaves_noise_only(self.data, single):
                 continue
+            # Rivals make the same motion, about which an effect does the same.
+            scores = self.scores(single, scores)
             wanted = self.chosen(
-                single, self.scores(single), THRESHOLDS.search.second_effects, 1, THRESHOLDS.search.second_cost_fall
+                single, scores, THRESHOLDS.search.second_effects, 1, THRESHOLDS.search.second_cost_fall
             )
             found += self._all(single, wanted)
         return best_of(found)

@@ -23,9 +23,8 @@ def _follow(
     c = direct.shape[0] - r
     result = np.empty((c, (steps_total + stride - 1) // stride))
     steps = _room(model, r, elements.jenkins.shape[0])
-    state, g, trial, before, free_w, free_v = (
-        steps.state, steps.g, steps.trial, steps.before, steps.free_w, steps.free_v,
-    )  # fmt: skip
+    state = np.zeros(count, dtype=np.complex128)
+    g, trial, before, free_w, free_v = steps.g, steps.trial, steps.before, steps.free_w, steps.free_v
     largest = 1e-300
     previous = np.zeros(given)
     for n in range(steps_total):

@@ -49,7 +49,6 @@ class Steps(NamedTuple):
     """What the steps of r coordinates carry from one to the next, and work space.
 
     Attributes:
-        state: (k,) of the poles.
         sliders, moved: positions of the sliders before and after a step, m.
         g, before: (r,) forces at the end of the last step and of the one before it, N.
         trial: (r,) forces tried at the end of a step.
@@ -57,9 +56,9 @@ class Steps(NamedTuple):
         w, v: (r,) with those tried.
         by_displacement, by_velocity: (r, r) tangents of the forces.
         dw, dv: (r, r) what a force at the end of a step does to displacement and velocity there.
+        system: (r, r + 1) equations of a step of Newton's method.
     """
 
-    state: ComplexArray
     sliders: FloatArray
     moved: FloatArray
     g: FloatArray
@@ -73,6 +72,7 @@ class Steps(NamedTuple):
     by_velocity: FloatArray
     dw: FloatArray
     dv: FloatArray
+    system: FloatArray
 
 
 @njit(cache=True)
@@ -87,8 +87,8 @@ def _room(model: SteppedModel, r: int, sliders: int) -> Steps:
                 dw[i, j] += (outputs[i, k] * late[k, j]).real
                 dv[i, j] += (velocities[i, k] * late[k, j]).real
     return Steps(
-        np.zeros(count, dtype=np.complex128), np.zeros(sliders), np.zeros(sliders), np.zeros(r), np.zeros(r),
-        np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros((r, r)), np.zeros((r, r)), dw, dv,
+        np.zeros(sliders), np.zeros(sliders), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r),
+        np.zeros(r), np.zeros(r), np.zeros((r, r)), np.zeros((r, r)), dw, dv, np.zeros((r, r + 1)),
     )  # fmt: skip
 
 
@@ -142,7 +142,40 @@ def _coordinate_forces(steps: Steps, factor: FloatArray, elements: ElementTables
         by_velocity[circuit, coil] = f
 
 
-@njit(cache=True)
+@loop_step
+def _newton_step(steps: Steps) -> None:
+    """Adds (1 + K dw + C dv)⁻¹ (g − trial) to ``trial``, by elimination with pivots: r is small."""
+    g, trial, dw, dv, a = steps.g, steps.trial, steps.dw, steps.dv, steps.system
+    kw, kv = steps.by_displacement, steps.by_velocity
+    r = g.size
+    for i in range(r):
+        for j in range(r):
+            value = 1.0 if i == j else 0.0
+            for k in range(r):
+                value += kw[i, k] * dw[k, j] + kv[i, k] * dv[k, j]
+            a[i, j] = value
+        a[i, r] = g[i] - trial[i]
+    for c in range(r):
+        best = c
+        for i in range(c + 1, r):
+            if abs(a[i, c]) > abs(a[best, c]):
+                best = i
+        if best != c:
+            for j in range(c, r + 1):
+                a[c, j], a[best, j] = a[best, j], a[c, j]
+        for i in range(c + 1, r):
+            share = a[i, c] / a[c, c]
+            for j in range(c, r + 1):
+                a[i, j] -= share * a[c, j]
+    for i in range(r - 1, -1, -1):
+        value = a[i, r]
+        for j in range(i + 1, r):
+            value -= a[i, j] * a[j, r]
+        a[i, r] = value / a[i, i]
+        trial[i] += a[i, r]
+
+
+@loop_step
 def _solve_forces(steps: Steps, largest: float, factor: FloatArray, elements: ElementTables) -> None:
     """Forces (r,) at the end of a step by Newton's method from those tried; ``largest`` is that of all steps so far."""
     g, trial, w, v, dw, dv = steps.g, steps.trial, steps.w, steps.v, steps.dw, steps.dv
@@ -167,13 +200,12 @@ def _solve_forces(steps: Steps, largest: float, factor: FloatArray, elements: El
         if r == 1:
             trial[0] += (g[0] - trial[0]) / (1.0 + kw[0, 0] * dw[0, 0] + kv[0, 0] * dv[0, 0])
         else:
-            system = np.eye(r) + kw @ dw + kv @ dv
-            trial += np.linalg.solve(system, g - trial)
+            _newton_step(steps)
     for e in range(sliders.size):
         sliders[e] = moved[e]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"reassoc", "contract", "nsz"})
 def _step_all(
     drive: FloatArray,
     substeps: int,
@@ -183,35 +215,46 @@ def _step_all(
     elements: ElementTables,
     start: ComplexArray,
 ) -> FloatArray:
-    """Channels (c, samples) of any number of coordinates."""
-    decay, early, late, outputs, velocities, direct = model
-    count = decay.size
-    c = outputs.shape[0] - r
+    """Channels (c, samples) of any number of coordinates.
+
+    The state is that before the forces at the end of a step act, real and imaginary parts apart, as in `_step_one`.
+    """
+    recursion, forces, motions, channels, by_force = _tables_of_all(model, r)
+    direct = model.direct[r:, r].copy()
+    count, c = model.decay.size, direct.size
     result = np.empty((c, (drive.size + substeps - 1) // substeps))
     sliders = elements.jenkins.shape[0]
     steps = _room(model, r, sliders)
-    state, g, trial, before = steps.state, steps.g, steps.trial, steps.before
-    state[:] = start
-    free_w, free_v = steps.free_w, steps.free_v
+    g, trial, before, free_w, free_v = steps.g, steps.trial, steps.before, steps.free_w, steps.free_v
+    state = np.concatenate((start.real, start.imag))
     free = sliders + elements.contacts.shape[0] + elements.kinds.size == 0 and elements.jenkins_start.size - 1 == r
     largest = 1e-300
     previous = 0.0
     for n in range(drive.size):
         u = drive[n]
         for k in range(count):
-            x = decay[k] * state[k] + early[k, r] * previous + late[k, r] * u
-            if not free:
-                for j in range(r):
-                    x -= early[k, j] * g[j]
-            state[k] = x
+            re = state[k]
+            im = state[count + k]
+            state[k] = (
+                recursion[k] * re - recursion[count + k] * im + recursion[2 * count + k] * previous
+                + recursion[4 * count + k] * u
+            )  # fmt: skip
+            state[count + k] = (
+                recursion[k] * im + recursion[count + k] * re + recursion[3 * count + k] * previous
+                + recursion[5 * count + k] * u
+            )  # fmt: skip
         previous = u
         if not free:
+            for j in range(r):
+                force = g[j]
+                for k in range(2 * count):
+                    state[k] -= forces[j, k] * force
             for i in range(r):
                 a = 0.0
                 b = 0.0
-                for k in range(count):
-                    a += (outputs[i, k] * state[k]).real
-                    b += (velocities[i, k] * state[k]).real
+                for k in range(2 * count):
+                    a += motions[i, k] * state[k]
+                    b += motions[r + i, k] * state[k]
                 free_w[i] = a
                 free_v[i] = b
                 # Where the force seems to go: a step of the iteration saved.
@@ -220,17 +263,51 @@ def _step_all(
             _solve_forces(steps, largest, factor, elements)
             for j in range(r):
                 largest = max(largest, abs(g[j]))
-                for k in range(count):
-                    state[k] -= late[k, j] * g[j]
         if n % substeps == 0:
             for o in range(c):
-                y = direct[r + o, r] * u
+                y = direct[o] * u
                 for j in range(r):
-                    y -= direct[r + o, j] * g[j]
-                for k in range(count):
-                    y += (outputs[r + o, k] * state[k]).real
+                    y -= by_force[o, j] * g[j]
+                for k in range(2 * count):
+                    y += channels[o, k] * state[k]
                 result[o, n // substeps] = y
     return result
+
+
+@njit(cache=True)
+def _tables_of_all(model: SteppedModel, r: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Coefficients of a step, real and imaginary parts apart.
+
+    Returns:
+        Recursion of the poles and shares of the input, (6 k,); of the forces at the end of the step before, (r, 2 k);
+        of the state in displacements and velocities, (2 r, 2 k), and in the channels, (c, 2 k); of the forces at the
+        end in the channels, (c, r).
+    """
+    decay, early, late, outputs, velocities, direct = model
+    count, c = decay.size, outputs.shape[0] - r
+    recursion, forces = np.empty(6 * count), np.empty((r, 2 * count))
+    motions, channels, by_force = np.empty((2 * r, 2 * count)), np.empty((c, 2 * count)), np.empty((c, r))
+    for k in range(count):
+        for row, value in enumerate((decay[k], early[k, r], late[k, r])):
+            recursion[2 * row * count + k] = value.real
+            recursion[(2 * row + 1) * count + k] = value.imag
+        for j in range(r):
+            force = decay[k] * late[k, j] + early[k, j]
+            forces[j, k] = force.real
+            forces[j, count + k] = force.imag
+            motions[j, k] = outputs[j, k].real
+            motions[j, count + k] = -outputs[j, k].imag
+            motions[r + j, k] = velocities[j, k].real
+            motions[r + j, count + k] = -velocities[j, k].imag
+        for o in range(c):
+            channels[o, k] = outputs[r + o, k].real
+            channels[o, count + k] = -outputs[r + o, k].imag
+    for o in range(c):
+        for j in range(r):
+            by_force[o, j] = direct[r + o, j]
+            for k in range(count):
+                by_force[o, j] += (outputs[r + o, k] * late[k, j]).real
+    return recursion, forces, motions, channels, by_force
 
 
 @njit(cache=True, fastmath={"reassoc", "contract", "nsz"})

@@ -17,7 +17,7 @@ from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.chain import SharedDelay, linear_chain
 from nmt_diagnose.inference.comparison import Hypotheses, SourceEvidence, imitates
-from nmt_diagnose.inference.diagnose import diagnose_observations, free_parameters, model_alone
+from nmt_diagnose.inference.diagnose import _from_credible, diagnose_observations, free_parameters, model_alone
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.inference.explanations import FittedExplanation, Score
@@ -400,3 +400,16 @@ def test_no_gap_leaves_room_for_what_is_too_weak_to_see() -> None:
     assert found.probabilities["unknown"] == pytest.approx(share, abs=0.02)
     # A gap that is there leaves none.
     assert diagnosed(observed(HARDENING)).probabilities["unknown"] < 0.05
+
+
+def test_a_fit_of_the_model_alone_returns_from_where_nobody_believes_it() -> None:
+    observations = replace(observed(MODEL), matters=dict(MATTERS))
+    parameters = free_parameters(MODEL, observations)
+    everything = np.ones(len(observations.rows), dtype=bool)
+    null, data = model_alone(MODEL, observations, parameters, everything, LowLevelModes(observations, MODEL))[2:]
+    far = null.fit.theta.copy()
+    far[[parameter.name.startswith("structure") for parameter in parameters].index(True)] = 40.0
+    lost = fit(data, null.fit.parametrisation, far, steps=0)
+    assert lost.cost > null.fit.cost + 100.0
+    assert _from_credible(data, lost).cost == pytest.approx(null.fit.cost, abs=0.5)
+    assert _from_credible(data, null.fit) is null.fit

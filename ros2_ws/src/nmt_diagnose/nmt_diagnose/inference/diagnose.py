@@ -35,6 +35,7 @@ from nmt_diagnose.inference.fitting import (
     FitError,
     FitResult,
     Metric,
+    approach,
     best_chain_errors,
     data_about,
     fit,
@@ -107,6 +108,8 @@ class DiagnosisOutcome:
 
 MAINS_HUM = "mains_hum"
 FAR_BEHIND = "far behind the best"
+_NO_BETTER = 0.9
+"""Standard uncertainty over that of a prior from which rows tell nothing of a parameter."""
 
 
 @dataclass(frozen=True)
@@ -442,10 +445,25 @@ def model_alone(
             found = nearer if nearer.cost < found.cost else found
         for _ in range(THRESHOLDS.fits.chain_rounds):
             data = about(rig, observations, found, used)
-            found = fit(data, parametrisation, found.theta, found.prediction)
+            found = _from_credible(data, fit(data, parametrisation, found.theta, found.prediction))
     except (FitError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
     return data.observations, as_given, FittedExplanation((), found), data
+
+
+def _from_credible(data: Data, found: FitResult) -> FitResult:
+    """A fit of the model alone, fitted again from where what nobody believes of its parameters is as given.
+
+    A resonance that is damped away is gone from the rows, and no slope leads back to it.
+    """
+    far = np.abs(found.theta) > THRESHOLDS.comparison.credible_sigmas
+    if not far.any():
+        return found
+    try:
+        again = approach(data, found.parametrisation, np.where(far, 0.0, found.theta))
+    except FitError:
+        return found
+    return again if again.cost < found.cost else found
 
 
 def _with_solver_error(observations: Observations, rig: Rig, as_given: Prediction) -> Observations:
@@ -752,24 +770,27 @@ def _closed(
 
 
 def _recalibrated(findings: Findings, data: Data, held_out_splits: Sequence[Split], seed: int) -> ClosedShare:
-    """How much of the gap to the model as given its own parameters close on rows that their fit did not see."""
+    """How much of the gap to the model as given its own parameters close on rows that their fit did not see.
+
+    A split whose fit leaves open what they do to the rows held out says nothing of it.
+    """
     null, scale = findings.null, scale_of(findings.null, False)
     as_given_residual = best_chain_errors(data, findings.as_given.values).residual
     as_given_residual = no_worse_than_silence(data.observations, as_given_residual, data.sigma) * scale
     pairs = []
     for split in held_out_splits:
-        after = _held_out_residual(findings.data, data, null, split)
-        if after is not None:
-            pairs.append(
-                (as_given_residual, after[0] * scale / np.hypot(1.0, after[1] * scale), split.held_out & data.used)
-            )
+        after, rows = _held_out_residual(findings.data, data, null, split), split.held_out & data.used
+        if after is not None and not after[2]:
+            pairs.append((as_given_residual, after[0] * scale / np.hypot(1.0, after[1] * scale), rows))
     return closed(data.observations, pairs, seed)
 
 
 def _held_out_residual(
     fitted: Data, all_data: Data, found: FittedExplanation, split: Split
-) -> tuple[FloatArray, FloatArray] | None:
-    """Residual of all rows by a fit to some, and uncertainty of its prediction, over σ.
+) -> tuple[FloatArray, FloatArray, bool] | None:
+    """Residual of all rows by a fit to some, uncertainty of its prediction, over σ, and whether it leaves any open.
+
+    It leaves open a parameter that all rows move beyond its prior and that it knows no better than that.
 
     What is predicted is the rig; how the measuring chain was when the rest was measured, those rows tell themselves.
     """
@@ -791,4 +812,7 @@ def _held_out_residual(
     left = best_chain_errors(all_data, refit.prediction.values, fitted_before.errors).residual
     chain = Metric(fitted_before.errors.slopes, np.ones(fitted_before.errors.chain.size), fitted_before.errors.weights)
     slopes = chain.project(fitted_before.jacobian)[0]
-    return left, np.sqrt(np.einsum("mi,ij,mj->m", slopes, refit.covariance, slopes))
+    prior = fitted_before.parametrisation.prior_std
+    unknown = refit.std > _NO_BETTER * prior
+    is_open = bool(np.any(unknown & (np.abs(fitted_before.theta) > prior)))
+    return left, np.sqrt(np.einsum("mi,ij,mj->m", slopes, refit.covariance, slopes)), is_open

@@ -21,7 +21,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from nmt_core.errors import BenchError
 from nmt_core.kinds import FLOQUET_PERIODS
@@ -126,6 +125,8 @@ def _fit(inputs: FloatArray, outputs: FloatArray, orders: tuple[int, ...]) -> tu
         right = target.ravel()
         q, _ = np.linalg.qr(basis / np.maximum(np.abs(basis).max(axis=0), 1e-300))
         return np.asarray(right - q @ (q.T @ right))
+
+    from scipy.optimize import least_squares  # late: most windows have no perturbation
 
     best = least_squares(residual, guess.ravel(), method="lm", x_scale=0.1, max_nfev=200)
     freedom = max(1, target.size - 6 - 2 * driven.shape[1])

@@ -25,7 +25,7 @@ from nmt_core.files.whole_file import csv_text, write_result, write_whole
 from nmt_core.text.number_words import percent
 
 PLAN_FILE = "plan"
-OUTCOMES = ("right", "hedged", "missed", "confidently wrong", "no answer", "by eye")
+OUTCOMES = ("right", "hedged", "by eye", "missed", "confidently wrong", "no answer")
 _SENTENCES = 2
 
 

@@ -114,5 +114,22 @@ def test_nothing_contradicts(verdict: Verdict, adequate: bool, effect: str, p: f
         assert "Nothing in the library explains all of it" in text
 
 
+def test_what_stands_beside_a_partial_explanation_has_no_share_of_its_own() -> None:
+    found = made(Verdict.EFFECT, False, "cubic_stiffness", 0.97)
+    with_second = replace(found.ranking[0], effect="cubic_stiffness + power_law_damping", probability=0.96)
+    other = replace(found.ranking[0], effect="quintic_stiffness", probability=0.03)
+    found = replace(found, ranking=(found.ranking[0], with_second, other))
+    shares = probability_shares(found)
+    assert [text for text, *_ in shares] == ["cubic stiffness", "quintic stiffness"]
+    assert sum(share for _, _, share, _ in shares) == pytest.approx(1.0)
+    console = Console(width=200, file=io.StringIO())
+    table = ranking_table(found)
+    assert table is not None
+    console.print(table)
+    (line,) = (text for text in console.file.getvalue().splitlines() if "power law damping" in text)  # type: ignore[attr-defined]
+    assert "within the first" in line
+    assert "96" not in line
+
+
 def test_there_are_fifty_cases() -> None:
     assert len(CASES) >= 50

@@ -16,7 +16,7 @@ from nmt_core.errors import BenchError
 from nmt_core.options import argument, needed_option, option
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from nmt_bench.page.task_feed import TaskFeed
 
@@ -253,20 +253,30 @@ def _explain(options: ExplainOptions) -> int:
     return EXIT_DONE
 
 
+def _cases(names: str) -> tuple[str, ...]:
+    """Names of cases in a list with commas."""
+    return tuple(word.strip() for word in names.split(",") if word.strip())
+
+
+def _progress(bar: _Bar) -> Callable[[int, int, str], None]:
+    """Progress of cases done of all, with a line on the newest, on a bar."""
+
+    def say(done: int, total: int, newest: str) -> None:
+        if newest:
+            bar.say(newest)
+        bar.update(done, total)
+
+    return say
+
+
 def _laboratory(options: LaboratoryOptions) -> int:
     from nmt_blind.campaign.foreign_run import print_lines, run_laboratory, write_tables
     from nmt_blind.campaign.recordings import has_plans
 
     if has_plans(options.folder):
         return _recordings(options)
-    only = tuple(word.strip() for word in options.only.split(",") if word.strip())
+    only = _cases(options.only)
     with _bar(options, "diagnosing") as bar:
-
-        def progress(done: int, total: int, newest: str) -> None:
-            if newest:
-                bar.say(newest)
-            bar.update(done, total)
-
         lines = run_laboratory(
             options.folder,
             options.out,
@@ -276,7 +286,7 @@ def _laboratory(options: LaboratoryOptions) -> int:
             options.force,
             options.limit,
             options.keep_bags,
-            progress,
+            _progress(bar),
         )
         files = write_tables(lines, options.out)
     console = _console()
@@ -289,16 +299,10 @@ def _laboratory(options: LaboratoryOptions) -> int:
 def _recordings(options: LaboratoryOptions) -> int:
     from nmt_blind.campaign.recordings import run_recordings, summary_words, write_recordings
 
-    only = tuple(word.strip() for word in options.only.split(",") if word.strip())
+    only = _cases(options.only)
     with _bar(options, "diagnosing") as bar:
-
-        def progress(done: int, total: int, newest: str) -> None:
-            if newest:
-                bar.say(newest)
-            bar.update(done, total)
-
         program = (sys.executable, "-m", "nmt_bench")
-        found = run_recordings(options.folder, options.out, program, only, options.limit, progress)
+        found = run_recordings(options.folder, options.out, program, only, options.limit, _progress(bar))
     files = write_recordings(found, options.folder, options.out)
     console = _console()
     console.print(summary_words(found), soft_wrap=True, markup=False, highlight=False)
@@ -327,14 +331,8 @@ def _investigate(options: InvestigateRigsOptions) -> int:
 
     if not 0.5 < options.until < 1.0:
         raise BenchError(f"--until is a probability between 0.5 and 1, got {options.until:g}.")
-    only = tuple(word.strip() for word in options.only.split(",") if word.strip())
+    only = _cases(options.only)
     with _bar(options, "investigating") as bar:
-
-        def say(done: int, total: int, newest: str) -> None:
-            if newest:
-                bar.say(newest)
-            bar.update(done, total)
-
         lines = run_investigations(
             options.folder,
             options.out,
@@ -344,7 +342,7 @@ def _investigate(options: InvestigateRigsOptions) -> int:
             options.limit,
             options.keep_bags,
             not options.no_plan,
-            say,
+            _progress(bar),
         )
         files = write_tables(lines, options.out)
     console = _console()

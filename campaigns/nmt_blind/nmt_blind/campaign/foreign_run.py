@@ -295,13 +295,16 @@ def write_tables(lines: Sequence[ForeignLine], out: Path) -> tuple[Path, Path]:
     return files
 
 
-def child(words: Sequence[str], limit: float, accepted: Sequence[int] = (0,)) -> tuple[float, str]:
+def child(
+    words: Sequence[str], limit: float, accepted: Sequence[int] = (0,), folder: Path | None = None
+) -> tuple[float, str]:
     """Run a command; its processor time in s, and in a sentence why it failed, empty where it did not.
 
     Args:
         words: of the command.
         limit: of its processor time, s; infinite = none.
         accepted: exit codes that are no failure.
+        folder: to run it in; None = this process's own.
     """
     ceiling = max(1, math.ceil(limit)) if math.isfinite(limit) else 0
 
@@ -316,6 +319,7 @@ def child(words: Sequence[str], limit: float, accepted: Sequence[int] = (0,)) ->
             stdout=output,
             stderr=subprocess.STDOUT,
             env={**os.environ, **_ONE_CORE},
+            cwd=folder,
             preexec_fn=bounded,
         )
         try:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -176,22 +175,17 @@ def _of_case(case: Path, truth: KnownTruth, work: Path, command: Sequence[str], 
     shutil.copytree(case, work, ignore=shutil.ignore_patterns(TRUTH_FILE, PLAN_FILE))
     found, lost = [], set[str]()
     lines = [line.split() for line in read_text(case / PLAN_FILE, "plan").splitlines()]
-    here = Path.cwd()
-    os.chdir(work)
-    try:
-        for words in lines:
-            if not words or words[0].startswith("#") or lost & set(words[1:]):
-                continue
-            seconds, trouble = child([*command, *words], limit)
-            out = words[words.index("--out") + 1] if "--out" in words else ""
-            said = " ".join(words)
-            if trouble:
-                lost.add(out)
-                found.append(Said(case.name, said, "no answer", trouble, math.nan, seconds))
-            elif words[0] == "diagnose":
-                found.append(_answer(case.name, said, truth, work / out, seconds))
-    finally:
-        os.chdir(here)
+    for words in lines:
+        if not words or words[0].startswith("#") or lost & set(words[1:]):
+            continue
+        seconds, trouble = child([*command, *words], limit, folder=work)
+        out = words[words.index("--out") + 1] if "--out" in words else ""
+        said = " ".join(words)
+        if trouble:
+            lost.add(out)
+            found.append(Said(case.name, said, "no answer", trouble, math.nan, seconds))
+        elif words[0] == "diagnose":
+            found.append(_answer(case.name, said, truth, work / out, seconds))
     return found
 
 

@@ -23,6 +23,7 @@ from nmt_report.diagnosis_words import (
     effect_text,
     equation_text,
     is_partial,
+    is_within_first,
     key_text,
     parameters_text,
     place_text,
@@ -138,7 +139,7 @@ def probability_shares(d: Diagnosis) -> list[tuple[str, str, float, str]]:
 
     Those of a partial explanation are probabilities among the library alone.
     """
-    named = [(class_text(item), item.probability) for item in d.ranking]
+    named = [(class_text(item), item.probability) for item in d.ranking if not is_within_first(d, item)]
     if not is_partial(d):
         named += [(effect_text(NULL), d.probabilities.get(NULL, 0.0)), rest_text(d)]
     largest = sorted(((text, p) for text, p in named if p > 0.0), key=lambda item: -item[1])[:_LARGEST_SHARES]
@@ -227,7 +228,7 @@ def _ranking(d: Diagnosis) -> Table:
         closed = item.closed
         value, limits = share_with_interval(closed.value, closed.low, closed.high)
         cells = (
-            _probability_cell(item.probability, accepted),
+            "within the first" if is_within_first(d, item) else _probability_cell(item.probability, accepted),
             text,
             place_text(item.place, item.detail),
             parameters_text(item.parameters),

@@ -14,6 +14,7 @@ from nmt_report.diagnosis_words import (
     class_text,
     effect_text,
     is_partial,
+    is_within_first,
     parameters_text,
     place_text,
     probability_text,
@@ -47,12 +48,15 @@ def ranking_table(diagnosis: Diagnosis) -> Table | None:
     table.add_column("place", overflow="fold")
     table.add_column("parameters (± standard uncertainty)", overflow="fold")
     table.add_column("gap closed", justify="right", no_wrap=True)
-    rows = []
+    rows, within = [], []
     for item in diagnosis.ranking:
         name = class_text(item)
         place, parameters = place_text(item.place, item.detail), parameters_text(item.parameters)
         cells = (name, place, parameters, percent(item.closed.value))
-        rows.append((item.probability, cells))
+        if is_within_first(diagnosis, item):
+            within.append(cells)
+        else:
+            rows.append((item.probability, cells))
     if not partial:
         rows.append((diagnosis.probabilities.get(NULL, 0.0), (effect_text(NULL), "", "", "")))
         text, p = rest_text(diagnosis)
@@ -65,6 +69,8 @@ def ranking_table(diagnosis: Diagnosis) -> Table | None:
         shown.append((left, ("all other explanations", "", "", "")))
     for p, cells in shown:
         table.add_row(Text(bar(p), style="blue"), probability_text(p), *map(Text, cells))
+    for cells in within:
+        table.add_row("within the first", "", *map(Text, cells))
     if partial:
         table.add_row("", "", Text(f"{effect_text(UNKNOWN)} acts beside it"), "", "", "")
     return table

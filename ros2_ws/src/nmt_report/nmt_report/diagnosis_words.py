@@ -52,6 +52,15 @@ def is_partial(diagnosis: Diagnosis) -> bool:
     return diagnosis.verdict is Verdict.EFFECT and not diagnosis.adequate
 
 
+def is_within_first(diagnosis: Diagnosis, item: Ranked) -> bool:
+    """Whether an explanation is the first one, a partial one, with another effect beside it.
+
+    The probability of a partial explanation counts whatever acts beside it, so that of this one is part of it.
+    """
+    first = diagnosis.ranking[0]
+    return is_partial(diagnosis) and set(first.effect.split(" + ")) < set(item.effect.split(" + "))
+
+
 def effect_text(name: str) -> str:
     """``cubic stiffness`` for ``cubic_stiffness``; the competing explanations that are no effects in words."""
     if name == NULL:

@@ -182,7 +182,8 @@ def _lines(observations: Observations, number: int, first: SteppedSineTest) -> H
     if any(channel.quantity not in MOTIONS for channel in first.channels):
         return None
     forces = {round(float(np.log(np.max(test.levels))), 2) for test in tests}
-    size = [np.abs(test.measured[:, 0]) * test.levels / (2.0 * np.pi * test.lines_hz) ** 2 for test in tests]
+    powers = np.array([MOTIONS[channel.quantity] for channel in first.channels])
+    size = [np.abs(test.measured[:, 0]) * test.levels / (2.0 * np.pi * test.lines_hz) ** powers[0] for test in tests]
     if len(forces) < 2:  # what does not change with the amplitude is no law
         return None
     loudest = max(range(len(tests)), key=lambda k: float(size[k].max()))
@@ -199,7 +200,6 @@ def _lines(observations: Observations, number: int, first: SteppedSineTest) -> H
             parts.append((test.lines_hz[chosen], force, amplitude, test.noise[chosen], moved[chosen]))
     lines, force, amplitude, noise, moved = (np.concatenate(part) for part in zip(*parts, strict=True))
     omega = 2.0 * np.pi * lines
-    powers = np.array([MOTIONS[channel.quantity] for channel in first.channels])
     motion = np.zeros((*amplitude.shape, 2), complex)
     motion[:, :, 1] = first.scale * amplitude / (1j * omega[:, np.newaxis]) ** powers
     driven = np.zeros((1, lines.size, 2), complex)

@@ -105,15 +105,6 @@ def test_an_effect_is_named_placed_and_closes_the_gap() -> None:
     assert found.ranking[0].converged
 
 
-def test_a_gap_below_what_matters_is_none_and_told_with_its_size() -> None:
-    wanted = dict.fromkeys(MATTERS, 10.0)
-    found = diagnosed(observed(HARDENING), matters=wanted)
-    assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
-    assert "smaller than what matters" in found.sentences[-1]
-    assert "It looks like cubic stiffness" in found.sentences[-1]
-    assert found.ranking == ()
-
-
 def laboratory(observations: Observations) -> Observations:
     own = MeasuringChain(hold_hz=1000.0)
     return replace(observations, chains=(own,) * len(observations.tests))
@@ -304,7 +295,13 @@ def test_a_difference_that_does_not_matter_is_told_with_what_it_looks_like() -> 
     observations = observed(HARDENING)
     found = diagnosed(observations, matters={"frequency": 0.9, "damping": 0.9, "response": 9.0, "harmonics": 0.9})
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    assert "smaller than what matters" in found.sentences[-1]
     assert "It looks like cubic stiffness at point 2" in found.sentences[-1]
+    assert found.ranking == ()
+    # What shows takes the room that is left for what is too weak to matter.
+    share = THRESHOLDS.comparison.too_weak_share
+    assert found.probabilities["cubic_stiffness@2"] == pytest.approx(share, abs=0.02)
+    assert found.probabilities["unknown"] < 0.02
     sizes = [float(word) for word in re.findall(r"([\d.e+-]+) % of", found.sentences[-1])]
     assert max(sizes) > 0.01
 

@@ -89,8 +89,8 @@ class Comparison:
         classes: named explanations, the most probable class first.
         places: share of each place in what is missing; sum 1 where something is.
         log_odds: ln of everything else over none.
-        by_label: probability of none, unknown and each explanation. What acts and is too weak to show in any row is
-            unknown there.
+        by_label: probability of none, unknown and each explanation. What acts and is too weak to matter is there what
+            shows beyond the noise, and unknown where nothing does.
         small: what best explains a difference that the recordings show and that does not matter.
     """
 
@@ -400,9 +400,11 @@ class Hypotheses:
         given_library = p_named / max(float(p_named.sum()), 1e-300)
         p_named = p_named * noise
         too_weak = THRESHOLDS.comparison.too_weak_share * float(weights[0])
-        labels = {"none": float(weights[0]) - too_weak, "unknown": unknown + too_weak}
+        labels = {"none": float(weights[0]) - too_weak, "unknown": unknown}
         for explanation, p in zip(stated, p_named, strict=True):
             labels[explanation.explanation.label] = labels.get(explanation.explanation.label, 0.0) + float(p)
+        weak = "unknown" if self.small is None else self.small.fitted.label
+        labels[weak] = labels.get(weak, 0.0) + too_weak
         return Comparison(
             float(weights[0]),
             unknown,

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.integrate import quad
+from scipy.optimize import minimize
 
 from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.location import Location
@@ -410,3 +412,28 @@ def test_a_fit_of_the_model_alone_returns_from_where_nobody_believes_it() -> Non
     assert lost.cost > null.fit.cost + 100.0
     assert _from_credible(data, lost).cost == pytest.approx(null.fit.cost, abs=0.5)
     assert _from_credible(data, null.fit) is null.fit
+
+
+def test_errors_of_the_chain_are_at_their_best_from_any_start() -> None:
+    """A minimiser that knows neither their derivatives nor where they stood finds nothing better."""
+    observations = laboratory(observations_of_model(MODEL, seed=1, drives=(0.1, 0.4)))
+    near = Forward(observations.tests, observations.rows).predict(MODEL)
+    data = data_about(observations, MODEL, near, np.isfinite(near.values))
+    rng = np.random.default_rng(5)
+    count = len(data.chain_names)
+    values = near.values - data.chain @ rng.standard_normal(count)
+
+    def cost(chain: FloatArray) -> float:
+        left = data.difference(values, chain)
+        return data.groups.cost(data.groups.sums(left * left), data.counts) + float(chain @ chain)
+
+    fresh = best_chain_errors(data, values)
+    far = best_chain_errors(data, near.values + data.chain @ rng.standard_normal(count))
+    started = best_chain_errors(data, values, far)
+    for found in (fresh, started):
+        assert found.cost == pytest.approx(cost(found.chain), rel=1e-12)
+        assert minimize(cost, found.chain, options={"maxiter": 5}).fun > found.cost - 0.02
+        np.testing.assert_allclose(
+            found.slopes, data.chain_slopes(found.values), atol=1e-2 * np.abs(found.slopes).max()
+        )
+    assert started.cost == pytest.approx(fresh.cost, abs=0.02)

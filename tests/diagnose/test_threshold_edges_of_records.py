@@ -134,14 +134,11 @@ def chosen(cosine: float) -> int:
     return len(Search.chosen(search, base, scores, 1, 1, 6.0))  # type: ignore[arg-type]
 
 
-def exceeds(scale: float, null: float = 1.0) -> bool:
-    """Whether a fit with a learnt scale leaves so much that it is also climbed from low levels."""
-
-    def found(size: float) -> Any:
-        return SimpleNamespace(fit=SimpleNamespace(errors=SimpleNamespace(squares=np.array([10.0 * size**2]))))
-
+def exceeds(scale: float) -> bool:
+    """Whether a fit with a learnt scale leaves so much that it is tried from the model as given."""
+    found = SimpleNamespace(fit=SimpleNamespace(errors=SimpleNamespace(squares=np.array([10.0 * scale**2]))))
     data = SimpleNamespace(counts=np.array([10.0]), groups=SimpleNamespace(degrees=np.array([6.0])))
-    return Search.exceeds_noise(SimpleNamespace(data=data), found(scale), found(null))  # type: ignore[arg-type]
+    return Search.exceeds_noise(SimpleNamespace(data=data), found)  # type: ignore[arg-type]
 
 
 def misfit(name: str) -> float:
@@ -196,9 +193,6 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "next_test.doubtful_probability": (lambda: (competitors(none=0.04), competitors(none=0.06)), (0, 2)),
     "search.alike_cosine": (lambda: (chosen(0.97), chosen(0.985)), (1, 2)),
     "search.noise_scale": (lambda: (exceeds(1.9), exceeds(2.1)), (False, True)),
-    "search.same_log_scale": (
-        lambda: (exceeds(3.0, 3.0 * math.exp(0.09)), exceeds(3.0, 3.0 * math.exp(0.11))), (False, True)
-    ),
     "misfit.shared_share": (lambda: misfit("common"), pytest.approx(0.2 * 5e-4)),
     "misfit.independent_share": (lambda: misfit("independent"), pytest.approx(0.02 * 5e-4)),
     "verdict.left_over_scale": (lambda: (warnings(0.5, 1.9), warnings(0.5, 2.1)), (0, 1)),

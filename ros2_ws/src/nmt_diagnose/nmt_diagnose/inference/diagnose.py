@@ -318,7 +318,7 @@ def _singles(
     passed: Collection[Explanation] = (),
 ) -> list[FittedExplanation]:
     """Explanations by one effect and those that were begun, the best first; those that are passed need no fit."""
-    singles = best_of([*begun, *search.singles(null, scores, begun, passed)])
+    singles = best_of([*begun, *search.singles(null, scores, passed)])
     if modes.far_from(rig) and modes.exceed_priors(null.fit.parametrisation, null.fit.theta):
         search.tell("bringing the modes of explanations to the measured ones")
         singles = best_of([*singles, *search.from_modes(null, modes)])

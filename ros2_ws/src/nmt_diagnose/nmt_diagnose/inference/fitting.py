@@ -7,7 +7,7 @@ reweighted linear solutions; θ itself by Levenberg's damping.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -48,6 +48,7 @@ class Data:
         chain_names: of these errors.
         used: rows that are compared, (m,).
         lines: rows of the magnitude and of the phase of each line of random tests, (2, k).
+        key: of these data and no others.
     """
 
     observations: Observations
@@ -60,6 +61,7 @@ class Data:
     chain_names: tuple[str, ...]
     used: BoolArray
     lines: IntArray
+    key: object = field(init=False, repr=False, compare=False, default_factory=object)
 
     def tails(self, errors: ChainErrors) -> FloatArray:
         """Probability that what a fit leaves in each group is noise, by its size and by its trend, (2K,)."""
@@ -77,11 +79,14 @@ class Data:
             values: of the model, (m,).
             errors: of the measuring chain, (r,); None = none.
         """
-        return self._whitened(self.residual(values, errors))
+        return self.whitened(self.residual(values, errors))
 
     def residual(self, values: FloatArray, errors: FloatArray | None = None) -> FloatArray:
         """Measured minus predicted over σ row by row, 0 where a row is not used, (m,); arguments as above."""
-        moved = values if errors is None else values + self.chain @ errors
+        return self.residual_of(values if errors is None else values + self.chain @ errors, errors)
+
+    def residual_of(self, moved: FloatArray, errors: FloatArray | None) -> FloatArray:
+        """The same of values that errors of the chain have multiplied, (m,)."""
         result: FloatArray = self.observations.values - moved
         phases = self._phases
         result[phases] = (result[phases] + np.pi) % (2.0 * np.pi) - np.pi
@@ -101,16 +106,20 @@ class Data:
         z = np.nan_to_num(self._over_measured(values))[:, None]
         turned = z * (result[self.lines[0]] + 1j * result[self.lines[1]])
         result[self.lines[0]], result[self.lines[1]] = turned.real, turned.imag
-        return self._whitened(self._scaled(result))
+        return self.whitened(self._scaled(result))
 
-    def chain_slopes(self, values: FloatArray, errors: FloatArray) -> FloatArray:
-        """Derivatives by the errors of the measuring chain of what is compared, over σ, (m, r)."""
-        plain, added, turned = self._chain_over_sigma
-        z = np.nan_to_num(self._over_measured(values + self.chain @ errors))[:, None] * turned
+    def chain_slopes(self, moved: FloatArray) -> FloatArray:
+        """Derivatives by the errors of the measuring chain of what is compared, over σ, (m, r).
+
+        Args:
+            moved: values of the model with the errors that multiply it, (m,).
+        """
+        plain, turned, added = self._chain_over_sigma
+        z = np.nan_to_num(self._over_measured(moved))[:, None]
         result = plain.copy()
-        for rows, change in zip(self.lines, (z.real, z.imag), strict=True):
-            result[rows] = np.where(self.used[rows, None], change / self.sigma[rows, None], 0.0) + added[rows]
-        return self._whitenings[1](result)
+        result[self.lines[0]] = z.real * turned[0].real - z.imag * turned[0].imag + added[0]
+        result[self.lines[1]] = z.real * turned[1].imag + z.imag * turned[1].real + added[1]
+        return self._whitenings[1](result, result)
 
     @cached_property
     def tolerances(self) -> BoolArray:
@@ -122,12 +131,17 @@ class Data:
         return np.isin(self.observations.rows.part, (Part.PHASE, Part.PHASE_ERROR))
 
     @cached_property
-    def _chain_over_sigma(self) -> tuple[FloatArray, FloatArray, ComplexArray]:
-        """All columns over σ, whitened as far as they do not turn with lines; those added; those of lines."""
+    def _chain_over_sigma(self) -> tuple[FloatArray, ComplexArray, FloatArray]:
+        """Columns of the chain over σ: all, whitened where they do not turn with lines, (m, r).
+
+        Also of the magnitudes and phases of lines, (2, k, r): those that turn and those that are added.
+        """
         added = self._scaled(self.added)
         plain = np.nan_to_num(self.chain, posinf=0.0, neginf=0.0)
         all_columns = self._whitenings[0](self._scaled(plain) + added)
-        return all_columns, added, plain[self.lines[0]] + 1j * plain[self.lines[1]]
+        lines = plain[self.lines[0]] + 1j * plain[self.lines[1]]
+        over = np.where(self.used[self.lines], 1.0 / self.sigma[self.lines], 0.0)
+        return all_columns, over[:, :, None] * lines, added[self.lines]
 
     @cached_property
     def _whitenings(self) -> tuple[Whitening, Whitening]:
@@ -139,7 +153,8 @@ class Data:
             Whitening(self.observations, self.share, self.used & turning),
         )
 
-    def _whitened(self, columns: FloatArray) -> FloatArray:
+    def whitened(self, columns: FloatArray) -> FloatArray:
+        """Columns over σ, (m,) or (m, n), as independent ones."""
         plain, lines = self._whitenings
         return lines(plain(columns))
 
@@ -213,6 +228,8 @@ class ChainErrors:
         squares: Σ (e/σ)² of each group, (K,).
         cost: −2 ln of likelihood and prior of the errors.
         values: of the model with the errors that multiply it, (m,).
+        key: of the data that were fitted.
+        products: of the derivatives that the last steps used, in each group, (K, r, r).
     """
 
     chain: FloatArray
@@ -222,44 +239,73 @@ class ChainErrors:
     squares: FloatArray
     cost: float
     values: FloatArray
+    key: object = None
+    products: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 
 def best_chain_errors(data: Data, values: FloatArray, start: ChainErrors | None = None) -> ChainErrors:
-    """Errors of the chain and scales that explain the observations best, given the model's values, (m,)."""
+    """Errors of the chain and scales that explain the observations best.
+
+    Gauss–Newton with reweighting. What lines turn changes little from step to step, so that derivatives are computed
+    anew only where a step gains less than they promise.
+
+    Args:
+        data: what fits work on.
+        values: of the model, (m,).
+        start: of a prediction nearby.
+    """
     groups, counts = data.groups, data.counts
     count = data.chain.shape[1]
 
     def at(chain: FloatArray) -> ChainErrors:
-        left = data.difference(values, chain)
+        moved = values + data.chain @ chain
+        left = data.whitened(data.residual_of(moved, chain))
         squares = groups.sums(left * left)
         weights = groups.weights(squares, counts)[groups.of]
         cost = groups.cost(squares, counts) + float(chain @ chain)
-        empty = np.zeros((0, 0))
-        return ChainErrors(chain, empty, left, weights, squares, cost, values + data.chain @ chain)
+        return ChainErrors(chain, np.zeros((0, 0)), left, weights, squares, cost, moved, data.key)
 
     best = at(np.zeros(count))
+    slopes, damping = np.zeros((0, 0)), 0.0
+    products = np.zeros((0, 0, 0))
     if start is not None:
         near = at(start.chain)
         best = near if near.cost < best.cost else best
-    slopes, damping = data.chain_slopes(values, best.chain), 0.0
+        if start.key is data.key:
+            slopes, products = start.slopes, start.products
+    known, exact = bool(products.size), False
     for _ in range(THRESHOLDS.fits.most_reweightings):
-        weighted = slopes * best.weights[:, None]
-        normal = slopes.T @ weighted + np.eye(count)
-        gradient = weighted.T @ best.residual - best.chain
+        if not known:
+            slopes, exact = data.chain_slopes(best.values), True
+            products = groups.products(slopes)
+        fresh, known = not known, True
+        normal = np.tensordot(groups.weights(best.squares, counts), products, 1) + np.eye(count)
+        gradient = slopes.T @ (best.weights * best.residual) - best.chain
         for _ in range(THRESHOLDS.fits.most_trials):
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
             trial = at(best.chain + step)
-            if trial.cost < best.cost:
+            if trial.cost < best.cost or not fresh:
                 break
             damping = max(10.0 * damping, 1e-3)
-        else:
+        fall, promised = best.cost - trial.cost, float(gradient @ step)
+        best = trial if fall > 0.0 else best
+        if max(fall, promised) < _CHAIN_FALL:
+            if exact:
+                break
+            # Old derivatives promise nothing more; those at the best may.
+            slopes, exact = data.chain_slopes(best.values), True
+            continue
+        if fall <= 0.0 and fresh:
             break
-        fall, best = best.cost - trial.cost, trial
         damping = 0.1 * damping if damping > 1e-4 else 0.0
-        slopes = data.chain_slopes(values, best.chain)
-        if fall < 1e-2:
-            break
-    return replace(best, slopes=slopes)
+        exact, known = False, fall > _CHAIN_GAIN * promised
+    return replace(best, slopes=slopes if exact else data.chain_slopes(best.values), products=products)
+
+
+_CHAIN_FALL = 1e-2
+"""Fall of −2 ln likelihood below which errors of the chain are at their best."""
+_CHAIN_GAIN = 0.5
+"""Share of a promised fall that a step gains as long as its derivatives serve."""
 
 
 @dataclass(frozen=True)
@@ -496,11 +542,6 @@ def _finished(
         parametrisation, theta, covariance, errors, slopes, prediction, cost,
         log_evidence + parametrisation.log_prior, promised,
     )  # fmt: skip
-
-
-def without_rows(data: Data, used: BoolArray) -> Data:
-    """The data with fewer rows."""
-    return replace(data, used=data.used & used)
 
 
 def approach(

@@ -101,9 +101,9 @@ class Whitening:
             turned = np.swapaxes(vectors, 1, 2)
             self._blocks.append((index, (vectors / size_of) @ turned, (vectors * size_of) @ turned))
 
-    def __call__(self, columns: FloatArray) -> FloatArray:
-        """Columns (m,) or (m, n) over standard deviations, whitened."""
-        result = columns.copy()
+    def __call__(self, columns: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """Columns (m,) or (m, n) over standard deviations, whitened; into ``out``, which may be the columns."""
+        result = columns.copy() if out is None else out
         for index, root, _ in self._blocks:
             block = columns[index]
             result[index] = np.einsum("sij,sj->si", root, block) if columns.ndim == 1 else np.matmul(root, block)

@@ -52,6 +52,12 @@ class Groups:
         """Sum over each group, (K,), of values (m,)."""
         return np.asarray(np.bincount(self.of, squares, len(self.names)), dtype=np.float64)
 
+    def products(self, columns: FloatArray) -> FloatArray:
+        """Products of columns (m, r) with each other over each group, (K, r, r)."""
+        order = np.argsort(self.of, kind="stable")
+        pieces = np.split(columns[order], np.searchsorted(self.of[order], np.arange(1, len(self.names))))
+        return np.array([piece.T @ piece for piece in pieces])
+
     def counts(self, used: BoolArray) -> FloatArray:
         """Rows of each group, (K,)."""
         return self.sums(used.astype(np.float64))

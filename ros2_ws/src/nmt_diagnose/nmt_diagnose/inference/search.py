@@ -9,12 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Explanation
@@ -33,9 +32,8 @@ from nmt_diagnose.inference.explanations import (
     best_of,
     leaves_noise_only,
 )
-from nmt_diagnose.inference.fitting import Data, FitError, FitResult, Metric, approach, fit, predicted, without_rows
+from nmt_diagnose.inference.fitting import Data, FitError, FitResult, Metric, approach, fit, predicted
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.observations.conditions import RandomTest, RecordTest
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
@@ -368,15 +366,13 @@ class Search:
         self,
         null: FittedExplanation,
         scores: Sequence[Score],
-        begun: Sequence[FittedExplanation] = (),
         passed: Collection[Explanation] = (),
     ) -> list[FittedExplanation]:
-        """Explanations by one effect, the best first; none is climbed from low levels where one that was begun fits.
+        """Explanations by one effect, the best first.
 
         Args:
             null: the model alone.
             scores: of all candidates, the best first.
-            begun: explanations that are fitted already.
             passed: explanations that need no fit; places have been compared where there are any.
         """
         wanted = self.chosen(
@@ -388,7 +384,7 @@ class Search:
         )
         wanted = [score for score in wanted if Explanation((self.candidates[score.candidate].cause,)) not in passed]
         self.tell(f"fitting {len(wanted)} explanations")
-        found = self._all(null, wanted, begun)
+        found = self._added(null, wanted)
         # To first order on the model alone many places do the same to the rows; fitted they differ.
         likely = {
             score.candidate: score
@@ -455,7 +451,7 @@ class Search:
             wanted = self.chosen(
                 single, scores, THRESHOLDS.search.second_effects, 1, THRESHOLDS.search.second_cost_fall
             )
-            found += self._all(single, wanted)
+            found += self._added(single, wanted)
         return best_of(found)
 
     def pruned(self, found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
@@ -499,67 +495,11 @@ class Search:
 
     def fitted(self, base: FittedExplanation, wanted: Sequence[Score]) -> list[FittedExplanation]:
         """Candidates fitted on top of a fit from where the score test puts them, the best first."""
-        found = [self.added(base, score) for score in wanted if score.gain > THRESHOLDS.search.least_cost_fall]
-        return best_of([explanation for explanation in found if explanation is not None])
+        return self._added(base, [score for score in wanted if score.gain > THRESHOLDS.search.least_cost_fall])
 
-    def _all(
-        self, base: FittedExplanation, wanted: Sequence[Score], begun: Sequence[FittedExplanation] = ()
-    ) -> list[FittedExplanation]:
+    def _added(self, base: FittedExplanation, wanted: Sequence[Score]) -> list[FittedExplanation]:
         found = [self.added(base, score) for score in wanted]
-        fits = [explanation for explanation in found if explanation is not None]
-        best_yet = max([*begun, *fits], key=lambda explanation: explanation.fit.log_evidence, default=base)
-        if not base.candidates and self.exceeds_noise(best_yet, base):
-            for number in self._fitted_by_levels_first(wanted, fits):
-                self.tell(f"fitting {self.candidates[number].label} from low levels")
-                known = [
-                    explanation.fit.cost for explanation in fits if explanation.candidates == (self.candidates[number],)
-                ]
-                fitted_by_levels = self.fitted_by_levels(number)
-                more = [] if fitted_by_levels is None else [fitted_by_levels]
-                # Where climbing ends in the optimum that was found before, there is no other to be looked for.
-                if (
-                    fitted_by_levels is None
-                    or not known
-                    or abs(fitted_by_levels.fit.cost - min(known)) > THRESHOLDS.search.same_optimum_cost
-                ):
-                    from_initial_model = self.from_initial_model(number)
-                    more += [] if from_initial_model is None else [from_initial_model]
-                found += more
-                if any(not self.exceeds_noise(explanation, base) for explanation in more):
-                    break
         return best_of([explanation for explanation in found if explanation is not None])
-
-    def _fitted_by_levels_first(self, wanted: Sequence[Score], fits: Sequence[FittedExplanation]) -> list[int]:
-        """Candidates to climb with, each effect at its best place: the first at low levels, by fit and by score."""
-        by_fit = sorted(fits, key=lambda explanation: -explanation.fit.log_evidence)
-        low = [score.candidate for score in self._low_scores]
-        order = [
-            self.candidates.index(explanation.candidates[0])
-            for explanation in by_fit[: THRESHOLDS.search.climbed_effects]
-        ]
-        order += [score.candidate for score in wanted]
-        return list(dict.fromkeys([*self._first_of_effects(low), *self._first_of_effects(order)]))
-
-    def _first_of_effects(self, order: Sequence[int]) -> list[int]:
-        """The first place of each effect, of as many as are climbed."""
-        result: dict[str, int] = {}
-        for number in order:
-            result.setdefault(self.candidates[number].effect.name, number)
-        return list(result.values())[: THRESHOLDS.search.climbed_effects]
-
-    @cached_property
-    def _low_scores(self) -> list[Score]:
-        """What candidates promise at the lowest levels, where a strong effect is weak; the best first."""
-        used = self._stages[0]
-        if used.all():
-            return []
-        low = Search(without_rows(self.data, used), self.rig, self.parameters, self.candidates)
-        parametrisation = self.parametrisation()
-        try:
-            alone = FittedExplanation((), fit(low.data, parametrisation, parametrisation.zero))
-        except FitError:
-            return []
-        return [score for score in low.scores(alone) if score.gain > THRESHOLDS.search.second_cost_fall]
 
     def from_modes(self, null: FittedExplanation, modes: LowLevelModes) -> list[FittedExplanation]:
         """Explanations by one effect, fitted from where the model's modes are the measured ones; the best first."""
@@ -586,75 +526,11 @@ class Search:
                 continue
         return best_of(found)
 
-    def exceeds_noise(self, found: FittedExplanation, null: FittedExplanation | None = None) -> bool:
-        """Whether a fit leaves so much in any group of rows that its parameters are bent by what is missing.
-
-        Args:
-            found: the fit.
-            null: the model alone; groups that the explanation leaves as that does have other reasons.
-        """
-        counts, learnt = self.data.counts, np.isfinite(self.data.groups.degrees)
-        scales = np.sqrt(found.fit.errors.squares / np.maximum(counts, 1.0))
-        exceeding = learnt & (scales > THRESHOLDS.search.noise_scale)
-        if null is not None and found is not null:
-            before = np.sqrt(null.fit.errors.squares / np.maximum(counts, 1.0))
-            exceeding &= (
-                np.abs(np.log(np.maximum(scales, 1e-300) / np.maximum(before, 1e-300)))
-                > THRESHOLDS.search.same_log_scale
-            )
-        return bool(exceeding.any())
-
-    def fitted_by_levels(self, number: int) -> FittedExplanation | None:
-        """A candidate fitted to the lowest levels from the model as given, then to more of them, then to all.
-
-        What is strong bends the model's own parameters before it is named; at low levels it is weak.
-        """
-        found: FittedExplanation | None = None
-        for used in self._stages:
-            data = without_rows(self.data, used)
-            part = Search(data, self.rig, self.parameters, [self.candidates[number]])
-            try:
-                if found is None:
-                    low = FittedExplanation((), fit(data, self.parametrisation(), self.parametrisation().zero))
-                    scores = part.scores(low)
-                    found = part.added(low, scores[0]) if scores else None
-                else:
-                    fitted = found.fit
-                    again = fit(data, fitted.parametrisation, fitted.theta, fitted.prediction)
-                    found = FittedExplanation(found.candidates, part.widened(again))
-            except FitError:
-                return None
-            if found is None:
-                return None
-        return found
-
-    def from_initial_model(self, number: int) -> FittedExplanation | None:
-        """A candidate fitted from the model as given and the strength that all levels promise there.
-
-        For forces that go with a power of the amplitude that is a straight line of ω² over that power.
-        """
-        if self._initial_fit is None:
-            return None
-        candidate = self.candidates[number]
-        scores = Search(self.data, self.rig, self.parameters, [candidate]).scores(self._initial_fit)
-        if not scores:
-            return None
-        start = scores[0].start
-        parametrisation = self.parametrisation((candidate,), (_spread_of(float(start[strength_position(candidate)])),))
-        try:
-            near = approach(self.data, parametrisation, np.concatenate([self._initial_fit.fit.theta, start]))
-            return FittedExplanation(parametrisation.candidates, self.widened(near))
-        except FitError:
-            return None
-
-    @cached_property
-    def _initial_fit(self) -> FittedExplanation | None:
-        """The model alone as it was given."""
-        parametrisation = self.parametrisation()
-        try:
-            return FittedExplanation((), fit(self.data, parametrisation, parametrisation.zero, steps=0))
-        except FitError:
-            return None
+    def exceeds_noise(self, found: FittedExplanation) -> bool:
+        """Whether a fit leaves so much in any group of rows that its parameters are bent by what is missing."""
+        learnt = np.isfinite(self.data.groups.degrees)
+        scales = np.sqrt(found.fit.errors.squares / np.maximum(self.data.counts, 1.0))
+        return bool(np.any(learnt & (scales > THRESHOLDS.search.noise_scale)))
 
     def refitted_from_model(self, found: FittedExplanation) -> FittedExplanation:
         """An explanation fitted again from the model as given where its fit leaves too much; the better of the two."""
@@ -670,29 +546,6 @@ class Search:
         except FitError:
             return found
         return again if again.fit.log_evidence > fitted.log_evidence else found
-
-    @cached_property
-    def _stages(self) -> tuple[BoolArray, ...]:
-        """Rows of the lowest third of the levels, of two thirds, and all; of what has no levels all.
-
-        A record is one level, its largest: what rings down in it began there.
-        """
-        rows, tests = self.data.observations.rows, self.data.observations.tests
-        kinds = np.array([type(test).__name__ for test in tests])[rows.test]
-        size = rows.amplitude.copy()
-        for number, test in enumerate(tests):
-            if isinstance(test, RecordTest):
-                size[rows.test == number] = rows.amplitude[rows.test == number].max(initial=0.0)
-        rank = np.zeros(len(rows))
-        others = set(kinds) - {RandomTest.__name__, RecordTest.__name__}
-        for kind in np.unique(kinds):
-            selected = kinds == kind
-            levels = np.unique(size[selected])
-            if kind != RandomTest.__name__ and levels.size > 2:
-                rank[selected] = np.searchsorted(levels, size[selected]) / levels.size
-            elif kind == RecordTest.__name__ and others:
-                rank[selected] = 1.0  # how low they are beside other tests nobody knows
-        return rank < 1.0 / 3.0, rank < 2.0 / 3.0, np.ones(len(rows), dtype=bool)
 
 
 def _spread_of(strength: float) -> float:

@@ -86,23 +86,8 @@ class SearchThresholds:
     )  # fmt: skip
     noise_scale: float = threshold(
         2.0, "1",
-        "Learnt scale of a group of rows from which explanations are also climbed from low levels.",
+        "Learnt scale of a group of rows from which an explanation is fitted again from the model as given.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[search.noise_scale]",
-    )  # fmt: skip
-    same_optimum_cost: float = threshold(
-        1.0, "−2 ln p",
-        "Difference of costs below which two fits of one explanation ended in the same optimum.",
-        "",
-    )  # fmt: skip
-    climbed_effects: int = threshold(
-        3, "1",
-        "Effects that are climbed from low levels.",
-        "",
-    )  # fmt: skip
-    same_log_scale: float = threshold(
-        0.1, "ln",
-        "Ln of a group's scale over that of the model alone below which the group is as it was.",
-        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[search.same_log_scale]",
     )  # fmt: skip
     initial_strength: float = threshold(
         0.01, "scales",

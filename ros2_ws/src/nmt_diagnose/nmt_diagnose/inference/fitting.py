@@ -322,6 +322,7 @@ class FitResult:
         cost: −2 ln of likelihood and priors.
         log_evidence: ln ∫ likelihood · prior, without constants of the rows.
         promised: fall of the cost that one more step promises; 0 where no step along it lowers the cost, however short.
+        exact: whether ``jacobian`` is of θ and not of the way there.
     """
 
     parametrisation: Parametrisation
@@ -333,11 +334,17 @@ class FitResult:
     cost: float
     log_evidence: float
     promised: float
+    exact: bool
 
     @property
     def std(self) -> FloatArray:
         """Standard uncertainties of θ, (n,)."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 1e-300)))
+
+    def is_of(self, data: Data, parametrisation: Parametrisation, theta: FloatArray) -> bool:
+        """Whether it is a fit to these data that ended there."""
+        same = self.parametrisation is parametrisation and self.errors.key is data.key
+        return same and np.array_equal(self.theta, theta)
 
     @property
     def converged(self) -> bool:
@@ -415,7 +422,7 @@ def fit(
     data: Data,
     parametrisation: Parametrisation,
     theta: FloatArray,
-    start: Prediction | None = None,
+    start: Prediction | FitResult | None = None,
     jacobian: FloatArray | None = None,
     steps: int = THRESHOLDS.fits.most_steps,
     exact: bool = True,
@@ -427,7 +434,7 @@ def fit(
         data: what fits work on.
         parametrisation: what θ means.
         theta: where to start, (n,).
-        start: a solution nearby.
+        start: a solution nearby, or a fit, which goes on where it is of the same data, parametrisation and θ.
         jacobian: sensitivities near the start; None = computed.
         steps: most steps.
         exact: compute sensitivities anew at the end.
@@ -438,13 +445,16 @@ def fit(
     """
     std, lower = parametrisation.prior_std, parametrisation.lower
     theta = np.maximum(np.asarray(theta, dtype=np.float64), lower)
-    prediction = predicted(data, parametrisation, theta, start)
-    if prediction is None:
-        raise FitError("the model has no solution for the rows that are compared")
-    errors = best_chain_errors(data, prediction.values)
+    near = start.prediction if isinstance(start, FitResult) else start
+    if isinstance(start, FitResult) and start.is_of(data, parametrisation, theta):
+        prediction, errors, slopes, fresh = start.prediction, start.errors, start.jacobian, start.exact
+    else:
+        found = predicted(data, parametrisation, theta, near)
+        if found is None:
+            raise FitError("the model has no solution for the rows that are compared")
+        prediction, errors, fresh = found, best_chain_errors(data, found.values), jacobian is None
+        slopes = sensitivities(data, parametrisation, theta, found, errors) if jacobian is None else jacobian
     cost = errors.cost + float(np.sum((theta / std) ** 2))
-    fresh = jacobian is None
-    slopes = sensitivities(data, parametrisation, theta, prediction, errors) if jacobian is None else jacobian
     damping, settled = 1e-3, False
     for _ in range(steps if theta.size else 0):
         normal, gradient = _normal(slopes, errors, theta, std)
@@ -489,8 +499,8 @@ def fit(
         if gained < 0.1 * THRESHOLDS.fits.converged_cost_fall:
             break
     if exact and not fresh:
-        slopes = sensitivities(data, parametrisation, theta, prediction, errors)
-    return _finished(parametrisation, theta, errors, slopes, prediction, cost, settled)
+        slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True
+    return _finished(parametrisation, theta, errors, slopes, prediction, cost, settled, fresh)
 
 
 def _normal(
@@ -529,6 +539,7 @@ def _finished(
     prediction: Prediction,
     cost: float,
     settled: bool,
+    exact: bool,
 ) -> FitResult:
     std = parametrisation.prior_std
     chain = Metric(errors.slopes, np.ones(errors.chain.size), errors.weights)
@@ -540,7 +551,7 @@ def _finished(
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return FitResult(
         parametrisation, theta, covariance, errors, slopes, prediction, cost,
-        log_evidence + parametrisation.log_prior, promised,
+        log_evidence + parametrisation.log_prior, promised, exact,
     )  # fmt: skip
 
 

@@ -248,18 +248,16 @@ class Search:
         Where it cannot be fitted to them its evidence, which is of other data, counts nothing; that of the model alone
         stands.
         """
-        fitted: FitResult | None = None
-        start, prediction = found.fit.theta, found.fit.prediction
+        fitted = found.fit
         try:
             for _ in range(1 + THRESHOLDS.fits.continuations):
-                fitted = fit(self.data, found.fit.parametrisation, start, prediction)
-                start, prediction = fitted.theta, fitted.prediction
+                fitted = fit(self.data, fitted.parametrisation, fitted.theta, fitted)
                 if fitted.converged:
                     break
         except FitError:
-            if fitted is None:
-                fitted = replace(found.fit, log_evidence=-math.inf) if found.candidates else found.fit
-        return FittedExplanation(found.candidates, fitted if fitted is not None else found.fit)
+            if fitted is found.fit and found.candidates:
+                fitted = replace(fitted, log_evidence=-math.inf)
+        return FittedExplanation(found.candidates, fitted)
 
     def in_reach(self, found: Sequence[FittedExplanation]) -> tuple[list[FittedExplanation], list[FittedExplanation]]:
         """Explanations, the best first, that are not far behind the best, and the others."""

@@ -22,9 +22,13 @@ from nmt_blind.campaign.investigations import (
     write_tables,
 )
 from nmt_blind.cases.draw import draw_cases
-from nmt_blind.cases.driven_rigs import LEAST_SIZE, make_pairs, read_rigs, truth_of
+from nmt_blind.cases.driven_rigs import CALIBRATION_FILE, LEAST_SIZE, calibration_of, make_pairs, read_rigs, truth_of
 from nmt_blind.cases.rig_edits import rig_yaml, with_edits
 from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain, measuring_chain
+from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_record.exchange.calibration_file import read_calibration
 
 RIG = short_rig()
 
@@ -34,7 +38,8 @@ words = sys.argv[1:]
 out = pathlib.Path(words[words.index("--out") + 1])
 out.mkdir(parents=True, exist_ok=True)
 sealed = (out.parents[1] / "seal.json").exists() or (out.parents[2] / "seal.json").exists()
-pathlib.Path(sys.argv[0]).with_name("calls").open("a").write(f"{words[0]} {sealed}\\n")
+sheet = words[words.index("--calibration") + 1] if "--calibration" in words else "-"
+pathlib.Path(sys.argv[0]).with_name("calls").open("a").write(f"{words[0]} {sheet} {sealed}\\n")
 cubic = {"effect": "cubic_stiffness", "place": "structure", "detail": "4", "probability": 0.99, "equivalents": []}
 said = {"verdict": "effect", "ranking": [cubic], "where": [], "probabilities": {"cubic_stiffness@4": 0.99}}
 if words[0] == "investigate":
@@ -82,6 +87,28 @@ def test_truths_are_sealed_before_anything_is_run_and_results_are_kept(tmp_path:
     assert "a: cubic_stiffness @ 4: right (effect cubic_stiffness structure 4) 90 s" in reported[1]
     assert print_lines(run(tmp_path)) == print_lines(lines)
     assert len((tmp_path / "calls").read_text().splitlines()) == 12
+
+
+def test_what_is_known_of_a_chain_goes_to_both_ways(tmp_path: Path) -> None:
+    """The sheet states what an ordinary chain has, of every channel, also where the bench's simulator is driven."""
+    sheet = rig_folder(tmp_path / "rigs", "a") / CALIBRATION_FILE
+    sheet.write_text(yaml.safe_dump(calibration_of(RIG.model())), encoding="utf-8")
+    run(tmp_path)
+    calls = [line.split() for line in (tmp_path / "calls").read_text().splitlines()]
+    assert {call[0] for call in calls if call[1] == str(sheet)} == {"investigate", "diagnose"}
+    model = RIG.model()
+    channels = {
+        name: MeasuredChannel(name, Quantity[sensor.quantity.upper()], 1)
+        for sensor in model.sensors
+        if (name := model.sensor_channel(sensor))
+    }
+    chain = measuring_chain({"device": "simulated"}, channels, 1e4, None, read_calibration(sheet))
+    assert chain is not None
+    assert not chain.channels  # all as usual
+    usual = MeasuringChain()
+    assert (chain.voltage_gain, chain.shared_delay_s, chain.clock) == (
+        usual.voltage_gain, usual.shared_delay_s, usual.clock,
+    )  # fmt: skip
 
 
 def test_the_table_has_both_ways(tmp_path: Path) -> None:

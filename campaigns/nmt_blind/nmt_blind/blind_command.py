@@ -135,6 +135,12 @@ class RigsOptions:
     rig: str = option("beam", "rig that they are drawn from (default: beam)", choices=RIGS)
     seeds: str = option("", "seeds, one a rig: the first and the one after the last, such as 0:20", metavar="A:B")
     pairs: bool = option(False, "two rigs for each pair of effects that are hard to distinguish, instead of seeds")
+    tolerances: str = option(
+        "none",
+        "measuring chain of the rigs of --seeds: as their rig files say, or with gains, phases, delays, hum and a "
+        "clock of an ordinary laboratory and a calibration file (default: none)",
+        choices=TOLERANCES,
+    )
     out: Path = needed_option("folder that gets a folder for each rig", metavar="DIR")
 
 
@@ -315,13 +321,15 @@ def _rigs(options: RigsOptions) -> int:
 
     if options.pairs == bool(options.seeds):
         raise BenchError("Give either --seeds or --pairs.")
+    if options.pairs and options.tolerances != "none":
+        raise BenchError("--tolerances is of rigs that are drawn by --seeds; leave it out with --pairs.")
     if options.pairs:
         _console().print(f"{len(make_pairs(options.out, options.rig))} rigs in {options.out}", soft_wrap=True)
         return EXIT_DONE
     first, _, end = options.seeds.partition(":")
     if not (first.isdigit() and end.isdigit() and int(first) < int(end)):
         raise BenchError(f"--seeds are the first and the one after the last, such as 0:20; got {options.seeds}.")
-    names = make_rigs(options.out, options.rig, range(int(first), int(end)))
+    names = make_rigs(options.out, options.rig, range(int(first), int(end)), options.tolerances)
     _console().print(f"{len(names)} rigs in {options.out}", soft_wrap=True)
     return EXIT_DONE
 

@@ -172,7 +172,7 @@ def run_rig(
         if trouble:
             raise BenchError(f"The rig {rig.name} cannot be driven: {trouble}")
     words = ["investigate", str(rig.model), "--rig", str(rig.real), "--out", str(place / _INVESTIGATION)]
-    words += ["--until", f"{until:g}", "--jobs", "1", "--quiet"]
+    words += ["--until", f"{until:g}", "--jobs", "1", "--quiet", *_calibration(rig)]
     _, trouble = child([*command, *words], limit, _DONE)
     result["investigation"] = {"trouble": trouble}
     result["plan"] = {"bench_s": 0.0, "tests": 0, "seconds": 0.0, "trouble": NOT_RUN}
@@ -214,9 +214,13 @@ def run_plan(rig: DrivenRig, real: Rig, place: Path, command: Sequence[str], lim
         bench += _bench_time(place / name)
         bags.append(str(place / name))
     words = ["diagnose", "--model", str(rig.model), *(word for bag in bags for word in ("--real", bag))]
-    words += ["--out", str(place / "diagnosis"), "--quiet", "--force", "--jobs", "1"]
+    words += ["--out", str(place / "diagnosis"), "--quiet", "--force", "--jobs", "1", *_calibration(rig)]
     seconds, trouble = child([*command, *words], limit)
     return {"bench_s": bench, "tests": len(bags), "seconds": round(seconds, 2), "trouble": trouble}
+
+
+def _calibration(rig: DrivenRig) -> list[str]:
+    return [] if rig.calibration is None else ["--calibration", str(rig.calibration)]
 
 
 def largest_load(place: Path, real: Rig) -> float:

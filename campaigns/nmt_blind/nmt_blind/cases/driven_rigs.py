@@ -7,6 +7,7 @@ see :mod:`nmt_blind.campaign.foreign_case`.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,11 +19,14 @@ from nmt_blind.cases.draw import Case, TrueEffect, draw_cases
 from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, NEAR_TWINS
 from nmt_blind.cases.operating import operating_point
 from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
+from nmt_blind.cases.tolerances import check_tolerances
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
 from nmt_core.files.yaml_text import yaml_text
+from nmt_core.tolerances import TOLERANCES
+from nmt_rig.rig import Rig
 
-PAIR_FILE = "pair.txt"
+PAIR_FILE, CALIBRATION_FILE = "pair.txt", "calibration.yaml"
 MODEL_FILE, REAL_FILE, TRUTH_FILE = "model.yaml", "real.yaml", "truth.yaml"
 KINDS = ("null", "effect")
 LEAST_SIZE = 3.0
@@ -30,6 +34,17 @@ LEAST_SIZE = 3.0
 
 PAIR_SIZE = 10.0
 """Of the effects of pairs: a gain of size 3 is less than what matters."""
+
+_BEYOND_TOLERANCE = 5.0
+_TOLERATED = {
+    "force_gain": TOLERANCES.gain,
+    "response_gain": TOLERANCES.gain,
+    "channel_skew": TOLERANCES.delay_s,
+    "shared_delay": TOLERANCES.shared_delay_s,
+    "clock_error": TOLERANCES.clock,
+    "phase_offset": math.radians(TOLERANCES.loop_phase_deg),
+}
+"""What an ordinary chain has of an effect, in the effect's unit: what is not much larger is no fault of a rig."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +79,12 @@ class DrivenRig:
         return tuple(path.read_text(encoding="utf-8").split()) if path.is_file() else ()
 
     @property
+    def calibration(self) -> Path | None:
+        """What is known of its measuring chain; None where that measures as its rig file says."""
+        path = self.folder / CALIBRATION_FILE
+        return path if path.is_file() else None
+
+    @property
     def truth(self) -> Path:
         """What is true of it."""
         return self.folder / TRUTH_FILE
@@ -95,44 +116,63 @@ def read_rigs(folder: Path, only: Sequence[str] = ()) -> list[DrivenRig]:
     return [rig for rig in found if not only or rig.name in only]
 
 
-def make_rigs(out: Path, rig_name: str, seeds: Sequence[int]) -> list[str]:
+def make_rigs(out: Path, rig_name: str, seeds: Sequence[int], tolerances: str = "none") -> list[str]:
     """Draw rigs, a third of them healthy, the others with one effect, and write their folders, truth last.
 
     Args:
         out: gets a folder for each; one that has its truth is kept.
         rig_name: name of the blind rig.
         seeds: one a rig; the same seed gives the same rig.
+        tolerances: of the measuring chain, ``none`` or ``laboratory``: gains, phases, delays, hum and a clock are drawn
+            for each rig, and a calibration file says how well they are known. The drive goes along a straight line from
+            sample to sample all the same.
 
     Returns:
         Names of the rigs.
 
     Raises:
-        BenchError: there is no such blind rig.
+        BenchError: there is no such blind rig, or tolerances that do not exist.
     """
-    rig = blind_rig(rig_name)
+    check_tolerances(tolerances)
+    rig, chain = blind_rig(rig_name), "_chain" if tolerances != "none" else ""
     model, names = rig.model(), []
     operating = None
     for seed in seeds:
-        name = f"{rig_name}_{seed:04d}"
+        name = f"{rig_name}{chain}_{seed:04d}"
         names.append(name)
         folder = out / name
         if (folder / TRUTH_FILE).is_file():
             continue
         operating = operating or operating_point(model, rig.bench)
         wanted = KINDS[0 if seed % 3 == 0 else 1]
-        drawn = draw_cases(model, operating, 24, seed, (wanted,))
+        drawn = draw_cases(model, operating, 24, seed, (wanted,), tolerances)
         # A healthy rig whose parameters are those of its model would be the model itself.
         case = next(
-            case
-            for case in drawn
-            if (case.effects or case.shifted) and all(effect.size >= LEAST_SIZE for effect in case.effects)
+            case for case in drawn if (case.effects or case.shifted) and all(_stands_out(it) for it in case.effects)
         )
         folder.mkdir(parents=True, exist_ok=True)
         real = with_edits(model, [*case.edits, Edit(("seed",), case.noise_seed)])
         write_whole(folder / MODEL_FILE, rig.file.read_text(encoding="utf-8"))
         write_whole(folder / REAL_FILE, rig_yaml(real))
+        if tolerances != "none":
+            write_whole(folder / CALIBRATION_FILE, yaml_text(calibration_of(model)))
         write_whole(folder / TRUTH_FILE, yaml_text(truth_of(case)))
     return names
+
+
+def _stands_out(effect: TrueEffect) -> bool:
+    """Whether an effect is more than noise hides and than an ordinary chain has."""
+    return effect.size >= LEAST_SIZE and abs(effect.value) >= _BEYOND_TOLERANCE * _TOLERATED.get(effect.name, 0.0)
+
+
+def calibration_of(rig: Rig) -> dict[str, Any]:
+    """Content of a calibration file that states the ordinary tolerances of a rig's chain, from which it was drawn."""
+    stated = {"gain_std": TOLERANCES.gain, "phase_std_deg": TOLERANCES.phase_deg, "delay_std_s": TOLERANCES.delay_s}
+    kinds = dict.fromkeys(sensor.quantity for sensor in rig.sensors)
+    channels = [{"quantity": kind, **stated} for kind in kinds if kind != "voltage"]
+    # The delay of the drive against all sensors.
+    voltage = {"quantity": "voltage", "gain_std": TOLERANCES.gain, "delay_std_s": TOLERANCES.shared_delay_s}
+    return {"channels": [*channels, voltage], "clock_std": TOLERANCES.clock}
 
 
 def make_pairs(out: Path, rig_name: str) -> list[str]:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from nmt_diagnose.inference.diagnosis import Diagnosis
     from nmt_diagnose.investigation.investigation import InvestigationSettings
     from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord
+    from nmt_record.exchange.calibration_file import CalibrationSheet
     from nmt_rig.rig import Rig
 
 _DEFAULT_UNTIL, _DEFAULT_PERIODS, _DEFAULT_RANDOM = 0.95, 50, 20.0
@@ -61,6 +62,12 @@ class InvestigateOptions:
     )
     out: Path = dated_folder_option("investigate.json, report.html, diagnosis/, a folder for each test", "investigate")
     set: tuple[str, ...] = option((), "change a value of the real rig; may be repeated", metavar="KEY=VALUE")
+    calibration: Path | None = option(
+        None,
+        "calibration file with uncertainties of the real sensors' sensitivities (default: what the bags say, else "
+        "ordinary tolerances)",
+        metavar="FILE",
+    )
     device: str = device_option()
     latency_blocks: int = latency_option()
     seed: int = option(0, "seed of the real rig's noise (default: 0); each test adds its number", metavar="N")
@@ -90,6 +97,7 @@ def run(options: InvestigateOptions) -> int:
         os.environ.setdefault(variable, "1")
     from nmt_bench.commands.console import make_console
     from nmt_diagnose.investigation.investigation_record import RECORD_FILE, InvestigationRecord, read_record
+    from nmt_record.exchange.calibration_file import read_calibration
     from nmt_rig.rig import load_rig
 
     console = make_console()
@@ -111,7 +119,8 @@ def run(options: InvestigateOptions) -> int:
         raise BenchError(f"The folder {options.out} holds something else; choose another one with --out.")
     if options.page and options.real:
         raise BenchError("--page is of an investigation with --rig; with --real nothing is run.")
-    bench = _Bench(options, model, jobs, console)
+    calibration = None if options.calibration is None else read_calibration(options.calibration)
+    bench = _Bench(options, model, jobs, console, calibration)
     if options.real:
         record = bench.propose(replace(record, bags=bags, ended="", conclusion=""))
         bench.show(record)
@@ -158,14 +167,23 @@ class _Bench:
         model: the model.
         jobs: processes of a diagnosis.
         console: shows what is done.
+        calibration: sheet of the real side's sensors; None = what its recordings say.
     """
 
-    def __init__(self, options: InvestigateOptions, model: Rig, jobs: int, console: Any) -> None:
+    def __init__(
+        self,
+        options: InvestigateOptions,
+        model: Rig,
+        jobs: int,
+        console: Any,
+        calibration: CalibrationSheet | None = None,
+    ) -> None:
         from nmt_bench.page.task_answers import TaskAnswers
         from nmt_bench.page.task_feed import TaskFeed
         from nmt_diagnose.inference.memory import Memory
 
         self._options, self._model, self._jobs, self._console = options, model, jobs, console
+        self._calibration = calibration
         self._plan: tuple[float, ...] = ()
         self._outcome: Any = None
         self._memory = Memory()
@@ -227,7 +245,7 @@ class _Bench:
 
         bags = [self._options.out / name for name in names] or list(self._options.real)
         began = _processor_time()
-        settings = DiagnosisSettings(jobs=self._jobs, plan=self._plan)
+        settings = DiagnosisSettings(jobs=self._jobs, plan=self._plan, calibration=self._calibration)
         self._outcome = diagnose_bags(self._model, bags, settings=settings, memory=self._memory)
         return self._outcome.diagnosis, _processor_time() - began
 

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.diagnosis import NextTest, Ranked, Share, Verdict
+from nmt_diagnose.inference.diagnosis import HIDDEN, NextTest, Ranked, Share, Verdict
+from nmt_diagnose.inference.hidden_effects import Hidden
 from nmt_diagnose.inference.look_ahead import expected_information
 from nmt_diagnose.investigation.investigation import (
     NO,
@@ -36,13 +37,17 @@ def named(effect: str, p: float, equivalents: tuple[str, ...] = ()) -> Ranked:
 
 
 def diagnosis(
-    verdict: Verdict, probabilities: dict[str, float], ahead: Sequence[NextTest] = (), equivalents: tuple[str, ...] = ()
+    verdict: Verdict,
+    probabilities: dict[str, float],
+    ahead: Sequence[NextTest] = (),
+    equivalents: tuple[str, ...] = (),
+    levels: NextTest | None = None,
 ) -> Any:
     effects = [(name, p) for name, p in probabilities.items() if name not in ("none", "unknown")]
     ranking = tuple(named(name.split("@")[0], p, equivalents) for name, p in effects)
     return SimpleNamespace(
         verdict=verdict, sentences=("where", f"which: {verdict.value}", "how far"), ranking=ranking,
-        probabilities=probabilities, next_test=tuple(ahead), adequate=True,
+        probabilities=probabilities, next_test=tuple(ahead), adequate=True, next_levels=levels,
     )  # fmt: skip
 
 
@@ -112,6 +117,21 @@ def test_the_test_that_tells_most_for_its_time_is_made(tmp_path: Path) -> None:
     assert "--linear" not in third.words  # another drive point
     before, after = (sum(-p * math.log(p) for p in pair) for pair in ((0.6, 0.4), (0.99, 0.01)))
     assert third.received == pytest.approx(before - after)
+    assert record.ended == "named"
+
+
+def test_levels_of_the_plan_are_expected_to_show_what_was_too_weak(tmp_path: Path) -> None:
+    """Expected by the last diagnosis; received: whether something acts is known better, or for certain."""
+    hidden = Hidden(0.2, 0.1)
+    levels = NextTest("more", "", ("none", HIDDEN), math.nan, 20.0, hidden.information, hidden.probability)
+    weak = diagnosis(Verdict.NONE, {"none": 0.8, "unknown": 0.2}, levels=levels)
+    bench = Bench([weak, SURE])
+    record = investigated(tmp_path, bench)
+    third = record.measured[2]
+    assert record.turns[0].answers == pytest.approx({"none": 0.8, HIDDEN: 0.2})
+    assert third.expected == pytest.approx(hidden.information)
+    assert "20 %" in third.why
+    assert third.received == pytest.approx(-0.8 * math.log(0.8) - 0.2 * math.log(0.2))  # no gap has no share any more
     assert record.ended == "named"
 
 

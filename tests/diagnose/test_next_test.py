@@ -13,7 +13,8 @@ from diagnose.predicted_tests import chain
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.location import Location
-from nmt_diagnose.inference import look_ahead
+from nmt_diagnose.inference import ahead, look_ahead
+from nmt_diagnose.inference.chain import Chain
 from nmt_diagnose.inference.comparison import Comparison, EquivalentClass
 from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.look_ahead import Proposal, next_tests
@@ -31,8 +32,14 @@ CUBIC, DRAG = (
 
 def fitted(candidate: Candidate, theta: float, std: float) -> FittedExplanation:
     """An explanation y = column θ with what has been measured of θ; its rig says which explanation it is of."""
-    own = SimpleNamespace(names=(candidate.label,), rig=lambda values: (candidate.label, np.asarray(values)))
-    fit = SimpleNamespace(theta=np.array([theta]), covariance=np.array([[std**2]]), parametrisation=own)
+    own = SimpleNamespace(
+        names=(candidate.label,), rig=lambda values: (candidate.label, np.asarray(values)), prior_std=np.array([std])
+    )
+    errors = SimpleNamespace(slopes=np.zeros((20, 0)), chain=np.zeros(0), weights=np.ones(20))
+    fit = SimpleNamespace(
+        theta=np.array([theta]), covariance=np.array([[std**2]]), parametrisation=own, jacobian=np.zeros((20, 1)),
+        errors=errors,
+    )  # fmt: skip
     return FittedExplanation((candidate,), fit)  # type: ignore[arg-type]
 
 
@@ -60,7 +67,8 @@ def future(monkeypatch: pytest.MonkeyPatch) -> dict[str, np.ndarray]:
         def jacobian(self, parametrisation: Any, theta: Any, prediction: Any, which: Any = None) -> np.ndarray:
             return columns[parametrisation.names[0]][:, None]
 
-    monkeypatch.setattr(look_ahead, "Forward", Future)
+    monkeypatch.setattr(ahead, "Forward", Future)
+    monkeypatch.setattr(ahead, "linear_chain", lambda *_: Chain((), np.zeros((6, 0)), np.zeros(0, dtype=bool)))
     return columns
 
 

@@ -42,7 +42,7 @@ def sure(_: Any) -> tuple[Any, float]:
     first = Ranked("cubic_stiffness", "structure", "2", 0.99, (), {}, Share(0.9, 0.8, 1.0), 9.0)
     return SimpleNamespace(
         verdict=Verdict.EFFECT, sentences=("where", "which"), ranking=(first,), next_test=(), adequate=True,
-        probabilities={"cubic_stiffness@2": 0.99},
+        probabilities={"cubic_stiffness@2": 0.99}, next_levels=None,
     ), 0.0  # fmt: skip
 
 

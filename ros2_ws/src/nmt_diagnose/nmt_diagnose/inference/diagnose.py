@@ -44,7 +44,7 @@ from nmt_diagnose.inference.gap import ClosedShare, closed, no_worse_than_silenc
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
 from nmt_diagnose.inference.law_sentences import law_sentences
 from nmt_diagnose.inference.law_starts import law_of, with_laws
-from nmt_diagnose.inference.look_ahead import next_tests
+from nmt_diagnose.inference.look_ahead import next_levels, next_tests
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.memory import Memory
 from nmt_diagnose.inference.progress import Progress
@@ -163,6 +163,7 @@ class Findings:
         doubtful: modes that the model may lack, of which nothing is left that matters.
         left_out: explanations that were fitted and do not compete.
         law: of the local force that the model lacks, read from held levels; None where that was not looked for.
+        scores: of the candidates on top of the best explanation, of the model alone where there is no gap.
     """
 
     data: Data
@@ -177,6 +178,7 @@ class Findings:
     doubtful: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     law: LawReading | None = None
+    scores: tuple[Score, ...] = ()
 
 
 def diagnose_bags(
@@ -296,15 +298,15 @@ def find(
     for location in best.explanation.locations:
         explained[location.kind] = max(explained.get(location.kind, 0.0), null.fit.cost - best.fit.cost)
     unmoved = best is first_null  # since the scan
-    visible = (
-        _detectable(search, scores if unmoved else search.scores(best, scores), rig) if settings.look_ahead else ()
-    )
+    beside_best = scores if unmoved or not settings.look_ahead else search.scores(best, scores)
+    visible = _detectable(search, beside_best, rig) if settings.look_ahead else ()
     if memory is not None:
         memory.keep(named, [it.found for it in standing.left_out])
     lacking = modes.lacking(data, best.fit)
     return Findings(
         data, search, as_given, null, tuple(named), comparison, explained, visible, (*modes.disordered, *lacking),
         tuple(sentence for sentence in modes.sentences if sentence not in lacking), standing.left_out, law,
+        tuple(beside_best),
     )  # fmt: skip
 
 
@@ -606,7 +608,13 @@ def _diagnosed(
     calibration = calibration_rows(best)
     proposed_tests: tuple[NextTest, ...] = ()
     if settings.look_ahead and nearest is not None:
-        proposed_tests = next_tests(rig, scaled, null, comparison, settings.plan)
+        proposed_tests = next_tests(rig, scaled, null, comparison, settings.plan, data.chain_names)
+    levels = None
+    if settings.look_ahead and settings.plan:
+        gap_is_there = verdict in (Verdict.EFFECT, Verdict.UNKNOWN)
+        levels = next_levels(
+            rig, scaled, null, comparison, settings.plan, findings.search, findings.scores, gap_is_there
+        )
     warnings = warned(verdict, best, calibration, gap, named.members if named is not None else ())
     warnings += tuple(f"{sentence.rstrip('.')}; nothing of it is left that matters." for sentence in findings.doubtful)
     warnings += without_observables(observations)
@@ -659,6 +667,7 @@ def _diagnosed(
         visible=findings.visible,
         adequate=adequate,
         law=law,
+        next_levels=levels,
     )
     model = rig if verdict is Verdict.NONE else _rig_of(best, len(calibration))
     if verdict is Verdict.UNKNOWN and law is not None and law.is_stated:

@@ -16,6 +16,8 @@ from nmt_diagnose.law.reading import LawReading
 FORMAT = "nmt diagnosis 1"
 NULL, UNKNOWN = "none", "unknown"
 """Keys of ``probabilities`` beside the labels of explanations: nothing is missing, or something without a name."""
+HIDDEN = "too_weak_so_far"
+"""What acts and shows in tests that are left only."""
 
 
 class Verdict(str, Enum):
@@ -169,6 +171,7 @@ class NextTest:
         expected_sigma: by how many standard deviations.
         seconds: bench time that it takes, as the tests at hand took it.
         information: fall of the entropy of the explanations that it distinguishes that is expected, nats.
+        hidden: probability of what acts and shows only in tests that are left; 0 where there is a gap.
     """
 
     test: str
@@ -177,6 +180,7 @@ class NextTest:
     expected_sigma: float
     seconds: float = math.nan
     information: float = math.nan
+    hidden: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -229,6 +233,7 @@ class Diagnosis:
 
     ``adequate`` is false where more is left than noise that matters: with the verdict ``effect`` the explanation is a
     partial one then. ``law`` is the local force that held levels lack, where no effect of the library explains them.
+    ``next_levels`` are those of the plan that was given.
     """
 
     verdict: Verdict
@@ -250,6 +255,7 @@ class Diagnosis:
     visible: tuple[DetectableEffect, ...] = ()
     adequate: bool = True
     law: LawReading | None = None
+    next_levels: NextTest | None = None
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""

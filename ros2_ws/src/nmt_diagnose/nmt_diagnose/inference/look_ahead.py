@@ -5,8 +5,8 @@ still adapt within its posterior covariance C (sensitivities J_b of the new test
 
     d² = Δᵀ Σ^(-½) (1 + J_b C J_bᵀ)⁻¹ Σ^(-½) Δ,
 
-with uncertainties Σ as they were in the tests at hand. d is the expected number of standard deviations by which the
-test tells a from b, a being true.
+with uncertainties Σ as they were in the tests at hand. Errors of the measuring chain count among what b adapts by. d is
+the expected number of standard deviations by which the test tells a from b, a being true.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import itertools
 import math
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigh
@@ -26,13 +26,15 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.location import joined
+from nmt_diagnose.inference.ahead import Ahead
 from nmt_diagnose.inference.comparison import Comparison
-from nmt_diagnose.inference.diagnosis import NULL, NextTest
-from nmt_diagnose.inference.explanations import FittedExplanation
-from nmt_diagnose.inference.fitting import Metric
+from nmt_diagnose.inference.diagnosis import HIDDEN, NULL, NextTest
+from nmt_diagnose.inference.explanations import FittedExplanation, Score
+from nmt_diagnose.inference.hidden_effects import hidden_effects
+from nmt_diagnose.inference.search import Search
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
-from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_elements, build_structure
@@ -72,6 +74,7 @@ def next_tests(
     null: FittedExplanation,
     comparison: Comparison,
     plan: Sequence[float] = (),
+    chain_names: Sequence[str] = (),
     most: int = 3,
 ) -> tuple[NextTest, ...]:
     """Tests that would tell the explanations that are left apart, best first.
@@ -82,6 +85,7 @@ def next_tests(
         null: the model with its parameters re-fitted; what competes where there is only one explanation.
         comparison: explanations.
         plan: levels of the real rig's plan, which no test goes beyond; empty = up to twice those measured.
+        chain_names: of the errors of the measuring chain in the fits.
         most: tests to name.
     """
     competing = _competing(comparison, null)
@@ -91,12 +95,57 @@ def next_tests(
     p = [comparison.by_label.get(it.explanation.label, 0.0) for it in competing]
     found = []
     for proposal in proposals(rig, observations, plan):
-        sigma = _separation(proposal, competing)
+        sigma = _separation(proposal, competing, chain_names)
         if sigma >= THRESHOLDS.next_test.least_sigmas:
             information = expected_information(p[0], p[1], sigma)
             sigma = min(sigma, THRESHOLDS.next_test.most_sigmas)
             found.append(NextTest(proposal.text, proposal.command, names, sigma, proposal.seconds, information))
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
+
+
+def next_levels(
+    rig: Rig,
+    observations: Observations,
+    null: FittedExplanation,
+    comparison: Comparison,
+    plan: Sequence[float],
+    search: Search,
+    scores: Sequence[Score],
+    gap: bool,
+) -> NextTest | None:
+    """The next levels of a plan and what is expected of them, however little; None above its highest level.
+
+    Where there is a gap they are to tell apart what is left of explanations. Where there is none they are to show what
+    these recordings are too weak to show.
+
+    Args:
+        rig, observations, null, comparison, plan: as for `next_tests`.
+        search: has the candidates.
+        scores: of the candidates on top of the model alone.
+        gap: whether the recordings show one.
+    """
+    runs = [test for test in observations.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
+    drives = [level.drive for test in runs for level in test.levels if math.isfinite(level.drive)]
+    text, more = _higher(rig, max(drives), plan) if drives and plan else ("", [])
+    if not more:
+        return None
+    frequency, point = _frequencies(rig)[rig.test.mode - 1], runs[0].drive_point
+    seconds = _seconds_of_a_level(runs) * len(more)
+    command = _commands(observations)[1](f"--levels {','.join(f'{level:.4g}' for level in more)} --out high")
+    if not gap:
+        levels = sorted(level for level in plan if level >= more[0])
+        left = _run(rig, observations, point, levels, frequency)
+        hidden = hidden_effects(search, null, scores, left, left.rows.level < len(more))
+        return NextTest(text, command, (NULL, HIDDEN), math.nan, seconds, hidden.information, hidden.probability)
+    competing = _competing(comparison, null)
+    if len(competing) < 2:
+        return NextTest(text, command, (), math.nan, seconds)
+    names = tuple(joined(competitor.effects) or NULL for competitor in competing)
+    p = [comparison.by_label.get(it.explanation.label, 0.0) for it in competing]
+    proposal = Proposal(text, command, _run(rig, observations, point, more, frequency), seconds)
+    sigma = _separation(proposal, competing, search.data.chain_names)
+    information = expected_information(p[0], p[1], sigma)
+    return NextTest(text, command, names, min(sigma, THRESHOLDS.next_test.most_sigmas), seconds, information)
 
 
 def expected_information(p: float, q: float, sigmas: float) -> float:
@@ -141,37 +190,23 @@ def _competing(comparison: Comparison, null: FittedExplanation) -> list[FittedEx
     return [classes[0].head, null] if comparison.none > THRESHOLDS.next_test.doubtful_probability else []
 
 
-def _separation(proposal: Proposal, competing: Sequence[FittedExplanation]) -> float:
+def _separation(proposal: Proposal, competing: Sequence[FittedExplanation], chain_names: Sequence[str]) -> float:
     """Least expected distance over all ordered pairs of competing hypotheses, standard deviations."""
-    observations = proposal.observations
-    forward = Forward(observations.tests, observations.rows)
-    predictions, jacobians = [], []
+    observations, ahead = proposal.observations, list[Ahead]()
     try:
         for competitor in competing:
-            fitted = competitor.fit
-            prediction = forward.predict(fitted.parametrisation.rig(fitted.theta))
-            predictions.append(prediction.values)
-            slopes = forward.jacobian(fitted.parametrisation, fitted.theta, prediction)
-            jacobians.append(slopes / observations.sigma[:, None])
+            chain = ahead[0].chain if ahead else None
+            ahead.append(Ahead(competitor.fit, chain_names, observations, chain))
     except (BenchError, ArithmeticError, np.linalg.LinAlgError):
         return 0.0
     worst = math.inf
-    for i, j in itertools.permutations(range(len(competing)), 2):
-        difference = forward.difference(predictions[i], predictions[j]) / observations.sigma
-        good = np.isfinite(difference) & np.all(np.isfinite(jacobians[j]), axis=1)
+    for one, other in itertools.permutations(ahead, 2):
+        difference = one.forward.difference(one.base.values, other.base.values) / observations.sigma
+        good = np.isfinite(difference) & np.isfinite(other.base.values)
         if not good.any():
             return 0.0
-        root = _root(competing[j].fit.covariance)
-        metric = Metric(jacobians[j][good] @ root, np.ones(root.shape[1]), np.ones(int(good.sum())))
-        projected, _ = metric.project(difference[good][:, None])
-        worst = min(worst, math.sqrt(max(0.0, float(difference[good] @ projected[:, 0]))))
+        worst = min(worst, other.apart(difference, good))
     return worst
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    """A root R of a covariance, R Rᵀ = C, also of one that rounding has left without an inverse."""
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def proposals(rig: Rig, observations: Observations, levels_of_plan: Sequence[float] = ()) -> list[Proposal]:
@@ -352,7 +387,13 @@ def _run(
                 table.add(Part.REAL, 0.0, sigma(Part.REAL, harmonic), 0.0, place, number, harmonic)
                 table.add(Part.IMAG, 0.0, sigma(Part.IMAG, harmonic), 0.0, place, number, harmonic)
     test = PhaseResonanceTest("proposed", (point,), response.name, channels, harmonics, "voltage", levels)
-    return table.observations(test)
+    return replace(table.observations(test), chains=_chains(observations, PhaseResonanceTest))
+
+
+def _chains(observations: Observations, kind: type[Test]) -> tuple[MeasuringChain | None, ...]:
+    """Tolerances of a test that has not been made: those of the first of its kind, else of the first test."""
+    found = list(zip(observations.tests, observations.chains, strict=False))
+    return tuple([chain for test, chain in found if isinstance(test, kind)] or [chain for _, chain in found])[:1]
 
 
 def _random(rig: Rig, observations: Observations, drives: Sequence[float]) -> Observations:
@@ -370,4 +411,4 @@ def _random(rig: Rig, observations: Observations, drives: Sequence[float]) -> Ob
             for part in (Part.LOG_MAGNITUDE, Part.PHASE):
                 table.add(part, 0.0, THRESHOLDS.next_test.typical_response_std, 0.0, place, channel, 1)
     test = RandomTest("proposed", rig.drive_point, channels, "voltage", lines, 0.1, "none", rms, 0.0, 60.0)
-    return table.observations(test)
+    return replace(table.observations(test), chains=_chains(observations, RandomTest))

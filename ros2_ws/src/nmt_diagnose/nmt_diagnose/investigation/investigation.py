@@ -14,7 +14,7 @@ from pathlib import Path
 from scipy.special import entr
 
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, NextTest, Verdict
+from nmt_diagnose.inference.diagnosis import HIDDEN, NULL, UNKNOWN, Diagnosis, NextTest, Verdict
 from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord, Turn
 from nmt_sequencer.level_plan import parse_levels
 
@@ -164,7 +164,22 @@ class Investigation:
         more = more[: max(1, math.ceil(len(self.settings.levels) / 3))]
         if not more:
             return None
-        return self._levels_test(more, "the next levels of the plan", "whether the gap grows with the level")
+        return self._expected_of_levels(
+            self._levels_test(more, "the next levels of the plan", "whether the gap grows with the level")
+        )
+
+    def _expected_of_levels(self, test: AskedTest) -> AskedTest:
+        """The next levels of the plan with what the last diagnosis expects of them."""
+        ahead = None if self.diagnosis is None else self.diagnosis.next_levels
+        if ahead is None or not math.isfinite(ahead.information):
+            return test
+        if HIDDEN in ahead.separates:
+            why = f"what is too weak to show so far, {100.0 * ahead.hidden:.0f} %"
+        else:
+            why = _why(ahead)
+        return replace(
+            test, why=why, separates=ahead.separates, expected_sigma=ahead.expected_sigma, expected=ahead.information
+        )
 
     def _choose(self) -> AskedTest | None:
         """The test that is expected to tell most for its bench time; None where none is left that may be made."""
@@ -186,10 +201,8 @@ class Investigation:
     def _asked(self, item: NextTest) -> AskedTest:
         words = _without_out(shlex.split(item.command)[1:])
         words = self._complete(words) if words[0] == "run" else (*words, *self.settings.options)
-        apart = " from ".join(name.replace("_", " ") for name in item.separates[:2])
-        why = f"tells {apart} by {item.expected_sigma:.0f} standard deviations"
         return AskedTest(
-            self._name(words[0] if words[0] != "run" else "levels"), words, item.test, why, item.separates,
+            self._name(words[0] if words[0] != "run" else "levels"), words, item.test, _why(item), item.separates,
             item.expected_sigma, item.information, seconds=item.seconds,
         )  # fmt: skip
 
@@ -229,8 +242,8 @@ class Investigation:
         answers = answers_of(self.diagnosis)
         last = self.record.measured[-1] if self.record.measured else None
         if last is not None and last.separates and self.record.turns and not math.isfinite(last.received):
-            fall = pair_entropy(self.record.turns[-1].answers, last.separates) - pair_entropy(answers, last.separates)
-            self._keep(replace(last, received=fall))
+            before, after = (entropy_of(it, last.separates) for it in (self.record.turns[-1].answers, answers))
+            self._keep(replace(last, received=before - after))
         text = self.diagnosis.sentences[1] if len(self.diagnosis.sentences) > 1 else ""
         turn = Turn(len(names), self.record.bench_s, seconds, self.diagnosis.verdict.value, answers, text)
         self.record = replace(self.record, turns=(*self.record.turns, turn))
@@ -291,27 +304,47 @@ class Investigation:
 def answers_of(diagnosis: Diagnosis) -> dict[str, float]:
     """Probability of ``none``, ``unknown`` and of each set of effects wherever they act, the most probable first.
 
-    Where there is no gap, an effect that is too weak to see is none that a test of this rig would tell.
+    Where there is no gap, ``none`` is that no test of the plan would show one, and ``too_weak_so_far`` that one of
+    those that are left would.
     """
     found: dict[str, float] = {}
     no_gap = diagnosis.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    hidden = diagnosis.next_levels.hidden if no_gap and diagnosis.next_levels is not None else 0.0
     for label, p in diagnosis.probabilities.items():
         label = NULL if no_gap and label == UNKNOWN else label
         name = " + ".join(sorted(part.split("@")[0].strip() for part in label.split(" + ")))
         found[name] = found.get(name, 0.0) + p
+    if hidden > 0.0:
+        found[HIDDEN] = hidden * found.get(NULL, 0.0)
+        found[NULL] = (1.0 - hidden) * found.get(NULL, 0.0)
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def pair_entropy(answers: Mapping[str, float], names: Sequence[str]) -> float:
-    """Entropy of the first two of some answers beside each other, nats; 0 where neither has a probability."""
-    p = [max(0.0, answers.get(name, 0.0)) for name in names[:2]]
-    return float(sum(entr(value / sum(p)) for value in p)) if sum(p) > 0.0 else 0.0
+def entropy_of(answers: Mapping[str, float], names: Sequence[str]) -> float:
+    """Entropy of a question, nats.
+
+    Args:
+        answers: probability of each.
+        names: the first two of them are set against each other; no gap is set against everything else where the
+            question is whether something acts.
+    """
+    first, second = (max(0.0, answers.get(name, 0.0)) for name in names[:2])
+    if HIDDEN in names:
+        first = max(0.0, answers.get(NULL, 0.0))
+        second = sum(p for name, p in answers.items() if name != NULL)
+    total = first + second
+    return float(entr(first / total) + entr(second / total)) if total > 0.0 else 0.0
 
 
 def _worth(test: AskedTest) -> tuple[float, float]:
     """Expected information for each second of bench time; where that is not known, the standard deviations."""
     rate = test.expected / test.seconds if test.seconds > 0.0 and math.isfinite(test.expected) else 0.0
     return rate, test.expected_sigma
+
+
+def _why(item: NextTest) -> str:
+    apart = " from ".join(name.replace("_", " ") for name in item.separates[:2])
+    return f"tells {apart} by {item.expected_sigma:.0f} standard deviations"
 
 
 def _without_out(words: Sequence[str]) -> tuple[str, ...]:
@@ -346,12 +379,10 @@ def proposed(record: InvestigationRecord, think: Think) -> InvestigationRecord:
     turn = Turn(len(record.bags), record.bench_s, seconds, diagnosis.verdict.value, answers, text)
     tests = []
     for number, item in enumerate(diagnosis.next_test, 1):
-        apart = " from ".join(name.replace("_", " ") for name in item.separates[:2])
         tests.append(
             AskedTest(
-                f"{number:02d}_proposal", tuple(shlex.split(item.command)[1:]), item.test,
-                f"tells {apart} by {item.expected_sigma:.0f} standard deviations", item.separates, item.expected_sigma,
-                item.information, seconds=item.seconds,
+                f"{number:02d}_proposal", tuple(shlex.split(item.command)[1:]), item.test, _why(item), item.separates,
+                item.expected_sigma, item.information, seconds=item.seconds,
             )
         )  # fmt: skip
     tests.sort(key=_worth, reverse=True)

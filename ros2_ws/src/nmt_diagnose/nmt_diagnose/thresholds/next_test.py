@@ -46,3 +46,8 @@ class NextTestThresholds:
         "Probability of the second class over the first from which a test between them is sought.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[next_test.second_class_share]",
     )  # fmt: skip
+    strength_decades: float = threshold(
+        3.0, "decades",
+        "Strengths of effects spread over as many: from what noise hides to what anyone sees.",
+        "tests/diagnose/test_hidden_effects.py::test_what_the_next_test_adds_is_its_share_of_the_range_of_strengths",
+    )  # fmt: skip

@@ -1,0 +1,168 @@
+"""What may act and is too weak for the recordings at hand, and how probable it is that further tests show it.
+
+An effect that shows from a strength s on in the recordings at hand shows from s/ρ on with a further test beside them:
+ρ is by how much more standard deviations both together tell a unit of it from what parameters and measuring chain may
+do. Strengths of effects spread evenly over decades: of ln of their range, ln ρ is what the further test adds. That goes
+on until the share of effects is left that no test shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import entr
+
+from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_diagnose.inference.ahead import Ahead
+from nmt_diagnose.inference.candidate_starts import at_strength, strength_position
+from nmt_diagnose.inference.explanations import FittedExplanation, Score
+from nmt_diagnose.inference.search import Search
+from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
+
+_NO_SOLUTION = (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What these recordings are too weak to show.
+
+    Attributes:
+        probability: that something acts which the tests that are left would show.
+        next: the same of the next of them.
+    """
+
+    probability: float
+    next: float
+
+    @property
+    def information(self) -> float:
+        """Fall of the entropy of whether something acts that is expected of the next test, nats."""
+        if not 0.0 < self.probability < 1.0:
+            return 0.0
+        left = max(0.0, self.probability - self.next) / (1.0 - self.next)
+        return max(0.0, _entropy(self.probability) - (1.0 - self.next) * _entropy(left))
+
+
+def hidden_effects(
+    search: Search,
+    null: FittedExplanation,
+    scores: Sequence[Score],
+    left: Observations,
+    of_next: BoolArray,
+) -> Hidden:
+    """What tests that are left would show, where those at hand show no gap.
+
+    Args:
+        search: has the candidates.
+        null: the model alone, fitted.
+        scores: of the candidates on top of it.
+        left: observables of the tests that are left with expected uncertainties; values are not set.
+        of_next: which of its rows are of the next test, (m,).
+
+    Raises:
+        BenchError: the model has no solution for a test that is left.
+    """
+    strongest: dict[str, Score] = {}
+    for score in scores:
+        name = search.candidates[score.candidate].effect.name
+        if (
+            score.reach > 0.0
+            and score.origin is not None
+            and (name not in strongest or score.reach > strongest[name].reach)
+        ):
+            strongest[name] = score
+    if not strongest:
+        return Hidden(0.0, 0.0)
+    chosen = list(strongest.values())
+    ahead = Ahead(null.fit, search.data.chain_names, left)
+    at_hand = np.column_stack([score.column for score in chosen])
+    now = ahead.reach(at_hand, at_hand, None)
+    shows = now > 0.0
+    chosen, at_hand, now = [it for it, ok in zip(chosen, shows, strict=True) if ok], at_hand[:, shows], now[shows]
+    changes = _changes(search, null, chosen, THRESHOLDS.verdict.visible_sigmas / now, ahead)
+    every = np.ones(of_next.size, dtype=bool)
+    with_next, with_all = (ahead.reach(at_hand, changes, rows) / now for rows in (of_next, every))
+    return chances(with_next, with_all)
+
+
+def chances(with_next: FloatArray, with_left: FloatArray) -> Hidden:
+    """Probabilities of what is hidden.
+
+    Args:
+        with_next: by how much weaker each effect may be to show with the next test beside the recordings at hand, ρ,
+            (effects,).
+        with_left: the same with all tests that are left.
+    """
+    comparison = THRESHOLDS.comparison
+    acts = 1.0 - comparison.prior_none
+    # Of effects that act so many show in no test: that leaves the share of tests without a gap in which one acts.
+    never = comparison.too_weak_share / (1.0 - comparison.too_weak_share) * comparison.prior_none / acts
+    range_of_strengths = THRESHOLDS.next_test.strength_decades * math.log(10.0)
+
+    def share(weaker: FloatArray) -> float:
+        more = np.log(np.maximum(weaker, 1.0)) / range_of_strengths
+        return float(np.mean(np.minimum(more, 1.0 - never))) if weaker.size else 0.0
+
+    of_left, of_next = share(with_left), share(with_next)
+    no_gap = comparison.prior_none + acts * (never + of_left)
+    return Hidden(acts * of_left / no_gap, acts * min(of_next, of_left) / no_gap)
+
+
+def _changes(
+    search: Search, null: FittedExplanation, scores: Sequence[Score], strengths: FloatArray, ahead: Ahead
+) -> FloatArray:
+    """What a unit of each effect changes in a test that has not been made, over σ, (m, effects).
+
+    Those that show to first order by their derivatives, the others by what they do as strong as is given.
+    """
+    result = np.zeros((ahead.sigma.size, len(scores)))
+    at_rest = [k for k, score in enumerate(scores) if _strength(search, score) == 0.0]
+    result[:, at_rest] = _slopes(search, null, [scores[k] for k in at_rest], ahead)
+    for k, (score, strength) in enumerate(zip(scores, strengths, strict=True)):
+        if k not in at_rest:
+            result[:, k] = _moved(search, null, score, float(strength), ahead) / strength
+    return ahead.over_sigma(result)
+
+
+def _slopes(search: Search, null: FittedExplanation, scores: Sequence[Score], ahead: Ahead) -> FloatArray:
+    """Derivatives by strengths at zero, (m, effects)."""
+    added, fitted, which = [search.candidates[score.candidate] for score in scores], null.fit, []
+    offset = fitted.theta.size
+    for candidate in added:
+        which.append(offset + strength_position(candidate))
+        offset += len(candidate.effect.parameters)
+    theta = np.concatenate([fitted.theta, *(_origin(score) for score in scores)])
+    try:
+        return ahead.forward.jacobian(search.parametrisation(added), theta, ahead.base, which)
+    except _NO_SOLUTION:
+        return np.zeros((ahead.sigma.size, len(scores)))
+
+
+def _moved(search: Search, null: FittedExplanation, score: Score, strength: float, ahead: Ahead) -> FloatArray:
+    """Change by an effect of finite strength, (m,); none where the model has no solution with it."""
+    candidate, fitted = search.candidates[score.candidate], null.fit
+    theta = np.concatenate([fitted.theta, at_strength(candidate, _origin(score), strength)])
+    try:
+        found = ahead.forward.predict(search.parametrisation([candidate]).rig(theta), ahead.base)
+    except _NO_SOLUTION:
+        return np.zeros(ahead.sigma.size)
+    return ahead.forward.difference(found.values, ahead.base.values)
+
+
+def _origin(score: Score) -> FloatArray:
+    assert score.origin is not None
+    return score.origin
+
+
+def _strength(search: Search, score: Score) -> float:
+    return float(_origin(score)[strength_position(search.candidates[score.candidate])])
+
+
+def _entropy(p: float) -> float:
+    """Of two alternatives, nats."""
+    return float(entr(p) + entr(1.0 - p))

@@ -1,0 +1,123 @@
+"""What is too weak to show so far: against draws of rigs, and what a further test tells against dense algebra."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnose.linear_problem import FunctionModel, observations_of
+
+from nmt_diagnose.inference import ahead
+from nmt_diagnose.inference.ahead import Ahead
+from nmt_diagnose.inference.chain import Chain
+from nmt_diagnose.inference.hidden_effects import Hidden, chances
+from nmt_diagnose.thresholds import THRESHOLDS
+
+
+def test_what_the_next_test_adds_is_its_share_of_the_range_of_strengths() -> None:
+    """Draws of rigs of which some have an effect, of a strength that spreads evenly over decades."""
+    rng, count = np.random.default_rng(3), 400_000
+    comparison = THRESHOLDS.comparison
+    acts = rng.random(count) > comparison.prior_none
+    decades = rng.random(count) * THRESHOLDS.next_test.strength_decades
+    weaker = np.array([1.0, 3.0, 12.0])[rng.integers(3, size=count)]
+    more = np.array([1.0, 20.0, 60.0])[np.searchsorted([1.0, 3.0, 12.0], weaker)]
+    # What shows in no test of a plan: of the rigs that show no gap at its end so many have an effect.
+    never = comparison.too_weak_share / (1.0 - comparison.too_weak_share) * comparison.prior_none
+    never *= THRESHOLDS.next_test.strength_decades / (1.0 - comparison.prior_none)
+    at_end = never  # decades, from the weakest
+    shows_at_end = decades > at_end
+    shows_now = decades > at_end + np.log10(more)
+    shows_next = decades > at_end + np.log10(more) - np.log10(weaker)
+    quiet = ~(acts & shows_now)
+    found = chances(np.array([1.0, 3.0, 12.0]), np.array([1.0, 20.0, 60.0]))
+    assert found.probability == pytest.approx(np.mean((acts & shows_at_end)[quiet]), abs=4e-3)
+    assert found.next == pytest.approx(np.mean((acts & shows_next)[quiet]), abs=4e-3)
+    ended = ~(acts & shows_at_end)
+    assert np.mean(acts[ended]) == pytest.approx(comparison.too_weak_share, abs=4e-3)
+
+
+def test_information_is_the_mean_fall_of_entropy() -> None:
+    hidden = Hidden(0.3, 0.12)
+
+    def entropy(p: float) -> float:
+        return -p * math.log(p) - (1.0 - p) * math.log(1.0 - p) if 0.0 < p < 1.0 else 0.0
+
+    rng = np.random.default_rng(4)
+    shown = rng.random(200_000) < hidden.next
+    left = np.where(shown, 0.0, entropy((0.3 - 0.12) / 0.88))
+    assert hidden.information == pytest.approx(entropy(0.3) - float(left.mean()), abs=2e-3)
+    assert Hidden(0.0, 0.0).information == 0.0
+    assert Hidden(0.2, 0.2).information == pytest.approx(entropy(0.2))
+    assert Hidden(0.2, 0.0).information == pytest.approx(0.0)
+
+
+@pytest.fixture
+def problem(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """A linear model with two parameters, two errors of the chain at hand, one of which the further test has, too."""
+    rng = np.random.default_rng(5)
+    found: dict[str, Any] = {
+        "J": rng.standard_normal((20, 2)), "U": rng.standard_normal((20, 2)), "J2": rng.standard_normal((7, 2)),
+        "U2": rng.standard_normal((7, 2)), "w": rng.uniform(0.5, 2.0, 20), "sigma": 0.5, "prior": np.array([0.7, 2.0]),
+    }  # fmt: skip
+
+    class Future:
+        def __init__(self, *_: Any) -> None:
+            pass
+
+        def predict(self, rig: Any, start: Any = None) -> Any:
+            return FunctionModel(lambda t: found["J2"] @ t).predict(rig)
+
+        def jacobian(self, *_: Any) -> np.ndarray:
+            return np.asarray(found["J2"])
+
+    chain = Chain(("gain of one", "phase of proposed"), found["U2"], np.zeros(2, dtype=bool))
+    monkeypatch.setattr(ahead, "Forward", Future)
+    monkeypatch.setattr(ahead, "linear_chain", lambda *_: chain)
+    return found
+
+
+def made(problem: dict[str, Any]) -> Ahead:
+    parametrisation = SimpleNamespace(rig=lambda theta: theta, prior_std=problem["prior"])
+    errors = SimpleNamespace(slopes=problem["U"], chain=np.zeros(2), weights=problem["w"])
+    fit: Any = SimpleNamespace(theta=np.zeros(2), parametrisation=parametrisation, jacobian=problem["J"], errors=errors)
+    return Ahead(fit, ("delay of one", "gain of one"), observations_of(np.zeros(7), problem["sigma"]))
+
+
+def spread(problem: dict[str, Any]) -> np.ndarray:
+    """What parameters, both errors at hand and the one of the test's own move in all 27 rows, over σ."""
+    ahead_rows = np.column_stack([problem["J2"], np.zeros(7), problem["U2"]]) / problem["sigma"]
+    return np.vstack([np.column_stack([problem["J"], problem["U"], np.zeros(20)]), ahead_rows])
+
+
+def test_how_far_an_effect_reaches_is_that_of_all_recordings_together(problem: dict[str, Any]) -> None:
+    """By the covariance of all rows: noise, and what parameters and chain spread them by before anything is measured."""
+    rng = np.random.default_rng(6)
+    now, further = rng.standard_normal((20, 1)), rng.standard_normal((7, 1))
+    rows = np.array([True, True, False, True, True, True, False])
+    columns, prior = spread(problem), np.concatenate([problem["prior"] ** 2, np.ones(3)])
+    noise = np.concatenate([1.0 / problem["w"], np.ones(7)])
+    every = np.vstack([now, further])
+
+    def reach(used: np.ndarray) -> float:
+        covariance = np.diag(noise[used]) + (columns[used] * prior) @ columns[used].T
+        return float(np.sqrt((every[used].T @ np.linalg.solve(covariance, every[used]))[0, 0]))
+
+    found = made(problem)
+    assert found.reach(now, further, None)[0] == pytest.approx(reach(np.arange(20)))
+    used = np.concatenate([np.arange(20), 20 + np.flatnonzero(rows)])
+    assert found.reach(now, further, rows)[0] == pytest.approx(reach(used))
+
+
+def test_a_difference_counts_beyond_what_parameters_and_chain_may_still_do(problem: dict[str, Any]) -> None:
+    """Their covariance after the recordings at hand, by dense algebra."""
+    change = np.random.default_rng(7).standard_normal(7)
+    columns, prior = spread(problem), np.concatenate([problem["prior"] ** 2, np.ones(3)])
+    at_hand = columns[:20]
+    after = np.linalg.inv(np.diag(1.0 / prior) + (at_hand.T * problem["w"]) @ at_hand)
+    covariance = np.eye(7) + columns[20:] @ after @ columns[20:].T
+    expected = float(np.sqrt(change @ np.linalg.solve(covariance, change)))
+    assert made(problem).apart(change, np.ones(7, dtype=bool)) == pytest.approx(expected)

@@ -6,8 +6,10 @@ import json
 import math
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from blind.blind_campaign import operating, short_rig
@@ -15,6 +17,7 @@ from blind.blind_campaign import operating, short_rig
 from nmt_blind.campaign.foreign_case import judge, read_truth
 from nmt_blind.campaign.investigations import (
     information_slope,
+    kind_weights,
     pair_of,
     print_lines,
     run_investigations,
@@ -28,6 +31,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain, measuring_chain
 from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.calibration_file import read_calibration
 
 RIG = short_rig()
@@ -121,6 +125,7 @@ def test_the_table_has_both_ways(tmp_path: Path) -> None:
     assert found["bench_share_where_right"] == 0.5
     assert found["turn_s_median"] == 6.0
     assert found["information_slope"] == pytest.approx((0.5 * 0.6 + 0.25 * 0.1) / (0.5**2 + 0.25**2))
+    assert found["chosen_tests_without_expectation"] == 0
     text = "\n".join(print_lines(lines))
     assert "investigation: right 1; bench time 90 s in the median" in text
     files = write_tables(lines, tmp_path / "out")
@@ -167,9 +172,34 @@ def test_what_is_true_of_a_drawn_rig_is_judged_right(tmp_path: Path) -> None:
 
 
 def test_the_slope_of_information_goes_through_the_origin() -> None:
-    assert information_slope([(0.5, 0.5), (0.2, 0.2)]) == pytest.approx(1.0)
-    assert information_slope([(0.5, 0.25), (0.2, 0.1)]) == pytest.approx(0.5)
-    assert math.isnan(information_slope([]))
+    assert information_slope([(0.5, 0.5), (0.2, 0.2)]) == pytest.approx((1.0, 0.0))
+    assert information_slope([(0.5, 0.25), (0.2, 0.1)]) == pytest.approx((0.5, 0.0))
+    assert information_slope([(0.5, 0.5), (0.5, 0.0)], (3.0, 1.0))[0] == pytest.approx(0.75)
+    assert np.isnan(information_slope([])).all()
+    assert math.isnan(information_slope([(0.5, 0.4)])[1])
+
+
+def test_the_error_of_the_slope_is_the_scatter_of_slopes() -> None:
+    """Of many campaigns whose tests scatter more the more is expected of them."""
+    rng = np.random.default_rng(2)
+    expected = rng.uniform(0.05, 0.6, 60)
+    draws = [
+        information_slope(list(zip(expected, expected * (1.0 + rng.standard_normal(60)), strict=True)))
+        for _ in range(2000)
+    ]
+    slopes, errors = np.array(draws).T
+    assert np.mean(slopes) == pytest.approx(1.0, abs=0.02)
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(np.std(slopes), rel=0.1)
+
+
+def test_rigs_count_as_often_as_their_kind_is_met() -> None:
+    def lines(healthy: int, others: int) -> Any:
+        return [SimpleNamespace(healthy=k < healthy) for k in range(healthy + others)]
+
+    weights = kind_weights(lines(2, 6))
+    prior = THRESHOLDS.comparison.prior_none
+    assert sum(weights[:2]) / sum(weights) == pytest.approx(prior)
+    assert kind_weights(lines(0, 3)) == [1.0, 1.0, 1.0]
 
 
 def test_what_becomes_of_a_pair() -> None:

@@ -94,7 +94,7 @@ def spread(problem: dict[str, Any]) -> np.ndarray:
 
 
 def test_how_far_an_effect_reaches_is_that_of_all_recordings_together(problem: dict[str, Any]) -> None:
-    """By the covariance of all rows: noise, and what parameters and chain spread them by before anything is measured."""
+    """By the covariance of all rows: noise, and what parameters and chain spread them by before any measurement."""
     rng = np.random.default_rng(6)
     now, further = rng.standard_normal((20, 1)), rng.standard_normal((7, 1))
     rows = np.array([True, True, False, True, True, True, False])

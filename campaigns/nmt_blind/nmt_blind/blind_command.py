@@ -137,8 +137,8 @@ class RigsOptions:
     pairs: bool = option(False, "two rigs for each pair of effects that are hard to distinguish, instead of seeds")
     tolerances: str = option(
         "none",
-        "measuring chain of the rigs of --seeds: as their rig files say, or with gains, phases, delays, hum and a "
-        "clock of an ordinary laboratory and a calibration file (default: none)",
+        "measuring chain of the rigs of --seeds: as their rig files say, or with gains, phases, hum and a clock "
+        "of an ordinary laboratory and a calibration file (default: none)",
         choices=TOLERANCES,
     )
     out: Path = needed_option("folder that gets a folder for each rig", metavar="DIR")

@@ -25,6 +25,7 @@ from nmt_blind.cases.driven_rigs import DrivenRig, read_rigs
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import csv_text, write_result, write_whole
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_plant.devices.simulated_rig import guard_settings
 from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import Rig, load_rig
@@ -39,6 +40,8 @@ NOT_RUN = "not run"
 _PARTED = 0.05
 """Largest probability of the other effect of a pair over that of the true one for them to be told apart."""
 _PLAN_LEVELS = 10
+_FIRST_TESTS = 2
+"""Tests of an investigation that nothing is known before."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,9 @@ class RigLine:
         truth: the true set of effects, or the verdicts that are right.
         investigation, plan: both ways.
         ended: why the investigation ended.
-        information: expected and received information of its tests, nats, where both are known, (tests, 2).
+        information: expected and received information of its chosen tests, nats, where both are known, (tests, 2).
+        unexpected: chosen tests of which one of the two is not known.
+        healthy: nothing is missing in its model.
         load: largest value that was recorded over its limit, both ways; NaN if nothing was recorded.
         pair: what became of a pair of effects of which the rig has the first; empty where it is of none.
     """
@@ -82,6 +87,8 @@ class RigLine:
     information: tuple[tuple[float, float], ...]
     load: float
     pair: str = ""
+    unexpected: int = 0
+    healthy: bool = False
 
 
 def run_investigations(
@@ -271,6 +278,8 @@ def line_of(rig: DrivenRig, result: Mapping[str, Any], place: Path) -> RigLine:
         ),
         math.nan if result["load"] is None else float(result["load"]),
         pair_of(rig.pair, record),
+        sum(test["expected"] is None or test["received"] is None for test in tests[_FIRST_TESTS:]),
+        truth.kind == "healthy",
     )
 
 
@@ -297,10 +306,38 @@ def _judged(truth: ForeignTruth, path: Path, trouble: str) -> ForeignAnswer:
     return judge(truth, None if trouble else _read(path))
 
 
-def information_slope(information: Sequence[tuple[float, float]]) -> float:
-    """Slope of received over expected information through the origin by least squares; NaN without tests."""
-    squares = math.fsum(expected**2 for expected, _ in information)
-    return math.fsum(e * r for e, r in information) / squares if squares > 0.0 else math.nan
+def information_slope(information: Sequence[tuple[float, float]], weights: Sequence[float] = ()) -> tuple[float, float]:
+    """Slope of received over expected information through the origin by least squares, and its standard error.
+
+    What single tests show scatters as widely as it is uncertain: the error is that of White (Econometrica 48 (1980)
+    817), which asks nothing of the scatter. NaN without tests; the error is NaN with less than two.
+
+    Args:
+        information: expected and received of each test, nats.
+        weights: of the tests; empty = all alike.
+    """
+    pairs = np.array(information, dtype=float).reshape(-1, 2)
+    w = np.array(weights, dtype=float) if len(weights) else np.ones(len(pairs))
+    expected, received = pairs.T
+    squares = float(w @ expected**2)
+    if not squares > 0.0:
+        return math.nan, math.nan
+    slope = float(w @ (expected * received)) / squares
+    scatter = float((w * expected) ** 2 @ (received - slope * expected) ** 2)
+    return slope, math.sqrt(scatter) / squares if len(pairs) > 1 else math.nan
+
+
+def kind_weights(lines: Sequence[RigLine]) -> list[float]:
+    """Weight of each rig by how often its kind is met: the share of rigs without a gap that the diagnosis expects.
+
+    A campaign draws more rigs with effects, so that there is something to find, and only such as are seen.
+    """
+    healthy = [line.healthy for line in lines]
+    share = sum(healthy) / max(1, len(healthy))
+    expected = THRESHOLDS.comparison.prior_none
+    if not 0.0 < share < 1.0:
+        return [1.0] * len(lines)
+    return [expected / share if it else (1.0 - expected) / (1.0 - share) for it in healthy]
 
 
 def summary(lines: Sequence[RigLine]) -> dict[str, Any]:
@@ -308,6 +345,8 @@ def summary(lines: Sequence[RigLine]) -> dict[str, Any]:
     both = {"investigation": [line.investigation for line in lines], "plan": [line.plan for line in lines]}
     right = [line for line in lines if line.investigation.answer.outcome == "right"]
     information = [pair for line in lines for pair in line.information]
+    weights = [w for line, w in zip(lines, kind_weights(lines), strict=True) for _ in line.information]
+    slope, weighted = information_slope(information), information_slope(information, weights)
     thinking = [seconds for line in lines for seconds in line.investigation.thinking_s]
     loads = [line.load for line in lines if math.isfinite(line.load)]
     return {
@@ -326,7 +365,11 @@ def summary(lines: Sequence[RigLine]) -> dict[str, Any]:
         "tests_with_information": len(information),
         "information_expected": math.fsum(expected for expected, _ in information),
         "information_received": math.fsum(received for _, received in information),
-        "information_slope": information_slope(information),
+        "chosen_tests_without_expectation": sum(line.unexpected for line in lines),
+        "information_slope": slope[0],
+        "information_slope_std": slope[1],
+        "information_slope_weighted": weighted[0],
+        "information_slope_weighted_std": weighted[1],
         "largest_load": max(loads, default=math.nan),
         "pairs": {
             word: sum(line.pair.startswith(word) for line in lines)
@@ -381,8 +424,11 @@ def print_lines(lines: Sequence[RigLine]) -> list[str]:
     text += [
         f"bench time to the right answer over that of the plan: {found['bench_share_where_right']:.2f} in the median",
         f"processor time of a turn: median {found['turn_s_median']:.1f} s, worst {found['turn_s_worst']:.1f} s",
-        f"information of {found['tests_with_information']} tests: expected {found['information_expected']:.2f} nats, "
-        f"received {found['information_received']:.2f} nats, slope {found['information_slope']:.2f}",
+        f"information of {found['tests_with_information']} chosen tests: expected "
+        f"{found['information_expected']:.2f} nats, received {found['information_received']:.2f} nats, slope "
+        f"{found['information_slope']:.2f} ± {found['information_slope_std']:.2f}; rigs as often as their kind is met: "
+        f"{found['information_slope_weighted']:.2f} ± {found['information_slope_weighted_std']:.2f}; "
+        f"{found['chosen_tests_without_expectation']} chosen tests without an expectation",
         f"largest recorded value over its limit: {found['largest_load']:.2f}",
         *([f"pairs: {', '.join(f'{word} {n}' for word, n in found['pairs'].items())}"] if found["pairs"] else []),
         *(f"{line.rig}: {line.pair}" for line in lines if line.pair),
@@ -409,6 +455,7 @@ def write_tables(lines: Sequence[RigLine], out: Path) -> tuple[Path, Path]:
                 )
             }  # fmt: skip
         entry["pair"] = line.pair
+        entry["without_expectation"] = line.unexpected
         entry["expected_nats"] = math.fsum(e for e, _ in line.information)
         entry["received_nats"] = math.fsum(r for _, r in line.information)
         entries.append(entry)

@@ -10,16 +10,18 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from nmt_blind.cases.blind_rigs import blind_rig
 from nmt_blind.cases.draw import Case, TrueEffect, draw_cases
 from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, NEAR_TWINS
 from nmt_blind.cases.operating import operating_point
 from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
-from nmt_blind.cases.tolerances import check_tolerances
+from nmt_blind.cases.tolerances import check_tolerances, draw_chain
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
 from nmt_core.files.yaml_text import yaml_text
@@ -123,9 +125,9 @@ def make_rigs(out: Path, rig_name: str, seeds: Sequence[int], tolerances: str = 
         out: gets a folder for each; one that has its truth is kept.
         rig_name: name of the blind rig.
         seeds: one a rig; the same seed gives the same rig.
-        tolerances: of the measuring chain, ``none`` or ``laboratory``: gains, phases, delays, hum and a clock are drawn
-            for each rig, and a calibration file says how well they are known. The drive goes along a straight line from
-            sample to sample all the same.
+        tolerances: of the measuring chain, ``none`` or ``laboratory``: gains, phases, hum and a clock are drawn for
+            each rig, and a calibration file says how well they are known. Delays are none: a simulated rig that is
+            driven is late along straight lines between samples, which no converter is.
 
     Returns:
         Names of the rigs.
@@ -134,24 +136,29 @@ def make_rigs(out: Path, rig_name: str, seeds: Sequence[int], tolerances: str = 
         BenchError: there is no such blind rig, or tolerances that do not exist.
     """
     check_tolerances(tolerances)
-    rig, chain = blind_rig(rig_name), "_chain" if tolerances != "none" else ""
+    rig, kind = blind_rig(rig_name), "_chain" if tolerances != "none" else ""
     model, names = rig.model(), []
     operating = None
     for seed in seeds:
-        name = f"{rig_name}{chain}_{seed:04d}"
+        name = f"{rig_name}{kind}_{seed:04d}"
         names.append(name)
         folder = out / name
         if (folder / TRUTH_FILE).is_file():
             continue
         operating = operating or operating_point(model, rig.bench)
         wanted = KINDS[0 if seed % 3 == 0 else 1]
-        drawn = draw_cases(model, operating, 24, seed, (wanted,), tolerances)
+        drawn = draw_cases(model, operating, 24, seed, (wanted,))
         # A healthy rig whose parameters are those of its model would be the model itself.
         case = next(
             case for case in drawn if (case.effects or case.shifted) and all(_stands_out(it) for it in case.effects)
         )
         folder.mkdir(parents=True, exist_ok=True)
-        real = with_edits(model, [*case.edits, Edit(("seed",), case.noise_seed)])
+        edits = list(case.edits)
+        if tolerances != "none":
+            chain = draw_chain(model, operating, np.random.default_rng([seed, 6]))
+            exact = replace(chain, delays=(0.0,) * len(chain.delays))
+            edits += exact.edits(with_edits(model, edits), operating.omega)
+        real = with_edits(model, [*edits, Edit(("seed",), case.noise_seed)])
         write_whole(folder / MODEL_FILE, rig.file.read_text(encoding="utf-8"))
         write_whole(folder / REAL_FILE, rig_yaml(real))
         if tolerances != "none":

@@ -1,7 +1,8 @@
 """Tests that have not been made, about a fit: their rows, and what may still move them.
 
-Parameters and errors of the measuring chain move them. What is known of them is what the recordings at hand tell of both together. Errors of the chain that
-the further test has alone, such as the phase at which each of its levels truly stands, are as large as their tolerance.
+Parameters and errors of the measuring chain move them, as far as the recordings at hand leave both open together.
+Errors of the chain that the further test has alone, such as the phase at which each of its levels truly stands, are as
+large as their tolerance.
 """
 
 from __future__ import annotations

@@ -25,7 +25,12 @@ from nmt_diagnose.investigation.investigation import (
     answers_of,
     proposed,
 )
-from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord, read_record
+from nmt_diagnose.investigation.investigation_record import (
+    AskedTest,
+    EmptyTestError,
+    InvestigationRecord,
+    read_record,
+)
 from nmt_report.investigation_report import investigation_page, shown_answers
 
 PLAN = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -69,8 +74,11 @@ class Bench:
     made: list[AskedTest] = field(default_factory=list)
     thought: list[tuple[str, ...]] = field(default_factory=list)
     fails_at: int = 0
+    empty: tuple[str, ...] = ()
 
     def measure(self, test: AskedTest) -> float:
+        if any(word in self.empty for word in test.words):
+            raise EmptyTestError("no level locked", self.seconds)
         if len(self.made) + 1 == self.fails_at:
             self.fails_at = 0
             raise BenchError("a node died")
@@ -201,6 +209,29 @@ def test_a_failed_test_is_repeated_and_nothing_is_lost(tmp_path: Path) -> None:
     assert [test.words[3] for test in record.measured[1:]] == ["0.1,0.2"]
     assert len(bench.made) == 2
     assert record.ended == "named"
+
+
+def test_a_test_that_locks_nothing_is_not_asked_again(tmp_path: Path) -> None:
+    """It counts as made: by its bench time, and levels go on above it, in the same call and in the next one."""
+    bench = Bench([NOTHING], empty=("0.1,0.2", "0.5,0.6"))
+    record = investigated(tmp_path, bench)
+    states = [(test.words[3], test.state) for test in record.tests[1:]]
+    assert states == [("0.1,0.2", "empty"), ("0.3,0.4", "measured"), ("0.5,0.6", "empty")]
+    assert record.bench_s == 4 * bench.seconds
+    assert record.ended == "no_gap"
+    assert bench.thought[-1] == ("01_linear", "03_levels")
+    kept = replace(record, tests=record.tests[:2], turns=(), ended="", conclusion="")
+    again = Bench([NOTHING], empty=("0.5,0.6",))
+    investigated(tmp_path, again, record=kept)
+    assert [test.words[3] for test in again.made] == ["0.3,0.4"]
+
+
+def test_a_rig_that_never_locks_is_said(tmp_path: Path) -> None:
+    bench = Bench([NOTHING], empty=("0.1,0.2", "0.3,0.4", "0.5,0.6"))
+    record = investigated(tmp_path, bench)
+    assert record.ended == "stopped"
+    assert "No level of the plan locked" in record.conclusion
+    assert not bench.thought
 
 
 def test_a_test_that_was_cut_short_is_asked_for_again(tmp_path: Path) -> None:

@@ -20,13 +20,18 @@ from nmt_bench.commands.investigate_command import measure
 from nmt_core.errors import BenchError
 from nmt_diagnose.inference.diagnosis import Ranked, Share, Verdict
 from nmt_diagnose.investigation.investigation import Investigation, InvestigationSettings
-from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord, read_record
+from nmt_diagnose.investigation.investigation_record import (
+    AskedTest,
+    EmptyTestError,
+    InvestigationRecord,
+    read_record,
+)
 from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES
 
 RIG = "joint_resonator"
 LINEAR = AskedTest("01_linear", ("linear", RIG, "--duration", "5"), "a random test", "", seconds=10.0, state="measured")
-_LONGEST = 60.0  # s of wall time until a bag has begun
+_LONGEST = 240.0  # s of wall time until a bag has begun
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +76,14 @@ def last_drive(bag: Path) -> float:
     return float(np.abs(blocks[-1].data).max())
 
 
+def recorded_s(bag: Path) -> float:
+    """Bench time of the samples of the drive that are in a bag, s."""
+    found = Bag.open(bag)
+    topic = next(topic for topic in found.sample_topics if "voltage" in topic)
+    blocks = list(found.blocks(topic))
+    return float(sum(block.data.size for block in blocks) / blocks[0].sample_rate)
+
+
 @pytest.mark.parametrize(
     "node", ["pll", *(pytest.param(name, marks=pytest.mark.campaign) for name in NODES if name != "pll")]
 )
@@ -81,7 +94,7 @@ def test_a_killed_node_costs_its_test_only(node: str, linear: Path, monkeypatch:
     begun = InvestigationRecord(RIG, RIG, tests=(LINEAR,))
     victim = threading.Thread(target=kill, args=(mark, node, linear / "02_levels" / "bag"))
     victim.start()
-    with pytest.raises(BenchError, match="its drive is at zero") as failure:
+    with pytest.raises(BenchError, match="its drive is at zero, and what it recorded is left out") as failure:
         investigation(linear, begun, 200_000).run()
     victim.join()
     assert "Traceback" not in str(failure.value)
@@ -89,6 +102,8 @@ def test_a_killed_node_costs_its_test_only(node: str, linear: Path, monkeypatch:
     kept = read_record(linear)
     assert kept is not None
     assert [test.state for test in kept.tests] == ["measured", "failed"]
+    # What was recorded until then is read all the same.
+    assert recorded_s(linear / "02_levels" / "bag") > 0.2
     if node not in ("plant", "recorder"):  # else nobody was left to say it, or to write it down
         assert last_drive(linear / "02_levels" / "bag") == 0.0
     monkeypatch.delenv(MARK)
@@ -101,3 +116,11 @@ def test_a_killed_node_costs_its_test_only(node: str, linear: Path, monkeypatch:
         for path in sorted((linear / name).rglob("*"), reverse=True):
             path.rmdir() if path.is_dir() else path.unlink()
         (linear / name).rmdir()
+
+
+def test_a_test_that_locks_nothing_has_not_failed(tmp_path: Path) -> None:
+    hasty = AskedTest("01_levels", ("run", RIG, "--levels", "0.3", "--timeout", "0.3", "--periods", "20"), "levels", "")
+    with pytest.raises(EmptyTestError, match="No level of test 01_levels locked") as nothing:
+        measure(hasty, tmp_path)
+    result = json.loads((tmp_path / "01_levels" / "run.json").read_text())["result"]
+    assert nothing.value.seconds == result["bench_time_s"] > 0.0

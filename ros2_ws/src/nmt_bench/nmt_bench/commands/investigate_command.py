@@ -309,8 +309,11 @@ def measure(test: AskedTest, out: Path, seed: int = 0, say: Callable[[str], None
         say: called with a sentence.
 
     Raises:
-        BenchError: it was refused, or nothing was measured.
+        EmptyTestError: it was carried out, and no level of it locked.
+        BenchError: it was refused, or it failed.
     """
+    from nmt_diagnose.investigation.investigation_record import EmptyTestError
+
     folder, log = out / test.name, out / f"{test.name}.log"
     number = int(test.name.split("_")[0])
     words = [*test.words, "--out", str(folder), "--quiet", "--seed", str(seed + number)]
@@ -329,10 +332,15 @@ def measure(test: AskedTest, out: Path, seed: int = 0, say: Callable[[str], None
             raise
     if code not in (EXIT_DONE, EXIT_PARTLY):
         lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        result = _result(folder)
+        if result.get("code") == "SUCCEEDED" and str(result.get("message", "")).startswith("0 of "):
+            raise EmptyTestError(
+                f"No level of test {test.name} locked; it is left out. See {log}.", _bench_time(folder)
+            )
         why = lines[-1].removeprefix("nmt: ") if lines else f"it ended with {code}"
         raise BenchError(
-            f"Test {test.name} failed: {why.rstrip('.')}; its drive is at zero. See {log}; the same command tries it "
-            "again."
+            f"Test {test.name} failed: {why.rstrip('.')}; its drive is at zero, and what it recorded is left out. See "
+            f"{log}; the same command tries it again."
         )
     return _bench_time(folder)
 
@@ -350,8 +358,16 @@ def _processor_time() -> float:
     return times.user + times.system + times.children_user + times.children_system
 
 
+def _result(folder: Path) -> dict[str, Any]:
+    """How a test ended; empty where nothing says so."""
+    try:
+        return dict(json.loads((folder / "run.json").read_text(encoding="utf-8"))["result"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
 def _bench_time(folder: Path) -> float:
     try:
-        return float(json.loads((folder / "run.json").read_text(encoding="utf-8"))["result"]["bench_time_s"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return float(_result(folder)["bench_time_s"])
+    except (ValueError, KeyError, TypeError):
         return 0.0

@@ -15,7 +15,7 @@ from scipy.special import entr
 
 from nmt_core.errors import BenchError
 from nmt_diagnose.inference.diagnosis import HIDDEN, NULL, UNKNOWN, Diagnosis, NextTest, Verdict
-from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord, Turn
+from nmt_diagnose.investigation.investigation_record import AskedTest, EmptyTestError, InvestigationRecord, Turn
 from nmt_sequencer.level_plan import parse_levels
 
 YES, NO, STOP = "yes", "no", "stop"
@@ -47,7 +47,8 @@ class InvestigationSettings:
 
 
 Measure = Callable[[AskedTest], float]
-"""Carries a test out and returns its bench time in s; raises BenchError where it failed."""
+"""Carries a test out and returns its bench time in s; raises BenchError where it failed, EmptyTestError where it
+showed nothing."""
 Think = Callable[[Sequence[str]], tuple[Diagnosis, float]]
 """Diagnoses the tests of these names; the diagnosis and the processor time that it took in s."""
 Agree = Callable[[AskedTest], str]
@@ -103,7 +104,7 @@ class Investigation:
         if self.record.ended:
             return None
         first = self._first_test()
-        if first is not None:
+        if first is not None or self.record.ended:
             return first
         # A test that was declined tells nothing.
         if self.diagnosis is None or self.record.turns[-1].tests < len(self.record.measured):
@@ -129,8 +130,13 @@ class Investigation:
                 "the linear modes, and what is wrong with sensors and mass", seconds=2.05 * self.settings.random_s,
             )  # fmt: skip
         if "run" not in commands:
-            lowest = self.settings.levels[: max(2, math.ceil(len(self.settings.levels) / 3))]
-            return self._levels_test(lowest, "the lowest levels of the plan", "how frequency and damping begin to move")
+            tried = max((max(_levels(test.words)) for test in self.record.made if _levels(test.words)), default=0.0)
+            lowest = [level for level in self.settings.levels if level > 1.001 * tried]
+            lowest = lowest[: max(2, math.ceil(len(self.settings.levels) / 3))]
+            if lowest:
+                text, why = "the lowest levels of the plan", "how frequency and damping begin to move"
+                return self._levels_test(lowest, text if tried == 0.0 else "the next levels of the plan", why)
+            self._end("stopped", "No level of the plan locked: see the logs of the tests for why.")
         return None
 
     def _levels_test(self, levels: Sequence[float], text: str, why: str) -> AskedTest:
@@ -159,7 +165,7 @@ class Investigation:
         """The next third of the plan above what was measured; None at its end, and above levels that were declined."""
         if any(test.state == "declined" and _levels(test.words) for test in self.record.tests):
             return None
-        top = max((max(_levels(test.words)) for test in self.record.measured if _levels(test.words)), default=0.0)
+        top = max((max(_levels(test.words)) for test in self.record.made if _levels(test.words)), default=0.0)
         more = [level for level in self.settings.levels if level > 1.001 * top]
         more = more[: max(1, math.ceil(len(self.settings.levels) / 3))]
         if not more:
@@ -219,10 +225,15 @@ class Investigation:
             if test.words[0] == "linear" or not self.record.turns:
                 self._end("stopped", "Without its first two tests nothing can be told.")
             return
-        self._tell(f"test {len(self.record.measured) + 1}: {test.text} ({test.why})")
+        self._tell(f"test {len(self.record.made) + 1}: {test.text} ({test.why})")
         self._keep(test)
         try:
             seconds = self._measure(test)
+        except EmptyTestError as nothing:
+            # Asked again it would show nothing again.
+            self._tell(str(nothing))
+            self._keep(replace(test, state="empty", seconds=nothing.seconds))
+            return
         except BenchError:
             self._keep(replace(test, state="failed", seconds=0.0))
             raise

@@ -17,6 +17,19 @@ FORMAT = "nmt investigation 1"
 RECORD_FILE = "investigate.json"
 
 
+class EmptyTestError(BenchError):
+    """A test was carried out to its end and no level of it locked.
+
+    Args:
+        sentence: says so.
+        seconds: its bench time.
+    """
+
+    def __init__(self, sentence: str, seconds: float) -> None:
+        super().__init__(sentence)
+        self.seconds = seconds
+
+
 @dataclass(frozen=True)
 class AskedTest:
     """A test that was chosen.
@@ -31,7 +44,7 @@ class AskedTest:
         expected: fall of their entropy that is expected, nats; NaN where none is computed.
         received: what the entropy of these answers fell by, nats; negative where it rose.
         seconds: bench time, s; the expected one until it is measured.
-        state: ``asked``, ``measured``, ``declined`` or ``failed``.
+        state: ``asked``, ``measured``, ``empty`` (no level of it locked), ``declined`` or ``failed``.
     """
 
     name: str
@@ -101,7 +114,12 @@ class InvestigationRecord:
     @property
     def bench_s(self) -> float:
         """Bench time of all tests that were carried out, also those that failed, s."""
-        return sum(test.seconds for test in self.tests if test.state in ("measured", "failed"))
+        return sum(test.seconds for test in self.tests if test.state in ("measured", "empty", "failed"))
+
+    @property
+    def made(self) -> tuple[AskedTest, ...]:
+        """Tests that were carried out, also those of which no level locked."""
+        return tuple(test for test in self.tests if test.state in ("measured", "empty"))
 
     def with_test(self, test: AskedTest) -> InvestigationRecord:
         """The record with a test added, or in place of the one with its name."""

@@ -27,6 +27,7 @@ from nmt_core.files.whole_file import write_whole
 from nmt_core.files.yaml_text import yaml_text
 from nmt_core.tolerances import TOLERANCES
 from nmt_rig.rig import Rig
+from nmt_sequencer.level_plan import parse_levels
 
 PAIR_FILE, CALIBRATION_FILE = "pair.txt", "calibration.yaml"
 MODEL_FILE, REAL_FILE, TRUTH_FILE = "model.yaml", "real.yaml", "truth.yaml"
@@ -127,7 +128,8 @@ def make_rigs(out: Path, rig_name: str, seeds: Sequence[int], tolerances: str = 
         seeds: one a rig; the same seed gives the same rig.
         tolerances: of the measuring chain, ``none`` or ``laboratory``: gains, phases, hum and a clock are drawn for
             each rig, and a calibration file says how well they are known. Delays are none: a simulated rig that is
-            driven is late along straight lines between samples, which no converter is.
+            driven is late along straight lines between samples, which no converter is. Hum is ordinary at the lowest
+            level, too.
 
     Returns:
         Names of the rigs.
@@ -156,7 +158,9 @@ def make_rigs(out: Path, rig_name: str, seeds: Sequence[int], tolerances: str = 
         edits = list(case.edits)
         if tolerances != "none":
             chain = draw_chain(model, operating, np.random.default_rng([seed, 6]))
-            exact = replace(chain, delays=(0.0,) * len(chain.delays))
+            levels = parse_levels(model.test.levels)
+            hums = tuple(hum * min(levels) / max(levels) for hum in chain.hums)
+            exact = replace(chain, delays=(0.0,) * len(chain.delays), hums=hums)
             edits += exact.edits(with_edits(model, edits), operating.omega)
         real = with_edits(model, [*edits, Edit(("seed",), case.noise_seed)])
         write_whole(folder / MODEL_FILE, rig.file.read_text(encoding="utf-8"))

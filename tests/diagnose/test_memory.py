@@ -11,10 +11,12 @@ from diagnose.observation_bags import record, rig_with_noise
 from diagnose.predicted_observations import chain, observations_of_model, real
 
 from nmt_diagnose.effects.library import library
+from nmt_diagnose.effects.location import Cause, Location
+from nmt_diagnose.inference import memory as memory_module
 from nmt_diagnose.inference import search as search_module
 from nmt_diagnose.inference.diagnose import DiagnosisOutcome, diagnose_observations
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.memory import Memory
+from nmt_diagnose.inference.memory import Memory, Remembered
 from nmt_diagnose.observations import read_observations as reader
 from nmt_diagnose.observations.observables import Observations
 
@@ -72,12 +74,20 @@ def test_the_answer_is_that_of_a_new_diagnosis_and_takes_fewer_fits(counted: Cou
     assert value.std == pytest.approx(known.std, rel=0.02)
 
 
-def test_what_is_remembered_wrongly_is_looked_for_anew(counted: Counted) -> None:
+def test_what_is_remembered_wrongly_is_looked_for_anew(counted: Counted, monkeypatch: pytest.MonkeyPatch) -> None:
     """A memory of another rig leaves more than noise: nothing of it is taken."""
-    memory = Memory()
-    other = real(MODEL, local_elements=[{"kind": "quintic_spring", "point": 1, "stiffness_n_m5": 2e14}])
-    diagnose_observations(MODEL, observations_of_model(other, seed=6, drives=LOW), SETTINGS, memory=memory)
+    cause = Cause("quintic_stiffness", Location.at("structure", 1))
+    memory = Memory(near=(Remembered((cause,), ({"k": 2e14},), {}),))
+    begun: list[bool] = []
+    original = memory_module.fit
+
+    def noted(*arguments: Any, **more: Any) -> Any:
+        begun.append(True)
+        return original(*arguments, **more)
+
+    monkeypatch.setattr(memory_module, "fit", noted)
     found, _ = counted.diagnosed(observed(LOW), memory)
+    assert begun
     assert (found.diagnosis.ranking[0].effect, found.diagnosis.ranking[0].detail) == ("cubic_stiffness", "2")
 
 

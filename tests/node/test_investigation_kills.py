@@ -7,6 +7,7 @@ import os
 import signal
 import threading
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,16 +31,14 @@ from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES
 
 RIG = "joint_resonator"
-LINEAR = AskedTest("01_linear", ("linear", RIG, "--duration", "5"), "a random test", "", seconds=10.0, state="measured")
+LINEAR = AskedTest("01_linear", ("linear", RIG), "a random test", "", seconds=10.0, state="measured")
 _LONGEST = 240.0  # s of wall time until a bag has begun
 
 
-@pytest.fixture(scope="module")
-def linear(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of an investigation whose linear test has been made."""
-    folder = tmp_path_factory.mktemp("investigation")
-    measure(LINEAR, folder)
-    return folder
+def levels_alone(test: AskedTest, out: Path) -> float:
+    """Levels without the file of a linear test, which counts as made."""
+    position = test.words.index("--linear")
+    return measure(replace(test, words=test.words[:position] + test.words[position + 2 :]), out)
 
 
 def sure(_: Any) -> tuple[Any, float]:
@@ -53,7 +52,7 @@ def sure(_: Any) -> tuple[Any, float]:
 
 def investigation(folder: Path, record: InvestigationRecord, periods: int) -> Investigation:
     settings = InvestigationSettings(levels=(0.3, 0.5), periods=periods)
-    return Investigation(record, settings, folder, partial(measure, out=folder), sure)
+    return Investigation(record, settings, folder, partial(levels_alone, out=folder), sure)
 
 
 def kill(mark: str, node: str, bag: Path) -> None:
@@ -87,35 +86,31 @@ def recorded_s(bag: Path) -> float:
 @pytest.mark.parametrize(
     "node", ["pll", *(pytest.param(name, marks=pytest.mark.campaign) for name in NODES if name != "pll")]
 )
-def test_a_killed_node_costs_its_test_only(node: str, linear: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_node_costs_its_test_only(node: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Through the second test of three: the loop in every run of the suite, the others where campaigns are run."""
     mark = f"{os.getpid()}-{node}"
     monkeypatch.setenv(MARK, mark)
     begun = InvestigationRecord(RIG, RIG, tests=(LINEAR,))
-    victim = threading.Thread(target=kill, args=(mark, node, linear / "02_levels" / "bag"))
+    victim = threading.Thread(target=kill, args=(mark, node, tmp_path / "02_levels" / "bag"))
     victim.start()
     with pytest.raises(BenchError, match="its drive is at zero, and what it recorded is left out") as failure:
-        investigation(linear, begun, 200_000).run()
+        investigation(tmp_path, begun, 200_000).run()
     victim.join()
     assert "Traceback" not in str(failure.value)
     assert not marked(mark)
-    kept = read_record(linear)
+    kept = read_record(tmp_path)
     assert kept is not None
     assert [test.state for test in kept.tests] == ["measured", "failed"]
     # What was recorded until then is read all the same.
-    assert recorded_s(linear / "02_levels" / "bag") > 0.2
+    assert recorded_s(tmp_path / "02_levels" / "bag") > 0.2
     if node not in ("plant", "recorder"):  # else nobody was left to say it, or to write it down
-        assert last_drive(linear / "02_levels" / "bag") == 0.0
+        assert last_drive(tmp_path / "02_levels" / "bag") == 0.0
     monkeypatch.delenv(MARK)
-    record = investigation(linear, kept, 20).run()
+    record = investigation(tmp_path, kept, 20).run()
     assert [test.state for test in record.tests] == ["measured", "failed", "measured"]
     assert record.ended == "named"
-    result = json.loads((linear / "03_levels" / "run.json").read_text())["result"]
+    result = json.loads((tmp_path / "03_levels" / "run.json").read_text())["result"]
     assert result["message"].startswith("2 of 2 levels")
-    for name in ("02_levels", "03_levels"):
-        for path in sorted((linear / name).rglob("*"), reverse=True):
-            path.rmdir() if path.is_dir() else path.unlink()
-        (linear / name).rmdir()
 
 
 def test_a_test_that_locks_nothing_has_not_failed(tmp_path: Path) -> None:

@@ -47,9 +47,10 @@ pathlib.Path(sys.argv[0]).with_name("calls").open("a").write(f"{words[0]} {sheet
 cubic = {"effect": "cubic_stiffness", "place": "structure", "detail": "4", "probability": 0.99, "equivalents": []}
 said = {"verdict": "effect", "ranking": [cubic], "where": [], "probabilities": {"cubic_stiffness@4": 0.99}}
 if words[0] == "investigate":
-    tests = [{"state": "measured", "seconds": 30.0, "expected": e, "received": r}
-             for e, r in ((None, None), (0.5, 0.6), (0.25, 0.1))]
-    turns = [{"thinking_s": 4.0}, {"thinking_s": 8.0}]
+    tests = [{"state": "measured", "seconds": 30.0, "expected": e, "received": r, "separates": s}
+             for e, r, s in ((None, None, ()), (0.5, 0.6, ("a", "b")), (0.325083, 0.1, ("none", "too_weak_so_far")))]
+    answers = {"none": 0.9, "too_weak_so_far": 0.1}
+    turns = [{"tests": n, "thinking_s": t, "answers": answers} for n, t in ((1, 4.0), (2, 8.0))]
     (out / "investigate.json").write_text(json.dumps({"tests": tests, "turns": turns, "ended": "named"}))
     (out / "diagnosis").mkdir()
     (out / "diagnosis" / "diagnosis.json").write_text(json.dumps(said))
@@ -124,7 +125,8 @@ def test_the_table_has_both_ways(tmp_path: Path) -> None:
     assert found["bench_s_median"] == {"investigation": 90.0, "plan": 180.0}
     assert found["bench_share_where_right"] == 0.5
     assert found["turn_s_median"] == 6.0
-    assert found["information_slope"] == pytest.approx((0.5 * 0.6 + 0.25 * 0.1) / (0.5**2 + 0.25**2))
+    assert found["information_slope"] == pytest.approx((0.5 * 0.6 + 0.325083 * 0.1) / (0.5**2 + 0.325083**2))
+    assert (found["tests_that_settle"], found["information_slope_open"]) == (1, pytest.approx(0.6 / 0.5))
     assert found["chosen_tests_without_expectation"] == 0
     text = "\n".join(print_lines(lines))
     assert "investigation: right 1; bench time 90 s in the median" in text

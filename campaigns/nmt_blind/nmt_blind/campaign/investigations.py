@@ -25,6 +25,8 @@ from nmt_blind.cases.driven_rigs import DrivenRig, read_rigs
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import csv_text, write_result, write_whole
+from nmt_diagnose.inference.diagnosis import HIDDEN
+from nmt_diagnose.investigation.investigation import entropy_of
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_plant.devices.simulated_rig import guard_settings
 from nmt_record.bag.bag_reader import Bag
@@ -73,6 +75,8 @@ class RigLine:
         investigation, plan: both ways.
         ended: why the investigation ended.
         information: expected and received information of its chosen tests, nats, where both are known, (tests, 2).
+        settled: which of these could not but settle their question, whatever they show: the highest levels of a plan
+            settle whether the plan shows anything.
         unexpected: chosen tests of which one of the two is not known.
         healthy: nothing is missing in its model.
         load: largest value that was recorded over its limit, both ways; NaN if nothing was recorded.
@@ -89,6 +93,7 @@ class RigLine:
     pair: str = ""
     unexpected: int = 0
     healthy: bool = False
+    settled: tuple[bool, ...] = ()
 
 
 def run_investigations(
@@ -251,6 +256,7 @@ def line_of(rig: DrivenRig, result: Mapping[str, Any], place: Path) -> RigLine:
     truth = read_truth(rig.truth)
     record = _read(place / _INVESTIGATION / "investigate.json") or {}
     tests = [test for test in record.get("tests", ()) if test["state"] == "measured"]
+    known = [test for test in tests if test["expected"] is not None and test["received"] is not None]
     plan = result["plan"]
     named = " | ".join(" + ".join(sorted(effects)) for effects in truth.effects) or " | ".join(truth.verdicts)
     return RigLine(
@@ -271,16 +277,21 @@ def line_of(rig: DrivenRig, result: Mapping[str, Any], place: Path) -> RigLine:
             str(plan["trouble"]),
         ),
         str(record.get("ended", "")),
-        tuple(
-            (float(test["expected"]), float(test["received"]))
-            for test in tests
-            if test["expected"] is not None and test["received"] is not None
-        ),
+        tuple((float(test["expected"]), float(test["received"])) for test in known),
         math.nan if result["load"] is None else float(result["load"]),
         pair_of(rig.pair, record),
         sum(test["expected"] is None or test["received"] is None for test in tests[_FIRST_TESTS:]),
         truth.kind == "healthy",
+        tuple(_settles(test, record["turns"], tests.index(test)) for test in known),
     )
+
+
+def _settles(test: Mapping[str, Any], turns: Sequence[Mapping[str, Any]], made: int) -> bool:
+    """Whether all that was open before a test, so many having been made, was expected to be settled by it."""
+    before = [turn for turn in turns if turn["tests"] <= made]
+    if HIDDEN not in test.get("separates", ()) or not before:
+        return False
+    return math.isclose(float(test["expected"]), entropy_of(before[-1]["answers"], test["separates"]), rel_tol=1e-3)
 
 
 def pair_of(pair: Sequence[str], record: Mapping[str, Any]) -> str:
@@ -346,7 +357,9 @@ def summary(lines: Sequence[RigLine]) -> dict[str, Any]:
     right = [line for line in lines if line.investigation.answer.outcome == "right"]
     information = [pair for line in lines for pair in line.information]
     weights = [w for line, w in zip(lines, kind_weights(lines), strict=True) for _ in line.information]
+    settled = [it for line in lines for it in line.settled]
     slope, weighted = information_slope(information), information_slope(information, weights)
+    open_slope = information_slope(information, [0.0 if it else w for it, w in zip(settled, weights, strict=True)])
     thinking = [seconds for line in lines for seconds in line.investigation.thinking_s]
     loads = [line.load for line in lines if math.isfinite(line.load)]
     return {
@@ -370,6 +383,9 @@ def summary(lines: Sequence[RigLine]) -> dict[str, Any]:
         "information_slope_std": slope[1],
         "information_slope_weighted": weighted[0],
         "information_slope_weighted_std": weighted[1],
+        "tests_that_settle": sum(settled),
+        "information_slope_open": open_slope[0],
+        "information_slope_open_std": open_slope[1],
         "largest_load": max(loads, default=math.nan),
         "pairs": {
             word: sum(line.pair.startswith(word) for line in lines)
@@ -427,7 +443,9 @@ def print_lines(lines: Sequence[RigLine]) -> list[str]:
         f"information of {found['tests_with_information']} chosen tests: expected "
         f"{found['information_expected']:.2f} nats, received {found['information_received']:.2f} nats, slope "
         f"{found['information_slope']:.2f} ± {found['information_slope_std']:.2f}; rigs as often as their kind is met: "
-        f"{found['information_slope_weighted']:.2f} ± {found['information_slope_weighted_std']:.2f}; "
+        f"{found['information_slope_weighted']:.2f} ± {found['information_slope_weighted_std']:.2f}, without "
+        f"{found['tests_that_settle']} tests that settle their question whatever they show: "
+        f"{found['information_slope_open']:.2f} ± {found['information_slope_open_std']:.2f}; "
         f"{found['chosen_tests_without_expectation']} chosen tests without an expectation",
         f"largest recorded value over its limit: {found['largest_load']:.2f}",
         *([f"pairs: {', '.join(f'{word} {n}' for word, n in found['pairs'].items())}"] if found["pairs"] else []),

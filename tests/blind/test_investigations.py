@@ -22,6 +22,7 @@ from nmt_blind.campaign.investigations import (
     print_lines,
     run_investigations,
     summary,
+    told_small,
     write_tables,
 )
 from nmt_blind.cases.draw import draw_cases
@@ -45,7 +46,8 @@ sealed = (out.parents[1] / "seal.json").exists() or (out.parents[2] / "seal.json
 sheet = words[words.index("--calibration") + 1] if "--calibration" in words else "-"
 pathlib.Path(sys.argv[0]).with_name("calls").open("a").write(f"{words[0]} {sheet} {sealed}\\n")
 cubic = {"effect": "cubic_stiffness", "place": "structure", "detail": "4", "probability": 0.99, "equivalents": []}
-said = {"verdict": "effect", "ranking": [cubic], "where": [], "probabilities": {"cubic_stiffness@4": 0.99}}
+said = {"verdict": "effect", "ranking": [cubic], "where": [], "probabilities": {"cubic_stiffness@4": 0.99},
+        "sentences": []}
 if words[0] == "investigate":
     tests = [{"state": "measured", "seconds": 30.0, "expected": e, "received": r, "separates": s}
              for e, r, s in ((None, None, ()), (0.5, 0.6, ("a", "b")), (0.325083, 0.1, ("none", "too_weak_so_far")))]
@@ -132,6 +134,16 @@ def test_the_table_has_both_ways(tmp_path: Path) -> None:
     assert "investigation: right 1; bench time 90 s in the median" in text
     files = write_tables(lines, tmp_path / "out")
     assert json.loads(files[1].read_text())["rigs"][0]["plan_outcome"] == "honest unknown"
+
+
+def test_what_is_named_and_too_small_to_matter_is_told_from_what_is_missed(tmp_path: Path) -> None:
+    truth = read_truth(rig_folder(tmp_path, "a") / "truth.yaml")
+    small = "The recordings show a difference that is smaller than what matters: 0.7 %. It looks like {} at point 4."
+    said = {"verdict": "none", "sentences": ["There is no gap.", small.format("cubic stiffness")]}
+    assert told_small(truth, said)
+    assert not told_small(truth, said | {"verdict": "unknown"})
+    assert not told_small(truth, said | {"sentences": [small.format("air drag"), "No cubic stiffness."]})
+    assert not told_small(truth, None)
 
 
 def test_a_truth_that_was_changed_later_is_refused(tmp_path: Path) -> None:

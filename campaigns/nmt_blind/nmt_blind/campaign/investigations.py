@@ -56,6 +56,7 @@ class Arm:
         tests: how many.
         thinking_s: processor time of each diagnosis, s.
         trouble: why there is no answer.
+        small: the true effect is named as one that shows and is smaller than what matters.
     """
 
     answer: ForeignAnswer
@@ -63,6 +64,7 @@ class Arm:
     tests: int
     thinking_s: tuple[float, ...] = ()
     trouble: str = ""
+    small: bool = False
 
 
 @dataclass(frozen=True)
@@ -268,6 +270,7 @@ def line_of(rig: DrivenRig, result: Mapping[str, Any], place: Path) -> RigLine:
             len(tests),
             tuple(float(turn["thinking_s"]) for turn in record.get("turns", ())),
             str(result["investigation"]["trouble"]),
+            told_small(truth, _read(place / _INVESTIGATION / _DIAGNOSIS)),
         ),
         Arm(
             _judged(truth, place / _PLAN / _DIAGNOSIS, plan["trouble"]),
@@ -275,6 +278,7 @@ def line_of(rig: DrivenRig, result: Mapping[str, Any], place: Path) -> RigLine:
             int(plan["tests"]),
             (float(plan["seconds"]),),
             str(plan["trouble"]),
+            told_small(truth, _read(place / _PLAN / _DIAGNOSIS)),
         ),
         str(record.get("ended", "")),
         tuple((float(test["expected"]), float(test["received"])) for test in known),
@@ -311,6 +315,14 @@ def pair_of(pair: Sequence[str], record: Mapping[str, Any]) -> str:
             return f"parted by {made[-1]['text'] if number else 'the first two tests'}"
     both = [name.replace("_", " ") in record["conclusion"] for name in pair]
     return "said to be alike" if all(both) else "neither parted nor said to be alike"
+
+
+def told_small(truth: ForeignTruth, diagnosis: Mapping[str, Any] | None) -> bool:
+    """Whether a diagnosis without a gap says that the true effect shows and is smaller than what matters."""
+    if diagnosis is None or diagnosis["verdict"] not in ("none", "calibration"):
+        return False
+    small = " ".join(sentence for sentence in diagnosis["sentences"] if "smaller than what matters" in sentence)
+    return any(all(name.replace("_", " ") in small for name in effects) for effects in truth.effects)
 
 
 def _judged(truth: ForeignTruth, path: Path, trouble: str) -> ForeignAnswer:
@@ -368,6 +380,7 @@ def summary(lines: Sequence[RigLine]) -> dict[str, Any]:
             way: {name: sum(arm.answer.outcome == name for arm in arms) for name in CLASSES}
             for way, arms in both.items()
         },
+        "told_small": {way: sum(arm.small for arm in arms) for way, arms in both.items()},
         "bench_s_median": {way: _median([arm.bench_s for arm in arms]) for way, arms in both.items()},
         "bench_share_where_right": _median(
             [line.investigation.bench_s / line.plan.bench_s for line in right if line.plan.bench_s > 0.0]
@@ -401,7 +414,8 @@ def said(line: RigLine) -> str:
     def way(arm: Arm) -> str:
         answer = arm.answer
         what = " ".join(filter(None, (answer.verdict, answer.effect, answer.place))) or arm.trouble
-        return f"{answer.outcome} ({what}) {arm.bench_s:.0f} s"
+        small = ", named as smaller than what matters" if arm.small else ""
+        return f"{answer.outcome} ({what}{small}) {arm.bench_s:.0f} s"
 
     turns = ", ".join(f"{seconds:.0f}" for seconds in line.investigation.thinking_s)
     nats = ", ".join(f"{e:.2f}/{r:.2f}" for e, r in line.information)
@@ -436,7 +450,11 @@ def print_lines(lines: Sequence[RigLine]) -> list[str]:
                    if arm.trouble)]  # fmt: skip
     for way in ("investigation", "plan"):
         counts = ", ".join(f"{name} {count}" for name, count in found["classes"][way].items() if count)
-        text.append(f"{way}: {counts}; bench time {found['bench_s_median'][way]:.0f} s in the median")
+        small = found["told_small"][way]
+        text.append(
+            f"{way}: {counts}{f'; {small} of them named as smaller than what matters' if small else ''}; bench time "
+            f"{found['bench_s_median'][way]:.0f} s in the median"
+        )
     text += [
         f"bench time to the right answer over that of the plan: {found['bench_share_where_right']:.2f} in the median",
         f"processor time of a turn: median {found['turn_s_median']:.1f} s, worst {found['turn_s_worst']:.1f} s",
@@ -494,7 +512,8 @@ def _cells(line: RigLine) -> tuple[str, ...]:
 
 
 def _says(arm: Arm) -> str:
-    return " ".join(filter(None, (arm.answer.effect or arm.answer.verdict, arm.answer.place)))
+    small = "(small)" if arm.small else ""
+    return " ".join(filter(None, (arm.answer.effect or arm.answer.verdict, arm.answer.place, small)))
 
 
 def _stored(place: Path, program: str) -> dict[str, Any] | None:

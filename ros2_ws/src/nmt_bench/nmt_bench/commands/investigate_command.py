@@ -103,12 +103,14 @@ def run(options: InvestigateOptions) -> int:
     console = make_console()
     model = load_rig(options.model, vibrating=False)
     bags = tuple(str(path.resolve()) for path in options.real)
-    asked = InvestigationRecord(options.model, options.rig or "", options.set, bags)
+    known = "" if options.calibration is None else str(options.calibration.resolve())
+    asked = InvestigationRecord(options.model, options.rig or "", options.set, bags, known)
     record = read_record(options.out) or asked
-    same = (record.model, record.real, record.changes) == (asked.model, asked.real, asked.changes)
+    same = all(getattr(record, key) == getattr(asked, key) for key in ("model", "real", "changes", "calibration"))
     if not same or not set(record.bags) <= set(bags):
         raise BenchError(
-            f"{options.out / RECORD_FILE} is of another model, rig or other recordings; give another folder with --out."
+            f"{options.out / RECORD_FILE} is of another model, rig, calibration file or other recordings; give another "
+            "folder with --out."
         )
     made = not options.out.exists()
     try:

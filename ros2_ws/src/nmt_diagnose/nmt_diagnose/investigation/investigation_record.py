@@ -89,6 +89,7 @@ class InvestigationRecord:
         real: rig file of the real side; empty where its recordings are given.
         changes: ``key=value`` texts for the real side.
         bags: recordings that were given.
+        calibration: calibration file of the real side; empty where its recordings say what is known of its sensors.
         tests: in the order in which they were asked.
         turns: diagnoses in their order.
         ended: why it ended: ``named``, ``no_gap``, ``unknown``, ``not_told_apart``, ``budget``, ``stopped``,
@@ -100,6 +101,7 @@ class InvestigationRecord:
     real: str = ""
     changes: tuple[str, ...] = ()
     bags: tuple[str, ...] = ()
+    calibration: str = ""
     tests: tuple[AskedTest, ...] = ()
     turns: tuple[Turn, ...] = ()
     ended: str = ""

@@ -71,9 +71,12 @@ def moves_on(before: Sequence[Course], here: Course) -> bool:
     that shifts it by a share of the distance between two modes mixes them by about that share.
 
     Args:
-        before: levels before, any order.
+        before: levels before, any order; those at whose frequency other modes are near do not count.
         here: this level.
     """
+    if not here.shares.size:
+        return False
+    before = [course for course in before if course.shares.size == here.shares.size]
     if len({course.place for course in before}) < 2:
         return bool(np.abs(here.shares).max() < _MIXED * here.shift + _ADDED)
     one, two = sorted(before, key=lambda course: abs(course.place - here.place))[:2]
@@ -83,6 +86,8 @@ def moves_on(before: Sequence[Course], here: Course) -> bool:
 
 def stays(then: Course, now: Course) -> bool:
     """Whether near modes keep their share while the amplitude changes: what a gain makes of a shape."""
+    if now.shares.size != then.shares.size or not now.shares.size:
+        return False
     change = float(np.abs(now.shares - then.shares).max())
     return abs(now.place - then.place) > _APART and change < _KEPT * float(np.abs(then.shares).max())
 

@@ -182,6 +182,7 @@ PLANS: dict[str, tuple[dict[str, Any], Any, frozenset[str]]] = {
     "spacing": ({"test": "response_curve", "control": "force"}, 0.1, frozenset(("asked",))),
     "floquet": ({"test": "response_curve", "control": "force"}, True, frozenset(("asked",))),
     "perturbation": ({"test": "response_curve", "control": "force"}, 0.02, frozenset(("asked",))),
+    "along": ({"test": "response_curve", "control": "force"}, "secant", frozenset(("asked",))),
     "method": (SELF_EXCITED, "envelope", frozenset(("asked", "pll"))),
     "tick_blocks": ({}, 3, frozenset(("sequencer", "plant", "pll"))),
     "block_reason": ({}, "because", frozenset(("run.json",))),
@@ -283,6 +284,7 @@ KINDS: dict[str, KindOfTest] = {
     "lag_to": ResponseCurveTest(lag_to=2.5),
     "spacing": ResponseCurveTest(spacing=0.1),
     "perturbation": ResponseCurveTest(perturbation=0.02),
+    "along": ResponseCurveTest(along=2),
 }
 ASKED = [RunSettings(levels=(0.1, 0.2), kind=item) for item in KINDS.values()] + [
     replace(RunSettings(levels=(0.1, 0.2), kind=PhaseResonanceTest(harmonics_control=5)), **{name: value})

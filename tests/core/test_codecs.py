@@ -214,7 +214,7 @@ def test_a_cut_message_is_refused(codec, record):
 
 def test_numbers_that_stand_for_nothing_are_refused():
     raw = bytearray(LOCK_EVENT.write(LOCK))
-    raw[-28] = 77  # the kind, before its padding, two orders, held phase and perturbation
+    raw[-29] = 77  # the kind, before its padding, two orders, held phase, perturbation and parameter
     with pytest.raises(BenchError, match="Test kind 77 is not known"):
         LOCK_EVENT.read(bytes(raw))
     for waveform in (0, 9):

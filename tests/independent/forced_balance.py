@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import minimize_scalar
+from scipy.optimize import least_squares, minimize_scalar
 
 Law = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Force (N) of the element from samples of w (m) and v (m/s) over one period."""
@@ -102,6 +102,38 @@ class OneElement:
         pure = np.zeros(self.orders.size, complex)
         pure[0] = force
         return self._solved(lag, pure, omega, response * np.exp(-1j * lag), response)
+
+    def at_motion(self, omega: float, response: float, force: complex, lag: float) -> tuple[Orbit, float]:
+        """The response of an amplitude (m) at ω (rad/s), near a force (N) and a lag (rad), and the force it needs.
+
+        It is single-valued where response and frequency are, at folds over force and lag too. The phase of the force
+        is 0; the odd harmonics of the force are none.
+
+        Raises:
+            ArithmeticError: there is none near.
+        """
+        cc, cd, dd = self.receptances(omega)
+        pure = np.zeros(self.orders.size, complex)
+        pure[0] = force
+        start = self.guess(omega, response * np.exp(-1j * lag), pure)
+        length = abs(start[0])
+
+        def residual(unknowns: np.ndarray) -> np.ndarray:
+            w = (unknowns[:-1:2] + 1j * unknowns[1:-1:2]) * length
+            g = self.element(w, omega)
+            given = pure * unknowns[-1]
+            open_ = (w - cd * given + cc * g) / length
+            x = dd[0] * given[0] - cd[0] * g[0]
+            return np.append(np.column_stack([open_.real, open_.imag]).ravel(), abs(x) / response - 1.0)
+
+        found = least_squares(
+            residual, np.append(np.column_stack([start.real, start.imag]).ravel() / length, 1.0), xtol=1e-14, ftol=1e-14
+        )
+        if np.abs(found.fun).max() > 1e-8:
+            raise ArithmeticError(f"no response of {response:g} m at {omega / 2.0 / math.pi:g} Hz")
+        w = (found.x[:-1:2] + 1j * found.x[1:-1:2]) * length
+        size = float(found.x[-1])
+        return Orbit(omega, w, dd * pure * size - cd * self.element(w, omega)), float(abs(force) * size)
 
     def _solved(
         self, lag: float, force: np.ndarray, omega: float, motion: complex, held: float = 0.0

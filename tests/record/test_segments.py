@@ -59,7 +59,7 @@ def lock_event(store: DefinitionStore, **fields: object) -> object:
         "stamp": store.typestore.types["builtin_interfaces/msg/Time"](0, 0),
         "held_phase": 0.0, "level_index": 0, "level": 0.3, "level_unit": "N", "sample": 299, "frequency_hz": 21.0,
         "phase_error": math.nan, "window_first_sample": 350, "window_samples": 1230, "window_periods": 0, "test": 3,
-        "response_order": 0, "force_order": 0, "perturbation": 0.0,
+        "response_order": 0, "force_order": 0, "perturbation": 0.0, "parameter": 0,
     }  # fmt: skip
     return store.typestore.types[LOCK](**{**values, **fields})
 
@@ -163,13 +163,13 @@ def test_bags_from_before_there_were_kinds_hold_phase_resonance(tmp_path, store)
     text = "\n".join(
         line
         for line in new.text.splitlines()
-        if not line.startswith(("uint8 test", "uint8 TEST", "float64 held_phase", "float64 perturbation"))
+        if not line.lower().startswith(("uint8 test", "float64 held_phase", "float64 perturbation", "uint8 parameter"))
     )
     assert text.count("test") < new.text.count("test")
     writer = write(tmp_path / "bag")
     writer.add_topic("lock", LOCK, definition=MessageDefinition(text))
     raw = bytes(store.typestore.serialize_cdr(lock_event(store, window_periods=20), LOCK))
-    writer.write("lock", raw[:-17], 3000, 3000)  # kind, held phase and perturbation are the last
+    writer.write("lock", raw[:-18], 3000, 3000)  # kind, held phase, perturbation and parameter are the last
     writer.close()
     bag = Bag.open(tmp_path / "bag")
     assert bag.lock_events()[0].test is TestKind.PHASE_RESONANCE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ import pytest
 from nmt_core.errors import BenchError
 from nmt_core.kinds import ResponseCurveTest
 from nmt_core.messages.records import LoopStatus
-from nmt_core.vocabulary import ControlKind, LoopState
-from nmt_sequencer.curve_steps import CurveSteps
+from nmt_core.vocabulary import ControlKind, CurveParameter, LoopState
+from nmt_sequencer.curve_steps import CurveStep, CurveSteps
 from nmt_sequencer.run_machine import RunPlan
 from nmt_sequencer.steering import with_repetition, with_rest
 
@@ -38,7 +39,7 @@ def walk(steps: CurveSteps, first: float, last: float, level: float = 1.0) -> li
         following = steps.before(last)
         if following is None:
             return [*phases, last]
-        phases.append(following)
+        phases.append(following.phase)
 
 
 @pytest.mark.parametrize("backwards", [False, True])
@@ -112,3 +113,83 @@ def test_a_repeated_point_has_its_lag_again():
 def test_a_comparison_without_controlled_harmonics_is_refused():
     with pytest.raises(BenchError, match="leave out --compare"):
         RunPlan(levels=(1.0,), control=ControlKind.FORCE, kind=KIND, levels_without=frozenset({0}))
+
+
+SECANT = replace(KIND, along=2)
+
+
+def folding(place: float) -> tuple[float, float, float]:
+    """Lag (rad), response per force and frequency (Hz) of a curve whose lag and frequency both turn back."""
+    lag = 1.2 + 0.5 * math.sin(1.3 * place)
+    return lag, math.exp(0.4 * place), 20.0 * math.exp(0.05 * math.sin(0.9 * place))
+
+
+def at(lag_phase: float, place: float, index: int = 0) -> LoopStatus:
+    """Report of a point of that curve while another phase was asked for."""
+    lag, response, frequency = folding(place)
+    error = lag_phase - (lag - 0.5 * math.pi)
+    return report(0.0, lambda _: (response, frequency))._replace(level_index=index, phase_error=error)
+
+
+def follow(steps: CurveSteps, places: list[float]) -> list[CurveStep]:
+    """The steps after each point, with the points where they are foreseen."""
+    found = []
+    for index, place in enumerate(places):
+        phase = found[-1].phase if len(found) else folding(place)[0] - 0.5 * math.pi
+        if index == 1:
+            phase = folding(place)[0] - 0.5 * math.pi
+        steps.hear(at(phase, place, index))
+        steps.add(1.0, phase, at(phase, place, index))
+        step = steps.before(1.4)
+        if index and step is not None:
+            found.append(step)
+    return found
+
+
+def test_off_the_lag_what_is_held_follows_from_the_direction_of_the_curve():
+    steps = follow(CurveSteps(SECANT), [0.2 * k for k in range(18)])
+    assert [step.parameter for step in steps[:4]] == [CurveParameter.FREQUENCY] * 4
+    falls = [step for step in steps if step.parameter is CurveParameter.SECANT]
+    assert falls
+    assert all(step.weight > 0.0 for step in falls if step.weight)  # the sign of the response along the curve
+    assert any(step.weight for step in falls)
+    for step, place in zip(steps, [0.2 * k for k in range(2, 20)], strict=False):
+        lag, response, frequency = folding(place)
+        assert step.response == pytest.approx(response, rel=0.1)
+        assert step.frequency_hz == pytest.approx(frequency, rel=5e-3)
+        assert step.phase + 0.5 * math.pi == pytest.approx(lag, abs=0.1)
+
+
+def test_a_point_that_was_put_in_off_the_lag_keeps_what_it_is_held_by():
+    steps = CurveSteps(SECANT)
+    step = follow(steps, [0.0, 0.2, 0.4])[-1]
+    assert steps.level_fields(1.0, step.phase) == step.level_fields
+    assert steps.level_fields(1.0, 0.1)["parameter"] == CurveParameter.LAG
+
+
+def test_a_loss_off_the_lag_begins_anew_from_the_last_point_with_shorter_steps():
+    steps = CurveSteps(SECANT)
+    lost = follow(steps, [0.0, 0.2, 0.4])[-1]
+    again = steps.from_rest(1.0, lost.phase)
+    assert again is not None
+    assert steps.level_fields(1.0, again)["parameter"] == CurveParameter.FREQUENCY
+    assert steps.level_fields(1.0, again)["frequency_hz"] == pytest.approx(folding(0.4)[2], rel=1e-6)
+    steps.hear(at(again, 0.4, 9))
+    steps.add(1.0, again, at(again, 0.4, 9))
+    shorter = steps.before(1.4)
+    assert shorter is not None
+    assert abs(shorter.phase - again) < 0.6 * abs(lost.phase - again)
+    assert steps.from_rest(2.0, lost.phase) is None
+
+
+def test_a_lost_curve_is_followed_back_until_it_meets_the_points_before_its_loss():
+    steps = CurveSteps(KIND)
+    for phase in (-0.6, -0.45, -0.3):
+        steps.add(1.0, phase, report(phase))
+    assert steps.turns_back(1.0)
+    assert not steps.turns_back(1.0)  # once a curve
+    for phase in (0.6, 0.4, 0.2):
+        steps.add(1.0, phase, report(phase))
+        assert not steps.is_finished
+    steps.add(1.0, -0.2, report(-0.2))
+    assert steps.is_finished

@@ -239,6 +239,20 @@ LEVEL_UNITS = (
 """Units that a level can have."""
 
 
+class CurveParameter(IntEnum):
+    """What a point of a response curve is held by, beside its amplitude; values as in ``nmt_msgs/Level``.
+
+    Attributes:
+        LAG: the phase lag.
+        SECANT: a combination of lag and logarithm of the response, where the lag turns back.
+        FREQUENCY: the frequency, where the lag turns back and the orbit is stable.
+    """
+
+    LAG = 0
+    SECANT = 1
+    FREQUENCY = 2
+
+
 class TestKind(IntEnum):
     """Kind of test; values as in ``nmt_msgs/Level`` and ``nmt_msgs/LockEvent``. Its class is in :mod:`nmt_core.kinds`.
 

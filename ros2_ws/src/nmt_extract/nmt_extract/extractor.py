@@ -43,7 +43,7 @@ class Extractor:
             minimum_periods=self.settings.minimum_periods,
         )
         self.add_record = self._assembler.add_record
-        self._levels: dict[int, tuple[float, str, float]] = {}
+        self._levels: dict[int, tuple[float, str, float, int]] = {}
         self._history = ChannelHistory()
         self._passed_over: set[int] = set()
         self._lock_samples: dict[int, int] = {}
@@ -71,17 +71,24 @@ class Extractor:
         self._assembler.add_state(last_sample, state, reason)
 
     def add_level(
-        self, index: int, amplitude: float, unit: str, harmonics_control: int = 0, held_phase: float = 0.0
+        self,
+        index: int,
+        amplitude: float,
+        unit: str,
+        harmonics_control: int = 0,
+        held_phase: float = 0.0,
+        parameter: int = 0,
     ) -> None:
         """Take a level of the plan; the unit of controlled responses may be empty.
 
-        ``held_phase``: by which its force leads the velocity, rad. ``harmonics_control``: up to which the force's
+        ``held_phase``: by which its force leads the velocity, rad; ``parameter``: what it is held by.
+        ``harmonics_control``: up to which the force's
         harmonics are controlled in it, see :class:`~nmt_core.messages.records.LevelCommand`.
 
         A level of amplitude zero ends the excitation and is no level of the plan.
         """
         if amplitude > 0.0:
-            self._levels[index] = (amplitude, unit, held_phase)
+            self._levels[index] = (amplitude, unit, held_phase, parameter)
             self._passed_over.discard(index)
             if harmonics_control:
                 self._history.driven[index] = harmonics_control
@@ -135,7 +142,7 @@ class Extractor:
         return counters
 
     def _not_locked_point(self, sample: int, level_index: int, reason: str, response_unit: str) -> ModalPoint:
-        level, unit, held_phase = self._levels.get(level_index, (float("nan"), "", 0.0))
+        level, unit, held_phase, parameter = self._levels.get(level_index, (float("nan"), "", 0.0, 0))
         why = f": {reason.rstrip('.')}" if reason else ""
         return ModalPoint(
             level_index=level_index,
@@ -144,5 +151,6 @@ class Extractor:
             level=level,
             level_unit=unit or response_unit,
             held_phase=held_phase,
+            parameter=parameter,
             time_ns=bench_time_ns(sample, self._assembler.sample_rate),
         )

@@ -98,7 +98,9 @@ class MessageFeed:
             self._extractor.pass_over_level(level.index)
             return
         unit = ControlKind(level.control).level_unit() if level.control in _KNOWN else ""
-        self._extractor.add_level(level.index, level.amplitude, unit, level.harmonics_control, level.held_phase)
+        self._extractor.add_level(
+            level.index, level.amplitude, unit, level.harmonics_control, level.held_phase, level.parameter
+        )
 
 
 _KNOWN = frozenset(ControlKind)

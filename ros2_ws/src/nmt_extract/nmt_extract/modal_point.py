@@ -32,4 +32,5 @@ def rejected_point(lock: LockEvent, sample_rate: float, reason: str) -> ModalPoi
         window_samples=lock.window_samples,
         window_periods=lock.window_periods,
         held_phase=lock.held_phase,
+        parameter=lock.parameter,
     )

@@ -187,7 +187,7 @@ def write_loops(points: Iterable[ModalPoint], layout: HysteresisLayout, path: Pa
 def _point_to_mapping(point: ModalPoint) -> dict[str, Any]:
     values: dict[str, Any] = {item.name: getattr(point, item.name) for item in fields(point)}
     values["status"] = point.status.name
-    for name in ("harmonics_control", "response_order", "force_order", "held_phase"):
+    for name in ("harmonics_control", "response_order", "force_order", "held_phase", "parameter"):
         if not values[name]:
             del values[name]
     if not point.exciter_points:

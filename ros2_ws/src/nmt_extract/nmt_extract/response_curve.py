@@ -2,6 +2,8 @@
 
 A curve is what was measured at one held force or response amplitude; its points are ordered by the lag ϑ of the
 drive-point displacement behind the force, of which frequency and response are smooth functions also beyond the folds.
+Where the lag turns back as well, they stand in the order in which they were measured, and what they are functions of
+is their distance along the curve, that of (ϑ, ln x, 10 ln Ω), which then stands for the lag in what follows.
 
 * Response: of P₁ = ½ ω |x| |F₁| cos φ, with the phase φ = ϑ − 90° between force and velocity.
 * Folds: where dΩ/dϑ = 0 on the cubic spline through the points; tip: where d|x|/dϑ = 0.
@@ -21,6 +23,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -28,7 +31,9 @@ from typing import Any
 import numpy as np
 
 from nmt_core.files.whole_file import csv_text, write_result
+from nmt_core.kinds import ResponseCurveTest
 from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_core.vocabulary import CurveParameter
 from nmt_extract.modal_point import ModalPoint, Status
 
 LEAST_POINTS = 5
@@ -37,6 +42,7 @@ RESONANT_LAG = 0.5 * math.pi
 COVERAGE = 2.0
 """Standard uncertainties of the lag of a fold within which a point's stability is left open."""
 _COARSE_SHARE = 0.2
+_SAME_SHARE = 0.1  # of the median distance of neighbours, below which two points off the lag are one
 CURVE_COLUMNS = (
     "curve", "level", "lag_rad", "lag_rad_std", "frequency_hz", "frequency_hz_std", "response_m", "response_m_std",
     "force_n", "force_n_std", "stable", "growth_per_s", "growth_per_s_std",
@@ -66,6 +72,7 @@ class CurvePlace:
         lag, lag_std: ϑ, rad.
         frequency_hz, frequency_hz_std: Hz.
         response, response_std: |x| at the drive point, m.
+        position, position_std: where on the curve, see :attr:`ResponseCurve.place`.
     """
 
     place: Place
@@ -75,11 +82,13 @@ class CurvePlace:
     frequency_hz_std: float
     response: float
     response_std: float
+    position: float
+    position_std: float
 
 
 @dataclass(frozen=True, eq=False)
 class ResponseCurve:
-    """Points at one held amplitude, by ascending lag; arrays are ``(points,)``.
+    """Points at one held amplitude, by ascending lag or in their order along the curve; arrays are ``(points,)``.
 
     Attributes:
         level: held force (N) or response (m or m/s²).
@@ -111,6 +120,26 @@ class ResponseCurve:
         return self.level_unit == "N"
 
     @property
+    def turns_back(self) -> bool:
+        """Whether the lag does: then it is not what the points are ordered by."""
+        return bool(np.any(np.diff(self.lag) <= 0.0))
+
+    @cached_property
+    def place(self) -> FloatArray:
+        """What the curve is a function of: the lag (rad), or the distance along the curve where that turns back."""
+        if not self.turns_back:
+            return self.lag
+        return _distance(self.lag, self.response, self.frequency_hz)
+
+    @cached_property
+    def _place_std(self) -> FloatArray:
+        if not self.turns_back:
+            return self.lag_std
+        relative = self.response_std / self.response, self.frequency_hz_std / self.frequency_hz
+        parts = [self.lag_std, relative[0], ResponseCurveTest.FREQUENCY_WEIGHT * relative[1]]
+        return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0)))
+
+    @property
     def folds(self) -> tuple[CurvePlace, ...]:
         """Places at which the frequency turns, by ascending lag; none where the response was held."""
         return self._places(self.frequency_hz, self.frequency_hz_std, Place.FOLD) if self.holds_force else ()
@@ -128,11 +157,11 @@ class ResponseCurve:
         """1 where the orbit is stable in open loop at this force, 0 where not, NaN where it is left open."""
         if not self.holds_force or self.lag.size < LEAST_POINTS:
             return np.full(self.lag.size, math.nan)
-        rises = _spline(self.lag, self.frequency_hz)(self.lag, 1) > 0.0
+        rises = _spline(self.place, self.frequency_hz)(self.place, 1) > 0.0
         found: FloatArray = np.where(rises, 1.0, 0.0)
         for fold in self.folds:
-            near = COVERAGE * np.hypot(fold.lag_std, self.lag_std)
-            found[np.abs(self.lag - fold.lag) <= near] = math.nan
+            near = COVERAGE * np.hypot(fold.position_std, self._place_std)
+            found[np.abs(self.place - fold.position) <= near] = math.nan
         return found
 
     @property
@@ -159,31 +188,45 @@ class ResponseCurve:
         coarse = np.union1d(every[::2], every[-1:])
         rough = self._extremes(values, coarse) if coarse.size >= LEAST_POINTS else []
         found = []
-        for lag in self._extremes(values, every):
-            nearest = min(rough, key=lambda other: abs(other - lag), default=lag)
-            one, other = self._at(lag, every), self._at(nearest, coarse)
+        for position in self._extremes(values, every):
+            nearest = min(rough, key=lambda other: abs(other - position), default=position)
+            one, other = self._at(position, every), self._at(nearest, coarse)
             # A shift of the values by their uncertainty moves the extreme by that of the slope over the curvature.
-            bend = abs(float(_spline(self.lag, values)(lag, 2)))
-            weights = _weights(self.lag, lag, 1)
+            bend = abs(float(_spline(self.place, values)(position, 2)))
+            weights = _weights(self.place, position, 1)
             moved = float(np.sqrt(((weights * values_std) ** 2).sum())) / bend if bend > 0.0 else 0.0
-            lag_std = math.hypot(moved, _COARSE_SHARE * (nearest - lag), float(np.interp(lag, self.lag, self.lag_std)))
+            near = float(np.interp(position, self.place, self._place_std))
+            position_std = math.hypot(moved, _COARSE_SHARE * (nearest - position), near)
             stds = [
-                math.hypot(float(np.interp(lag, self.lag, std)), _COARSE_SHARE * (after - before))
+                math.hypot(float(np.interp(position, self.place, std)), _COARSE_SHARE * (after - before))
                 for std, before, after in zip((self.frequency_hz_std, self.response_std), one, other, strict=True)
             ]
-            found.append(CurvePlace(place, lag, lag_std, one[0], stds[0], one[1], stds[1]))
+            lag, lag_std = position, position_std
+            if self.turns_back:
+                lag, slope = (float(_spline(self.place, self.lag)(position, order)) for order in (0, 1))
+                lag_std = math.hypot(slope * position_std, float(np.interp(position, self.place, self.lag_std)))
+            values_here = (one[0], stds[0], one[1], stds[1])
+            found.append(CurvePlace(place, lag, lag_std, *values_here, position, position_std))
         return tuple(found)
 
     def _extremes(self, values: FloatArray, chosen: IntArray) -> list[float]:
-        """Lags within the curve at which the spline through the chosen points has an extreme."""
-        lag = self.lag[chosen]
-        slope = _spline(lag, values[chosen]).derivative()
-        return [float(root) for root in slope.roots(extrapolate=False) if lag[0] < root < lag[-1]]
+        """Positions within the curve at which the spline through the chosen points has an extreme."""
+        place = self.place[chosen]
+        slope = _spline(place, values[chosen]).derivative()
+        return [float(root) for root in slope.roots(extrapolate=False) if place[0] < root < place[-1]]
 
-    def _at(self, lag: float, chosen: IntArray) -> tuple[float, float]:
+    def _at(self, position: float, chosen: IntArray) -> tuple[float, float]:
         """Frequency and response on splines through the chosen points."""
-        at = [float(_spline(self.lag[chosen], v[chosen])(lag)) for v in (self.frequency_hz, self.response)]
+        place = self.place[chosen]
+        at = [float(_spline(place, v[chosen])(position)) for v in (self.frequency_hz, self.response)]
         return at[0], at[1]
+
+
+def _distance(lag: FloatArray, response: FloatArray, frequency_hz: FloatArray) -> FloatArray:
+    """Distance along a curve from its first point, ``(points,)``."""
+    columns = (lag, np.log(response), ResponseCurveTest.FREQUENCY_WEIGHT * np.log(frequency_hz))
+    steps = np.linalg.norm(np.diff(columns, axis=1), axis=0)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _weights(lag: FloatArray, place: float, order: int) -> FloatArray:
@@ -224,8 +267,38 @@ def response_curves(points: Sequence[ModalPoint]) -> tuple[ResponseCurve, ...]:
         good = {point.held_phase: point for point in group if point.status is Status.OK}
         bad = tuple(point for point in group if point.status is not Status.OK and point.held_phase not in good)
         if good:
-            curves.append(_curve(sorted(good.values(), key=lambda point: point.phase_error), bad))
+            measured = list(good.values())
+            if any(point.parameter != CurveParameter.LAG for point in measured):
+                curves.append(_in_order(measured, bad))
+            else:
+                curves.append(_curve(sorted(measured, key=lambda point: point.phase_error), bad))
     return tuple(curves)
+
+
+def _in_order(points: list[ModalPoint], missing: tuple[ModalPoint, ...]) -> ResponseCurve:
+    """A curve of points as they were measured, from its small lags on.
+
+    What was followed back from the other end is turned; of two points at one place the later one is kept.
+    """
+    ordered = sorted(points, key=lambda point: point.level_index)
+    turn = _turn(ordered)
+    ordered = [*ordered[:turn], *reversed(ordered[turn:])]
+    if ordered[-1].phase_error < ordered[0].phase_error:
+        ordered.reverse()
+    curve = _curve(ordered, missing)
+    steps = np.diff(_distance(curve.lag, curve.response, curve.frequency_hz))
+    kept = np.append(steps > _SAME_SHARE * np.median(steps), True)
+    return _curve([point for point, keep in zip(ordered, kept, strict=True) if keep], missing)
+
+
+def _turn(points: list[ModalPoint]) -> int:
+    """Index of the first point that was measured from the other end: a lag that is held anew after others were not."""
+    off = [place for place, point in enumerate(points) if point.parameter != CurveParameter.LAG]
+    later = [place for place in range(off[0], len(points)) if points[place].parameter == CurveParameter.LAG]
+    for place in later:
+        if any(other > place for other in off):
+            return place
+    return len(points)
 
 
 def _curve(points: list[ModalPoint], missing: tuple[ModalPoint, ...]) -> ResponseCurve:
@@ -264,9 +337,15 @@ def _words_of_missing(curve: ResponseCurve) -> str:
     first, more = curve.missing[0].reason.rstrip("."), len(curve.missing)
     return (
         f"At {curve.level:g} {curve.level_unit} the curve has no point at {where}, tried {more} "
-        f"{'time' if more == 1 else 'times'}: by the step, half of it, and from the other end. At the first: {first}. "
-        "What the lag does not hold at a held force, --control response holds at an amplitude."
+        f"{'time' if more == 1 else 'times'}: {_words_of_tries(curve)}. At the first: {first}. What is not held at a "
+        "force may be held at an amplitude, by --control response."
     )
+
+
+def _words_of_tries(curve: ResponseCurve) -> str:
+    if all(point.parameter == CurveParameter.LAG for point in curve.missing):
+        return "by the step, half of it, and from the other end"
+    return "with the frequency or a combination of lag and response held, by shorter steps, and from the other end"
 
 
 def _sentence(curve: ResponseCurve) -> str:

@@ -90,6 +90,7 @@ def lock_event(lock: LockWindow, response: Quantity, sample_rate: float) -> Lock
         response_order=lock.level.response_order,
         held_phase=lock.level.held_phase,
         perturbation=lock.level.perturbation,
+        parameter=lock.level.parameter,
         force_order=lock.level.force_order,
     )
 

@@ -557,6 +557,33 @@ class CurveThresholds:
         "tests/session/test_response_curve.py::"
         "test_a_perturbed_drive_tells_the_floquet_exponents_on_both_sides_of_a_fold",
     )  # fmt: skip
+    slow_share: float = threshold(
+        0.15, "1",
+        "Speed of the phase loop, over the full one, where a lag is held beside another mode: below the beat of both, "
+        "above what runs away near a fold.",
+        "tests/session/test_folding_lag.py::test_a_curve_that_turns_back_over_the_lag_is_followed_to_its_end",
+    )  # fmt: skip
+    way_decays: float = threshold(
+        2.0, "1",
+        "Time constants of the free vibration on the way to a point off the lag: the response follows with them.",
+        "tests/session/test_folding_lag.py::test_a_curve_that_turns_back_over_the_lag_is_followed_to_its_end",
+    )  # fmt: skip
+    secant_decays: float = threshold(
+        1.0, "1",
+        "Time constants that a combination of lag and response settles before its lock is judged.",
+        "tests/session/test_folding_lag.py::test_a_curve_that_turns_back_over_the_lag_is_followed_to_its_end",
+    )  # fmt: skip
+    neighbour_share: float = threshold(
+        0.05, "1",
+        "Shape of another mode at the drive point, over that of the target mode, from which the loop feels it.",
+        "tests/session/test_folding_lag.py::test_a_neighbouring_mode_is_one_within_the_filter_at_the_drive_point",
+    )  # fmt: skip
+    branch_distance: float = threshold(
+        0.15, "1",
+        "Distance of an orbit from the one that was foreseen, as radians of the lag or logarithm of the response, from "
+        "which it is another branch; one and a half of the way that the point was moved may come on top.",
+        "tests/pll/test_curve_parameters.py::test_an_orbit_of_another_branch_is_no_lock",
+    )  # fmt: skip
     largest_boost: float = threshold(
         2.5, "1",
         "Factor of the integral gain along a response curve: filter and dead time bear it.",

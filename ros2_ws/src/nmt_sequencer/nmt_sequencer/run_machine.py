@@ -224,7 +224,7 @@ class RunMachine:
         self._end_request = None
         self._act_count = 0
         self._refinement = LevelRefinement(plan.refinement, plan.levels) if plan.refinement else None
-        self._curve = CurveSteps(plan.kind) if isinstance(plan.kind, ResponseCurveTest) else None
+        self._curve = _curve_steps(plan)
         tick = self.pacing.tick
         begin = self.horizon if self.pacing.lockstep else self.newest + 1
         self._next_tick = (begin // tick + 1) * tick
@@ -442,6 +442,8 @@ class RunMachine:
             # The phase is not a number where force or response is missing.
             (self._unanswered.add if math.isnan(report.phase_error) else self._unanswered.discard)(report.level_index)
         if report.last_sample > self.newest:
+            if self._curve is not None and report.state == LoopState.LOCKED:
+                self._curve.hear(report)
             self.newest = report.last_sample
             self.report = report
             if self.phase == RunPhase.PAUSED and report.flags & _TRIPPED:
@@ -607,7 +609,11 @@ class RunMachine:
         follows = bool(levels) and levels[0] == record.amplitude
         if record.complete:
             curve.add(record.amplitude, present, report)
-            phase = curve.before(phases[0]) if follows else None
+            step = curve.before(phases[0]) if follows else None
+            phase = None if step is None else step.phase
+            if curve.is_finished and follows:  # the point of the plan lies where there is one
+                self._put_in(levels[1:], phases[1:], record, report, effective)
+                return
         else:
             if follows and curve.begins_at_other_end(record.amplitude):
                 levels = (levels[0], record.amplitude, *levels[1:])
@@ -615,6 +621,14 @@ class RunMachine:
                 self._put_in(levels, phases, record, report, effective)
                 return
             phase = curve.after_loss(record.amplitude, present)
+            if phase is None:
+                phase = curve.from_rest(record.amplitude, present)
+            if phase is None and follows and curve.turns_back(record.amplitude):
+                self._put_in((levels[0], *levels), (phases[0], present, *phases[1:]), record, report, effective)
+                return
+            if phase is None and follows and curve.is_given_up:
+                self._put_in(levels[1:], phases[1:], record, report, effective)
+                return
             if phase is not None and not follows:  # the end of the curve, which is tried again
                 levels, phases = (record.amplitude, *levels), (present, *phases)
         if phase is None:
@@ -685,10 +699,17 @@ class RunMachine:
         )
         if plan.phases and amplitude > 0.0:
             phase = plan.phases[index]
-            foreseen = 0.0 if self._curve is None else self._curve.foreseen(amplitude, phase)
-            order = replace(order, held_phase=phase, frequency_hz=foreseen)
+            fields = {"held_phase": phase} if self._curve is None else self._curve.level_fields(amplitude, phase)
+            order = replace(order, **fields)
         if index in plan.levels_without:
             order = replace(order, harmonics_control=0)
         self._orders.append(order)
         if self.pacing.lockstep:
             self._unacknowledged.append(order)
+
+
+def _curve_steps(plan: RunPlan) -> CurveSteps | None:
+    """Step control of a response curve; None for other kinds of test."""
+    if not isinstance(plan.kind, ResponseCurveTest):
+        return None
+    return CurveSteps(plan.kind, plan.control == ControlKind.FORCE)

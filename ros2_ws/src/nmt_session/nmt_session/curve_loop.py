@@ -9,10 +9,14 @@ closed form of the gains grows with the cut-off of the filter; the usual one is 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from nmt_core.kinds import KindOfTest, ResponseCurveTest
+from nmt_core.kinds.response_curve import ALONG
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.vocabulary import ControlKind
 from nmt_pll.loop_settings import LoopSettings
@@ -21,6 +25,33 @@ from nmt_pll.thresholds import CURVE, PHASE
 
 SHORTEST_BLOCK = 0.0025
 """Shortest block that is chosen for such a test, s."""
+
+
+def with_course(kind: KindOfTest, description: Callable[[], LinearDescription | None]) -> KindOfTest:
+    """The kind with what a response curve is stepped along, where that is left to the structure.
+
+    Within the bandwidth of its filter a loop of the lag answers to the beat of two modes; there the lag may turn back
+    along the curve, and where it does not, the loop swings.
+
+    Args:
+        kind: of the test; another kind stays as it is.
+        description: linear description of the rig, which is asked for where it is needed.
+    """
+    if not isinstance(kind, ResponseCurveTest) or ALONG[kind.along] != "auto":
+        return kind
+    linear = description()
+    return replace(kind, along=ALONG.index("secant" if linear is not None and has_neighbour(linear) else "lag"))
+
+
+def has_neighbour(linear: LinearDescription) -> bool:
+    """Whether another mode that the drive point moves in lies within the filter of the loop."""
+    omega = np.asarray(linear.frequencies_rad_s, dtype=np.float64)
+    shape = np.abs(linear.shape_matrix[linear.points.index(linear.drive_point)])
+    target = linear.target_mode
+    near = np.abs(omega - omega[target]) < CURVE.cutoff_share * omega[target]
+    near &= shape > CURVE.neighbour_share * shape[target]
+    near[target] = False
+    return bool(near.any())
 
 
 def curve_values(

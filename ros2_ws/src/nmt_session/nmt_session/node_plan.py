@@ -51,7 +51,7 @@ from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import LevelLimits
 from nmt_sequencer.sequencer_settings import SequencerSettings
 from nmt_session.coverage import covers
-from nmt_session.curve_loop import curve_values
+from nmt_session.curve_loop import curve_values, with_course
 from nmt_session.versions import versions
 
 S = TypeVar("S", bound=NodeSettings)
@@ -257,7 +257,7 @@ class TestPlan:
             window_periods=int(test.window_periods if window is None else window),
             timeout=float(test.lock_timeout_s if self.timeout is None else self.timeout),
             stop_on_lost_lock=self.stop_on_lost_lock,
-            kind=self.kind,
+            kind=with_course(self.kind, lambda: self.used_linear),
             frequencies_hz=self.level_frequencies_hz,
             levels_without=frozenset(self.levels_without),
         )

@@ -37,6 +37,7 @@ class TestSettings(PlanSettings, total=False):
     spacing: float | None
     floquet: bool | None
     perturbation: float | None
+    along: str | None
     strategy: str | None
     method: str | None
     overrides: Sequence[str]

@@ -141,6 +141,12 @@ class RunOptions:
         "of a response curve: change the drive by a small multisine within the windows, of 20 periods or more, and "
         "measure the Floquet exponents of each orbit in open loop by it",
     )
+    along: str | None = option(
+        None,
+        "of a response curve: step the lag; or the frequency and, where orbits are unstable, a combination of lag and "
+        "response; auto: the second where another mode lies within the filter of the loop (default: auto)",
+        choices=("auto", "lag", "secant"),
+    )
     resonance: str | None = option(
         None,
         "hold the phase lag of a secondary resonance in place of phase resonance: 3:1 superharmonic, 1:3 "
@@ -272,6 +278,7 @@ def _run(options: RunOptions) -> int:
         lag_deg=options.lag,
         spacing=options.spacing,
         floquet=options.floquet or None,
+        along=options.along,
         test="secondary_resonance" if options.resonance else options.kind,
         resonance=options.resonance,
         release=options.release,

@@ -22,6 +22,8 @@ FLOQUET_PERIODS = 20
 FLOQUET_PERTURBATION = 0.01
 """Perturbation of the drive unless another is named: small enough for a linear answer, large beside its noise."""
 LARGEST_PERTURBATION = 0.1
+ALONG = ("auto", "lag", "secant")
+"""What a curve is stepped along, by its number in messages."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +40,8 @@ class ResponseCurveTest(PhaseLockedTest):
             exponents; 0 = none.
         release: response amplitude at the drive point that is held at the lag of the first point before the force is,
             m or m/s²: the way onto a branch that rest does not lead to; 0 = from rest.
+        along: number of `ALONG`: ``lag`` as long as that grows; ``secant``: the frequency where the orbit is stable, a
+            combination of lag and response elsewhere; ``auto``: secant where another mode lies within the filter.
     """
 
     NUMBER: ClassVar[TestKind] = TestKind.RESPONSE_CURVE
@@ -51,10 +55,21 @@ class ResponseCurveTest(PhaseLockedTest):
     spacing: float = of_goal(0.2)
     perturbation: float = 0.0
     release: float = 0.0
+    along: int = of_goal(0)
+
+    @property
+    def follows_secant(self) -> bool:
+        """Whether the lag is not what the curve is stepped along."""
+        return ALONG[self.along] == "secant"
 
     @classmethod
     def spelled(cls, **settings: Any) -> KindOfTest:
-        """``lag_deg`` has the first and the last lag, degrees; ``floquet`` asks for the usual perturbation."""
+        """``lag_deg`` has both ends, degrees; ``floquet`` asks for the usual perturbation; ``along`` is of `ALONG`."""
+        along = settings.pop("along", None)
+        if along is not None:
+            if along not in ALONG:
+                raise BenchError(f"A response curve is not stepped along '{along}'; use {' or '.join(ALONG)}.")
+            settings["along"] = ALONG.index(along)
         if settings.pop("floquet", False):
             settings.setdefault("perturbation", FLOQUET_PERTURBATION)
         lags = settings.pop("lag_deg", None)
@@ -98,6 +113,8 @@ class ResponseCurveTest(PhaseLockedTest):
                 "At a held response amplitude no release is needed, as the loop holds every amplitude; leave out "
                 "--release."
             )
+        if not 0 <= self.along < len(ALONG):
+            raise BenchError(f"A response curve is stepped along 0 to {len(ALONG) - 1} of {ALONG}, got {self.along}.")
         if control == ControlKind.VOLTAGE:
             raise BenchError(
                 "A response curve has levels of force or response, as at a held voltage the force follows the "

@@ -95,7 +95,8 @@ class LevelCommand:
     (:mod:`nmt_core.messages.secondary_resonance`), ``release`` is the response amplitude of its release (0 = none).
     ``held_phase`` is the phase by which the force leads the velocity of the drive point where the phase loop holds it,
     rad (0 = phase resonance). ``perturbation`` is the rms of a multisine that changes the drive within the window, over
-    its amplitude (0 = none).
+    its amplitude (0 = none). ``parameter`` is a :class:`~nmt_core.vocabulary.CurveParameter`: what a point of a
+    response curve is held by; SECANT holds the phase plus ``phase_per_response`` ln(response / ``held_response``), rad.
     """
 
     sequence: int
@@ -120,6 +121,9 @@ class LevelCommand:
     release: float = 0.0
     held_phase: float = 0.0
     perturbation: float = 0.0
+    held_response: float = 0.0
+    phase_per_response: float = 0.0
+    parameter: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +145,7 @@ class LockEvent:
         response_order, force_order: k and ν of a secondary resonance; 0 = none.
         held_phase: phase by which the held force leads the velocity of the drive point, rad.
         perturbation: rms of the multisine that changes the drive within the window, over its amplitude; 0 = none.
+        parameter: what is held beside the amplitude, a :class:`~nmt_core.vocabulary.CurveParameter`.
     """
 
     level_index: int
@@ -158,6 +163,7 @@ class LockEvent:
     force_order: int = 0
     held_phase: float = 0.0
     perturbation: float = 0.0
+    parameter: int = 0
 
     @property
     def window_end(self) -> int:

@@ -175,6 +175,7 @@ class WindowEvaluation:
             response_order=lock.response_order if self.resonance else 0,
             force_order=lock.force_order,
             held_phase=lock.held_phase,
+            parameter=lock.parameter,
             **exponents,
             exciter_points=linear.exciter_points if several else (),
             exciter_forces=np.array([motion.amplitudes[0, row] * turns for row in several]).ravel(),

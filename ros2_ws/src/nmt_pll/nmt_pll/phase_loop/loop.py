@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import MOTIONS, VELOCITY_LEAD, ControlKind, LoopState, TestKind
+from nmt_core.vocabulary import MOTIONS, VELOCITY_LEAD, ControlKind, CurveParameter, LoopState, TestKind
 from nmt_pll.amplitude.response_control import ResponseController
 from nmt_pll.detection.lock import Dwell, LockCriteria
 from nmt_pll.detection.phase_detector import AdaptiveFourierFilter, phase_error
@@ -113,6 +114,11 @@ class PhaseLockedLoop(LevelLoop):
         self._glided = 0.0  # share of the way so far
         self._foreseen = 0.0  # change of the frequency along the way, rad/s
         self._slope = 0.0  # of the frequency over the lag along the way, rad/s a rad
+        self._parameter = CurveParameter.LAG  # what the level is held by
+        self._logarithms = (0.0, 0.0)  # ln of the response at the start of the way and at its end
+        self._aim = 0.0  # ln of the response of the combination that is held now
+        self._found_phase = 0.0  # by which the force leads the velocity: as measured, and over the dwell
+        self._mean_phase = 0.0
 
     def _check_control(self, level: LevelCommand) -> None:
         if level.control not in (ControlKind.VOLTAGE, ControlKind.RESPONSE, ControlKind.FORCE):
@@ -121,6 +127,10 @@ class PhaseLockedLoop(LevelLoop):
             )
         if level.test is TestKind.RING_DOWN and level.amplitude > 0.0 and not 0.0 < level.duration < math.inf:
             raise BenchError(f"Level {level.index}: a ring-down needs a duration above 0 s, got {level.duration}.")
+        if level.parameter and not level.held_response > 0.0:
+            raise BenchError(
+                f"Level {level.index}: a point off the lag needs a response above 0, got {level.held_response}."
+            )
         self.forces.check(level)
         highest = self.forces.highest(level.harmonics_control)
         if level.harmonics_control > highest:
@@ -152,6 +162,8 @@ class PhaseLockedLoop(LevelLoop):
         power_phase, held = error, self._held_phase(end)
         if held != 0.0:
             error = math.remainder(error + held, 2.0 * math.pi)
+        self._found_phase = held - error
+        steered = self._steered(error, response_amplitude)
         lock = None
         state = self.machine.state
         controls = state in (LoopState.ACQUIRING, LoopState.LOCKED) and not self._decaying
@@ -166,7 +178,7 @@ class PhaseLockedLoop(LevelLoop):
         elif state in (LoopState.ACQUIRING, LoopState.LOCKED):
             valid = not math.isnan(error) and end > self._closed_from
             if valid:
-                self._control(error, power_phase, force_amplitude, response_amplitude, end)
+                self._control(steered, power_phase, force_amplitude, response_amplitude, end)
             reason = self._reason_to_give_up(flags, end, valid)
             if reason:
                 self._give_up(end, reason)
@@ -174,7 +186,10 @@ class PhaseLockedLoop(LevelLoop):
                 self._running_from = 0
                 lock = self._open_window(end, error, "the lock is carried on along the ramp")
             elif valid and end > self._judged_from:
-                self.dwell.add(error, present, response_amplitude)
+                if self._parameter is CurveParameter.FREQUENCY:  # what is to be steady is the lag
+                    self.dwell.add(0.0, present * math.exp(error), response_amplitude)
+                else:
+                    self.dwell.add(steered, present, response_amplitude)
                 if self.dwell.full:
                     lock = self._judge(end)
         amplitudes = force_amplitude, response_amplitude
@@ -197,7 +212,15 @@ class PhaseLockedLoop(LevelLoop):
         if self._foreseen != 0.0:
             self.controller.shift(self._foreseen * (share - self._glided))
         self._glided = share
+        self._aim = self._logarithms[0] + (self._logarithms[1] - self._logarithms[0]) * share
         return self._phase
+
+    def _steered(self, error: float, response: float) -> float:
+        """What the frequency is to bring to zero, rad: along a secant the combination of lag and response."""
+        level = self._level
+        if self._parameter is not CurveParameter.SECANT or level is None or response <= 0.0:
+            return error
+        return error + level.phase_per_response * (self._aim - math.log(response))
 
     def _resting_frequency(self, level: LevelCommand) -> float:
         """Frequency to start with from rest, rad/s; away from phase resonance that of the linear mode at the lag."""
@@ -207,12 +230,23 @@ class PhaseLockedLoop(LevelLoop):
 
     def _begin_glide(self, level: LevelCommand, end: int, ramp_end: int, was_quiet: bool) -> None:
         """Turn the held phase to that of the level along its ramp, and the frequency to the one foreseen there."""
+        before, self._parameter = self._parameter, CurveParameter(level.parameter)
+        lag_held = before is self._parameter is CurveParameter.LAG
+        if not lag_held and math.isfinite(self._found_phase):
+            self._phase = self._found_phase  # the lag was free: the way begins where it is
         self._glide = (level.held_phase if was_quiet else self._phase, end, ramp_end)
         self._glided = self._foreseen = self._slope = 0.0
+        turned = level.held_phase - self._phase
+        if self._parameter is not CurveParameter.LAG:
+            aim = math.log(level.held_response)
+            present = aim if was_quiet or self._motion == 0.0 else math.log(abs(self._motion))
+            self._logarithms = (present, aim)
+        if self._parameter is CurveParameter.FREQUENCY:
+            self.controller.reset(self.controller.output)
         if level.test is TestKind.RESPONSE_CURVE and level.frequency_hz > 0.0 and not was_quiet:
             self._foreseen = 2.0 * math.pi * level.frequency_hz - self.controller.integrator
-            if level.held_phase != self._phase and level.control == ControlKind.FORCE:
-                self._slope = self._foreseen / (level.held_phase - self._phase)
+            if turned != 0.0 and level.control == ControlKind.FORCE and self._parameter is CurveParameter.LAG:
+                self._slope = self._foreseen / turned
 
     def _ramp_from(self, end: int) -> float:
         """V that the amplitude comes from while it is on its way to a level; else 0."""
@@ -248,9 +282,14 @@ class PhaseLockedLoop(LevelLoop):
         # Off resonance a fast loop would chase the free vibration.
         if was_quiet and level.held_phase != 0.0 and not level.release:
             warm_up = max(warm_up, level.ramp + CURVE.free_decays / self.plant.plant_decay)
-        ramp_end = end + round(level.ramp * self.sample_rate)
+        ramp = level.ramp
+        if level.parameter != CurveParameter.LAG:  # the response is to follow along the way
+            ramp = max(ramp, CURVE.way_decays / self.plant.structure_decay)
+        ramp_end = end + round(ramp * self.sample_rate)
         self._closed_from = end + round(max(warm_up, 0.5 * level.ramp if was_quiet else 0.0) * self.sample_rate)
         self._judged_from = max(ramp_end, self._closed_from) + round(2.0 / self.cutoff * self.sample_rate)
+        if level.parameter == CurveParameter.SECANT:  # the combination settles more slowly than the lag
+            self._judged_from += round(CURVE.secant_decays / self.plant.structure_decay * self.sample_rate)
         self._begin_glide(level, end, ramp_end, was_quiet)
         self._deadline = self._judged_from + level.timeout * self.sample_rate if level.timeout else math.inf
         self._bound_since = None
@@ -309,9 +348,13 @@ class PhaseLockedLoop(LevelLoop):
         gains = self.schedule.gains(self.decay)
         if self._slope != 0.0:
             gains = gains.on_slope(self._slope, self.decay)
-        if self._is_gentle and self._on_curve:
+        if self._is_gentle and self._on_curve and self._parameter is CurveParameter.LAG:
             gains = gains.scaled(CURVE.gentle_share)
-        self.controller.update(error, gains, self.block_duration)
+        if self._parameter is CurveParameter.SECANT and self._level is not None and not self._level.phase_per_response:
+            gains = self.schedule.gains(self.decay).scaled(CURVE.slow_share)
+        if self._parameter is not CurveParameter.FREQUENCY:
+            self.controller.update(error, gains, self.block_duration)
+        self._mean_phase += 2.0 / self.dwell.length * (self._found_phase - self._mean_phase)
         level = self._level
         if level is not None and level.control != ControlKind.VOLTAGE and end > self._closed_from:
             control, amplitude = self._held(level)
@@ -349,7 +392,9 @@ class PhaseLockedLoop(LevelLoop):
                 f"({self.controller.integrator / (2 * math.pi):.2f} Hz): this is not the target mode"
             )
         if end > self._deadline and self.machine.state == LoopState.ACQUIRING:
-            self._is_gentle ^= self._on_curve  # between folds only strong gains hold, elsewhere gentle ones may
+            self._is_gentle ^= (
+                self._on_curve and self._parameter is CurveParameter.LAG
+            )  # between folds only strong gains hold, elsewhere gentle ones may
             return f"no lock within the time-out: {self._obstacle(valid)}"
         if self.machine.state == LoopState.LOCKED and not valid:
             return "force or response fell below its amplitude floor"
@@ -372,6 +417,10 @@ class PhaseLockedLoop(LevelLoop):
             return None
         if not self.criteria.locked(statistics, self._deviation) or self.forces.obstacle:
             return None
+        astray = self._astray()
+        if astray:
+            self._give_up(end, astray)
+            return None
         if self._release > 0.0:  # what it needs is near the force of the level, which is held from now on
             self._release, self.schedule = 0.0, self._force_schedule
             self.dwell.clear()
@@ -382,11 +431,29 @@ class PhaseLockedLoop(LevelLoop):
             reason += f"; {self.forces.summary}"
         return self._open_window(end, statistics.mean, reason)
 
+    def _astray(self) -> str:
+        """Why the orbit is not one of the curve that is followed; empty if it is, or where the lag is held."""
+        level = self._level
+        if self._parameter is CurveParameter.LAG or level is None:
+            return ""
+        turned = math.remainder(self._mean_phase - level.held_phase, 2.0 * math.pi)
+        grown = math.log(max(abs(self._motion), 1e-300) / level.held_response)
+        way = math.hypot(level.held_phase - self._glide[0], self._logarithms[1] - self._logarithms[0])
+        if math.hypot(turned, grown) <= CURVE.branch_distance + 1.5 * way:
+            return ""
+        return (
+            f"the lag is {math.degrees(abs(turned)):.0f}° and the response {100.0 * math.expm1(grown):.0f} % off the "
+            "point of the curve that was foreseen, so this is another branch"
+        )
+
     def _open_window(self, end: int, error: float, reason: str) -> LockWindow | None:
         self._good_frequency = self.controller.output
         if self._level is not None and self._level.test is TestKind.RING_DOWN:
             return self._switch_off(self._level, end, error, reason)
-        return self._lock(end, self.controller.output, error, reason)
+        window = self._lock(end, self.controller.output, error, reason)
+        if window is None or self._parameter is CurveParameter.LAG:
+            return window
+        return replace(window, level=replace(window.level, held_phase=self._mean_phase))
 
     def _switch_off(self, level: LevelCommand, end: int, error: float, reason: str) -> LockWindow:
         """End the excitation at the lock; the window is the free decay from the switch-off on."""

@@ -101,14 +101,20 @@ def test_missing_channels_are_named(clean: Path, tmp_path: Path) -> None:
     assert rows_of(observations, "x2").any()
 
 
-def test_without_the_force_there_is_no_evidence(clean: Path, tmp_path: Path) -> None:
+def test_without_the_force_frequencies_are_known_and_no_damping(clean: Path, tmp_path: Path) -> None:
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
         if block.quantity is not Quantity.FORCE:
             yield block
 
-    with pytest.raises(BenchError) as failure:
-        read_observations([altered(clean, tmp_path / "bare", change)], RIG)
-    one_sentence(failure, "no force channel")
+    found = read_observations([altered(clean, tmp_path / "bare", change)], RIG)
+    said(found, "no force was recorded", "frequencies over amplitudes")
+    forced = read_observations([clean], RIG)
+    known = forced.rows.part == Part.LOG_FREQUENCY
+    assert set(found.rows.part) == {Part.LOG_FREQUENCY}
+    uncertain = np.hypot(found.std, found.floor)
+    assert np.all(np.abs(found.values - forced.values[known]) < 3.0 * uncertain + 1e-5)
+    fundamental = (forced.rows.part == Part.LOG_MAGNITUDE) & rows_of(forced, "x2")
+    assert found.rows.amplitude == pytest.approx(np.exp(forced.values[fundamental]), rel=1e-3)
 
 
 def test_a_channel_that_the_model_does_not_have(clean: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from nmt_core.errors import BenchError
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.vocabulary import MOTIONS
 from nmt_extract.coverage import covers
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
@@ -162,6 +163,12 @@ def _require(bag: Any, settings: ExtractionSettings) -> None:
     if not all(_count(bag, topic) for topic in (*settings.topics, "lock")):
         _refuse_if_damaged(bag)
     missing = [topic for topic in settings.topics if not _count(bag, topic)]
+    motions = {quantity.name.lower() for quantity in MOTIONS}
+    if "force" in missing and motions & {topic for topic in bag.topics if _count(bag, topic)}:
+        raise BenchError(
+            f"The bag {bag.path} has no force (it has {has}), and without it a window tells no damping; "
+            f"'./nmt diagnose --model RIG --real {bag.path}' compares its frequencies and amplitudes with a model."
+        )
     if missing:
         raise BenchError(
             f"The bag {bag.path} has no samples of {', '.join(missing)} (it has {has}); record a run of "

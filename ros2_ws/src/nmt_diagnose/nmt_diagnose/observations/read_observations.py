@@ -32,6 +32,7 @@ from nmt_diagnose.observations.kinds.ring_down_observations import ring_down_obs
 from nmt_diagnose.observations.kinds.stepped_sine_observations import is_response, stepped_sine_observations
 from nmt_diagnose.observations.kinds.stepped_table_observations import measured_together
 from nmt_diagnose.observations.kinds.table_observations import table_observations
+from nmt_diagnose.observations.kinds.unforced_observations import is_unforced, unforced_observations
 from nmt_diagnose.observations.model_view import ModelView, matched
 from nmt_diagnose.observations.noise.floors import repeatability, with_stated_repeatability
 from nmt_diagnose.observations.noise.scatter import with_shared_scatter
@@ -269,6 +270,12 @@ def _signals(
         segments_taken = [window.segment for window in imposed]
         windows = [window for window in windows if window.segment not in segments_taken]
     locked = [window for window in windows if window.segment.kind in _LOCKED]
+    unforced = [(w.segment, w.stretch) for w in locked if is_unforced(w.segment, w.stretch)]
+    if unforced:
+        test_name = f"{name}/unforced" if len(unforced) < len(windows) else name
+        parts.append(unforced_observations(test_name, unforced, view, channels, settings))
+        windows = [window for window in windows if not is_unforced(window.segment, window.stretch)]
+        locked = [window for window in locked if not is_unforced(window.segment, window.stretch)]
     if locked:
         channels = _plausible(name, locked, view, channels, notes)
         several = len({window.segment.kind for window in windows}) > 1

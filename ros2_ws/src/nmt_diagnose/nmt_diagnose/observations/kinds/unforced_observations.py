@@ -1,0 +1,87 @@
+"""Observables of phase resonance whose force nobody recorded, such as limit cycles: frequency over amplitude."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS, TestKind
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
+from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.observations.kinds.table_observations import table_observations
+from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.observables import Observations, empty, joined
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_record.exchange.observables import ObservableTable
+from nmt_record.windows.segments import Segment
+from nmt_signals.harmonics import harmonic_amplitudes
+from nmt_signals.sine_fit import fit_frequency
+
+_PARTS = 6
+"""Parts of a window whose scatter tells the uncertainty of its frequency."""
+
+
+def is_unforced(segment: Segment, stretch: SampleStretch) -> bool:
+    """Whether a window is of phase resonance and no force was recorded of it."""
+    return segment.kind is TestKind.PHASE_RESONANCE and stretch.find(Quantity.FORCE) is None
+
+
+def unforced_observations(
+    name: str,
+    windows: Sequence[tuple[Segment, SampleStretch]],
+    view: ModelView,
+    channels: Mapping[str, MeasuredChannel],
+    settings: ObservationSettings,
+) -> Observations:
+    """Rows of a backbone, one a window: frequency of the motion at the amplitude of its fundamental, and no damping.
+
+    At phase resonance, forced or in a limit cycle, that is the frequency of the nonlinear mode; how much power it takes
+    only a force could tell.
+
+    Args:
+        name: of the test.
+        windows: of phase resonance.
+        view: the model.
+        channels: that the model has, by name.
+        settings: of the reading.
+    """
+    notes, rows = [], []
+    responses = [c for c in channels.values() if c.quantity in MOTIONS]
+    at_drive = [c for c in responses if c.point == view.rig.drive_point]
+    channel = (at_drive or responses)[0]
+    for segment, stretch in windows:
+        where = f"{name}: level {segment.level_index}"
+        if channel.name in stretch.faults or channel.name not in [c.name for c in stretch.channels]:
+            notes.append(f"{where} is left out: it lacks channel {channel.name}.")
+            continue
+        signal = stretch.row(channel.name)
+        try:
+            rows.append(_row(signal - float(np.mean(signal)), stretch.sample_rate, segment.frequency_hz, settings))
+        except BenchError as error:
+            notes.append(f"{where} is left out: its motion has no frequency ({error})")
+    if not rows:
+        return empty(notes)
+    notes.append(f"{name}: no force was recorded, so that it tells frequencies over amplitudes and no damping.")
+    columns = dict(zip(("frequency_hz", "frequency_hz_std", "amplitude"), np.array(rows).T, strict=True))
+    units = {"amplitude": "rad" if channel.turns else "m"}
+    table = ObservableTable(
+        "backbone", columns, units, channel.quantity, point=channel.point, drive_point=view.rig.drive_point
+    )
+    return joined([empty(notes), table_observations(name, [table], view.rig, settings)])
+
+
+def _row(signal: FloatArray, rate: float, guess_hz: float, settings: ObservationSettings) -> tuple[float, float, float]:
+    """Frequency and its standard uncertainty, Hz, and amplitude of the fundamental."""
+    frequency = fit_frequency(signal, rate, guess_hz)
+    periods = signal.size * frequency / rate
+    if periods < settings.fewest_periods:
+        raise BenchError(f"{periods:.1f} periods, of at least {settings.fewest_periods}")
+    cycles = np.arange(signal.size, dtype=np.float64) * frequency / rate
+    amplitude = abs(harmonic_amplitudes(cycles, signal[None, :], 3)[0, 1])
+    parts = [fit_frequency(part, rate, frequency) for part in np.array_split(signal, min(_PARTS, int(periods // 2)))]
+    return frequency, float(np.std(parts, ddof=1)) / math.sqrt(len(parts)), float(amplitude)

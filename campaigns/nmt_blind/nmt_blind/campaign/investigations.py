@@ -415,7 +415,7 @@ def said(line: RigLine) -> str:
         answer = arm.answer
         what = " ".join(filter(None, (answer.verdict, answer.effect, answer.place))) or arm.trouble
         small = ", named as smaller than what matters" if arm.small else ""
-        return f"{answer.outcome} ({what}{small}) {arm.bench_s:.0f} s"
+        return f"{answer.outcome} ({what}{small}) {arm.bench_s:.0f} s" if arm.trouble != NOT_RUN else NOT_RUN
 
     turns = ", ".join(f"{seconds:.0f}" for seconds in line.investigation.thinking_s)
     nats = ", ".join(f"{e:.2f}/{r:.2f}" for e, r in line.information)
@@ -447,16 +447,19 @@ def print_lines(lines: Sequence[RigLine]) -> list[str]:
     text[1:1] = ["  ".join("-" * width for width in widths)]
     found = summary(lines)
     text += ["", *(f"{line.rig}: {arm.trouble}" for line in lines for arm in (line.investigation, line.plan)
-                   if arm.trouble)]  # fmt: skip
-    for way in ("investigation", "plan"):
+                   if arm.trouble not in ("", NOT_RUN))]  # fmt: skip
+    planned = any(line.plan.trouble != NOT_RUN for line in lines)
+    for way in ("investigation", "plan") if planned else ("investigation",):
         counts = ", ".join(f"{name} {count}" for name, count in found["classes"][way].items() if count)
         small = found["told_small"][way]
         text.append(
             f"{way}: {counts}{f'; {small} of them named as smaller than what matters' if small else ''}; bench time "
             f"{found['bench_s_median'][way]:.0f} s in the median"
         )
+    if planned:
+        share = found["bench_share_where_right"]
+        text.append(f"bench time to the right answer over that of the plan: {share:.2f} in the median")
     text += [
-        f"bench time to the right answer over that of the plan: {found['bench_share_where_right']:.2f} in the median",
         f"processor time of a turn: median {found['turn_s_median']:.1f} s, worst {found['turn_s_worst']:.1f} s",
         f"information of {found['tests_with_information']} chosen tests: expected "
         f"{found['information_expected']:.2f} nats, received {found['information_received']:.2f} nats, slope "
@@ -505,9 +508,12 @@ def write_tables(lines: Sequence[RigLine], out: Path) -> tuple[Path, Path]:
 def _cells(line: RigLine) -> tuple[str, ...]:
     one, other = line.investigation, line.plan
     turn = f"{statistics.median(one.thinking_s):.1f}" if one.thinking_s else ""
+    plan = (other.answer.outcome, _says(other), f"{other.bench_s:.0f}")
+    if other.trouble == NOT_RUN:
+        plan = (NOT_RUN, "", "")
     return (
         line.rig, line.truth, one.answer.outcome, _says(one), line.ended, str(one.tests), f"{one.bench_s:.0f}", turn,
-        other.answer.outcome, _says(other), f"{other.bench_s:.0f}",
+        *plan,
     )  # fmt: skip
 
 

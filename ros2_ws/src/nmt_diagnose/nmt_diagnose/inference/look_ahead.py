@@ -95,9 +95,9 @@ def next_tests(
     p = [comparison.by_label.get(it.explanation.label, 0.0) for it in competing]
     found = []
     for proposal in proposals(rig, observations, plan):
-        sigma = _separation(proposal, competing, chain_names)
+        sigma, of_first = _separation(proposal, competing, chain_names)
         if sigma >= THRESHOLDS.next_test.least_sigmas:
-            information = expected_information(p[0], p[1], sigma)
+            information = expected_information(p[0], p[1], of_first)
             sigma = min(sigma, THRESHOLDS.next_test.most_sigmas)
             found.append(NextTest(proposal.text, proposal.command, names, sigma, proposal.seconds, information))
     return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
@@ -143,8 +143,8 @@ def next_levels(
     names = tuple(joined(competitor.effects) or NULL for competitor in competing)
     p = [comparison.by_label.get(it.explanation.label, 0.0) for it in competing]
     proposal = Proposal(text, command, _run(rig, observations, point, more, frequency), seconds)
-    sigma = _separation(proposal, competing, search.data.chain_names)
-    information = expected_information(p[0], p[1], sigma)
+    sigma, of_first = _separation(proposal, competing, search.data.chain_names)
+    information = expected_information(p[0], p[1], of_first)
     return NextTest(text, command, names, min(sigma, THRESHOLDS.next_test.most_sigmas), seconds, information)
 
 
@@ -190,23 +190,27 @@ def _competing(comparison: Comparison, null: FittedExplanation) -> list[FittedEx
     return [classes[0].head, null] if comparison.none > THRESHOLDS.next_test.doubtful_probability else []
 
 
-def _separation(proposal: Proposal, competing: Sequence[FittedExplanation], chain_names: Sequence[str]) -> float:
-    """Least expected distance over all ordered pairs of competing hypotheses, standard deviations."""
+def _separation(
+    proposal: Proposal, competing: Sequence[FittedExplanation], chain_names: Sequence[str]
+) -> tuple[float, float]:
+    """Least expected distance over all ordered pairs of competing hypotheses and over those of the first two, in σ.
+
+    0 where one has no solution.
+    """
     observations, ahead = proposal.observations, list[Ahead]()
     try:
         for competitor in competing:
             chain = ahead[0].chain if ahead else None
             ahead.append(Ahead(competitor.fit, chain_names, observations, chain))
     except (BenchError, ArithmeticError, np.linalg.LinAlgError):
-        return 0.0
-    worst = math.inf
-    for one, other in itertools.permutations(ahead, 2):
-        difference = one.forward.difference(one.base.values, other.base.values) / observations.sigma
-        good = np.isfinite(difference) & np.isfinite(other.base.values)
-        if not good.any():
-            return 0.0
-        worst = min(worst, other.apart(difference, good))
-    return worst
+        return 0.0, 0.0
+    distances: dict[tuple[int, int], float] = {}
+    for one, other in itertools.permutations(range(len(ahead)), 2):
+        difference = ahead[one].forward.difference(ahead[one].base.values, ahead[other].base.values)
+        good = np.isfinite(difference) & np.isfinite(ahead[other].base.values)
+        over_sigma = difference / observations.sigma
+        distances[one, other] = ahead[other].apart(over_sigma, good) if good.any() else 0.0
+    return min(distances.values()), min(distances[0, 1], distances[1, 0])
 
 
 def proposals(rig: Rig, observations: Observations, levels_of_plan: Sequence[float] = ()) -> list[Proposal]:

@@ -25,7 +25,7 @@ from nmt_blind.campaign.investigations import (
     told_small,
     write_tables,
 )
-from nmt_blind.cases.draw import draw_cases
+from nmt_blind.cases.draw import SIZES, draw_cases
 from nmt_blind.cases.driven_rigs import CALIBRATION_FILE, LEAST_SIZE, calibration_of, make_pairs, read_rigs, truth_of
 from nmt_blind.cases.rig_edits import rig_yaml, with_edits
 from nmt_core.errors import BenchError
@@ -211,8 +211,8 @@ def test_rigs_count_as_often_as_their_kind_is_met() -> None:
         return [SimpleNamespace(healthy=k < healthy) for k in range(healthy + others)]
 
     weights = kind_weights(lines(2, 6))
-    prior = THRESHOLDS.comparison.prior_none
-    assert sum(weights[:2]) / sum(weights) == pytest.approx(prior)
+    drawn = sum(size >= LEAST_SIZE for size in SIZES) / len(SIZES)
+    assert sum(weights[2:]) / sum(weights) == pytest.approx(drawn * (1.0 - THRESHOLDS.comparison.prior_none))
     assert kind_weights(lines(0, 3)) == [1.0, 1.0, 1.0]
 
 

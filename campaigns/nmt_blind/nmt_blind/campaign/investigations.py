@@ -21,7 +21,8 @@ import numpy as np
 from nmt_blind.campaign.foreign_case import CLASSES, ForeignAnswer, ForeignTruth, judge, read_truth
 from nmt_blind.campaign.foreign_run import child
 from nmt_blind.campaign.frozen import diagnosis_digest
-from nmt_blind.cases.driven_rigs import DrivenRig, read_rigs
+from nmt_blind.cases.draw import SIZES
+from nmt_blind.cases.driven_rigs import LEAST_SIZE, DrivenRig, read_rigs
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import csv_text, write_result, write_whole
@@ -351,13 +352,15 @@ def information_slope(information: Sequence[tuple[float, float]], weights: Seque
 
 
 def kind_weights(lines: Sequence[RigLine]) -> list[float]:
-    """Weight of each rig by how often its kind is met: the share of rigs without a gap that the diagnosis expects.
+    """Weight of each rig by how often its kind is met: as often as the diagnosis expects before any test.
 
-    A campaign draws more rigs with effects, so that there is something to find, and only such as are seen.
+    A campaign draws more rigs with effects, so that there is something to find, and of these the strong ones only: as
+    met, few have one. Those with a weaker one, which hides whatever is measured, count as those without.
     """
     healthy = [line.healthy for line in lines]
     share = sum(healthy) / max(1, len(healthy))
-    expected = THRESHOLDS.comparison.prior_none
+    strong = sum(size >= LEAST_SIZE for size in SIZES) / len(SIZES)
+    expected = 1.0 - strong * (1.0 - THRESHOLDS.comparison.prior_none)
     if not 0.0 < share < 1.0:
         return [1.0] * len(lines)
     return [expected / share if it else (1.0 - expected) / (1.0 - share) for it in healthy]

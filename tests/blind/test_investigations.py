@@ -236,6 +236,9 @@ def test_what_becomes_of_a_pair() -> None:
         "said to be alike"
     )
     assert pair_of(pair, record((2, 0.1, 0.9, ""))).startswith("neither")
+    quiet = record((2, 0.0, 0.0, ""))
+    quiet["turns"][-1]["verdict"] = "calibration"
+    assert pair_of(pair, quiet).startswith("no gap")
     assert pair_of((), record()) == ""
 
 

@@ -300,7 +300,7 @@ def _settles(test: Mapping[str, Any], turns: Sequence[Mapping[str, Any]], made: 
 
 
 def pair_of(pair: Sequence[str], record: Mapping[str, Any]) -> str:
-    """What became of a pair of effects of which the first is true: one of three sentences; empty without a pair.
+    """What became of a pair of effects of which the first is true: one of four sentences; empty without a pair.
 
     Args:
         pair: the true effect and the other one.
@@ -314,6 +314,8 @@ def pair_of(pair: Sequence[str], record: Mapping[str, Any]) -> str:
         if p[0] > 0.5 and p[1] < _PARTED * p[0] and other.replace("_", " ") not in turn["sentence"]:
             made = [test for test in record["tests"] if test["state"] == "measured"][: turn["tests"]]
             return f"parted by {made[-1]['text'] if number else 'the first two tests'}"
+    if record["turns"][-1].get("verdict") in ("none", "calibration"):
+        return "no gap: the model's own parameters or noise may do it"
     both = [name.replace("_", " ") in record["conclusion"] for name in pair]
     return "said to be alike" if all(both) else "neither parted nor said to be alike"
 
@@ -405,7 +407,7 @@ def summary(lines: Sequence[RigLine]) -> dict[str, Any]:
         "largest_load": max(loads, default=math.nan),
         "pairs": {
             word: sum(line.pair.startswith(word) for line in lines)
-            for word in ("parted", "said to be alike", "neither")
+            for word in ("parted", "said to be alike", "no gap", "neither")
             if any(line.pair for line in lines)
         },
     }

@@ -52,6 +52,8 @@ def unforced_observations(
     """
     notes, rows = [], []
     responses = [c for c in channels.values() if c.quantity in MOTIONS]
+    if not responses:
+        return empty((f"{name}: left out: it has no response channel that the model {view.rig.name} has too.",))
     at_drive = [c for c in responses if c.point == view.rig.drive_point]
     channel = (at_drive or responses)[0]
     for segment, stretch in windows:
@@ -63,7 +65,7 @@ def unforced_observations(
         try:
             rows.append(_row(signal - float(np.mean(signal)), stretch.sample_rate, segment.frequency_hz, settings))
         except BenchError as error:
-            notes.append(f"{where} is left out: its motion has no frequency ({error})")
+            notes.append(f"{where} is left out: its motion tells no frequency ({str(error).rstrip('.')}).")
     if not rows:
         return empty(notes)
     notes.append(f"{name}: no force was recorded, so that it tells frequencies over amplitudes and no damping.")
@@ -77,6 +79,8 @@ def unforced_observations(
 
 def _row(signal: FloatArray, rate: float, guess_hz: float, settings: ObservationSettings) -> tuple[float, float, float]:
     """Frequency and its standard uncertainty, Hz, and amplitude of the fundamental."""
+    if not np.ptp(signal) > 0.0:
+        raise BenchError("it stands still")
     frequency = fit_frequency(signal, rate, guess_hz)
     periods = signal.size * frequency / rate
     if periods < settings.fewest_periods:

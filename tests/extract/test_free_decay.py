@@ -41,7 +41,7 @@ def test_a_linear_decay_has_its_frequency_and_damping(damping: float) -> None:
 def test_uncertainties_are_those_of_repeated_noise() -> None:
     rng = np.random.default_rng(3)
     deviations = []
-    for _ in range(40):
+    for _ in range(20):
         decay = found(linear(0.004) + 0.005 * rng.standard_normal(TIME.size))
         deviations += [
             (

@@ -52,7 +52,7 @@ if words[0] == "investigate":
     tests = [{"state": "measured", "seconds": 30.0, "expected": e, "received": r, "separates": s}
              for e, r, s in ((None, None, ()), (0.5, 0.6, ("a", "b")), (0.325083, 0.1, ("none", "too_weak_so_far")))]
     answers = {"none": 0.9, "too_weak_so_far": 0.1}
-    turns = [{"tests": n, "thinking_s": t, "answers": answers} for n, t in ((1, 4.0), (2, 8.0))]
+    turns = [{"tests": n, "thinking_s": t, "answers": answers, "verdict": "none"} for n, t in ((1, 4.0), (2, 8.0))]
     (out / "investigate.json").write_text(json.dumps({"tests": tests, "turns": turns, "ended": "named"}))
     (out / "diagnosis").mkdir()
     (out / "diagnosis" / "diagnosis.json").write_text(json.dumps(said))

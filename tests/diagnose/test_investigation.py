@@ -143,6 +143,21 @@ def test_levels_of_the_plan_are_expected_to_show_what_was_too_weak(tmp_path: Pat
     assert record.ended == "named"
 
 
+def test_what_shows_and_does_not_matter_is_no_gap(tmp_path: Path) -> None:
+    """It has a share in the answers; what is open is what further levels show."""
+    small = {"none": 0.84, "cubic_stiffness@2": 0.16}
+    levels = [NextTest("more", "", ("none", HIDDEN), math.nan, 20.0, 0.05, p) for p in (0.2, 0.1)]
+    bench = Bench([diagnosis(Verdict.NONE, small, levels=it) for it in (*levels, None)])
+    record = investigated(tmp_path, bench)
+    assert record.turns[0].answers == pytest.approx({"none": 0.672, HIDDEN: 0.2, "cubic_stiffness": 0.128})
+
+    def entropy(p: float) -> float:
+        return -p * math.log(p) - (1.0 - p) * math.log(1.0 - p)
+
+    received = [test.received for test in record.measured[2:]]
+    assert received == pytest.approx([entropy(0.2) - entropy(0.1), entropy(0.1)])
+
+
 def test_no_gap_is_said_at_the_end_of_the_plan_only(tmp_path: Path) -> None:
     bench = Bench([NOTHING])
     record = investigated(tmp_path, bench)

@@ -296,7 +296,8 @@ def _settles(test: Mapping[str, Any], turns: Sequence[Mapping[str, Any]], made: 
     before = [turn for turn in turns if turn["tests"] <= made]
     if HIDDEN not in test.get("separates", ()) or not before:
         return False
-    return math.isclose(float(test["expected"]), entropy_of(before[-1]["answers"], test["separates"]), rel_tol=1e-3)
+    open_before = entropy_of(before[-1]["answers"], test["separates"], before[-1]["verdict"])
+    return math.isclose(float(test["expected"]), open_before, rel_tol=1e-3)
 
 
 def pair_of(pair: Sequence[str], record: Mapping[str, Any]) -> str:

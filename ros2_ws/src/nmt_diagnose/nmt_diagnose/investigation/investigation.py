@@ -253,7 +253,9 @@ class Investigation:
         answers = answers_of(self.diagnosis)
         last = self.record.measured[-1] if self.record.measured else None
         if last is not None and last.separates and self.record.turns and not math.isfinite(last.received):
-            before, after = (entropy_of(it, last.separates) for it in (self.record.turns[-1].answers, answers))
+            turn = self.record.turns[-1]
+            before = entropy_of(turn.answers, last.separates, turn.verdict)
+            after = entropy_of(answers, last.separates, self.diagnosis.verdict.value)
             self._keep(replace(last, received=before - after))
         text = self.diagnosis.sentences[1] if len(self.diagnosis.sentences) > 1 else ""
         turn = Turn(len(names), self.record.bench_s, seconds, self.diagnosis.verdict.value, answers, text)
@@ -326,23 +328,24 @@ def answers_of(diagnosis: Diagnosis) -> dict[str, float]:
         name = " + ".join(sorted(part.split("@")[0].strip() for part in label.split(" + ")))
         found[name] = found.get(name, 0.0) + p
     if hidden > 0.0:
-        found[HIDDEN] = hidden * found.get(NULL, 0.0)
-        found[NULL] = (1.0 - hidden) * found.get(NULL, 0.0)
+        found = {name: (1.0 - hidden) * p for name, p in found.items()} | {HIDDEN: hidden * sum(found.values())}
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def entropy_of(answers: Mapping[str, float], names: Sequence[str]) -> float:
+def entropy_of(answers: Mapping[str, float], names: Sequence[str], verdict: str) -> float:
     """Entropy of a question, nats.
 
     Args:
         answers: probability of each.
-        names: the first two of them are set against each other; no gap is set against everything else where the
-            question is whether something acts.
+        names: the first two of them are set against each other. Where the question is whether the plan shows a gap,
+            what is too weak so far is set against all else while there is none, and no gap once there is one.
+        verdict: of the diagnosis.
     """
     first, second = (max(0.0, answers.get(name, 0.0)) for name in names[:2])
     if HIDDEN in names:
-        first = max(0.0, answers.get(NULL, 0.0))
-        second = sum(p for name, p in answers.items() if name != NULL)
+        alone = HIDDEN if verdict in (Verdict.NONE.value, Verdict.CALIBRATION.value) else NULL
+        first = max(0.0, answers.get(alone, 0.0))
+        second = sum(p for name, p in answers.items() if name != alone)
     total = first + second
     return float(entr(first / total) + entr(second / total)) if total > 0.0 else 0.0
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from diagnose.linear_problem import FunctionModel, observations_of
+from diagnose.predicted_observations import DRIVES, observations_of_model
 from diagnose.predicted_tests import chain
 
 from nmt_diagnose.effects.effect import Candidate, Site
@@ -17,7 +19,9 @@ from nmt_diagnose.inference import ahead, look_ahead
 from nmt_diagnose.inference.chain import Chain
 from nmt_diagnose.inference.comparison import Comparison, EquivalentClass
 from nmt_diagnose.inference.explanations import FittedExplanation
-from nmt_diagnose.inference.look_ahead import Proposal, next_tests
+from nmt_diagnose.inference.look_ahead import Proposal, next_tests, noise_over_motion
+from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.prediction.forward import Forward
 
 RIG = chain()
 SIGMA = 0.5
@@ -68,6 +72,7 @@ def future(monkeypatch: pytest.MonkeyPatch) -> dict[str, np.ndarray]:
             return columns[parametrisation.names[0]][:, None]
 
     monkeypatch.setattr(ahead, "Forward", Future)
+    monkeypatch.setattr(look_ahead, "noise_over_motion", lambda left, *_: left)
     monkeypatch.setattr(ahead, "linear_chain", lambda *_: Chain((), np.zeros((6, 0)), np.zeros(0, dtype=bool)))
     return columns
 
@@ -101,6 +106,28 @@ def test_the_expected_distance_is_that_of_dense_algebra(
     # Members of one class are distinguished just so.
     (same,) = next_tests(RIG, MEASURED, a, compared(((a, b), 0.95)))
     assert same == found
+
+
+def test_noise_is_over_the_motion_of_the_test_to_come() -> None:
+    """Displacements as noisy as before: by their amplitude, which the model tells, never less than in tests at hand."""
+    noise, model = 1e-9, chain()
+    measured = observations_of_model(model, random=False)
+    amplitudes = (measured.rows.part == Part.LOG_MAGNITUDE) & (measured.rows.harmonic == 1)
+    std = np.where(amplitudes, noise * np.exp(-measured.values), measured.std)
+    measured = replace(measured, std=std, floor=np.zeros_like(std))
+    found: Any = SimpleNamespace(fit=SimpleNamespace(theta=None, parametrisation=SimpleNamespace(rig=lambda _: model)))
+    frequency = float(measured.rows.frequency_hz[amplitudes][0])
+    weak = look_ahead._run(model, measured, 1, [min(DRIVES) / 100.0], frequency)
+    strong = look_ahead._run(model, measured, 1, [2.0 * max(DRIVES)], frequency)
+    for left in (weak, strong):
+        row = np.flatnonzero(left.rows.part == Part.LOG_MAGNITUDE)
+        predicted = Forward(left.tests, left.rows).predict(model).values[row]
+        after = noise_over_motion(left, measured, found)
+        expected = np.maximum(left.std[row], noise * np.exp(-predicted))
+        assert after.std[row] == pytest.approx(expected, rel=1e-6)
+        assert np.all(after.std[row] > 2.0 * left.std[row]) == (left is weak)
+        alone = left.rows.channel < 0
+        assert np.all(after.std[alone] > 2.0 * left.std[alone]) == (left is weak)
 
 
 def test_a_test_that_cannot_tell_is_not_proposed(

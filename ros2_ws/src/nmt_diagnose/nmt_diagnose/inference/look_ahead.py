@@ -35,6 +35,7 @@ from nmt_diagnose.inference.search import Search
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
+from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_elements, build_structure
@@ -95,6 +96,7 @@ def next_tests(
     p = [comparison.by_label.get(it.explanation.label, 0.0) for it in competing]
     found = []
     for proposal in proposals(rig, observations, plan):
+        proposal = replace(proposal, observations=noise_over_motion(proposal.observations, observations, competing[0]))
         sigma, of_first = _separation(proposal, competing, chain_names)
         if sigma >= THRESHOLDS.next_test.least_sigmas:
             information = expected_information(p[0], p[1], of_first)
@@ -134,7 +136,7 @@ def next_levels(
     command = _commands(observations)[1](f"--levels {','.join(f'{level:.4g}' for level in more)} --out high")
     if not gap:
         levels = sorted(level for level in plan if level >= more[0])
-        left = _run(rig, observations, point, levels, frequency)
+        left = noise_over_motion(_run(rig, observations, point, levels, frequency), observations, null)
         hidden = hidden_effects(search, null, scores, left, left.rows.level < len(more))
         return NextTest(text, command, (NULL, HIDDEN), math.nan, seconds, hidden.information, hidden.probability)
     competing = _competing(comparison, null)
@@ -142,10 +144,59 @@ def next_levels(
         return NextTest(text, command, (), math.nan, seconds)
     names = tuple(joined(competitor.effects) or NULL for competitor in competing)
     p = [comparison.by_label.get(it.explanation.label, 0.0) for it in competing]
-    proposal = Proposal(text, command, _run(rig, observations, point, more, frequency), seconds)
+    left = noise_over_motion(_run(rig, observations, point, more, frequency), observations, competing[0])
+    proposal = Proposal(text, command, left, seconds)
     sigma, of_first = _separation(proposal, competing, search.data.chain_names)
     information = expected_information(p[0], p[1], of_first)
     return NextTest(text, command, names, min(sigma, THRESHOLDS.next_test.most_sigmas), seconds, information)
+
+
+def noise_over_motion(left: Observations, at_hand: Observations, found: FittedExplanation) -> Observations:
+    """Expected uncertainties of a run of locked levels where its channels move less than in those at hand.
+
+    Noise of a channel is the same at all motions: a window of as many periods is the shorter the higher its frequency,
+    so that the noise in its mean goes with the root of that. Over a small motion it is large. It is never taken to be
+    less than in the tests at hand, which lock and repeat no better over a large one.
+
+    Args:
+        left: the run; other tests stay as they are.
+        at_hand: what has been measured.
+        found: an explanation, which tells the motion.
+    """
+    test = left.tests[0]
+    runs = [number for number, it in enumerate(at_hand.tests) if isinstance(it, PhaseResonanceTest)]
+    if not isinstance(test, PhaseResonanceTest) or not runs:
+        return left
+    rows, std = left.rows, left.std.copy()
+    try:
+        values = Forward(left.tests, rows).predict(found.fit.parametrisation.rig(found.fit.theta)).values
+    except (BenchError, ArithmeticError, np.linalg.LinAlgError):
+        return left
+    fundamental = (at_hand.rows.part == Part.LOG_MAGNITUDE) & (at_hand.rows.harmonic == 1)
+    fundamental &= np.isin(at_hand.rows.test, runs) & np.isfinite(at_hand.values)
+    names = [tuple(c.name for c in getattr(it, "channels", ())) for it in at_hand.tests]
+    for number, channel in enumerate(test.channels):
+        same = np.array([
+            k >= 0 and names[t][k] == channel.name for t, k in zip(at_hand.rows.test, at_hand.rows.channel, strict=True)
+        ])  # fmt: skip
+        own = fundamental & same
+        if not own.any():
+            continue
+        frequency = np.maximum(at_hand.rows.frequency_hz[own], 1e-12)
+        noise = float(np.median(at_hand.sigma[own] * np.exp(at_hand.values[own]) / np.sqrt(frequency)))
+        of_drive = at_hand.sigma[own][np.argsort(at_hand.rows.amplitude[own], kind="stable")]
+        places = np.linspace(0.0, 1.0, of_drive.size)
+        for level in np.unique(rows.level):
+            here = rows.level == level
+            row = np.flatnonzero(here & (rows.channel == number) & (rows.part == Part.LOG_MAGNITUDE))[0]
+            relative = noise * math.sqrt(rows.frequency_hz[row]) / math.exp(values[row])
+            if not math.isfinite(relative):
+                continue
+            std[here & (rows.channel == number)] *= max(1.0, relative / left.std[row])
+            if channel.name == test.response_channel:
+                before = float(np.interp(level / max(1, len(test.levels) - 1), places, of_drive))
+                std[here & (rows.channel < 0)] *= max(1.0, relative / before)
+    return replace(left, std=std)
 
 
 def expected_information(p: float, q: float, sigmas: float) -> float:

@@ -54,14 +54,14 @@ def birth() -> float:
 
 def test_a_branch_that_rest_does_not_lead_to_is_foretold_reached_and_measured(tmp_path):
     held = measure(
-        tmp_path / "held", np.linspace(1.0, 1.5, 5) * 1e-3, control="response", lag_deg=(70.0, 110.0), spacing=0.28
+        tmp_path / "held", np.linspace(1.05, 1.4, 4) * 1e-3, control="response", lag_deg=(76.0, 104.0), spacing=0.17
     )
     (isola,) = ForceSurface.of(response_curves(held)).isolas()
     assert isola.birth_force == pytest.approx(birth(), rel=0.02)
     force = 1.2 * isola.birth_force
-    rest = measure(tmp_path / "rest", [force], lag_deg=(70.0, 110.0), spacing=1.0)
+    rest = measure(tmp_path / "rest", [force], lag_deg=(88.0, 92.0), spacing=1.0)
     assert max(abs(point.shape_harmonics[1, 0]) for point in rest) < 0.5e-3  # from below it is never found
-    reached = measure(tmp_path / "isola", [force], lag_deg=(70.0, 110.0), release=1.3e-3)
+    reached = measure(tmp_path / "isola", [force], lag_deg=(76.0, 104.0), release=1.3e-3, spacing=0.25)
     assert len(reached) > 2
     for point in reached:
         lag, response = 0.5 * math.pi + point.phase_error, abs(point.shape_harmonics[1, 0])

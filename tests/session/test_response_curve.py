@@ -63,7 +63,7 @@ def fold_hz(place, force: float, sign: float) -> float:
 
 
 def test_a_hardening_curve_is_followed_through_both_folds(tmp_path):
-    result, acts, bag = measure(tmp_path, [0.32], lag_deg=(30.0, 168.0), spacing=0.25)
+    result, acts, bag = measure(tmp_path, [0.32], lag_deg=(70.0, 168.0), spacing=0.3, window_periods=12)
     points = result.points
     assert all(point.status is PointStatus.OK for point in points), [point.reason for point in points]
     for point in points:
@@ -96,7 +96,7 @@ def test_a_hardening_curve_is_followed_through_both_folds(tmp_path):
 
 
 def test_a_perturbed_drive_tells_the_floquet_exponents_on_both_sides_of_a_fold(tmp_path):
-    result, _, bag = measure(tmp_path, [0.32], lag_deg=(75.0, 135.0), spacing=1.0, floquet=True, window_periods=30)
+    result, _, bag = measure(tmp_path, [0.32], lag_deg=(75.0, 135.0), spacing=1.0, floquet=True, window_periods=25)
     balance = chain_of_one(16000.0, 0.02 * OMEGA, cubic(1.6e10), samples=128)
     force = np.zeros(balance.orders.size, complex)
     force[0] = 0.32
@@ -125,7 +125,7 @@ def test_a_perturbed_drive_tells_the_floquet_exponents_on_both_sides_of_a_fold(t
 
 def test_with_a_shaker_and_friction_the_curve_goes_to_its_other_side(tmp_path):
     plan = plan_test(
-        "beam", [0.3], test="response_curve", window_periods=12, ramp=0.3, lag_deg=(115.0, 160.0), spacing=0.5,
+        "beam", [0.3], test="response_curve", window_periods=10, ramp=0.3, lag_deg=(130.0, 155.0), spacing=0.6,
         timeout=20.0, harmonics_control="auto",
     )  # fmt: skip
     with Session(plan, tmp_path) as session:
@@ -145,7 +145,7 @@ def test_with_a_shaker_and_friction_the_curve_goes_to_its_other_side(tmp_path):
 
 
 def test_at_a_held_response_the_force_is_that_of_the_balance(tmp_path):
-    result, _, _ = measure(tmp_path, [0.5e-3], lag_deg=(50.0, 130.0), spacing=0.5, control="response")
+    result, _, _ = measure(tmp_path, [0.5e-3], lag_deg=(60.0, 120.0), spacing=0.5, control="response", window_periods=12)
     for point in result.points:
         found = at_lag(0.5 * math.pi + point.phase_error, point.force_n, point.frequency_hz, 0.5e-3)
         assert point.frequency_hz == pytest.approx(found.omega_b * OMEGA / (2.0 * math.pi), rel=1e-3)

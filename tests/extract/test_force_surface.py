@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from nmt_core.errors import BenchError
-from nmt_extract.force_surface import ForceSurface
+from nmt_extract.force_surface import ForceSurface, surface_sentences
 from nmt_extract.response_curve import ResponseCurve
 
 OMEGA, UNIT, ZETA = 126.5, 1e-3, 0.01
@@ -74,6 +74,22 @@ def test_cuts_are_closed_only_between_birth_and_merging():
     # From rest the damping is largest at 0.59 mm; beyond that force the branches are one.
     merging = force(np.array([20.2]), np.array([0.59e-3])).item()
     assert not any(cut.closed for cut in surface.cut(1.3 * merging))
+
+
+def test_both_folds_of_an_isola_are_told_with_their_stability():
+    surface, (born, _, _) = ForceSurface.of(CURVES), birth()
+    (cut,) = (item for item in surface.cut(1.1 * born) if item.closed)
+    grid = np.linspace(cut.frequency_hz.min() - 0.01, cut.frequency_hz.max() + 0.01, 4001)
+    amplitudes = UNIT * np.linspace(1.0, 1.6, 601)
+    least = np.array([force(grid, np.full(grid.size, a)) for a in amplitudes]).min(axis=0)  # over the amplitude
+    reached = grid[least <= 1.1 * born]
+    assert cut.folds[:, 0] == pytest.approx([reached[0], reached[-1]], abs=2e-3)
+    middle = np.interp(cut.frequency_hz, cut.folds[:, 0], cut.folds[:, 1])  # of both orbits at a frequency
+    clear = np.abs(cut.response - middle) > 0.1 * np.ptp(cut.response)
+    assert np.array_equal(cut.stable[clear] == 1.0, cut.response[clear] > middle[clear])
+    (sentence,) = surface_sentences(CURVES)
+    assert "its folds lie at" in sentence
+    assert "larger response are stable" in sentence
 
 
 def test_the_uncertainty_is_that_of_noise():

@@ -145,7 +145,9 @@ def test_with_a_shaker_and_friction_the_curve_goes_to_its_other_side(tmp_path):
 
 
 def test_at_a_held_response_the_force_is_that_of_the_balance(tmp_path):
-    result, _, _ = measure(tmp_path, [0.5e-3], lag_deg=(60.0, 120.0), spacing=0.5, control="response", window_periods=12)
+    result, _, _ = measure(
+        tmp_path, [0.5e-3], lag_deg=(60.0, 120.0), spacing=0.5, control="response", window_periods=12
+    )
     for point in result.points:
         found = at_lag(0.5 * math.pi + point.phase_error, point.force_n, point.frequency_hz, 0.5e-3)
         assert point.frequency_hz == pytest.approx(found.omega_b * OMEGA / (2.0 * math.pi), rel=1e-3)

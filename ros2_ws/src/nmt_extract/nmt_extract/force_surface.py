@@ -5,7 +5,9 @@ fundamental is close to Z = κ − m Ω² + i c Ω, so that real and imaginary p
 in Ω; over A the coefficients are interpolated by cubic splines of A² (Z is even in A). The force is F = A |Z|.
 
 At a constant force the points of a response curve lie on a contour of F(Ω, A). A contour that is closed within the
-measured amplitudes is an isola. It is born where F has a minimum, and joins another branch at a saddle. The standard
+measured amplitudes is an isola. It is born where F has a minimum, and joins another branch at a saddle. Orbits are
+stable where the force grows with the amplitude at their frequency, ∂F/∂A > 0; they turn over the frequency where that
+passes through zero (for one mode; a loss of stability without a fold shows in Floquet exponents only). The standard
 uncertainty of F has the scatter about the fits and the error of the interpolation, told by leaving out each amplitude
 in turn.
 """
@@ -64,11 +66,28 @@ class ForceCut:
     Attributes:
         frequency_hz, response: Hz and m along it, ``(points,)``.
         closed: whether it is closed, an isola.
+        slope: ∂F/∂A along it, N/m, ``(points,)``; the orbits are stable where it is positive.
     """
 
     frequency_hz: FloatArray
     response: FloatArray
     closed: bool
+    slope: FloatArray
+
+    @property
+    def stable(self) -> FloatArray:
+        """1 where the orbit is stable in open loop, 0 where not, ``(points,)``."""
+        return np.where(self.slope > 0.0, 1.0, 0.0)
+
+    @property
+    def folds(self) -> FloatArray:
+        """Frequency (Hz) and response (m) of the places where the contour turns over the frequency, ``(folds, 2)``."""
+        before, after = self.slope[:-1], self.slope[1:]
+        at = np.flatnonzero(np.sign(before) * np.sign(after) < 0.0)
+        share = (before[at] / (before[at] - after[at]))[:, np.newaxis]
+        places = np.column_stack([self.frequency_hz, self.response])
+        found: FloatArray = places[at] + share * (places[at + 1] - places[at])
+        return found[np.argsort(found[:, 0])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,9 +189,20 @@ class ForceSurface:
         """Contours at a constant force (N) within what was measured."""
         lines = contourpy.contour_generator(*self.grid()).lines(force)
         return tuple(
-            ForceCut(line[:, 0], line[:, 1], bool(len(line) > 2 and np.array_equal(line[0], line[-1])))
+            ForceCut(
+                line[:, 0],
+                line[:, 1],
+                bool(len(line) > 2 and np.array_equal(line[0], line[-1])),
+                self.force_slope(line[:, 0], line[:, 1]),
+            )
             for line in map(np.asarray, lines)
         )
+
+    def force_slope(self, frequency_hz: FloatArray, response: FloatArray) -> FloatArray:
+        """∂F/∂A at frequencies (Hz) and amplitudes (m) of one shape, N/m."""
+        step = 1e-5 * float(self.amplitude[-1])
+        ends = [self.force(frequency_hz, np.asarray(response) + sign * step) for sign in (1.0, -1.0)]
+        return np.asarray((ends[0] - ends[1]) / (2.0 * step))
 
     def valley(self, response: float) -> tuple[float, float]:
         """Frequency (Hz) within what was measured at which a response (m) needs the least force, and that force (N)."""
@@ -215,12 +245,30 @@ def surface_sentences(curves: Sequence[ResponseCurve]) -> list[str]:
     if len({curve.level for curve in held}) < LEAST_CURVES:
         return []
     try:
-        isolas = ForceSurface.of(held).isolas()
+        surface = ForceSurface.of(held)
+        isolas = surface.isolas()
     except BenchError as error:
         return [str(error)]
-    return [isola.sentence for isola in isolas] or ["Within the measured amplitudes the force surface has no isola."]
+    return [_words_of(surface, isola) for isola in isolas] or [
+        "Within the measured amplitudes the force surface has no isola."
+    ]
 
 
+def _words_of(surface: ForceSurface, isola: Isola) -> str:
+    """An isola at its birth, and its two folds a tenth of the force beyond, where it is closed there."""
+    force = _BEYOND * isola.birth_force
+    for cut in surface.cut(force):
+        around = cut.frequency_hz.min() <= isola.frequency_hz <= cut.frequency_hz.max()
+        if cut.closed and around and len(cut.folds) == 2:
+            words = " and ".join(f"{hertz:.4f} Hz ({response:.4g} m)" for hertz, response in cut.folds)
+            return (
+                f"{isola.sentence} At {force:.4g} N its folds lie at {words}; between them the orbits with the larger "
+                "response are stable, those with the smaller one are not."
+            )
+    return isola.sentence
+
+
+_BEYOND = 1.1  # of the force at birth, at which folds are named
 _NEEDED = ("frequency_hz", "response", "force", "lag")
 _COARSE_SHARE = 0.2  # of what changes without an amplitude: its neighbours are then twice as far apart
 

@@ -161,8 +161,14 @@ def judge_held_phase(values: Mapping[str, float], held: float) -> list[Remark]:
     ]
 
 
+_FOLLOWING = 0.1  # of the damping ratio, by which the frequency follows what the response is away
+
+
 def settling_part(values: Mapping[str, float], growth: float, frequency_rate: float) -> Remark:
     """What a point of a response curve still has to go: what settles with the decay δ at a rate r is r / δ away.
+
+    The frequency follows the response along the curve, also while its own rate passes through zero: it is not told
+    better than by a tenth of the damping ratio times what the response is away.
 
     Args:
         values: of the point: damping_ratio, omega_rad_s, modal_amplitude.
@@ -173,7 +179,7 @@ def settling_part(values: Mapping[str, float], growth: float, frequency_rate: fl
     return Remark(
         "",
         {
-            "omega_rad_s": abs(frequency_rate) / decay,
+            "omega_rad_s": math.hypot(frequency_rate / decay, _FOLLOWING * growth),
             "modal_amplitude": abs(growth) / decay * values["modal_amplitude"],
         },
         moving=True,

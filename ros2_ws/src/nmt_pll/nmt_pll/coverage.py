@@ -10,14 +10,6 @@ from nmt_core.vocabulary import ControlKind, TestKind
 ADAPTIVE, PAPER = "adaptive", "paper"
 """Names of the loops of phase resonance."""
 
-_ONE_EXCITER = {
-    TestKind.SWEEP: "A sweep drives",
-    TestKind.STEPPED_SINE: "A stepped sine drives",
-    TestKind.SECONDARY_RESONANCE: "The loop holds a secondary resonance with",
-    TestKind.SELF_EXCITED: "The loop holds a self-excited motion with",
-    TestKind.RESPONSE_CURVE: "The loop follows a response curve with",
-}
-
 
 def covers(test: DrivenTest, loop: str = ADAPTIVE, ramps: bool = False) -> str:
     """What the loops do not take of a test, and what to use instead; empty = they take it.
@@ -29,9 +21,10 @@ def covers(test: DrivenTest, loop: str = ADAPTIVE, ramps: bool = False) -> str:
     """
     if test.kind is TestKind.RECORD:
         return "The bench does no test of the kind record, which is imported data; choose another --kind."
-    if test.has_several_exciters and test.kind in _ONE_EXCITER:
+    kind = kind_class(test.kind)
+    if test.has_several_exciters and kind.one_exciter:
         return (
-            f"{_ONE_EXCITER[test.kind]} one exciter, and this rig has {len(test.exciters)}; choose one by its point "
+            f"{kind.one_exciter} one exciter, and this rig has {len(test.exciters)}; choose one by its point "
             "with --exciter N, which takes the others off the rig."
         )
     if test.kind is TestKind.SELF_EXCITED and "shaking_table" in test.exciters:
@@ -44,14 +37,13 @@ def covers(test: DrivenTest, loop: str = ADAPTIVE, ramps: bool = False) -> str:
 
 def _paper_covers(test: DrivenTest, ramps: bool) -> str:
     """The same for the paper's loop, which takes the place of those that close the phase."""
-    if not kind_class(test.kind).closes_phase_loop:
+    kind = kind_class(test.kind)
+    if not kind.closes_phase_loop:
         return ""
+    lacks = kind.beyond_paper_loop
     for asked, does, what in (
         (ramps, "waits at every level", "the strategy ramp"),
-        (test.kind is TestKind.RING_DOWN, "does not switch off", "a ring-down test"),
-        (test.kind is TestKind.SELF_EXCITED, "cannot hold such a motion", "a self-excited test"),
-        (test.kind is TestKind.SECONDARY_RESONANCE, "holds the phase of the drive's own order", "secondary resonances"),
-        (test.kind is TestKind.RESPONSE_CURVE, "holds phase resonance only", "response curves"),
+        (bool(lacks), *(lacks or ("", ""))),
         (test.control != ControlKind.VOLTAGE, "steps the voltage only", f"levels of {test.control.label}"),
         (test.controlled_harmonics > 0, "leaves the force's harmonics as they are", "controlled harmonics"),
         (test.has_several_exciters, "drives one exciter", "several exciters"),

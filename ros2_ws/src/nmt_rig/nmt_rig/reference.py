@@ -23,7 +23,7 @@ from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import MOTIONS, TestKind
+from nmt_core.vocabulary import MOTIONS
 from nmt_rig.linear_description import isolating_inputs
 from nmt_rig.model.epmc import EpmcBackbone, epmc_backbone
 from nmt_rig.model.forced_response import ForcedProblem
@@ -111,22 +111,10 @@ class SinglePointReference:
 
 def covers(test: DrivenTest) -> str:
     """What the backbone of a mode cannot be compared with, and what to use instead; empty = it can be."""
-    if test.kind is TestKind.SECONDARY_RESONANCE:
-        return (
-            f"The reference is the backbone of a mode, and {test.words} is off it by what the force drives beside the "
-            "resonant order; use --reference none, or a test at phase resonance."
-        )
-    if test.kind is TestKind.RESPONSE_CURVE:
-        return (
-            f"The backbone of a mode is passed by {test.words} at its tip only; compare it with the response curves of "
-            "'./nmt reference RIG --forces', or use a test at phase resonance."
-        )
-    if test.kind is TestKind.RING_DOWN:
-        return (
-            f"The reference is compared with modal points, and {test.words} gives free decays; plot reference.csv over "
-            "decay.csv, or use a test at phase resonance."
-        )
-    if not kind_class(test.kind).gives_modal_points:
+    kind = kind_class(test.kind)
+    if kind.beyond_backbone:
+        return kind.beyond_backbone.format(words=test.words)
+    if not kind.gives_modal_points:
         return (
             f"The reference is the backbone of a mode, and {test.words} measures responses; use a test at phase "
             "resonance or a self-excited test."

@@ -16,12 +16,12 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 
 from nmt_core.errors import BenchError
-from nmt_core.kinds import PhaseResonanceTest, ResponseCurveTest, SelfExcitedTest
+from nmt_core.kinds import PhaseResonanceTest, SelfExcitedTest
 from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.records import LevelCommand, LoopStatus, Steering
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct
-from nmt_sequencer.curve_steps import CurveSteps
+from nmt_sequencer.curve_steps import CurveSteps, curve_steps
 from nmt_sequencer.level_plan import NO_LIMITS, LevelLimits, check_levels
 from nmt_sequencer.refinement import LevelRefinement
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest
@@ -224,7 +224,7 @@ class RunMachine:
         self._end_request = None
         self._act_count = 0
         self._refinement = LevelRefinement(plan.refinement, plan.levels) if plan.refinement else None
-        self._curve = _curve_steps(plan)
+        self._curve = curve_steps(plan.kind, plan.control)
         tick = self.pacing.tick
         begin = self.horizon if self.pacing.lockstep else self.newest + 1
         self._next_tick = (begin // tick + 1) * tick
@@ -706,10 +706,3 @@ class RunMachine:
         self._orders.append(order)
         if self.pacing.lockstep:
             self._unacknowledged.append(order)
-
-
-def _curve_steps(plan: RunPlan) -> CurveSteps | None:
-    """Step control of a response curve; None for other kinds of test."""
-    if not isinstance(plan.kind, ResponseCurveTest):
-        return None
-    return CurveSteps(plan.kind, plan.control == ControlKind.FORCE)

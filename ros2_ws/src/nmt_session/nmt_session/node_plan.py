@@ -18,7 +18,6 @@ from nmt_core.files.yaml_text import yaml_text
 from nmt_core.kinds import (
     KindOfTest,
     PhaseResonanceTest,
-    ResponseCurveTest,
     SecondaryResonanceTest,
     SelfExcitedTest,
 )
@@ -652,9 +651,7 @@ def _add_floors(values: dict[str, Any], test: TestPlan, linear: LinearDescriptio
         values["force_floor"] = 0.02 * lowest * force_per_volt
     if isinstance(test.kind, SecondaryResonanceTest):  # its response is not that of the mode in phase resonance
         return
-    if (
-        isinstance(test.kind, ResponseCurveTest) and test.control == "force"
-    ):  # a stiff mode answers as a spring at least
+    if test.kind.is_curve and test.control == "force":  # a stiff mode answers as a spring at least
         response_per_volt *= 2.0 * linear.plant_damping_ratio
     if "response_floor" not in values and lowest * response_per_volt > 0:
         values["response_floor"] = 0.02 * lowest * response_per_volt

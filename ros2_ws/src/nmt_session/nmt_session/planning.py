@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from nmt_core.errors import BenchError
-from nmt_core.kinds import KindOfTest, ResponseCurveTest, SelfExcitedTest, kind_named
+from nmt_core.kinds import KindOfTest, SelfExcitedTest, kind_named
 from nmt_pll.loop_settings import LoopSettings
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_snapshot import rig_text
@@ -195,7 +195,7 @@ def _with_chosen_block(plan: TestPlan) -> TestPlan:
     rate = float(plan.rig.sample_rate_hz)
     quantities = [sensor.quantity for sensor in plan.rig.sensors]
     channels = max(quantities.count(quantity) for quantity in quantities)
-    unstable = isinstance(plan.kind, ResponseCurveTest) and plan.control == "force"
+    unstable = plan.kind.is_curve and plan.control == "force"
     choice = choose_block(linear, settings, level, rate, channels, SHORTEST_BLOCK if unstable else 0.0)
     rig = plan.rig.model_copy(update={"block_samples": choice.block_samples})
     return replace(

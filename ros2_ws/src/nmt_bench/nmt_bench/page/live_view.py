@@ -301,6 +301,8 @@ class LiveView:
                     "run": self.run_id,
                     "rig": str(self._run.get("rig", "")),
                     "test": self._test.label(),
+                    "gives_points": self._test.gives_modal_points,
+                    "is_curve": self._test.is_curve,
                     "phase": self._state.phase.name.lower() if self._state else "idle",
                     "result": self._state.result_code.name if self._state and self._state.result_code else "",
                     "reason": self._state.reason if self._state else "",

@@ -21,6 +21,7 @@ class SweepTest(KindOfTest):
     """
 
     NUMBER: ClassVar[TestKind] = TestKind.SWEEP
+    one_exciter: ClassVar[str] = "A sweep drives"
     sweeps: ClassVar[bool] = True
     needs_frequencies: ClassVar[bool] = True
 
@@ -49,4 +50,5 @@ class SteppedSineTest(KindOfTest):
     """One window of whole periods at the frequency of each level."""
 
     NUMBER: ClassVar[TestKind] = TestKind.STEPPED_SINE
+    one_exciter: ClassVar[str] = "A stepped sine drives"
     needs_frequencies: ClassVar[bool] = True

@@ -43,6 +43,11 @@ class KindOfTest:
         is_noise: the drive is noise: levels are V rms, there is no excitation phase and no one frequency.
         sweeps: the frequency moves through the window.
         needs_frequencies: every level needs a frequency.
+        is_curve: its windows are points of response curves: any phase is held, and orbits may be unstable without the
+            loop.
+        one_exciter: how a sentence begins that says it drives one exciter; empty = it drives several.
+        beyond_paper_loop: what the paper's loop does instead, and what it is to be left for; empty = it does it.
+        beyond_backbone: sentence about ``{words}`` that says why no backbone is its reference; empty = one is.
         stops_without_answer: a run ends where a higher level would follow one that had no force or no response.
     """
 
@@ -56,6 +61,10 @@ class KindOfTest:
     sweeps: ClassVar[bool] = False
     needs_frequencies: ClassVar[bool] = False
     stops_without_answer: ClassVar[bool] = False
+    is_curve: ClassVar[bool] = False
+    one_exciter: ClassVar[str] = ""
+    beyond_paper_loop: ClassVar[tuple[str, str] | tuple[()]] = ()
+    beyond_backbone: ClassVar[str] = ""
 
     @classmethod
     def label(cls) -> str:

@@ -112,6 +112,11 @@ class RingDownTest(PhaseLockedTest):
     """
 
     NUMBER: ClassVar[TestKind] = TestKind.RING_DOWN
+    beyond_paper_loop: ClassVar[tuple[str, str] | tuple[()]] = ("does not switch off", "a ring-down test")
+    beyond_backbone: ClassVar[str] = (
+        "The reference is compared with modal points, and {words} gives free decays; plot reference.csv over "
+        "decay.csv, or use a test at phase resonance."
+    )
 
     duration: float = 0.0
 

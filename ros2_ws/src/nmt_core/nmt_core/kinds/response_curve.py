@@ -49,6 +49,13 @@ class ResponseCurveTest(PhaseLockedTest):
     CONTROL: ClassVar[ControlKind] = ControlKind.FORCE
     FREQUENCY_WEIGHT: ClassVar[float] = 10.0
     gives_modal_points: ClassVar[bool] = True
+    is_curve: ClassVar[bool] = True
+    one_exciter: ClassVar[str] = "The loop follows a response curve with"
+    beyond_paper_loop: ClassVar[tuple[str, str] | tuple[()]] = ("holds phase resonance only", "response curves")
+    beyond_backbone: ClassVar[str] = (
+        "The backbone of a mode is passed by {words} at its tip only; compare it with the response curves of "
+        "'./nmt reference RIG --forces', or use a test at phase resonance."
+    )
 
     lag_from: float = of_goal(math.radians(10.0))
     lag_to: float = of_goal(math.radians(170.0))

@@ -25,6 +25,14 @@ class SecondaryResonanceTest(KindOfTest):
     closes_phase_loop: ClassVar[bool] = True
     gives_modal_points: ClassVar[bool] = True
     stops_without_answer: ClassVar[bool] = True
+    one_exciter: ClassVar[str] = "The loop holds a secondary resonance with"
+    beyond_paper_loop: ClassVar[tuple[str, str] | tuple[()]] = (
+        "holds the phase of the drive's own order", "secondary resonances",
+    )  # fmt: skip
+    beyond_backbone: ClassVar[str] = (
+        "The reference is the backbone of a mode, and {words} is off it by what the force drives beside the resonant "
+        "order; use --reference none, or a test at phase resonance."
+    )
 
     response_order: int = 0
     force_order: int = 0

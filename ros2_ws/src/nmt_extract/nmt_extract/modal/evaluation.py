@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import kind_class
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.secondary_resonance import resonance_of
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
@@ -52,7 +53,7 @@ class WindowEvaluation:
         lock = window.lock
         self.resonance = resonance_of(lock.response_order, lock.force_order) if lock.force_order else None
         self.self_excited = lock.test is TestKind.SELF_EXCITED
-        self.on_curve = lock.test is TestKind.RESPONSE_CURVE
+        self.on_curve = kind_class(lock.test).is_curve
         orders = self.resonance[:2] if self.resonance else (1, 1)
         self.data = window.data
         self.motion = PeriodicMotion(window, WindowRows.of(window, linear), settings, orders)

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand
@@ -243,7 +244,7 @@ class PhaseLockedLoop(LevelLoop):
             self._logarithms = (present, aim)
         if self._parameter is CurveParameter.FREQUENCY:
             self.controller.reset(self.controller.output)
-        if level.test is TestKind.RESPONSE_CURVE and level.frequency_hz > 0.0 and not was_quiet:
+        if kind_class(level.test).is_curve and level.frequency_hz > 0.0 and not was_quiet:
             self._foreseen = 2.0 * math.pi * level.frequency_hz - self.controller.integrator
             if turned != 0.0 and level.control == ControlKind.FORCE and self._parameter is CurveParameter.LAG:
                 self._slope = self._foreseen / turned
@@ -301,7 +302,7 @@ class PhaseLockedLoop(LevelLoop):
             self._running_from = self._judged_from = end + round(delay * self.sample_rate)
         self._amplitude_before, self._ramp_end = self._amplitude, ramp_end
         if was_quiet:
-            self._release = level.release if level.test is TestKind.RESPONSE_CURVE else 0.0
+            self._release = level.release if kind_class(level.test).is_curve else 0.0
         self.schedule = self._release_schedule if self._release > 0.0 else self._force_schedule
         self._amplitude = self._start_voltage(level, was_quiet)
         if was_quiet:
@@ -315,7 +316,7 @@ class PhaseLockedLoop(LevelLoop):
     def _on_curve(self) -> bool:
         """Whether the level is a point of a response curve at a held force."""
         level = self._level
-        return level is not None and level.test is TestKind.RESPONSE_CURVE and level.control == ControlKind.FORCE
+        return level is not None and kind_class(level.test).is_curve and level.control == ControlKind.FORCE
 
     def _held(self, level: LevelCommand) -> tuple[int, float]:
         """What the amplitude controller holds now, and at what amplitude."""

@@ -396,13 +396,11 @@
 
   const perNewton = () => (facts.response_unit.includes("/") ? "(" + facts.response_unit + ")/N" : facts.response_unit + "/N");
 
-  const givesPoints = (test) => ["phase_resonance", "self_excited", "secondary_resonance", "response_curve"].includes(test);
-
   function drawKinds() {
-    const test = facts.test, modal = givesPoints(test) && test !== "response_curve";
+    const test = facts.test, modal = facts.gives_points && !facts.is_curve;
     get("backbone-panel").hidden = get("damping-panel").hidden = !modal;
     get("frf-panel").hidden = get("coherence-panel").hidden = test !== "random";
-    get("curve-panel").hidden = test !== "response_curve";
+    get("curve-panel").hidden = !facts.is_curve;
     get("swept-panel").hidden = test !== "sweep" && test !== "stepped_sine";
     get("decay-panel").hidden = test !== "ring_down";
     for (const id of ["orbit-panel", "loop-panel", "nyquist-panel", "shape-panel"]) { get(id).hidden = test === "random"; }
@@ -554,7 +552,7 @@
     } else {
       const others = facts.plan.filter((row) => row.why);
       for (const row of others) { const line_ = points.tBodies[0].insertRow(); line_.append(make("td", row.text + " " + facts.level_unit), make("td", row.state + ": " + row.why, { className: "reason" })); }
-      if (!others.length) { points.tBodies[0].insertRow().append(make("td", givesPoints(facts.test) ? "No modal point yet." : "This kind of test gives no modal points while it runs.")); }
+      if (!others.length) { points.tBodies[0].insertRow().append(make("td", facts.gives_points ? "No modal point yet." : "This kind of test gives no modal points while it runs.")); }
     }
     get("acts").replaceChildren(...facts.acts.map((words) => make("li", words)));
     const key = JSON.stringify(facts.channels);
@@ -589,7 +587,7 @@
       repeated.value = begun.some((row) => String(row.index) === chosen) ? chosen : "";
     }
     controls();
-    if (facts.test === "response_curve") { responseCurves(); }
+    if (facts.is_curve) { responseCurves(); }
     if (!get("backbone-panel").hidden) {
       backbone("plot-frequency", "modal frequency / Hz", factArrays.point_f, factArrays.point_f_std, factArrays.reference_f, 2e-3);
       backbone("plot-damping", "modal damping ratio / %", factArrays.point_d, factArrays.point_d_std, factArrays.reference_d, 0.05);

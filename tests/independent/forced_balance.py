@@ -121,9 +121,9 @@ class OneElement:
         def residual(unknowns: np.ndarray) -> np.ndarray:
             w = (unknowns[:-1:2] + 1j * unknowns[1:-1:2]) * length
             g = self.element(w, omega)
-            given = pure * unknowns[-1]
-            open_ = (w - cd * given + cc * g) / length
-            x = dd[0] * given[0] - cd[0] * g[0]
+            force_now = pure * unknowns[-1]
+            open_ = (w - cd * force_now + cc * g) / length
+            x = dd[0] * force_now[0] - cd[0] * g[0]
             return np.append(np.column_stack([open_.real, open_.imag]).ravel(), abs(x) / response - 1.0)
 
         found = least_squares(

@@ -32,8 +32,8 @@ def answer(loop: ClosedLoop, omega: float) -> tuple[float, float]:
 def hold(loop: ClosedLoop, parameter: CurveParameter, omega: float, **fields: object) -> LevelOutcome:
     """The outcome of a level that is to be at the model's answer at ω (rad/s) unless the fields say otherwise."""
     phase, response = answer(loop, omega)
-    given = {"held_phase": phase, "held_response": response, "frequency_hz": omega / (2.0 * math.pi), **fields}
-    return loop.run_level(VOLTAGE, test=TestKind.RESPONSE_CURVE, parameter=int(parameter), **given)
+    settings = {"held_phase": phase, "held_response": response, "frequency_hz": omega / (2.0 * math.pi), **fields}
+    return loop.run_level(VOLTAGE, test=TestKind.RESPONSE_CURVE, parameter=int(parameter), **settings)
 
 
 def test_a_held_frequency_leaves_the_lag_to_the_structure(loop):

@@ -51,15 +51,15 @@ class Ahead:
         self.chain = chain or linear_chain(replace(left, values=np.nan_to_num(self.base.values)), rig, self.base)
         known = {name: number for number, name in enumerate(chain_names)}
         shared = np.zeros((len(left.rows), len(known)))
-        own = []
+        unshared = []
         for name, column in zip(self.chain.names, self.chain.columns.T, strict=True):
             if name in known:
                 shared[:, known[name]] = column
             else:
-                own.append(column)
-        alone = np.column_stack(own) if own else np.zeros((len(left.rows), 0))
+                unshared.append(column)
+        alone = np.column_stack(unshared) if unshared else np.zeros((len(left.rows), 0))
         self.columns = self.over_sigma(np.column_stack([slopes, shared, alone]))
-        self._own = alone.shape[1]
+        self._unshared = alone.shape[1]
 
     def over_sigma(self, values: FloatArray) -> FloatArray:
         """Changes of the rows, (m, n), over σ; 0 where there is no solution."""
@@ -68,8 +68,8 @@ class Ahead:
     @cached_property
     def precision(self) -> FloatArray:
         """What is known of all that moves the rows before the test, (k, k)."""
-        count = self.columns.shape[1] - self._own
-        result = np.eye(count + self._own)
+        count = self.columns.shape[1] - self._unshared
+        result = np.eye(count + self._unshared)
         result[:count, :count] = self._at_hand.normal
         return result
 
@@ -105,7 +105,7 @@ class Ahead:
         columns = np.column_stack([self._fitted.jacobian, errors.slopes])
         weighted = at_hand * errors.weights[:, None]
         squares = np.sum(at_hand * weighted, axis=0)
-        along = np.vstack([columns.T @ weighted, np.zeros((self._own, at_hand.shape[1]))])
+        along = np.vstack([columns.T @ weighted, np.zeros((self._unshared, at_hand.shape[1]))])
         precision = self.precision
         if rows is not None:
             squares = squares + np.sum(ahead[rows] ** 2, axis=0)

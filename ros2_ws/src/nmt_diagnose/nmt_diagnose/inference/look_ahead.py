@@ -179,12 +179,12 @@ def noise_over_motion(left: Observations, at_hand: Observations, found: FittedEx
         same = np.array([
             k >= 0 and names[t][k] == channel.name for t, k in zip(at_hand.rows.test, at_hand.rows.channel, strict=True)
         ])  # fmt: skip
-        own = fundamental & same
-        if not own.any():
+        alike = fundamental & same
+        if not alike.any():
             continue
-        frequency = np.maximum(at_hand.rows.frequency_hz[own], 1e-12)
-        noise = float(np.median(at_hand.sigma[own] * np.exp(at_hand.values[own]) / np.sqrt(frequency)))
-        of_drive = at_hand.sigma[own][np.argsort(at_hand.rows.amplitude[own], kind="stable")]
+        frequency = np.maximum(at_hand.rows.frequency_hz[alike], 1e-12)
+        noise = float(np.median(at_hand.sigma[alike] * np.exp(at_hand.values[alike]) / np.sqrt(frequency)))
+        of_drive = at_hand.sigma[alike][np.argsort(at_hand.rows.amplitude[alike], kind="stable")]
         places = np.linspace(0.0, 1.0, of_drive.size)
         for level in np.unique(rows.level):
             here = rows.level == level

@@ -13,7 +13,7 @@ RIG = ("--rig", "joint_resonator")
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "sentence"),
     [
         ((), "either --rig"),
         ((*RIG, "--real", "bag"), "either --rig"),
@@ -25,11 +25,11 @@ RIG = ("--rig", "joint_resonator")
     ],
 )
 def test_refusals_are_sentences(
-    words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["investigate", "joint_resonator", *words, "--out", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert sentence in error
     assert error.count("\n") == 1
 
 

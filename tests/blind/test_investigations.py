@@ -139,10 +139,10 @@ def test_the_table_has_both_ways(tmp_path: Path) -> None:
 def test_what_is_named_and_too_small_to_matter_is_told_from_what_is_missed(tmp_path: Path) -> None:
     truth = read_truth(rig_folder(tmp_path, "a") / "truth.yaml")
     small = "The recordings show a difference that is smaller than what matters: 0.7 %. It looks like {} at point 4."
-    said = {"verdict": "none", "sentences": ["There is no gap.", small.format("cubic stiffness")]}
-    assert told_small(truth, said)
-    assert not told_small(truth, said | {"verdict": "unknown"})
-    assert not told_small(truth, said | {"sentences": [small.format("air drag"), "No cubic stiffness."]})
+    quiet = {"verdict": "none", "sentences": ["There is no gap.", small.format("cubic stiffness")]}
+    assert told_small(truth, quiet)
+    assert not told_small(truth, quiet | {"verdict": "unknown"})
+    assert not told_small(truth, quiet | {"sentences": [small.format("air drag"), "No cubic stiffness."]})
     assert not told_small(truth, None)
 
 

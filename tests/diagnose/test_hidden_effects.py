@@ -47,8 +47,8 @@ def test_information_is_the_mean_fall_of_entropy() -> None:
         return -p * math.log(p) - (1.0 - p) * math.log(1.0 - p) if 0.0 < p < 1.0 else 0.0
 
     rng = np.random.default_rng(4)
-    shown = rng.random(200_000) < hidden.next
-    left = np.where(shown, 0.0, entropy((0.3 - 0.12) / 0.88))
+    shows = rng.random(200_000) < hidden.next
+    left = np.where(shows, 0.0, entropy((0.3 - 0.12) / 0.88))
     assert hidden.information == pytest.approx(entropy(0.3) - float(left.mean()), abs=2e-3)
     assert Hidden(0.0, 0.0).information == 0.0
     assert Hidden(0.2, 0.2).information == pytest.approx(entropy(0.2))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tiers import with_quick
 
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
@@ -84,8 +85,17 @@ def test_every_kind_of_test_is_tried() -> None:
     assert tried == {kind.label for kind in KINDS if kind is not TestKind.RECORD}
 
 
-@pytest.mark.parametrize("form", ["npz", "csv", "uff"])
-@pytest.mark.parametrize("name", TESTS)
+FORMS = ("npz", "csv", "uff")
+"""Each recording comes back by one of them in the first tier, and each form brings several."""
+
+
+@pytest.mark.parametrize(
+    ("name", "form"),
+    with_quick(
+        [(name, form) for name in TESTS for form in FORMS],
+        *((name, FORMS[number % len(FORMS)]) for number, name in enumerate(TESTS)),
+    ),
+)
 def test_an_import_of_an_export_is_the_recording(
     name: str, form: str, recordings: Callable[[str], Path], tmp_path: Path
 ) -> None:

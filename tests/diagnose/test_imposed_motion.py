@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.effects.library import library
 from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
@@ -110,8 +111,10 @@ def predicted(rig: Rig, observations: Observations) -> FloatArray:
     return Forward(observations.tests, observations.rows).predict(rig).values
 
 
-def diagnosed(rig: Rig, bag: Path) -> Diagnosis:
-    return diagnose_bags(rig, [bag], settings=DiagnosisSettings(look_ahead=False)).diagnosis
+def diagnosed(rig: Rig, bag: Path, *known: str) -> Diagnosis:
+    """What is diagnosed with a few effects, or all."""
+    withheld = tuple(effect.name for effect in library() if known and effect.name not in known)
+    return diagnose_bags(rig, [bag], settings=DiagnosisSettings(look_ahead=False, withheld=withheld)).diagnosis
 
 
 LAWS = {
@@ -313,7 +316,8 @@ def test_a_table_of_held_motions_shows_friction(tmp_path: Path) -> None:
         )
     (tmp_path / "sidecar.yaml").write_text(f"rig: rig.yaml\nfile: 0.05.csv\nsegments:\n{segments}", encoding="utf-8")
     bag = write_import(read_import(tmp_path / "sidecar.yaml"), tmp_path / "bag", "drive", text, {})
-    found = diagnosed(load_rig(tmp_path / "rig.yaml", vibrating=False), bag)
+    laws = "second_friction_contact", "power_law_damping", "two_sided_gap", "cubic_stiffness"
+    found = diagnosed(load_rig(tmp_path / "rig.yaml", vibrating=False), bag, *laws)
     assert found.verdict is Verdict.EFFECT, found.sentences
     first = found.ranking[0]
     assert first.effect == "second_friction_contact", found.sentences

@@ -96,7 +96,10 @@ def rows() -> Iterator[Any]:
         for exciters in EXCITERS:
             controls = (False, True) if "harmonics_control" in KINDS[kind].FROM_RIG else (False,)
             for controlled in controls:
-                marks = () if exciters in FIRST_TIER else (pytest.mark.campaign,)
+                # With controlled harmonics all is asked that is asked without.
+                plain = len(controls) > 1 and not controlled and kind is not TestKind.PHASE_RESONANCE
+                quick = exciters in FIRST_TIER and not plain
+                marks = () if quick else (pytest.mark.campaign,)
                 name = f"{kind.label}, {exciters}{', controlled harmonics' if controlled else ''}"
                 settings = {**SETTINGS[kind], **({"harmonics_control": 5} if controlled else {})}
                 yield pytest.param(kind, exciters, settings, id=name, marks=marks)

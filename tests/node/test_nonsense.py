@@ -103,7 +103,7 @@ def test_a_second_publisher_of_drive_moves_nothing_and_ends_the_run(silent: bool
     assert counters["plant"]["refused"] >= len(sent)
 
 
-@pytest.mark.parametrize("linked", [False, True])
+@pytest.mark.parametrize("linked", [pytest.param(False, marks=pytest.mark.campaign), True])
 def test_a_second_publisher_of_level_moves_nothing_and_ends_the_run(linked: bool, tmp_path: Path) -> None:
     sent = [Level(**{"amplitude": 5.0, "sequence": 2**30, **values}) for values in (
         {}, {"apply_at_sample": 2**60}, {"amplitude": math.nan}, {"amplitude": -3.0}, {"control": 9},

@@ -130,7 +130,7 @@ def test_a_converter_that_does_not_open_is_a_fault_with_its_sentence() -> None:
     "fault",
     [
         "SIGSTOP",
-        "SIGKILL",
+        pytest.param("SIGKILL", marks=pytest.mark.campaign),
         pytest.param("hung read", marks=pytest.mark.campaign),
         pytest.param("blocked interpreter", marks=pytest.mark.campaign),
     ],

@@ -74,9 +74,14 @@ def recorded(amplitude: float, level: float = math.inf, step: float = 0.0, noise
 
 
 def verdict(
-    log_odds: float, value: float = 0.99, gain: float = 9.0, adequate: bool = True, effects: int = 1
+    log_odds: float,
+    value: float = 0.99,
+    gain: float = 9.0,
+    adequate: bool = True,
+    effects: int = 1,
+    pulled: float = 0.0,
 ) -> Verdict:
-    left = () if adequate else (Objection("levels: frequency", "frequency", 0.004),)
+    left = () if adequate else (Objection("levels: frequency", "frequency", 0.004), Objection("a_mass", "", pulled))
     leader = EquivalentClass((explanation(effects),), 0.9, 0.9, left)
     comparison = Comparison(0.05, 0.05, (leader,), {}, log_odds, {})
     share = ClosedShare(3.0, 1.0, 1.0, value, 0.9, 1.0, gain)
@@ -236,6 +241,10 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "verdict.partial_closed_share_of_two": (
         lambda: [verdict(9.0, closed, adequate=False, effects=2) for closed in (0.94, 0.96)],
         [Verdict.UNKNOWN, Verdict.EFFECT],
+    ),
+    "verdict.partial_pulled_sigmas": (
+        lambda: [verdict(9.0, 0.9, adequate=False, pulled=sigmas) for sigmas in (9.9, 10.1)],
+        [Verdict.EFFECT, Verdict.UNKNOWN],
     ),
     "verdict.nearest_closed_share": (lambda: [nearest(0.32), nearest(0.34)], ["a third", "all"]),
     "verdict.as_likely_share": (lambda: (details(0.19), details(0.21)), ("2", "2 + 3")),

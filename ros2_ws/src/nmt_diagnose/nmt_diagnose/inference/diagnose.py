@@ -745,7 +745,12 @@ def _verdict(
         THRESHOLDS.verdict.partial_closed_share_of_two,
     )[min(len(leader.head.stated), 2) - 1]
     most = share is not None and math.isfinite(share.value) and share.value >= least
-    established = leader.given_library >= THRESHOLDS.verdict.cause_probability
+    # A model that has to become another beside it says that something else acts.
+    pulled = max((it.size for it in leader.objections if it.group and not it.kind), default=0.0)
+    established = (
+        leader.given_library >= THRESHOLDS.verdict.cause_probability
+        and pulled < THRESHOLDS.verdict.partial_pulled_sigmas
+    )
     return Verdict.EFFECT if most and established else Verdict.UNKNOWN
 
 

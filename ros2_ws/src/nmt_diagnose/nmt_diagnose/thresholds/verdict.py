@@ -33,6 +33,13 @@ class VerdictThresholds:
         "crossover distortion of an amplifier.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.partial_closed_share_of_two]",
     )  # fmt: skip
+    partial_pulled_sigmas: float = threshold(
+        10.0, "1",
+        "Standard deviations from what is believed of a parameter of the model up to which an effect that leaves a "
+        "part is named: 5.7 beside known causes of real recordings, 14 and 19 beside an amplifier's crossover "
+        "distortion.",
+        "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.partial_pulled_sigmas]",
+    )  # fmt: skip
     nearest_closed_share: float = threshold(
         1.0 / 3.0, "1",
         "Share of the gap below which the nearest explanation is no part of the answer.",

@@ -19,6 +19,7 @@ from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_rig.rig import load_rig
+from nmt_session import Session, plan_test
 
 RIG = rig_with_noise()
 
@@ -115,6 +116,20 @@ def test_without_the_force_frequencies_are_known_and_no_damping(clean: Path, tmp
     assert np.all(np.abs(found.values - forced.values[known]) < 3.0 * uncertain + 1e-5)
     fundamental = (forced.rows.part == Part.LOG_MAGNITUDE) & rows_of(forced, "x2")
     assert found.rows.amplitude == pytest.approx(np.exp(forced.values[fundamental]), rel=1e-3)
+
+
+def test_without_the_forces_of_two_exciters_there_is_no_evidence(tmp_path: Path) -> None:
+    with Session(plan_test("frame", [1.0], window_periods=10), tmp_path / "run") as session:
+        recorded = session.run().bag
+    assert recorded is not None
+
+    def change(block: SampleBlock) -> Iterator[SampleBlock]:
+        if block.quantity is not Quantity.FORCE:
+            yield block
+
+    with pytest.raises(BenchError) as failure:
+        read_observations([altered(recorded, tmp_path / "bare", change)], load_rig("frame"))
+    one_sentence(failure, "no force channel")
 
 
 def test_a_channel_that_the_model_does_not_have(clean: Path) -> None:

@@ -270,12 +270,13 @@ def _signals(
         segments_taken = [window.segment for window in imposed]
         windows = [window for window in windows if window.segment not in segments_taken]
     locked = [window for window in windows if window.segment.kind in _LOCKED]
-    unforced = [(w.segment, w.stretch) for w in locked if is_unforced(w.segment, w.stretch)]
+    unforced = [(w.segment, w.stretch) for w in locked if is_unforced(w.segment, w.stretch, model)]
     if unforced:
         test_name = f"{name}/unforced" if len(unforced) < len(windows) else name
         parts.append(unforced_observations(test_name, unforced, view, channels, settings))
-        windows = [window for window in windows if not is_unforced(window.segment, window.stretch)]
-        locked = [window for window in locked if not is_unforced(window.segment, window.stretch)]
+        notes += _few_levels(test_name, len(parts[-1].rows))
+        windows = [window for window in windows if not is_unforced(window.segment, window.stretch, model)]
+        locked = [window for window in locked if not is_unforced(window.segment, window.stretch, model)]
     if locked:
         channels = _plausible(name, locked, view, channels, notes)
         several = len({window.segment.kind for window in windows}) > 1
@@ -291,11 +292,7 @@ def _signals(
                     phase_resonance_observations(test_name, selected, view, channels, settings, response, rate, sine)
                 )
                 levels = len(getattr(parts[-1].tests[0], "levels", ())) if parts[-1].tests else 0
-                if 0 < levels < THRESHOLDS.reading.few_levels:
-                    notes.append(
-                        f"{test_name}: {levels} level{'s' if levels > 1 else ''} cannot tell effects apart by how they "
-                        "grow with amplitude; measure five or more."
-                    )
+                notes += _few_levels(test_name, levels)
     noises = [kind for kind in TestKind if kind_class(kind).is_noise]
     for kind in (*noises, TestKind.RING_DOWN):
         windows_of_kind = [window for window in windows if window.segment.kind is kind]
@@ -318,6 +315,16 @@ def _signals(
         parts.append(record_observations(test_name, taken, view, channels, settings, math.isfinite(rate)))
     chain = measuring_chain(run, channels, sampling, bag.rig_yaml, settings.calibration)
     return [replace(part, chains=(chain,) * len(part.tests)) for part in parts]
+
+
+def _few_levels(name: str, levels: int) -> list[str]:
+    """What a test of few levels cannot tell."""
+    if not 0 < levels < THRESHOLDS.reading.few_levels:
+        return []
+    return [
+        f"{name}: {levels} level{'s' if levels > 1 else ''} cannot tell effects apart by how they grow with amplitude; "
+        "measure five or more."
+    ]
 
 
 def _random(

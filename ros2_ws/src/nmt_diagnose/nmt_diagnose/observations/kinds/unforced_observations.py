@@ -19,6 +19,7 @@ from nmt_diagnose.observations.observables import Observations, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_record.exchange.observables import ObservableTable
 from nmt_record.windows.segments import Segment
+from nmt_rig.rig import Rig
 from nmt_signals.harmonics import harmonic_amplitudes
 from nmt_signals.sine_fit import fit_frequency
 
@@ -26,9 +27,13 @@ _PARTS = 6
 """Parts of a window whose scatter tells the uncertainty of its frequency."""
 
 
-def is_unforced(segment: Segment, stretch: SampleStretch) -> bool:
-    """Whether a window is of phase resonance and no force was recorded of it."""
-    return segment.kind is TestKind.PHASE_RESONANCE and stretch.find(Quantity.FORCE) is None
+def is_unforced(segment: Segment, stretch: SampleStretch, model: Rig) -> bool:
+    """Whether a window is of phase resonance of one exciter and no force was recorded of it.
+
+    Several exciters hold a mode among neighbours by the ratio of their forces, which a backbone of one point lacks.
+    """
+    single = len(model.all_exciters) == 1
+    return single and segment.kind is TestKind.PHASE_RESONANCE and stretch.find(Quantity.FORCE) is None
 
 
 def unforced_observations(

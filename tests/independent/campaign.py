@@ -5,7 +5,8 @@ Run from the root of the repository::
     PYTHONPATH=tests python -m independent.campaign make --laboratory three --seeds 0:32 --out cases --jobs 2
     ./nmt blind laboratory cases --out answers
 
-A case that is there already is not made again. The same seed gives the same case.
+A case that is there already is not made again. The same seed gives the same case. Every third seed of laboratory two
+is healthy (``--seeds 0:600:3``).
 """
 
 from __future__ import annotations
@@ -21,15 +22,18 @@ MAKERS = {"two": laboratory_two.make_case, "three": laboratory_three.make_case}
 
 
 def seeds_of(text: str) -> range:
-    """Seeds of "first:end", the end left out.
+    """Seeds of "first:end" or "first:end:step", the end left out.
 
     Raises:
         argparse.ArgumentTypeError: it is no such range.
     """
-    first, _, end = text.partition(":")
-    if not (first.isdigit() and end.isdigit() and int(first) < int(end)):
-        raise argparse.ArgumentTypeError(f"seeds are FIRST:END, such as 0:40; got {text}")
-    return range(int(first), int(end))
+    numbers = text.split(":")
+    if len(numbers) not in (2, 3) or not all(number.isdigit() for number in numbers):
+        raise argparse.ArgumentTypeError(f"seeds are FIRST:END or FIRST:END:STEP, such as 0:40; got {text}")
+    first, end, step = (*map(int, numbers), 1)[:3]
+    if step == 0 or first >= end:
+        raise argparse.ArgumentTypeError(f"seeds {text} are none: END is to be above FIRST, STEP at least 1")
+    return range(first, end, step)
 
 
 def main() -> None:
@@ -37,7 +41,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", choices=("make",), help="what to do")
     parser.add_argument("--laboratory", choices=MAKERS, default="two", help="whose cases (default two)")
-    parser.add_argument("--seeds", type=seeds_of, required=True, metavar="FIRST:END", help="the end is left out")
+    parser.add_argument("--seeds", type=seeds_of, required=True, metavar="FIRST:END[:STEP]", help="the end is left out")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="gets a folder for each case")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default 1)")
     given = parser.parse_args()

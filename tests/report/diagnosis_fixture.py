@@ -29,6 +29,7 @@ from nmt_diagnose.observations.conditions import (
     RandomTest,
     RecordTest,
     RingDownTest,
+    SteppedSineTest,
 )
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, joined
 from nmt_report.diagnosis_curves import Models
@@ -67,6 +68,21 @@ def random() -> Observations:
         table.add(Part.LOG_MAGNITUDE, 0.01 * k, 5e-3, 0.0, place, 0)
         table.add(Part.PHASE, -0.01 * k, 5e-3, 0.0, place, 0)
     return table.observations(RandomTest("random", 2, (FORCE,), "voltage", lines, 0.1, "none", 0.05, 0.0, 30.0))
+
+
+def stepped_sine(force: float, direction: int, channels: tuple[MeasuredChannel, ...], point: int = 2) -> Observations:
+    lines = np.linspace(20.0, 25.0, 6)
+    table = RowTable()
+    for channel in range(len(channels)):
+        for k, line in enumerate(lines):
+            table.add(Part.LOG_MAGNITUDE, 0.1 * k, 5e-3, 0.0, Place(k, 0.0, float(line), force), channel, 1)
+    measured = np.ones((lines.size, len(channels)), dtype=np.complex128)
+    noise = np.full(lines.size, 5e-3)
+    name = f"sweep {force} {direction} {point}"
+    test = SteppedSineTest(
+        name, point, channels, "force", "force", lines, np.full(lines.size, force), measured, noise, direction
+    )
+    return table.observations(test)
 
 
 def ring_down() -> Observations:

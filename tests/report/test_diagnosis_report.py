@@ -17,7 +17,7 @@ from report import diagnosis_fixture as fixture
 
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.inference.diagnosis import Ranked, Remainder, RemainderPart, Share, Value, Verdict
-from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.observations.observables import Part, joined
 from nmt_report import diagnosis_figures, rig_drawing
 from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv
 from nmt_report.diagnosis_report import diagnosis_page, probability_shares
@@ -160,6 +160,25 @@ def test_what_was_not_found_leaves_the_page_whole() -> None:
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------
+
+
+def test_levels_of_the_same_channels_are_in_one_figure_and_told_apart() -> None:
+    two = (fixture.DISPLACEMENT, replace(fixture.DISPLACEMENT, name="x3", point=3))
+    one_less = fixture.stepped_sine(0.5, -1, two)
+    sweeps = [
+        fixture.stepped_sine(0.5, 1, two),
+        one_less.take(one_less.rows.channel == 0),
+        fixture.stepped_sine(1.5, 1, two[::-1]),
+        fixture.stepped_sine(1.5, 1, two),
+        fixture.stepped_sine(1.5, 1, two, point=4),
+    ]
+    page = diagnosis_page(fixture.report(Verdict.EFFECT, joined(sweeps)))
+    figures = [unpacked(text) for text in re.findall(r'<script type="application/[^"]*">(.*?)</script>', page)]
+    responses = [figure for figure in figures if figure["name"].startswith("frf-")]
+    assert [figure["name"] for figure in responses] == ["frf-0", "frf-4"]
+    legend = [entry["text"] for entry in responses[0]["legends"][0]["entries"]]
+    assert legend[-4:] == ["0.5 N ↑", "0.5 N ↓", "1.5 N ↑", "1.5 N ↑ (2)"]
+    assert [len(panel["series"]) for panel in responses[0]["panels"]] == [12, 8 + 5, 9, 6 + 4]
 
 
 def test_a_course_is_in_the_units_that_its_axes_say() -> None:

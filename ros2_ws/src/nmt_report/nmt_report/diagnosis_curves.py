@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,7 @@ from nmt_diagnose.observations.conditions import (
     Test,
 )
 from nmt_diagnose.observations.observables import Observations, Part
-from nmt_report.quantity_format import engineering_exponent, power_of_ten
+from nmt_report.quantity_format import engineering_exponent, power_of_ten, significant
 
 _PARTS = {
     Part.LOG_FREQUENCY: "ln_angular_frequency",
@@ -112,6 +113,21 @@ def drive_label(test: Test) -> str:
     if isinstance(test, RecordTest):
         return "time / s"
     return f"{test.channel.quantity.name.lower()} amplitude / {test.channel.unit}"
+
+
+def level_names(tests: Sequence[Test]) -> list[str]:
+    """Names of stepped sines of the same channels: level and direction of the frequency, a number if need be."""
+    names: list[str] = []
+    for test in tests:
+        if not isinstance(test, SteppedSineTest):
+            names.append(test.name)
+            continue
+        unit = {"force": "N·m" if test.channels[0].turns else "N", "base": "m/s²", "voltage": "V"}
+        level = f"{significant(float(np.median(test.levels)), 3)} {unit.get(test.held, test.channels[0].unit)}"
+        level += {1: " ↑", -1: " ↓"}.get(test.direction, "")
+        before = sum(name.split(" (")[0] == level for name in names)
+        names.append(f"{level} ({before + 1})" if before else level)
+    return names
 
 
 def courses(observations: Observations, models: Models, test: int, part: Part) -> list[Course]:

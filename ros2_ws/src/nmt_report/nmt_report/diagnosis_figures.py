@@ -28,13 +28,24 @@ _COLOURS = ("#f1f4f7", "#fde9c9", "#fbcf8f", "#f4a259", "#e0703a", "#b8322a", "#
 _MISSING = "#ffffff"
 _COLUMNS = 3
 _NO_CHANNEL = "frequency and phase"
+_FIELDS = ("given", "refitted", "final")
+_DENSE = 40  # points of a course
+
+
+Colour = str | tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Shown:
-    """Which models a figure shows: (name of the field, label, colour, dashes, width)."""
+    """Which models a figure shows.
 
-    models: tuple[tuple[str, str, str, tuple[float, ...] | None, float], ...]
+    Attributes:
+        models: name of the field, label, colour, dashes and width of each.
+        ink: colour of what was measured.
+    """
+
+    models: tuple[tuple[str, str, Colour, tuple[float, ...] | None, float], ...]
+    ink: Colour = INK
 
     @staticmethod
     def of(with_effect: bool) -> Shown:
@@ -43,6 +54,11 @@ class Shown:
         refitted = ("refitted", "re-fitted", ORANGE, (5.0, 1.5), 1.4)
         final = ("final", "with the effect", BLUE, None, 1.6)
         return Shown((given, refitted, final) if with_effect else (given, refitted))
+
+    def coloured(self, colour: Colour) -> Shown:
+        """One test among several: the model as given, dashed, and the last one, in one colour."""
+        first, last = self.models[0], self.models[-1]
+        return Shown(((*first[:2], colour, *first[3:]), (*last[:2], colour, None, 1.2)), colour)
 
 
 # -- residual map -----------------------------------------------------------------------------------------------------
@@ -152,47 +168,66 @@ def _level_ticks(axes: Axes, groups: Sequence[ResidualGroup], levels: Sequence[i
 # -- curves -----------------------------------------------------------------------------------------------------------
 
 
-def course_figure(name: str, title: str, caption: str, courses: Sequence[Course], shown: Shown) -> ReportFigure:
+def course_figure(
+    name: str,
+    title: str,
+    caption: str,
+    panels: Sequence[Sequence[Course | None]],
+    shown: Shown,
+    tests: Sequence[str] = (),
+) -> ReportFigure:
     """Small multiples: above the values, below model − measured with the measurement's ±2 standard deviations.
 
     Args:
         name: anchor.
         title: heading.
         caption: below it.
-        courses: one panel each.
+        panels: courses of each panel, one for each test; None where a test lacks it.
         shown: models to draw.
+        tests: names of several tests, each in a colour of its own; empty for one.
     """
-    columns = min(_COLUMNS, len(courses))
-    lines = math.ceil(len(courses) / columns)
+    columns = min(_COLUMNS, len(panels))
+    lines = math.ceil(len(panels) / columns)
     width = 12.9 if columns > 1 else 6.3
-    height = 3.3 * lines + 0.45
+    names = 5.5 * sum(len(test) + 8 for test in tests) / 72.0  # of the legend, in
+    head = 0.35 + 0.2 * math.ceil(names / width) if tests else 0.55
+    height = 3.3 * lines + head - 0.1
     figure = Figure(figsize=(width, height))
     outer = figure.add_gridspec(
-        lines, columns, left=0.95 / width, right=1.0 - 0.1 / width, top=1.0 - 0.55 / height, bottom=0.5 / height,
+        lines, columns, left=0.95 / width, right=1.0 - 0.1 / width, top=1.0 - head / height, bottom=0.5 / height,
         hspace=0.32, wspace=0.27,
     )  # fmt: skip
     handles: dict[str, Artist] = {}
-    for number, course in enumerate(courses):
+    looks = [shown.coloured(colour) for colour in level_colours(len(tests))] if tests else [shown]
+    for number, panel in enumerate(panels):
         cell = outer[number // columns, number % columns]
-        label = number + columns >= len(courses)
+        label = number + columns >= len(panels)
         inner = cell.subgridspec(2, 1, height_ratios=(1.25, 1.0), hspace=0.12)
         top, bottom = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
-        _draw_values(top, course, shown, handles)
+        there = [(course, look) for course, look in zip(panel, looks, strict=True) if course is not None]
+        first = there[0][0]
+        for course, look in there:
+            _draw_values(top, course, look, handles)
+            _draw_deviations(bottom, course, look, handles)
+        _scales(top, bottom, [course for course, _ in there], looks[0])
         top.tick_params(labelbottom=False)
-        _draw_deviations(bottom, course, shown, handles, number % columns == 0)
-        top.set_title(course.title if len(course.title) > 3 else channel_text(course.title))
-        bottom.set_xlabel(course.x_label if label else "")
+        top.set_title(first.title if len(first.title) > 3 else channel_text(first.title))
+        bottom.set_xlabel(first.x_label if label else "")
+        bottom.set_ylabel(f"difference\n{first.deviation_unit}" if number % columns == 0 else first.deviation_unit)
+    line = matplotlib.lines.Line2D
+    for test, look in zip(tests, looks, strict=False):
+        handles[test] = line([], [], color=look.ink, linewidth=2.4)
+    beside = math.ceil(len(handles) * width / max(names, width))
     figure.legend(
-        list(handles.values()), list(handles), loc="upper right", ncols=len(handles), bbox_to_anchor=(1.0, 1.0),
+        list(handles.values()), list(handles), loc="upper right", ncols=beside, bbox_to_anchor=(1.0, 1.0),
         handlelength=2.6, columnspacing=1.6,
     )  # fmt: skip
     return ReportFigure(name, title, caption, svg_text(figure, name, title), wide=columns > 1)
 
 
 def _draw_values(axes: Axes, course: Course, shown: Shown, handles: dict[str, Artist]) -> None:
-    dense = course.x.size > 40
-    size = 2.0 if dense else 4.0
-    (points,) = axes.plot(course.x, course.measured, "o", markersize=size, color=INK, zorder=5)
+    size = 2.0 if course.x.size > _DENSE else 4.0
+    (points,) = axes.plot(course.x, course.measured, "o", markersize=size, color=shown.ink, zorder=5)
     handles.setdefault("measured", points)
     for field, label, colour, dashes, width in shown.models:
         if not course.joined:
@@ -202,15 +237,9 @@ def _draw_values(axes: Axes, course: Course, shown: Shown, handles: dict[str, Ar
         if dashes:
             line.set_dashes(dashes)
         handles.setdefault(label, line)
-    _abscissa(axes, course.x)
-    positive = course.measured[np.isfinite(course.measured)]
-    if course.logarithmic and positive.size and positive.min() > 0.0:
-        axes.set_yscale("log")
-        _round_ticks(axes.yaxis, float(positive.min()), float(positive.max()))
-    axes.set_ylabel(course.unit)
 
 
-def _draw_deviations(axes: Axes, course: Course, shown: Shown, handles: dict[str, Artist], first: bool) -> None:
+def _draw_deviations(axes: Axes, course: Course, shown: Shown, handles: dict[str, Artist]) -> None:
     deviations, sigma = course.deviations[:3], course.deviations[3]
     order = np.argsort(course.x, kind="stable")
     if course.joined:
@@ -220,23 +249,34 @@ def _draw_deviations(axes: Axes, course: Course, shown: Shown, handles: dict[str
         handles.setdefault("±2 standard deviations", band)
     else:
         axes.vlines(course.x, -2.0 * sigma, 2.0 * sigma, color=GRID, linewidth=6.0, zorder=0)
-    axes.axhline(0.0, color=INK, linewidth=0.7)
-    fields = ("given", "refitted", "final")
     for field, label, colour, dashes, width in shown.models:
-        row = deviations[fields.index(field)]
+        row = deviations[_FIELDS.index(field)]
         if not course.joined:
             axes.plot(course.x, row, "o", color=colour, markersize=3.4)
             continue
-        if course.x.size > 40:
+        if course.x.size > _DENSE:
             (line,) = axes.plot(course.x, row, color=colour, linewidth=0.8 * width)
         else:
             (line,) = axes.plot(course.x, row, color=colour, linewidth=width, marker="o", markersize=2.6)
         if dashes:
             line.set_dashes(dashes)
         handles.setdefault(label, line)
-    _abscissa(axes, course.x)
-    _ordinate(axes, deviations[: len(shown.models)], sigma)
-    axes.set_ylabel(f"difference\n{course.deviation_unit}" if first else course.deviation_unit)
+
+
+def _scales(top: Axes, bottom: Axes, panel: Sequence[Course], shown: Shown) -> None:
+    """Axes of a panel by all its courses."""
+    x = np.concatenate([course.x for course in panel])
+    measured = np.concatenate([course.measured for course in panel])
+    deviations = np.concatenate([course.deviations for course in panel], axis=1)
+    positive = measured[np.isfinite(measured)]
+    _abscissa(top, x)
+    _abscissa(bottom, x)
+    if panel[0].logarithmic and positive.size and positive.min() > 0.0:
+        top.set_yscale("log")
+        _round_ticks(top.yaxis, float(positive.min()), float(positive.max()))
+    top.set_ylabel(panel[0].unit)
+    bottom.axhline(0.0, color=INK, linewidth=0.7)
+    _ordinate(bottom, deviations[[_FIELDS.index(field) for field, *_ in shown.models]], deviations[3])
 
 
 def _ordinate(axes: Axes, deviations: FloatArray, sigma: FloatArray) -> None:

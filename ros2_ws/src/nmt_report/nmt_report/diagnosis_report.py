@@ -11,9 +11,9 @@ from markupsafe import Markup
 
 from nmt_core.text.number_words import percent, share_with_interval, value_text
 from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Remainder, Verdict
-from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RecordTest, SteppedSineTest
+from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RecordTest, SteppedSineTest, Test
 from nmt_diagnose.observations.observables import Observations, Part
-from nmt_report.diagnosis_curves import Models, courses, drive_label, harmonic_courses
+from nmt_report.diagnosis_curves import Course, Models, courses, drive_label, harmonic_courses, level_names
 from nmt_report.diagnosis_figures import Shown, course_figure, harmonic_figure, residual_figure
 from nmt_report.diagnosis_words import (
     QUESTIONS,
@@ -582,15 +582,29 @@ _BELOW = (
 def _curves(report: DiagnosisReport) -> list[ReportFigure]:
     result: list[ReportFigure] = []
     shown = Shown.of(report.with_effect)
-    several = len(report.observations.tests) > 1
-    for number, test in enumerate(report.observations.tests):
-        tail = f", {test.name}" if several else ""
+    tests = report.observations.tests
+    for numbers in _together(tests):
+        test = tests[numbers[0]]
+        first, several = numbers[0], len(numbers) > 1
+        tail = f", {test.name}" if not several and len(tests) > 1 else ""
+        names = level_names([tests[number] for number in numbers]) if several else []
 
-        def add(key: str, title: str, *parts: Part, number: int = number, tail: str = tail) -> None:
-            found = [c for part in parts for c in courses(report.observations, report.models, number, part)]
-            found = [course for course in found if course.x.size > 2]
-            if found:
-                result.append(course_figure(f"{key}-{number}", title + tail, _BELOW, found, shown))
+        def add(
+            key: str,
+            title: str,
+            *parts: Part,
+            numbers: list[int] = numbers,
+            tail: str = tail,
+            names: list[str] = names,
+        ) -> None:
+            panels: dict[str, list[Course | None]] = {}
+            for place, number in enumerate(numbers):
+                for course in (c for p in parts for c in courses(report.observations, report.models, number, p)):
+                    if course.x.size > 2:
+                        panels.setdefault(course.title, [None] * len(numbers))[place] = course
+            if panels:
+                found = list(panels.values())
+                result.append(course_figure(f"{key}-{numbers[0]}", title + tail, _BELOW, found, shown, names))
 
         if isinstance(test, RandomTest | SteppedSineTest):
             add("frf", "Frequency responses: magnitude", Part.LOG_MAGNITUDE)
@@ -605,7 +619,18 @@ def _curves(report: DiagnosisReport) -> list[ReportFigure]:
             add("record", "Record", Part.SAMPLE)
         else:
             add("decay", "Frequency and damping over the amplitude", Part.LOG_FREQUENCY, Part.DAMPING)
-        harmonics = harmonic_courses(report.observations, report.models, number)
+        harmonics = harmonic_courses(report.observations, report.models, first)
         if harmonics:
-            result.append(harmonic_figure(f"harmonics-{number}", f"Harmonics{tail}", harmonics, shown))
+            result.append(harmonic_figure(f"harmonics-{first}", f"Harmonics{tail}", harmonics, shown))
     return result
+
+
+def _together(tests: tuple[Test, ...]) -> list[list[int]]:
+    """Numbers of the tests of each figure: frequency responses of the same channels to the same drive are in one."""
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for number, test in enumerate(tests):
+        key: tuple[object, ...] = (number,)
+        if isinstance(test, SteppedSineTest):
+            key = (test.drive_point, frozenset(test.channels), test.reference, test.held, test.phase_known)
+        groups.setdefault(key, []).append(number)
+    return list(groups.values())

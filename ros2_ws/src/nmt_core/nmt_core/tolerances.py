@@ -24,6 +24,13 @@ class ChainTolerances:
         "Calibration certificates of force cells and accelerometers state 0.5 to 1 %, cables and mounting come on top.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.gain]",
     )  # fmt: skip
+    transverse: float = threshold(
+        0.005, "1",
+        "Share of the largest motion that a sensor records beside its own: accelerometers state a transverse "
+        "sensitivity of up to 5 %, what moves across them is some tenth of what moves along, and a computed shape is "
+        "off by as much about its nodes.",
+        "tests/diagnose/test_chain_transverse.py::test_a_pick_up_within_its_tolerance_is_no_effect",
+    )  # fmt: skip
     force_factor: float = threshold(
         0.03, "1",
         "Force of a shaker per ampere: it falls by some percent where the coil leaves the middle of its gap, and with "

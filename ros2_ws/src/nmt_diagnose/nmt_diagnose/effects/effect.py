@@ -86,6 +86,8 @@ class Effect:
         report: values -> physical parameters as they are reported; the values themselves when None.
         equivalents: effects that look alike, and the test that distinguishes them.
         form: which of several forms of one name it is; empty where they never compete.
+        ordinary: standard deviation of the strength in an ordinary measuring chain, where its tolerances stand for less
+            than every form of the effect; 0 = they stand for all of it, or there is no such tolerance.
     """
 
     name: str
@@ -99,6 +101,7 @@ class Effect:
     report: Callable[[Site, Mapping[str, float]], Reported] | None = field(default=None, repr=False)
     equivalents: Mapping[str, str] = field(default_factory=dict)
     form: str = ""
+    ordinary: float = 0.0
 
     def apply(self, rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         """Rig with the effect; the same rig where all strengths are 0."""

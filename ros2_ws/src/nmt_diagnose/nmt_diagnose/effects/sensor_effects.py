@@ -7,6 +7,7 @@ from math import exp, pi
 from statistics import median
 from typing import Any
 
+from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.effects.changes import Change, Sites, added
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.location import Location, LocationKind
@@ -233,7 +234,7 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         "transverse_sensitivity", "y + s y⊥ (y of another point)", "sensors.transverse",
         EffectParameter("s", "1", signed=True), reference="ISO 16063-31 (2009)",
         sites=_transverse_sites, change=_with_transverse,
-        equivalents={"response_gain": "several modes in a random test"},
+        equivalents={"response_gain": "several modes in a random test"}, ordinary=TOLERANCES.transverse,
     ),
     _mass(
         "sensor_mass", "m a at the sensor's point", _mass_sites,

@@ -11,7 +11,7 @@ from scipy.stats import chi2, norm
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_core.text.number_words import significant
-from nmt_diagnose.inference.candidate_starts import at_zero
+from nmt_diagnose.inference.candidate_starts import at_zero, strength_parameter
 from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import Data, predicted
 from nmt_diagnose.inference.noise import sigma_of
@@ -182,14 +182,29 @@ def needed(
         simpler: fits that may have some of its effects only, the model alone among them.
         wanted: what matters, by kind.
     """
+    found = replace(found, small=_ordinary(data, found))
     causes = set(found.fitted.causes)
     parts = [less for less in simpler if set(less.fitted.causes) < causes]
     for less in sorted(parts, key=lambda part: (len(part.candidates), -part.fit.log_evidence)):
         if not worth(data, found, less, wanted):
             kept = less.fitted.causes
             small = (k for k, candidate in enumerate(found.candidates) if candidate.cause not in kept)
-            return replace(found, small=frozenset(small))
+            return replace(found, small=found.small | frozenset(small))
     return found
+
+
+def _ordinary(data: Data, found: FittedExplanation) -> frozenset[int]:
+    """Effects that are no larger than those of an ordinary measuring chain, beside one that is none of them."""
+    if not data.chain_names:
+        return found.small
+    within = set(found.small)
+    for number, candidate in enumerate(found.candidates):
+        if candidate.effect.ordinary > 0.0:
+            values = found.fit.parametrisation.values(found.fit.theta, number)
+            largest = THRESHOLDS.comparison.credible_sigmas * candidate.effect.ordinary
+            if abs(values[strength_parameter(candidate).name]) <= largest:
+                within.add(number)
+    return frozenset(within) if len(within) < len(found.candidates) else found.small
 
 
 def worth(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:

@@ -285,7 +285,10 @@ def _certain(test: object) -> PhaseResonanceTest:
 
 
 def test_the_weakest_that_would_show_is_five_deviations() -> None:
-    found = diagnosed(observed(MODEL))
+    later = DiagnosisSettings(withheld=WITHHELD, put_off_detectable=True)
+    outcome = diagnose_observations(MODEL, observed(MODEL), later)
+    assert not outcome.diagnosis.visible
+    found = outcome.completed().diagnosis
     (cubic,) = [own for own in found.visible if own.effect == "cubic_stiffness"]
     spring = {"kind": "cubic_spring", "point": int(cubic.detail), "stiffness_n_m3": cubic.parameters["k"].value}
     told = diagnosed(observed(real(MODEL, local_elements=[spring]), seed=7), matters={})

@@ -12,6 +12,7 @@ from diagnose.predicted_observations import chain, observations_of_model, real
 
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.location import Cause, Location
+from nmt_diagnose.inference import diagnose as diagnose_module
 from nmt_diagnose.inference import memory as memory_module
 from nmt_diagnose.inference import search as search_module
 from nmt_diagnose.inference.diagnose import DiagnosisOutcome, diagnose_observations
@@ -34,10 +35,11 @@ def observed(drives: tuple[float, ...]) -> Observations:
 
 
 class Counted:
-    """Diagnoses, and how many candidates each fitted on top of the model alone."""
+    """Diagnoses, how many candidates each fitted on top of the model alone, and fits to splits of the data."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.fits = 0
+        self.held_out: list[tuple[int, str]] = []
         added = search_module.Search.added
 
         def counted(*arguments: Any, **more: Any) -> Any:
@@ -45,9 +47,16 @@ class Counted:
             return added(*arguments, **more)
 
         patch.setattr(search_module.Search, "added", counted)
+        left = diagnose_module._held_out_residual
+
+        def noted(fitted: Any, all_data: Any, found: Any, split: Any) -> Any:
+            self.held_out.append((id(found), split.name))
+            return left(fitted, all_data, found, split)
+
+        patch.setattr(diagnose_module, "_held_out_residual", noted)
 
     def diagnosed(self, observations: Observations, memory: Memory | None) -> tuple[DiagnosisOutcome, int]:
-        self.fits = 0
+        self.fits, self.held_out = 0, []
         return diagnose_observations(MODEL, observations, SETTINGS, memory=memory), self.fits
 
 
@@ -64,6 +73,8 @@ def test_the_answer_is_that_of_a_new_diagnosis_and_takes_fewer_fits(counted: Cou
     warm, fewer = counted.diagnosed(observed(ALL), memory)
     cold, more = counted.diagnosed(observed(ALL), None)
     assert fewer < 0.5 * more
+    assert len({found for found, _ in counted.held_out}) > 1
+    assert len(set(counted.held_out)) == len(counted.held_out)  # the model alone beside each explanation
     one, other = warm.diagnosis, cold.diagnosis
     assert (one.verdict, one.ranking[0].effect, one.ranking[0].detail) == (
         other.verdict, other.ranking[0].effect, other.ranking[0].detail,

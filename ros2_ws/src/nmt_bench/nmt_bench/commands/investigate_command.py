@@ -247,7 +247,9 @@ class _Bench:
 
         bags = [self._options.out / name for name in names] or list(self._options.real)
         began = _processor_time()
-        settings = DiagnosisSettings(jobs=self._jobs, plan=self._plan, calibration=self._calibration)
+        settings = DiagnosisSettings(
+            jobs=self._jobs, plan=self._plan, calibration=self._calibration, put_off_detectable=True
+        )
         self._outcome = diagnose_bags(self._model, bags, settings=settings, memory=self._memory)
         return self._outcome.diagnosis, _processor_time() - began
 
@@ -272,6 +274,7 @@ class _Bench:
         out = self._options.out
         if self._outcome is not None:
             (out / "diagnosis").mkdir(exist_ok=True)
+            self._outcome = self._outcome.completed()
             write_diagnosis(self._outcome, out / "diagnosis", self._options.model)
         write_result(out / "report.html", investigation_page(record))
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,7 @@ class DiagnosisOutcome:
         model: the model with its parameters re-fitted and the accepted effect added; the given one where there is no
             gap.
         as_given, refitted, final: observables of the initial model, of the re-fitted one and of ``model``, (m,).
+        detectable: computes ``Diagnosis.visible``, where that was put off.
     """
 
     diagnosis: Diagnosis
@@ -104,6 +106,13 @@ class DiagnosisOutcome:
     as_given: FloatArray
     refitted: FloatArray
     final: FloatArray
+    detectable: Callable[[], tuple[DetectableEffect, ...]] | None = None
+
+    def completed(self) -> DiagnosisOutcome:
+        """The outcome with what was put off."""
+        if self.detectable is None:
+            return self
+        return replace(self, diagnosis=replace(self.diagnosis, visible=self.detectable()), detectable=None)
 
 
 MAINS_HUM = "mains_hum"
@@ -158,12 +167,12 @@ class Findings:
         named: explanations by one and two effects, the best first.
         comparison: probabilities.
         sources: what something unnamed at each place would explain beside the model alone.
-        visible: the weakest that each effect could be and still be seen.
         inadequate: what the model has to be corrected for before effects can be told.
         doubtful: modes that the model may lack, of which nothing is left that matters.
         left_out: explanations that were fitted and do not compete.
         law: of the local force that the model lacks, read from held levels; None where that was not looked for.
-        scores: of the candidates on top of the best explanation, of the model alone where there is no gap.
+        scores: computes those of the candidates on top of the best explanation, of the model alone where there is no
+            gap.
     """
 
     data: Data
@@ -173,12 +182,11 @@ class Findings:
     named: tuple[FittedExplanation, ...]
     comparison: Comparison
     sources: dict[str, float]
-    visible: tuple[DetectableEffect, ...]
     inadequate: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     law: LawReading | None = None
-    scores: tuple[Score, ...] = ()
+    scores: Callable[[], tuple[Score, ...]] = tuple
 
 
 def diagnose_bags(
@@ -298,15 +306,18 @@ def find(
     for location in best.explanation.locations:
         explained[location.kind] = max(explained.get(location.kind, 0.0), null.fit.cost - best.fit.cost)
     unmoved = best is first_null  # since the scan
-    beside_best = scores if unmoved or not settings.look_ahead else search.scores(best, scores)
-    visible = _detectable(search, beside_best, rig) if settings.look_ahead else ()
+
+    @cache
+    def beside_best() -> tuple[Score, ...]:
+        return tuple(scores if unmoved else search.scores(best, scores))
+
     if memory is not None:
         memory.keep(named, [it.found for it in standing.left_out])
     lacking = modes.lacking(data, best.fit)
     return Findings(
-        data, search, as_given, null, tuple(named), comparison, explained, visible, (*modes.disordered, *lacking),
+        data, search, as_given, null, tuple(named), comparison, explained, (*modes.disordered, *lacking),
         tuple(sentence for sentence in modes.sentences if sentence not in lacking), standing.left_out, law,
-        tuple(beside_best),
+        beside_best,
     )  # fmt: skip
 
 
@@ -553,10 +564,9 @@ def _diagnosed(
         [np.isfinite(explanation_fit.fit.prediction.values) for explanation_fit in (null, *findings.named)], axis=0
     )
     all_data = replace(data, used=data.used | (held_out & finite & np.isfinite(findings.as_given.values)))
+    refits = HeldOut(findings.data, all_data, held_out_splits)
     shares = {
-        explanation_fit.head.explanation: _closed(
-            findings, all_data, explanation_fit.head, held_out_splits, settings.seed
-        )
+        explanation_fit.head.explanation: _closed(findings, refits, explanation_fit.head, settings.seed)
         for explanation_fit in comparison.to_judge()
     }
     comparison = by_plain_effect(comparison, shares)
@@ -585,7 +595,7 @@ def _diagnosed(
     rows = all_data.used
     reported_share = share if nearest is not None else None
     if verdict is Verdict.CALIBRATION:
-        reported_share = _recalibrated(findings, all_data, held_out_splits, settings.seed)
+        reported_share = _recalibrated(findings, refits, settings.seed)
     gap = Gap(
         before=reported_share.before
         if reported_share is not None and math.isfinite(reported_share.before)
@@ -619,6 +629,10 @@ def _diagnosed(
     warnings += tuple(f"{sentence.rstrip('.')}; nothing of it is left that matters." for sentence in findings.doubtful)
     warnings += without_observables(observations)
     explanation = leader.head.explanation if leader is not None else None
+
+    def detectable() -> tuple[DetectableEffect, ...]:
+        return _detectable(findings.search, findings.scores(), rig)
+
     text = sentences(
         verdict,
         where,
@@ -664,7 +678,7 @@ def _diagnosed(
         },
         warnings=warnings,
         remainder=left_over_gap,
-        visible=findings.visible,
+        visible=detectable() if settings.look_ahead and not settings.put_off_detectable else (),
         adequate=adequate,
         law=law,
         next_levels=levels,
@@ -673,8 +687,9 @@ def _diagnosed(
     if verdict is Verdict.UNKNOWN and law is not None and law.is_stated:
         model = with_law(rig, law)
     return DiagnosisOutcome(
-        diagnosis, scaled, rig, model, as_given_errors.values, null.fit.errors.values, best.fit.errors.values
-    )
+        diagnosis, scaled, rig, model, as_given_errors.values, null.fit.errors.values, best.fit.errors.values,
+        detectable if settings.look_ahead and settings.put_off_detectable else None,
+    )  # fmt: skip
 
 
 def scale_of(found: FittedExplanation, gap: bool = True) -> FloatArray:
@@ -754,24 +769,22 @@ def _verdict(
     return Verdict.EFFECT if most and established else Verdict.UNKNOWN
 
 
-def _closed(
-    findings: Findings, data: Data, best: FittedExplanation, held_out_splits: Sequence[Split], seed: int
-) -> ClosedShare:
+def _closed(findings: Findings, refits: HeldOut, best: FittedExplanation, seed: int) -> ClosedShare:
     """How much of the gap an explanation closes on rows that its fit did not see.
 
     A split whose fit leaves open what the explanation does to the rows held out says nothing of it, nor does one from
     which the model alone knows less of them than what it is off by.
     """
-    null, scale = findings.null, scale_of(best)
+    null, scale, data = findings.null, scale_of(best), refits.all_data
     fits = [
         best_chain_errors(data, explanation.fit.prediction.values, explanation.fit.errors).residual
         for explanation in (null, best)
     ]
     change = (fits[1] - fits[0]) * scale
     pairs = []
-    for split in held_out_splits:
+    for split in refits.splits:
         rows = split.held_out & data.used
-        before, after = (_held_out_residual(findings.data, data, explanation, split) for explanation in (null, best))
+        before, after = (refits.residual(explanation, split) for explanation in (null, best))
         if before is None or after is None or not rows.any():
             continue
         uncertain = after[1] * scale
@@ -783,20 +796,41 @@ def _closed(
     return closed(data.observations, pairs, seed)
 
 
-def _recalibrated(findings: Findings, data: Data, held_out_splits: Sequence[Split], seed: int) -> ClosedShare:
+def _recalibrated(findings: Findings, refits: HeldOut, seed: int) -> ClosedShare:
     """How much of the gap to the model as given its own parameters close on rows that their fit did not see.
 
     A split whose fit leaves open what they do to the rows held out says nothing of it.
     """
-    null, scale = findings.null, scale_of(findings.null, False)
+    null, scale, data = findings.null, scale_of(findings.null, False), refits.all_data
     as_given_residual = best_chain_errors(data, findings.as_given.values).residual
     as_given_residual = no_worse_than_silence(data.observations, as_given_residual, data.sigma) * scale
     pairs = []
-    for split in held_out_splits:
-        after, rows = _held_out_residual(findings.data, data, null, split), split.held_out & data.used
+    for split in refits.splits:
+        after, rows = refits.residual(null, split), split.held_out & data.used
         if after is not None and not after[2]:
             pairs.append((as_given_residual, after[0] * scale / np.hypot(1.0, after[1] * scale), rows))
     return closed(data.observations, pairs, seed)
+
+
+class HeldOut:
+    """What explanations leave of rows that their fits did not see, each split of each explanation fitted once.
+
+    Args:
+        fitted: what the fits worked on.
+        all_data: the same with what was held out from all of them.
+        splits: ways to hold rows out.
+    """
+
+    def __init__(self, fitted: Data, all_data: Data, splits: Sequence[Split]) -> None:
+        self.fitted, self.all_data, self.splits = fitted, all_data, tuple(splits)
+        self._known: dict[tuple[int, int], tuple[FloatArray, FloatArray, bool] | None] = {}
+
+    def residual(self, found: FittedExplanation, split: Split) -> tuple[FloatArray, FloatArray, bool] | None:
+        """As of `_held_out_residual`."""
+        key = id(found), id(split)
+        if key not in self._known:
+            self._known[key] = _held_out_residual(self.fitted, self.all_data, found, split)
+        return self._known[key]
 
 
 def _held_out_residual(

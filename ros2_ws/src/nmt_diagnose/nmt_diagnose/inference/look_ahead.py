@@ -112,7 +112,7 @@ def next_levels(
     comparison: Comparison,
     plan: Sequence[float],
     search: Search,
-    scores: Sequence[Score],
+    scores: Callable[[], Sequence[Score]],
     gap: bool,
 ) -> NextTest | None:
     """The next levels of a plan and what is expected of them, however little; None above its highest level.
@@ -123,7 +123,7 @@ def next_levels(
     Args:
         rig, observations, null, comparison, plan: as for `next_tests`.
         search: has the candidates.
-        scores: of the candidates on top of the model alone.
+        scores: computes those of the candidates on top of the model alone.
         gap: whether the recordings show one.
     """
     runs = [test for test in observations.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
@@ -137,7 +137,7 @@ def next_levels(
     if not gap:
         levels = sorted(level for level in plan if level >= more[0])
         left = noise_over_motion(_run(rig, observations, point, levels, frequency), observations, null)
-        hidden = hidden_effects(search, null, scores, left, left.rows.level < len(more))
+        hidden = hidden_effects(search, null, scores(), left, left.rows.level < len(more))
         return NextTest(text, command, (NULL, HIDDEN), math.nan, seconds, hidden.information, hidden.probability)
     competing = _competing(comparison, null)
     if len(competing) < 2:

@@ -9,11 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnose.linear_problem import FunctionModel, observations_of
+from diagnose.predicted_observations import chain, observations_of_model, real
 
+from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.inference import ahead
 from nmt_diagnose.inference.ahead import Ahead
 from nmt_diagnose.inference.chain import Chain
-from nmt_diagnose.inference.hidden_effects import Hidden, chances
+from nmt_diagnose.inference.diagnose import free_parameters, model_alone
+from nmt_diagnose.inference.hidden_effects import Growth, Hidden, chances
+from nmt_diagnose.inference.look_ahead import _run
+from nmt_diagnose.inference.low_level_modes import LowLevelModes
+from nmt_diagnose.inference.search import Search
+from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.thresholds import THRESHOLDS
 
 
@@ -121,3 +130,41 @@ def test_a_difference_counts_beyond_what_parameters_and_chain_may_still_do(probl
     covariance = np.eye(7) + columns[20:] @ after @ columns[20:].T
     expected = float(np.sqrt(change @ np.linalg.solve(covariance, change)))
     assert made(problem).apart(change, np.ones(7, dtype=bool)) == pytest.approx(expected)
+
+
+def test_what_is_small_matters_from_the_level_where_draws_of_its_strength_do() -> None:
+    """A cubic spring of known uncertainty: by the nonlinear prediction with each drawn strength, level by level."""
+    model = chain()
+    spring = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 1e9}
+    observations = observations_of_model(real(model, local_elements=[spring]), seed=4, drives=(0.1, 0.2, 0.3))
+    modes, parameters = LowLevelModes(observations, model), free_parameters(model, observations)
+    used = np.ones(len(observations.rows), dtype=bool)
+    observations, _, null, data = model_alone(model, observations, parameters, used, modes)
+    known = candidates(model, operating_range(model, observations.tests, observations=observations))
+    search = Search(data, model, parameters, [it for it in known if it.label.startswith("cubic_stiffness@2")])
+    found = search.singles(null, search.scores(null))[0]
+    fitted, position = found.fit, found.fit.theta.size - 1
+    left = _run(model, observations, 1, [0.4, 0.6, 0.8, 1.6], observations.rows.frequency_hz[0])
+    wanted = {"frequency": 2e-3, "damping": 9.0, "response": 9.0, "harmonics": 9.0}
+    alone = Ahead(null.fit, data.chain_names, left)
+    growth = Growth(found, 0.9, left, alone, wanted)
+    rng, forward = np.random.default_rng(5), Forward(left.tests, left.rows)
+    frequency = left.rows.part == Part.LOG_FREQUENCY
+
+    def moved(strength: float) -> np.ndarray:
+        theta = fitted.theta.copy()
+        theta[position] = strength
+        return forward.predict(fitted.parametrisation.rig(theta)).values[frequency]
+
+    base = moved(0.0)
+    draws = fitted.theta[position] + fitted.std[position] * rng.standard_normal(60)
+    matters = np.array([np.abs(moved(value) - base) > wanted["frequency"] for value in draws])
+    shares = matters.mean(axis=0)
+    assert shares[0] < 0.2 < 0.8 < shares[-1]
+    for level, share in enumerate(shares):
+        rows = left.rows.level <= level
+        assert growth.matters(rows) == pytest.approx(0.9 * share, abs=0.13)
+    assert growth.levels(1) == 1 + int(np.argmax(shares > 0.5 * shares[-1]))
+    assert growth.levels(3) == max(3, growth.levels(1))
+    # What does not matter anywhere asks for no more levels than a third.
+    assert Growth(found, 0.9, left, alone, dict.fromkeys(wanted, 9.0)).levels(2) == 2

@@ -31,6 +31,7 @@ from nmt_diagnose.investigation.investigation_record import (
     InvestigationRecord,
     read_record,
 )
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_report.investigation_report import investigation_page, shown_answers
 
 PLAN = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -47,12 +48,14 @@ def diagnosis(
     ahead: Sequence[NextTest] = (),
     equivalents: tuple[str, ...] = (),
     levels: NextTest | None = None,
+    sensors: Sequence[NextTest] = (),
 ) -> Any:
     effects = [(name, p) for name, p in probabilities.items() if name not in ("none", "unknown")]
     ranking = tuple(named(name.split("@")[0], p, equivalents) for name, p in effects)
     return SimpleNamespace(
         verdict=verdict, sentences=("where", f"which: {verdict.value}", "how far"), ranking=ranking,
         probabilities=probabilities, next_test=tuple(ahead), adequate=True, next_levels=levels,
+        other_sensors=tuple(sensors),
     )  # fmt: skip
 
 
@@ -173,6 +176,37 @@ def test_what_no_test_sets_apart_is_said(tmp_path: Path) -> None:
     assert record.ended == "not_told_apart"
     assert "cubic stiffness or clearance cannot be told" in record.conclusion
     assert max(float(test.words[3].split(",")[-1]) for test in bench.made[1:]) == PLAN[-1]
+
+
+def test_levels_that_tell_rivals_little_apart_are_not_made(tmp_path: Path) -> None:
+    """What all of the plan would not tell is said after the first two tests, with the sensors that would tell it."""
+    pair = ("cubic_stiffness", "clearance")
+    sensors = [NextTest(f"a sensor at point {point}", "", pair, 10.0 - point) for point in (3, 5)]
+    edge = THRESHOLDS.next_test.least_plan_sigmas
+    for sigma, made in ((0.9 * edge, 2), (1.1 * edge, 4)):
+        levels = NextTest("more", "", pair, sigma, 20.0, 0.01, levels=PLAN[2:4], plan_sigma=sigma)
+        bench = Bench(
+            [diagnosis(Verdict.EFFECT, {"cubic_stiffness@2": 0.96}, (), ("clearance",), levels, sensors)] * 2
+            + [diagnosis(Verdict.EFFECT, {"cubic_stiffness@2": 0.96}, (), ("clearance",), None, sensors)]
+        )
+        folder = tmp_path / str(made)
+        folder.mkdir()
+        record = investigated(folder, bench)
+        assert record.ended == "not_told_apart"
+        assert len(record.measured) == made
+        assert "a sensor at point 3 would, by 7; also a sensor at point 5" in record.conclusion
+        assert ("levels of the plan that are left, which do by 0.9" in record.conclusion) == (made == 2)
+
+
+def test_as_many_levels_are_made_as_the_diagnosis_asks_for(tmp_path: Path) -> None:
+    """Where what is small so far is expected to matter at the top, in one test; said why."""
+    levels = NextTest(
+        "more", "", ("none", HIDDEN), math.nan, 40.0, 0.05, 0.9, grows="cubic_stiffness", levels=PLAN[2:]
+    )  # fmt: skip
+    small = diagnosis(Verdict.NONE, {"none": 0.84, "cubic_stiffness@2": 0.16}, levels=levels)
+    record = investigated(tmp_path, Bench([small, SURE]))
+    assert record.measured[2].words[3] == "0.3,0.4,0.5,0.6"
+    assert "cubic stiffness, too small to matter so far, grows to what matters, 90 %" in record.measured[2].why
 
 
 def test_an_exciter_that_nobody_moves_stays(tmp_path: Path) -> None:

@@ -13,15 +13,21 @@ from diagnose.predicted_observations import DRIVES, observations_of_model
 from diagnose.predicted_tests import chain
 
 from nmt_diagnose.effects.effect import Candidate, Site
-from nmt_diagnose.effects.library import effect_named
+from nmt_diagnose.effects.library import candidates, effect_named
 from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference import ahead, look_ahead
 from nmt_diagnose.inference.chain import Chain
 from nmt_diagnose.inference.comparison import Comparison, EquivalentClass
+from nmt_diagnose.inference.diagnose import free_parameters, model_alone
 from nmt_diagnose.inference.explanations import FittedExplanation
-from nmt_diagnose.inference.look_ahead import Proposal, next_tests, noise_over_motion
+from nmt_diagnose.inference.look_ahead import Proposal, next_tests, noise_over_motion, other_sensors
+from nmt_diagnose.inference.low_level_modes import LowLevelModes
+from nmt_diagnose.inference.search import Search
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_rig.rig import validate_rig
+from nmt_rig.rig_file import RigDocument
 
 RIG = chain()
 SIGMA = 0.5
@@ -99,7 +105,7 @@ def test_the_expected_distance_is_that_of_dense_algebra(
     a, b = competing()
     least = min(expected(future, a, b), expected(future, b, a))
     assert least > 3.0
-    monkeypatch.setattr(look_ahead, "proposals", lambda rig, observations, plan: [proposal()])
+    monkeypatch.setattr(look_ahead, "proposals", lambda *_: [proposal()])
     (found,) = next_tests(RIG, MEASURED, a, compared(((a,), 0.6), ((b,), 0.3)))
     assert found.expected_sigma == pytest.approx(least, rel=1e-6)
     assert found.separates == ("cubic_stiffness", "air_drag")
@@ -135,7 +141,7 @@ def test_a_test_that_cannot_tell_is_not_proposed(
 ) -> None:
     a, b = competing()
     future[DRAG.label] = future[CUBIC.label] * a.fit.theta[0] / b.fit.theta[0]
-    monkeypatch.setattr(look_ahead, "proposals", lambda rig, observations, plan: [proposal()])
+    monkeypatch.setattr(look_ahead, "proposals", lambda *_: [proposal()])
     assert next_tests(RIG, MEASURED, a, compared(((a, b), 0.9))) == ()
 
 
@@ -147,3 +153,38 @@ def test_one_sure_explanation_needs_no_further_test(monkeypatch: pytest.MonkeyPa
     a, b = competing()
     assert next_tests(RIG, MEASURED, a, compared(((a,), 0.97), ((b,), 0.01))) == ()
     assert next_tests(RIG, MEASURED, a, compared()) == ()
+
+
+@pytest.mark.parametrize(
+    ("truth", "rivals", "would"),
+    [
+        ({"added": "mass"}, ("added_mass@2", "sensor_mass@a2"), "the sensor of a2 at point 3 in place of 2"),
+        ({"gain": 1.05}, ("response_gain@a2", "force_gain@"), "a second sensor at point 2"),
+    ],
+)
+def test_sensors_that_would_tell_apart_what_no_level_does(
+    truth: dict[str, Any], rivals: tuple[str, str], would: str
+) -> None:
+    """A mass at a point from that of the sensor there: the sensor elsewhere. A gain: a second sensor beside it."""
+    springs, masses = {"springs_n_m": [15000.0, 20000.0], "dampers_ns_m": [5.0, 5.0]}, [0.5, 0.3, 0.2]
+    ground = {"ground_springs_n_m": [20000.0, 3000.0, 2000.0], "ground_dampers_ns_m": [4.0, 1.0, 1.0]}
+    model = chain(structure={"kind": "chain", "masses_kg": masses, **springs, **ground})
+    real_values = model.model_dump()
+    if "gain" in truth:
+        real_values["sensors"][2]["gain"] = truth["gain"]
+    else:
+        real_values["structure"]["masses_kg"][1] += 0.1
+    observations = observations_of_model(validate_rig(RigDocument("test", real_values, {})), seed=4, drives=DRIVES[3:])
+    used = np.ones(len(observations.rows), dtype=bool)
+    parameters = [it for it in free_parameters(model, observations) if it.name.startswith("exciter.")]
+    observations, _, null, data = model_alone(model, observations, parameters, used, LowLevelModes(observations, model))
+    known = candidates(model, operating_range(model, observations.tests, observations=observations))
+    search = Search(data, model, parameters, [it for it in known if it.label.startswith(rivals)])
+    best = {score.candidate: score for score in reversed(search.scores(null))}
+    found = [it for score in best.values() if (it := search.added(null, score)) is not None]
+    pair = [next(it for it in found if it.explanation.label.startswith(name)) for name in rivals]
+    sensors = other_sensors(model, observations, null, compared((tuple(pair), 1.0)), (), data.chain_names)
+    tests = [item.test for item in sensors]
+    assert would in tests
+    if "added" in truth:
+        assert tests == [would]

@@ -79,16 +79,23 @@ class Ahead:
         columns = np.column_stack([self._fitted.jacobian, errors.slopes])
         return Metric(columns, np.concatenate([prior**-2.0, np.ones(errors.chain.size)]), errors.weights)
 
-    def apart(self, change: FloatArray, rows: BoolArray) -> float:
-        """Standard deviations by which some of the rows tell a change over σ, (m,), from what may move them.
+    def beyond(self, change: FloatArray, rows: BoolArray) -> FloatArray:
+        """What some of the rows keep of a change over σ, (m,), once all that moves them has followed: (rows,).
 
-        √(Δᵀ (1 + X P⁻¹ Xᵀ)⁻¹ Δ), X the columns, P the precision.
+        (1 + X P⁻¹ Xᵀ)⁻¹ Δ, X the columns, P the precision.
         """
         factor = np.linalg.cholesky(self.precision)
         spread = solve_triangular(factor, self.columns[rows].T, lower=True).T
         metric = Metric(spread, np.ones(spread.shape[1]), np.ones(len(spread)))
         left, _ = metric.project(change[rows, None])
-        return float(np.sqrt(max(0.0, float(change[rows] @ left[:, 0]))))
+        return np.asarray(left[:, 0])
+
+    def apart(self, change: FloatArray, rows: BoolArray) -> float:
+        """Standard deviations by which some of the rows tell a change over σ, (m,), from what may move them.
+
+        √(Δᵀ (1 + X P⁻¹ Xᵀ)⁻¹ Δ).
+        """
+        return float(np.sqrt(max(0.0, float(change[rows] @ self.beyond(change, rows)))))
 
     def reach(self, at_hand: FloatArray, ahead: FloatArray, rows: BoolArray | None) -> FloatArray:
         """Standard deviations for each unit of strength of effects in the recordings at hand and some rows of the test.

@@ -92,6 +92,7 @@ class Comparison:
         by_label: probability of none, unknown and each explanation. What acts and is too weak to matter is there what
             shows beyond the noise, and unknown where nothing does.
         small: what best explains a difference that the recordings show and that does not matter.
+        small_probability: that it acts rather than nothing, places and effects being alike before.
     """
 
     none: float
@@ -101,6 +102,7 @@ class Comparison:
     log_odds: float
     by_label: Mapping[str, float]
     small: FittedExplanation | None = None
+    small_probability: float = 0.0
 
     def to_judge(self) -> tuple[EquivalentClass, ...]:
         """Classes whose predictions of held-out rows are judged: the first, and one effect of two that lead."""
@@ -349,6 +351,16 @@ class Hypotheses:
         effects = [candidate.effect.name for candidate in found.candidates]
         return THRESHOLDS.verdict.alarm_log_odds + sum(math.log(len(self._spots) * self._spots[e]) for e in effects)
 
+    @property
+    def _small_probability(self) -> float:
+        """Of what is small rather than nothing."""
+        small = self.small
+        if small is None:
+            return 0.0
+        alarm = THRESHOLDS.verdict.alarm_log_odds
+        odds = self._evidence(small) - self._evidence(self.null) - self._visible_rise(small) + alarm
+        return 1.0 / (1.0 + math.exp(-min(odds, 700.0)))
+
     def compared(self) -> Comparison:
         """Probabilities of everything."""
         zero = self._evidence(self.null)
@@ -413,6 +425,7 @@ class Hypotheses:
             float(np.logaddexp.reduce(logs[1:]) - none) if logs.size > 1 else -math.inf,
             labels,
             self.small,
+            self._small_probability,
         )
 
     def _placed(self, effects: tuple[str, ...]) -> list[tuple[FittedExplanation, float]]:

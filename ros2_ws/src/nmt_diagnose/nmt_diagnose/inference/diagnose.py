@@ -45,7 +45,7 @@ from nmt_diagnose.inference.gap import ClosedShare, closed, no_worse_than_silenc
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
 from nmt_diagnose.inference.law_sentences import law_sentences
 from nmt_diagnose.inference.law_starts import law_of, with_laws
-from nmt_diagnose.inference.look_ahead import next_levels, next_tests
+from nmt_diagnose.inference.look_ahead import next_levels, next_tests, other_sensors
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.memory import Memory
 from nmt_diagnose.inference.progress import Progress
@@ -618,13 +618,17 @@ def _diagnosed(
     calibration = calibration_rows(best)
     proposed_tests: tuple[NextTest, ...] = ()
     if settings.look_ahead and nearest is not None:
-        proposed_tests = next_tests(rig, scaled, null, comparison, settings.plan, data.chain_names)
+        proposed_tests = next_tests(rig, scaled, null, comparison, bool(settings.plan), data.chain_names)
     levels = None
     if settings.look_ahead and settings.plan:
         gap_is_there = verdict in (Verdict.EFFECT, Verdict.UNKNOWN)
         levels = next_levels(
             rig, scaled, null, comparison, settings.plan, findings.search, findings.scores, gap_is_there
         )
+    left = (*proposed_tests, *(() if levels is None or levels.tells_little else (levels,)))
+    sensors: tuple[NextTest, ...] = ()
+    if settings.look_ahead and settings.plan and verdict is Verdict.EFFECT and not left:
+        sensors = other_sensors(rig, scaled, null, comparison, settings.plan, data.chain_names)
     warnings = warned(verdict, best, calibration, gap, named.members if named is not None else ())
     warnings += tuple(f"{sentence.rstrip('.')}; nothing of it is left that matters." for sentence in findings.doubtful)
     warnings += without_observables(observations)
@@ -682,6 +686,7 @@ def _diagnosed(
         adequate=adequate,
         law=law,
         next_levels=levels,
+        other_sensors=sensors,
     )
     model = rig if verdict is Verdict.NONE else _rig_of(best, len(calibration))
     if verdict is Verdict.UNKNOWN and law is not None and law.is_stated:

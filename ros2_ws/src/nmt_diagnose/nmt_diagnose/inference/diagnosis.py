@@ -12,6 +12,7 @@ from typing import Any
 
 from nmt_core.files.whole_file import write_whole
 from nmt_diagnose.law.reading import LawReading
+from nmt_diagnose.thresholds import THRESHOLDS
 
 FORMAT = "nmt diagnosis 1"
 NULL, UNKNOWN = "none", "unknown"
@@ -171,7 +172,11 @@ class NextTest:
         expected_sigma: by how many standard deviations.
         seconds: bench time that it takes, as the tests at hand took it.
         information: fall of the entropy of the explanations that it distinguishes that is expected, nats.
-        hidden: probability of what acts and shows only in tests that are left; 0 where there is a gap.
+        hidden: probability of what acts and shows, or matters, only in tests that are left; 0 where there is a gap.
+        grows: what shows already and is expected to matter in them; empty where that is less probable than that
+            something else shows.
+        levels: of the plan, where the test goes on with it.
+        plan_sigma: by how many standard deviations all levels of the plan that are left tell the explanations apart.
     """
 
     test: str
@@ -181,6 +186,14 @@ class NextTest:
     seconds: float = math.nan
     information: float = math.nan
     hidden: float = 0.0
+    grows: str = ""
+    levels: tuple[float, ...] = ()
+    plan_sigma: float = math.nan
+
+    @property
+    def tells_little(self) -> bool:
+        """Whether not even all levels of the plan that are left set apart what is left of explanations."""
+        return self.plan_sigma < THRESHOLDS.next_test.least_plan_sigmas
 
 
 @dataclass(frozen=True)
@@ -233,7 +246,8 @@ class Diagnosis:
 
     ``adequate`` is false where more is left than noise that matters: with the verdict ``effect`` the explanation is a
     partial one then. ``law`` is the local force that held levels lack, where no effect of the library explains them.
-    ``next_levels`` are those of the plan that was given.
+    ``next_levels`` are those of the plan that was given, ``other_sensors`` those that would tell apart what no test
+    that is left does.
     """
 
     verdict: Verdict
@@ -256,6 +270,7 @@ class Diagnosis:
     adequate: bool = True
     law: LawReading | None = None
     next_levels: NextTest | None = None
+    other_sensors: tuple[NextTest, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""

@@ -20,8 +20,8 @@ class DiagnosisSettings:
         seed: of the bootstrap.
         look_ahead: whether tests that would decide between what is left, and the weakest effects that would show, are
             sought.
-        put_off_detectable: leave the weakest effects that would show to ``DiagnosisOutcome.completed``: they take a scan
-            of all candidates, and are no part of the answer.
+        put_off_detectable: leave the weakest effects that would show to ``DiagnosisOutcome.completed``: they take a
+            scan of all candidates, and are no part of the answer.
         hold_out: names of tests (or of their bags) that no fit sees and the gap is judged by; empty = levels and whole
             tests in turn.
         jobs: processes that share the work; the result is the same for any number.

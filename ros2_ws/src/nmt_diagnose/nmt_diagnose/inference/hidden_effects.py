@@ -4,16 +4,19 @@ An effect that shows from a strength s on in the recordings at hand shows from s
 ρ is by how much more standard deviations both together tell a unit of it from what parameters and measuring chain may
 do. Strengths of effects spread evenly over decades: of ln of their range, ln ρ is what the further test adds. That goes
 on until the share of effects is left that no test shows.
+
+What shows and is smaller than what matters has a law: what it does at the levels that are left follows from its fit.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import entr
+from scipy.stats import norm
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
@@ -21,7 +24,9 @@ from nmt_diagnose.inference.ahead import Ahead
 from nmt_diagnose.inference.candidate_starts import at_strength, strength_position
 from nmt_diagnose.inference.explanations import FittedExplanation, Score
 from nmt_diagnose.inference.search import Search
+from nmt_diagnose.inference.size import size_of_change, without_strength
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _NO_SOLUTION = (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)
@@ -32,7 +37,7 @@ class Hidden:
     """What these recordings are too weak to show.
 
     Attributes:
-        probability: that something acts which the tests that are left would show.
+        probability: that something acts which the tests that are left would show, or show to matter.
         next: the same of the next of them.
     """
 
@@ -47,12 +52,80 @@ class Hidden:
         left = max(0.0, self.probability - self.next) / (1.0 - self.next)
         return max(0.0, _entropy(self.probability) - (1.0 - self.next) * _entropy(left))
 
+    def beside(self, other: Hidden) -> Hidden:
+        """What is hidden for one of two reasons that have nothing to do with each other."""
+        return Hidden(
+            1.0 - (1.0 - self.probability) * (1.0 - other.probability), 1.0 - (1.0 - self.next) * (1.0 - other.next)
+        )
+
+
+class Growth:
+    """How probable it is that what shows and does not matter yet matters at levels that are left.
+
+    What it changes there goes with its strength. It has to change by what matters, and to leave more than noise beside
+    the model alone once that has followed: both come from a share 1/r of the fitted strength on.
+
+    Args:
+        found: what shows, fitted to the recordings at hand.
+        probability: that it acts.
+        left: observables of the tests that are left with expected uncertainties; values are not set.
+        ahead: the model alone in these tests.
+        wanted: what matters, by kind.
+    """
+
+    def __init__(
+        self,
+        found: FittedExplanation,
+        probability: float,
+        left: Observations,
+        ahead: Ahead,
+        wanted: Mapping[str, float],
+    ) -> None:
+        self._found, self._probability, self._wanted = found, probability, wanted
+        forward, fitted = Forward(left.tests, left.rows), found.fit
+        self._left, self._ahead, self._change = left, ahead, np.full(len(left.rows), np.nan)
+        try:
+            there = forward.predict(fitted.parametrisation.rig(fitted.theta))
+            without = forward.predict(fitted.parametrisation.rig(without_strength(found)), there)
+        except _NO_SOLUTION:
+            return
+        self._left = replace(left, values=without.values)
+        self._change = forward.difference(there.values, without.values)
+
+    def matters(self, rows: BoolArray) -> float:
+        """The probability that it matters in some of the rows, (m,)."""
+        known = rows & np.isfinite(self._change)
+        if not known.any():
+            return 0.0
+        size = size_of_change(self._left, known, self._left.sigma, self._change).values
+        most = max((value / max(self._wanted.get(kind, 0.0), 1e-300) for kind, value in size.items()), default=0.0)
+        least = min(most, self._beyond_noise(known))
+        return self._probability * float(norm.cdf(self._found.sigmas * (1.0 - 1.0 / least))) if least > 0.0 else 0.0
+
+    def _beyond_noise(self, known: BoolArray) -> float:
+        """How much stronger it is than what leaves more than noise in a channel's rows of one kind."""
+        left = self._ahead.beyond(np.nan_to_num(self._change) / self._left.sigma, known)
+        rows = self._left.rows
+        keys = np.stack([rows.channel[known], rows.part[known], rows.harmonic[known]])
+        _, group = np.unique(keys, axis=1, return_inverse=True)
+        squares, count = np.bincount(group.ravel(), left**2), np.bincount(group.ravel())
+        return float(np.sqrt(np.max(squares / (THRESHOLDS.verdict.excess_sigmas * np.sqrt(2.0 * count)))))
+
+    def levels(self, least: int) -> int:
+        """How many of the levels that are left, from the lowest on, are needed to see whether it matters."""
+        level = self._left.rows.level
+        count = int(level.max(initial=-1)) + 1
+        of_all = self.matters(level < count)
+        if of_all < 0.5:
+            return min(least, count)
+        return next(n for n in range(min(least, count), count + 1) if self.matters(level < n) > 0.5 * of_all)
+
 
 def hidden_effects(
     search: Search,
     null: FittedExplanation,
     scores: Sequence[Score],
-    left: Observations,
+    ahead: Ahead,
     of_next: BoolArray,
 ) -> Hidden:
     """What tests that are left would show, where those at hand show no gap.
@@ -61,11 +134,8 @@ def hidden_effects(
         search: has the candidates.
         null: the model alone, fitted.
         scores: of the candidates on top of it.
-        left: observables of the tests that are left with expected uncertainties; values are not set.
-        of_next: which of its rows are of the next test, (m,).
-
-    Raises:
-        BenchError: the model has no solution for a test that is left.
+        ahead: the model alone in the tests that are left.
+        of_next: which of their rows are of the next test, (m,).
     """
     strongest: dict[str, Score] = {}
     for score in scores:
@@ -79,7 +149,6 @@ def hidden_effects(
     if not strongest:
         return Hidden(0.0, 0.0)
     chosen = list(strongest.values())
-    ahead = Ahead(null.fit, search.data.chain_names, left)
     at_hand = np.column_stack([score.column for score in chosen])
     now = ahead.reach(at_hand, at_hand, None)
     shows = now > 0.0

@@ -16,6 +16,7 @@ import math
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
@@ -23,14 +24,16 @@ from scipy.special import entr
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.location import joined
+from nmt_diagnose.effects.rig_edit import with_value
+from nmt_diagnose.effects.sensor_effects import RESPONSES
 from nmt_diagnose.inference.ahead import Ahead
 from nmt_diagnose.inference.comparison import Comparison
 from nmt_diagnose.inference.diagnosis import HIDDEN, NULL, NextTest
 from nmt_diagnose.inference.explanations import FittedExplanation, Score
-from nmt_diagnose.inference.hidden_effects import hidden_effects
+from nmt_diagnose.inference.hidden_effects import Growth, Hidden, hidden_effects
 from nmt_diagnose.inference.search import Search
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
@@ -74,7 +77,7 @@ def next_tests(
     observations: Observations,
     null: FittedExplanation,
     comparison: Comparison,
-    plan: Sequence[float] = (),
+    with_plan: bool = False,
     chain_names: Sequence[str] = (),
     most: int = 3,
 ) -> tuple[NextTest, ...]:
@@ -85,7 +88,7 @@ def next_tests(
         observations: what has been measured, with the noise that was learnt.
         null: the model with its parameters re-fitted; what competes where there is only one explanation.
         comparison: explanations.
-        plan: levels of the real rig's plan, which no test goes beyond; empty = up to twice those measured.
+        with_plan: levels go on by the real rig's plan, see `next_levels`; else up to twice those measured.
         chain_names: of the errors of the measuring chain in the fits.
         most: tests to name.
     """
@@ -95,9 +98,9 @@ def next_tests(
     names = tuple(joined(competitor.effects) or NULL for competitor in competing)
     p = [comparison.by_label.get(it.explanation.label, 0.0) for it in competing]
     found = []
-    for proposal in proposals(rig, observations, plan):
+    for proposal in proposals(rig, observations, with_plan):
         proposal = replace(proposal, observations=noise_over_motion(proposal.observations, observations, competing[0]))
-        sigma, of_first = _separation(proposal, competing, chain_names)
+        sigma, of_first = Apart(proposal.observations, competing, chain_names).sigmas()
         if sigma >= THRESHOLDS.next_test.least_sigmas:
             information = expected_information(p[0], p[1], of_first)
             sigma = min(sigma, THRESHOLDS.next_test.most_sigmas)
@@ -121,34 +124,122 @@ def next_levels(
     these recordings are too weak to show.
 
     Args:
-        rig, observations, null, comparison, plan: as for `next_tests`.
+        rig, observations, null, comparison: as for `next_tests`.
+        plan: levels of the real rig's plan, which no test goes beyond.
         search: has the candidates.
         scores: computes those of the candidates on top of the model alone.
         gap: whether the recordings show one.
+
+    Raises:
+        BenchError: the model has no solution for a level that is left.
     """
     runs = [test for test in observations.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
-    drives = [level.drive for test in runs for level in test.levels if math.isfinite(level.drive)]
-    text, more = _higher(rig, max(drives), plan) if drives and plan else ("", [])
-    if not more:
+    high = max((level.drive for test in runs for level in test.levels if math.isfinite(level.drive)), default=math.nan)
+    levels = sorted(level for level in plan if level > 1.001 * high)
+    if not levels:
         return None
+    third = math.ceil(len(plan) / 3)
     frequency, point = _frequencies(rig)[rig.test.mode - 1], runs[0].drive_point
-    seconds = _seconds_of_a_level(runs) * len(more)
-    command = _commands(observations)[1](f"--levels {','.join(f'{level:.4g}' for level in more)} --out high")
+    each, command = _seconds_of_a_level(runs), _commands(observations)[1]
+
+    def test(count: int, separates: tuple[str, ...], sigma: float = math.nan, **more: Any) -> NextTest:
+        chosen = levels[:count]
+        words = f"--levels {','.join(f'{level:.4g}' for level in chosen)} --out high"
+        text = f"the next levels of the plan, up to {chosen[-1]:.3g} V"
+        return NextTest(
+            text, command(words), separates, sigma, each * len(chosen), levels=tuple(chosen), **more
+        )  # fmt: skip
+
+    left = _run(rig, observations, point, levels, frequency)
     if not gap:
-        levels = sorted(level for level in plan if level >= more[0])
-        left = noise_over_motion(_run(rig, observations, point, levels, frequency), observations, null)
-        hidden = hidden_effects(search, null, scores(), left, left.rows.level < len(more))
-        return NextTest(text, command, (NULL, HIDDEN), math.nan, seconds, hidden.information, hidden.probability)
+        left, small, count, grows = noise_over_motion(left, observations, null), comparison.small, third, ""
+        alone, growth = Ahead(null.fit, search.data.chain_names, left), None
+        if small is not None:
+            growth = Growth(small, comparison.small_probability, left, alone, observations.matters)
+            count = growth.levels(third)
+        of_next = left.rows.level < count
+        hidden = hidden_effects(search, null, scores(), alone, of_next)
+        if growth is not None and small is not None:
+            beside = Hidden(growth.matters(left.rows.level >= 0), growth.matters(of_next))
+            grows = joined(small.fitted.effects) if beside.probability > hidden.probability else ""
+            hidden = hidden.beside(beside)
+        return test(
+            count, (NULL, HIDDEN), information=hidden.information, hidden=hidden.probability, grows=grows
+        )  # fmt: skip
     competing = _competing(comparison, null)
     if len(competing) < 2:
-        return NextTest(text, command, (), math.nan, seconds)
+        return test(third, ())
     names = tuple(joined(competitor.effects) or NULL for competitor in competing)
     p = [comparison.by_label.get(it.explanation.label, 0.0) for it in competing]
-    left = noise_over_motion(_run(rig, observations, point, more, frequency), observations, competing[0])
-    proposal = Proposal(text, command, left, seconds)
-    sigma, of_first = _separation(proposal, competing, search.data.chain_names)
-    information = expected_information(p[0], p[1], of_first)
-    return NextTest(text, command, names, min(sigma, THRESHOLDS.next_test.most_sigmas), seconds, information)
+    left = noise_over_motion(left, observations, competing[0])
+    apart = Apart(left, competing, search.data.chain_names)
+    found = []
+    for count in sorted({min(third, len(levels)), len(levels)}):
+        sigma, of_first = apart.sigmas(left.rows.level < count)
+        found.append((expected_information(p[0], p[1], of_first) / count, count, sigma, of_first))
+    # Levels that tell more for their time come in one test, however many they are.
+    _, count, sigma, of_first = max(found, key=lambda item: (item[0], -item[1]))
+    most = THRESHOLDS.next_test.most_sigmas
+    return test(
+        count, names, min(sigma, most), information=expected_information(p[0], p[1], of_first),
+        plan_sigma=min(found[-1][2], most),
+    )  # fmt: skip
+
+
+def other_sensors(
+    rig: Rig,
+    observations: Observations,
+    null: FittedExplanation,
+    comparison: Comparison,
+    plan: Sequence[float],
+    chain_names: Sequence[str],
+) -> tuple[NextTest, ...]:
+    """Sensors that would tell apart what is left in a run of the same levels, the best first; none where none would.
+
+    One more at each point, and one that an explanation names at another point that has none: a mass goes with it.
+
+    Args:
+        rig, observations, null, comparison, chain_names: as for `next_tests`.
+        plan: levels of the run; empty = those measured.
+    """
+    competing = _competing(comparison, null)
+    runs = [test for test in observations.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
+    if len(competing) < 2 or not runs:
+        return ()
+    drive = runs[0].drive_point
+    drives = sorted(plan) or sorted({level.drive for level in runs[0].levels if math.isfinite(level.drive)})
+    names = tuple(joined(competitor.effects) or NULL for competitor in competing)
+    frequency = _frequencies(rig)[rig.test.mode - 1]
+    channels = _channels(rig, drive)
+    found = []
+
+    def tried(text: str, channels: tuple[MeasuredChannel, ...], moved: Rig | None = None) -> None:
+        fits = [it if moved is None else _on_other_rig(it, moved) for it in competing]
+        left = _run(rig, observations, drive, drives, frequency, channels=channels)
+        sigma, _ = Apart(noise_over_motion(left, observations, fits[0]), fits, chain_names).sigmas()
+        if sigma >= THRESHOLDS.next_test.least_sigmas:
+            found.append(NextTest(text, "", names, min(sigma, THRESHOLDS.next_test.most_sigmas)))
+
+    sensed = {channel.point for channel in channels if channel.quantity in MOTIONS}
+    for point in rig.structure.points:
+        more = MeasuredChannel(f"another at {point}", Quantity.DISPLACEMENT, point, ideal=True)
+        text = f"a second sensor at point {point}" if point in sensed else f"a sensor at point {point}"
+        tried(text, (*channels, more))
+    named = {location.channel for it in competing for location in it.explanation.locations if location.channel}
+    for index, sensor in enumerate(rig.sensors):
+        if rig.sensor_channel(sensor) not in named or sensor.quantity not in RESPONSES:
+            continue
+        for point in set(rig.structure.points) - sensed:
+            moved = with_value(rig, ("sensors", index, "point"), point)
+            text = f"the sensor of {rig.sensor_channel(sensor)} at point {point} in place of {rig.sensor_point(sensor)}"
+            tried(text, _channels(moved, drive), moved)
+    return tuple(sorted(found, key=lambda item: -item.expected_sigma))
+
+
+def _on_other_rig(found: FittedExplanation, rig: Rig) -> FittedExplanation:
+    """An explanation with what it adds on another rig."""
+    parametrisation = replace(found.fit.parametrisation, base=rig)
+    return replace(found, fit=replace(found.fit, parametrisation=parametrisation))
 
 
 def noise_over_motion(left: Observations, at_hand: Observations, found: FittedExplanation) -> Observations:
@@ -241,30 +332,45 @@ def _competing(comparison: Comparison, null: FittedExplanation) -> list[FittedEx
     return [classes[0].head, null] if comparison.none > THRESHOLDS.next_test.doubtful_probability else []
 
 
-def _separation(
-    proposal: Proposal, competing: Sequence[FittedExplanation], chain_names: Sequence[str]
-) -> tuple[float, float]:
-    """Least expected distance over all ordered pairs of competing hypotheses and over those of the first two, in σ.
+class Apart:
+    """How far a test that has not been made sets competing hypotheses apart.
 
-    0 where one has no solution.
+    Args:
+        left: its observables with expected uncertainties; values are not set.
+        competing: the hypotheses, fitted to the recordings at hand.
+        chain_names: of the errors of the measuring chain in the fits.
     """
-    observations, ahead = proposal.observations, list[Ahead]()
-    try:
-        for competitor in competing:
-            chain = ahead[0].chain if ahead else None
-            ahead.append(Ahead(competitor.fit, chain_names, observations, chain))
-    except (BenchError, ArithmeticError, np.linalg.LinAlgError):
-        return 0.0, 0.0
-    distances: dict[tuple[int, int], float] = {}
-    for one, other in itertools.permutations(range(len(ahead)), 2):
-        difference = ahead[one].forward.difference(ahead[one].base.values, ahead[other].base.values)
-        good = np.isfinite(difference) & np.isfinite(ahead[other].base.values)
-        over_sigma = difference / observations.sigma
-        distances[one, other] = ahead[other].apart(over_sigma, good) if good.any() else 0.0
-    return min(distances.values()), min(distances[0, 1], distances[1, 0])
+
+    def __init__(self, left: Observations, competing: Sequence[FittedExplanation], chain_names: Sequence[str]) -> None:
+        self._sigma, self._ahead = left.sigma, list[Ahead]()
+        try:
+            for competitor in competing:
+                chain = self._ahead[0].chain if self._ahead else None
+                self._ahead.append(Ahead(competitor.fit, chain_names, left, chain))
+        except (BenchError, ArithmeticError, np.linalg.LinAlgError):
+            self._ahead = []
+
+    def sigmas(self, rows: BoolArray | None = None) -> tuple[float, float]:
+        """Least expected distance over all ordered pairs of hypotheses and over those of the first two, in σ.
+
+        0 where one has no solution.
+
+        Args:
+            rows: those that count, (m,); None = all.
+        """
+        if not self._ahead:
+            return 0.0, 0.0
+        distances: dict[tuple[int, int], float] = {}
+        for one, other in itertools.permutations(range(len(self._ahead)), 2):
+            a, b = self._ahead[one], self._ahead[other]
+            difference = a.forward.difference(a.base.values, b.base.values)
+            good = np.isfinite(difference) & np.isfinite(b.base.values)
+            good &= True if rows is None else rows
+            distances[one, other] = b.apart(difference / self._sigma, good) if good.any() else 0.0
+        return min(distances.values()), min(distances[0, 1], distances[1, 0])
 
 
-def proposals(rig: Rig, observations: Observations, levels_of_plan: Sequence[float] = ()) -> list[Proposal]:
+def proposals(rig: Rig, observations: Observations, with_plan: bool = False) -> list[Proposal]:
     """Tests that the rig allows and that have not been made.
 
     Their commands run the rig that was recorded, as it was recorded; the model is not what is to be measured.
@@ -272,13 +378,17 @@ def proposals(rig: Rig, observations: Observations, levels_of_plan: Sequence[flo
     Args:
         rig: the model.
         observations: what has been measured.
-        levels_of_plan: levels that no test goes beyond; empty = up to twice those measured.
+        with_plan: levels go on by a plan, see `next_levels`; else up to twice those measured.
     """
     result = []
     linear, run = _commands(observations)
+    frequencies = _frequencies(rig)
     runs = [test for test in observations.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
     made = {test.drive_point for test in runs}
-    drives = sorted({level.drive for test in runs for level in test.levels if math.isfinite(level.drive)})
+    # Of a further mode or drive point the same levels are those of the first.
+    like_first = [test for test in runs if test.drive_point == runs[0].drive_point]
+    like_first = [it for it in like_first if _modes_of([it], frequencies) == _modes_of(runs[:1], frequencies)]
+    drives = sorted({level.drive for test in like_first for level in test.levels if math.isfinite(level.drive)})
     if not any(isinstance(test, RandomTest) for test in observations.tests):
         text = f"a random test at low level, driven at point {rig.drive_point}"
         seconds = THRESHOLDS.next_test.random_seconds
@@ -286,7 +396,6 @@ def proposals(rig: Rig, observations: Observations, levels_of_plan: Sequence[flo
     if not runs:
         return result
     each = _seconds_of_a_level(runs)
-    frequencies = _frequencies(rig)
     first = runs[0]
     low, high = drives[0], drives[-1]
     plan = f"{low:.3g}:{high:.3g}:{len(drives)}"
@@ -298,34 +407,32 @@ def proposals(rig: Rig, observations: Observations, levels_of_plan: Sequence[flo
         command = run(f"--exciter {point} --levels {plan} --out point{point}")
         found = _run(rig, observations, point, drives, frequencies[mode - 1])
         result.append(Proposal(text, command, found, each * len(drives)))
-    if len(frequencies) > mode:
-        text = f"the same levels on mode {mode + 1}"
-        command = run(f"--set test.mode={mode + 1} --levels {plan} --out mode{mode + 1}")
-        found = _run(rig, observations, first.drive_point, drives, frequencies[mode])
+    higher = _modes_of(runs, frequencies)
+    other = next((number for number in range(mode + 1, frequencies.size + 1) if number not in higher), 0)
+    if other:
+        text = f"the same levels on mode {other}"
+        command = run(f"--set test.mode={other} --levels {plan} --out mode{other}")
+        found = _run(rig, observations, first.drive_point, drives, frequencies[other - 1])
         result.append(Proposal(text, command, found, each * len(drives)))
     if all(level.direction >= 0 for test in runs for level in test.levels):
         text = "the same levels downwards, after going up"
         command = run(f"--direction both --levels {plan} --out both")
         found = _run(rig, observations, first.drive_point, drives[::-1], frequencies[mode - 1], _end(runs))
         result.append(Proposal(text, command, found, 2.0 * each * len(drives)))
-    text, more = _higher(rig, high, levels_of_plan)
-    if more:
+    limit = rig.limits.voltage_v
+    if not with_plan and (limit is None or 2.0 * high <= limit):
+        text = f"higher levels, up to {2.0 * high:.3g} V (mind what the specimen bears)"
+        more = list(map(float, np.geomspace(high, 2.0 * high, 6)))
         levels = ",".join(f"{level:.4g}" for level in more)
         found = _run(rig, observations, first.drive_point, more, frequencies[mode - 1])
         result.append(Proposal(text, run(f"--levels {levels} --out high"), found, each * len(more)))
     return result
 
 
-def _higher(rig: Rig, high: float, plan: Sequence[float]) -> tuple[str, list[float]]:
-    """Levels above those measured, and the sentence for them: a third of the plan, or as far as twice the highest."""
-    if plan:
-        more = sorted(level for level in plan if level > 1.001 * high)[: max(1, math.ceil(len(plan) / 3))]
-        return (f"the next levels of the plan, up to {more[-1]:.3g} V", more) if more else ("", [])
-    limit = rig.limits.voltage_v
-    if limit is not None and 2.0 * high > limit:
-        return "", []
-    more = list(map(float, np.geomspace(high, 2.0 * high, 6)))
-    return f"higher levels, up to {2.0 * high:.3g} V (mind what the specimen bears)", more
+def _modes_of(runs: Sequence[PhaseResonanceTest], frequencies: FloatArray) -> set[int]:
+    """Numbers of the modes of the model that are nearest to the locked frequencies of some runs."""
+    locked = [level.frequency_hz for test in runs for level in test.levels if level.frequency_hz > 0.0]
+    return {int(np.argmin(np.abs(np.log(frequencies / frequency)))) + 1 for frequency in locked}
 
 
 def _seconds_of_a_level(runs: Sequence[PhaseResonanceTest]) -> float:
@@ -406,9 +513,10 @@ def _run(
     drives: Sequence[float],
     frequency_hz: float,
     after: LockedLevel | None = None,
+    channels: tuple[MeasuredChannel, ...] | None = None,
 ) -> Observations:
-    """Observables of a run of locked levels that has not been made."""
-    channels = _channels(rig, point)
+    """Observables of a run of locked levels that has not been made; ``channels`` None = those of the rig."""
+    channels = channels or _channels(rig, point)
     ideal = MeasuredChannel(f"x{point}", Quantity.DISPLACEMENT, point)
     response = next((c for c in channels if c.quantity in MOTIONS and c.point == point), ideal)
     harmonics = max((t.harmonics for t in observations.tests if isinstance(t, PhaseResonanceTest)), default=3)

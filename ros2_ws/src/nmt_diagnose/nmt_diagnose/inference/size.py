@@ -283,17 +283,28 @@ def _apart(data: Data, more: FittedExplanation, less: FittedExplanation, wanted:
 
 
 def change_size(data: Data, change: FloatArray) -> Size:
+    """Size of a change of the rows of a fit, (m,), in their own units; see `size_of_change`."""
+    return size_of_change(data.observations, data.used, data.sigma, change)
+
+
+def size_of_change(observations: Observations, used: BoolArray, sigma: FloatArray, change: FloatArray) -> Size:
     """Size of a change of the rows, (m,), in their own units.
 
     Rows of a level or tenth of the lines count together, each as surely as it is known: a line where hardly anything is
     left of a response tells little. Samples of a record count by the rms of all of them.
+
+    Args:
+        observations: the rows and their values.
+        used: rows that count, (m,).
+        sigma: uncertainties, (m,).
+        change: of the values, (m,).
     """
-    rows, measured = data.observations.rows, data.observations.values
+    rows, measured = observations.rows, observations.values
     change = np.nan_to_num(change)
     values: dict[str, float] = {}
     known = np.zeros(len(rows), dtype=bool)
     for kind, parts in _KINDS.items():
-        selected = data.used & np.isin(rows.part, parts)
+        selected = used & np.isin(rows.part, parts)
         known |= selected
         if not selected.any():
             continue
@@ -303,15 +314,15 @@ def change_size(data: Data, change: FloatArray) -> Size:
             relative_change = relative_change / np.maximum(np.abs(measured[selected]), 1e-12)
         _, group = np.unique(keys, axis=1, return_inverse=True)
         group = group.ravel()
-        weight = data.sigma[selected] ** -2.0
+        weight = sigma[selected] ** -2.0
         squares = np.bincount(group, weight * relative_change**2) / np.bincount(group, weight)
         records = rows.part[selected] == Part.SAMPLE
         if records.any():
             mean_squares = np.bincount(group, np.where(records, measured[selected] ** 2, 0.0)) / np.bincount(group)
             squares = np.where(mean_squares > 0.0, squares / np.maximum(mean_squares, 1e-300), squares)
         values[kind] = float(np.sqrt(np.max(squares)))
-    unsized = data.used & ~known
-    return Size(values, bool(np.any(np.abs(change[unsized] / data.sigma[unsized]) > THRESHOLDS.verdict.visible_sigmas)))
+    unsized = used & ~known
+    return Size(values, bool(np.any(np.abs(change[unsized] / sigma[unsized]) > THRESHOLDS.verdict.visible_sigmas)))
 
 
 def without_strength(found: FittedExplanation) -> FloatArray:

@@ -162,16 +162,25 @@ class Investigation:
         return (*found, *self.settings.options, *self.settings.run_options)
 
     def _next_levels(self) -> AskedTest | None:
-        """The next third of the plan above what was measured; None at its end, and above levels that were declined."""
+        """The next levels of the plan above what was measured; None at its end, and above levels that were declined.
+
+        None, too, where rivals are left that all of them would not set apart.
+        """
         if any(test.state == "declined" and _levels(test.words) for test in self.record.tests):
             return None
+        found = None
+        if self.diagnosis is not None:
+            found = self.diagnosis.next_levels
+            if found is not None and found.tells_little and self.diagnosis.verdict is Verdict.EFFECT:
+                return None
         top = max((max(_levels(test.words)) for test in self.record.made if _levels(test.words)), default=0.0)
         more = [level for level in self.settings.levels if level > 1.001 * top]
-        more = more[: max(1, math.ceil(len(self.settings.levels) / 3))]
+        third = more[: max(1, math.ceil(len(self.settings.levels) / 3))]
+        expected = [] if found is None else [level for level in more if level in found.levels]
         if not more:
             return None
         return self._expected_of_levels(
-            self._levels_test(more, "the next levels of the plan", "whether the gap grows with the level")
+            self._levels_test(expected or third, "the next levels of the plan", "whether the gap grows with the level")
         )
 
     def _expected_of_levels(self, test: AskedTest) -> AskedTest:
@@ -179,7 +188,10 @@ class Investigation:
         ahead = None if self.diagnosis is None else self.diagnosis.next_levels
         if ahead is None or not math.isfinite(ahead.information):
             return test
-        if HIDDEN in ahead.separates:
+        if ahead.grows:
+            small = ahead.grows.replace("_", " ")
+            why = f"whether {small}, too small to matter so far, grows to what matters, {100.0 * ahead.hidden:.0f} %"
+        elif HIDDEN in ahead.separates:
             why = f"what is too weak to show so far, {100.0 * ahead.hidden:.0f} %"
         else:
             why = _why(ahead)
@@ -192,6 +204,8 @@ class Investigation:
         assert self.diagnosis is not None
         proposed = [self._asked(item) for item in self._possible()]
         levels = self._next_levels()
+        if levels is not None and math.isfinite(levels.expected):
+            proposed.append(levels)
         known = {test.words for test in self.record.tests if test.state != "failed"}
         proposed = [test for test in proposed if test.words not in known and self._affordable(test)]
         if proposed:
@@ -294,20 +308,28 @@ class Investigation:
             first = found.ranking[0]
             rivals = [*first.equivalents, *(it.effect for it in found.ranking[1:2])]
             apart = " or ".join(name.replace("_", " ") for name in [first.effect, *rivals])
+            plan = "" if found.next_levels is None else self._of_plan(found.next_levels)
             self._end(
                 "not_told_apart",
-                f"Whether it is {apart} cannot be told with these sensors and exciters: no level of the plan, other "
-                f"drive point or mode that is left sets them apart by three standard deviations; {self._elsewhere()}.",
+                f"Whether it is {apart} cannot be told with these sensors and exciters: no other drive point or mode "
+                f"that is left sets them apart by three standard deviations{plan}; {self._elsewhere()}.",
             )
+
+    def _of_plan(self, levels: NextTest) -> str:
+        return f", nor do all levels of the plan that are left, which do by {levels.plan_sigma:.1f}"
 
     def _elsewhere(self) -> str:
         """What would set apart what no test that is left does."""
         assert self.diagnosis is not None
         moved = [item for item in self.diagnosis.next_test if item not in self._possible()]
-        if not moved:
-            return "a sensor or an exciter at another point would"
-        best = max(moved, key=lambda item: item.expected_sigma)
-        return f"{best.test} would, by {best.expected_sigma:.0f}: with --ask the exciter is moved between tests"
+        if moved:
+            best = max(moved, key=lambda item: item.expected_sigma)
+            return f"{best.test} would, by {best.expected_sigma:.0f}: with --ask the exciter is moved between tests"
+        if not self.diagnosis.other_sensors:
+            return "nor would one more sensor at any point of the model"
+        best = self.diagnosis.other_sensors[0]
+        others = [item.test for item in self.diagnosis.other_sensors[1:3]]
+        return f"{best.test} would, by {best.expected_sigma:.0f}" + (f"; also {' or '.join(others)}" if others else "")
 
     def _end(self, why: str, sentence: str) -> None:
         self.record = replace(self.record, ended=why, conclusion=sentence)

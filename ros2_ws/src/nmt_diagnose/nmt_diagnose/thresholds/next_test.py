@@ -16,6 +16,11 @@ class NextTestThresholds:
         "A test that tells less apart is not worth making.",
         "",
     )  # fmt: skip
+    least_plan_sigmas: float = threshold(
+        1.0, "σ",
+        "An investigation does not go up a plan whose levels that are left, all together, tell rivals less apart.",
+        "tests/diagnose/test_investigation.py::test_levels_that_tell_rivals_little_apart_are_not_made",
+    )  # fmt: skip
     most_sigmas: float = threshold(
         99.0, "σ",
         "A larger number tells no more.",

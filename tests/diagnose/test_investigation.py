@@ -198,6 +198,17 @@ def test_levels_that_tell_rivals_little_apart_are_not_made(tmp_path: Path) -> No
         assert ("levels of the plan that are left, which do by 0.9" in record.conclusion) == (made == 2)
 
 
+def test_what_explains_a_part_is_not_set_against_itself_with_more(tmp_path: Path) -> None:
+    """Where something unnamed acts beside it, that is the end; levels that are left may still show a law."""
+    pair = ("microslip", "microslip + two_sided_gap")
+    levels = NextTest("more", "", pair, 0.0, 20.0, 0.0, levels=PLAN[2:4], plan_sigma=0.0)
+    partly = diagnosis(Verdict.EFFECT, {"unknown": 1.0, "microslip@joint": 0.0}, levels=levels)
+    partly.adequate = False
+    record = investigated(tmp_path, Bench([partly]))
+    assert len(record.measured) == 4
+    assert (record.ended, record.conclusion) == ("unknown", "where which: effect")
+
+
 def test_as_many_levels_are_made_as_the_diagnosis_asks_for(tmp_path: Path) -> None:
     """Where what is small so far is expected to matter at the top, in one test; said why."""
     levels = NextTest(

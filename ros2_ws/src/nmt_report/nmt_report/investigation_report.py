@@ -18,7 +18,7 @@ from nmt_report.svg import GRID, INK, MUTED, ReportFigure, figure_style, level_c
 ENDS = {
     "named": ("The cause has a name", "good"),
     "no_gap": ("There is no gap", "good"),
-    "unknown": ("There is a gap, and nothing in the library explains it", "bad"),
+    "unknown": ("There is a gap, and nothing in the library explains all of it", "bad"),
     "not_told_apart": ("Some causes cannot be told apart here", "partly"),
     "budget": ("The bench time is used up", "partly"),
     "stopped": ("Stopped", "partly"),

@@ -171,7 +171,8 @@ class Investigation:
         found = None
         if self.diagnosis is not None:
             found = self.diagnosis.next_levels
-            if found is not None and found.tells_little and self.diagnosis.verdict is Verdict.EFFECT:
+            explained = self.diagnosis.verdict is Verdict.EFFECT and self.diagnosis.adequate
+            if explained and found is not None and found.tells_little:
                 return None
         top = max((max(_levels(test.words)) for test in self.record.made if _levels(test.words)), default=0.0)
         more = [level for level in self.settings.levels if level > 1.001 * top]
@@ -300,7 +301,7 @@ class Investigation:
             self._end("budget", f"The bench time is used up. So far: {found.sentences[1]}")
         elif self._declined():
             self._end("stopped", f"What is left to measure was declined. So far: {found.sentences[1]}")
-        elif found.verdict is Verdict.UNKNOWN:
+        elif found.verdict is Verdict.UNKNOWN or (found.verdict is Verdict.EFFECT and not found.adequate):
             self._end("unknown", " ".join(found.sentences[:2]))
         elif found.verdict in (Verdict.NONE, Verdict.CALIBRATION):
             self._end("no_gap", found.sentences[1])

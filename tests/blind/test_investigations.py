@@ -235,6 +235,9 @@ def test_what_becomes_of_a_pair() -> None:
     assert pair_of(pair, record((2, 0.99, 0.0, alike), conclusion="Whether it is force gain or response gain")) == (
         "said to be alike"
     )
+    third = "The cause is clipping; these tests cannot tell it from force gain."
+    assert pair_of(pair, record((2, 0.4, 0.0, third))) == "parted by the first two tests"
+    assert pair_of(pair, record((2, 0.4, 0.0, ""))).startswith("neither")
     assert pair_of(pair, record((2, 0.1, 0.9, ""))).startswith("neither")
     quiet = record((2, 0.0, 0.0, ""))
     quiet["turns"][-1]["verdict"] = "calibration"

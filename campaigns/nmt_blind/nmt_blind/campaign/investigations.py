@@ -312,7 +312,9 @@ def pair_of(pair: Sequence[str], record: Mapping[str, Any]) -> str:
     true, other = pair
     for number, turn in enumerate(record["turns"]):
         p = [float(turn["answers"].get(name, 0.0)) for name in (true, other)]
-        if p[0] > 0.5 and p[1] < _PARTED * p[0] and other.replace("_", " ") not in turn["sentence"]:
+        # A third effect that is the same to these tests stands beside the true one.
+        named = p[0] > 0.5 or true.replace("_", " ") in turn["sentence"]
+        if named and p[1] < _PARTED * p[0] and other.replace("_", " ") not in turn["sentence"]:
             made = [test for test in record["tests"] if test["state"] == "measured"][: turn["tests"]]
             return f"parted by {made[-1]['text'] if number else 'the first two tests'}"
     if record["turns"][-1].get("verdict") in ("none", "calibration"):

@@ -170,12 +170,19 @@ def test_no_gap_is_said_at_the_end_of_the_plan_only(tmp_path: Path) -> None:
 
 
 def test_what_no_test_sets_apart_is_said(tmp_path: Path) -> None:
-    alike = diagnosis(Verdict.EFFECT, {"cubic_stiffness@2": 0.96}, equivalents=("clearance",))
+    alike = diagnosis(Verdict.EFFECT, {"cubic_stiffness@2": 0.6, "clearance@2": 0.4}, equivalents=("clearance",))
     bench = Bench([alike])
     record = investigated(tmp_path, bench)
     assert record.ended == "not_told_apart"
     assert "cubic stiffness or clearance cannot be told" in record.conclusion
     assert max(float(test.words[3].split(",")[-1]) for test in bench.made[1:]) == PLAN[-1]
+
+
+def test_what_predicts_the_same_and_is_improbable_needs_no_test(tmp_path: Path) -> None:
+    """Its model and chain would have to be what nobody believes: the probability of the other alone is enough."""
+    both = {"cubic_stiffness@2": 0.96, "clearance@2": 0.04}
+    record = investigated(tmp_path, Bench([diagnosis(Verdict.EFFECT, both, equivalents=("clearance",))]))
+    assert (record.ended, len(record.measured)) == ("named", 2)
 
 
 def test_levels_that_tell_rivals_little_apart_are_not_made(tmp_path: Path) -> None:
@@ -185,10 +192,9 @@ def test_levels_that_tell_rivals_little_apart_are_not_made(tmp_path: Path) -> No
     edge = THRESHOLDS.next_test.least_plan_sigmas
     for sigma, made in ((0.9 * edge, 2), (1.1 * edge, 4)):
         levels = NextTest("more", "", pair, sigma, 20.0, 0.01, levels=PLAN[2:4], plan_sigma=sigma)
-        bench = Bench(
-            [diagnosis(Verdict.EFFECT, {"cubic_stiffness@2": 0.96}, (), ("clearance",), levels, sensors)] * 2
-            + [diagnosis(Verdict.EFFECT, {"cubic_stiffness@2": 0.96}, (), ("clearance",), None, sensors)]
-        )
+        p = {"cubic_stiffness@2": 0.6, "clearance@2": 0.4}
+        beliefs = [diagnosis(Verdict.EFFECT, p, (), pair[1:], it, sensors) for it in (levels, levels, None)]
+        bench = Bench(beliefs)
         folder = tmp_path / str(made)
         folder.mkdir()
         record = investigated(folder, bench)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ from nmt_diagnose.inference.comparison import (
 )
 from nmt_diagnose.inference.diagnosis import DetectableEffect, Diagnosis, Gap, NextTest, Value, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.explanations import FittedExplanation, Score, best_of
+from nmt_diagnose.inference.explanations import FittedExplanation, Score, best_of, leaves_noise_only
 from nmt_diagnose.inference.fitting import (
     ChainErrors,
     Data,
@@ -266,19 +266,29 @@ def find(
     )
     candidates = () if beyond_effects else library_candidates(rig, operating, settings.withheld)
     search = Search(data, rig, parameters, candidates, tell)
-    tell(f"scanning {len(candidates)} candidates")
-    scores = search.scores(null)
+    scores = cache(partial(search.scores, null))
     law: LawReading | None = None
     standing = Standing(search, null, ())
-    relief = max((score.relief for score in scores), default=0.0)
-    if leaves_something(data, null, settings.matters, loop=True) or relief > relief_that_counts(search.data, null):
-        begun, passed = memory.begun(search, null) if memory is not None else [], frozenset[Explanation]()
+
+    def relieved() -> bool:
+        return max((score.relief for score in scores()), default=0.0) > relief_that_counts(search.data, null)
+
+    gap = leaves_something(data, null, settings.matters, loop=True) or relieved()
+    if gap:
+        begun, passed = list[FittedExplanation](), frozenset[Explanation]()
+        if memory is not None:
+            begun = memory.begun(search, null, lambda it: _noise_only(rig, observations, search.data, it))
         if begun and memory is not None:
             passed = memory.far | {it.fitted for it in begun}
         else:
             law = None if beyond_effects else law_of(rig, observations.take(fitted))
             begun = with_laws(search, null, law)
-        singles = _singles(search, null, scores, begun, modes, rig, passed)
+        settled = False
+        if passed and memory is not None and memory.searched:
+            # What leaves noise only of a large gap needs no candidate that was not fitted when it was found.
+            far = THRESHOLDS.search.far_behind_log_evidence
+            settled = begun[0].fit.log_evidence - null.fit.log_evidence > 2.0 * far
+        singles = begun if settled else _singles(search, null, scores(), begun, modes, rig, passed)
         standing = _about_best(standing, rig, observations, singles)
         pairs = _pairs(standing)
         if pairs and pairs[0].fit.log_evidence > standing.named[0].fit.log_evidence:
@@ -286,7 +296,7 @@ def find(
         else:
             standing = _competing(standing, [*standing.named, *pairs])
     else:  # one fit tells what a difference that does not matter looks like
-        standing = _about_best(standing, rig, observations, search.fitted(null, scores[:1]))
+        standing = _about_best(standing, rig, observations, search.fitted(null, scores()[:1]))
     first_null, search, null, named = null, standing.search, standing.null, list(standing.named)
     data = search.data
     named = [needed(data, explanation, [null, *named], settings.matters) for explanation in named]
@@ -309,16 +319,28 @@ def find(
 
     @cache
     def beside_best() -> tuple[Score, ...]:
-        return tuple(scores if unmoved else search.scores(best, scores))
+        return tuple(scores() if unmoved else search.scores(best, scores()))
 
     if memory is not None:
-        memory.keep(named, [it.found for it in standing.left_out])
+        memory.keep(named, [it.found for it in standing.left_out], gap)
     lacking = modes.lacking(data, best.fit)
     return Findings(
         data, search, as_given, null, tuple(named), comparison, explained, (*modes.disordered, *lacking),
         tuple(sentence for sentence in modes.sentences if sentence not in lacking), standing.left_out, law,
         beside_best,
     )  # fmt: skip
+
+
+def _noise_only(rig: Rig, observations: Observations, data: Data, found: FittedExplanation) -> bool:
+    """Whether an explanation leaves noise only, if need be once the chain is taken about it and not about the model."""
+    if leaves_noise_only(data, found):
+        return True
+    near = about(rig, observations, found.fit, data.used)
+    try:
+        again = fit(near, found.fit.parametrisation, found.fit.theta, found.fit.prediction)
+    except FitError:
+        return False
+    return leaves_noise_only(near, FittedExplanation(found.candidates, again))
 
 
 def _singles(

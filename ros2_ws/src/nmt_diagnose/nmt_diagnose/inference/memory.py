@@ -2,13 +2,14 @@
 
 Recordings are read once. Explanations that competed are fitted from where they stood. One that was far behind on the
 recordings before cannot catch up as long as the best of those that competed leaves noise only on all of them: it is
-not fitted again. Where the best one leaves more, everything is looked for anew.
+not fitted again, and nothing else is looked for where a large gap had been searched for. Where the best one leaves
+more, everything is looked for anew.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Cause, Explanation
-from nmt_diagnose.inference.explanations import FittedExplanation, best_of, leaves_noise_only
+from nmt_diagnose.inference.explanations import FittedExplanation, best_of
 from nmt_diagnose.inference.fitting import FitError, fit
 from nmt_diagnose.inference.law_starts import parameters_at
 from nmt_diagnose.inference.search import Search
@@ -47,19 +48,25 @@ class Memory:
         readings: observations of a recording by its name and digest.
         near: explanations that competed.
         far: explanations that were fitted and lay far behind the best.
+        searched: all that the recordings before showed was looked for in the library.
     """
 
     readings: dict[tuple[str, str], Observations] = field(default_factory=dict)
     near: tuple[Remembered, ...] = ()
     far: frozenset[Explanation] = frozenset()
+    searched: bool = False
 
-    def keep(self, named: Sequence[FittedExplanation], left_out: Sequence[FittedExplanation]) -> None:
+    def keep(
+        self, named: Sequence[FittedExplanation], left_out: Sequence[FittedExplanation], searched: bool = False
+    ) -> None:
         """Remember explanations.
 
         Args:
             named: those that competed.
             left_out: those that did not.
+            searched: there was a gap, and the library was searched for it.
         """
+        self.searched = searched
         if not named:
             self.near, self.far = (), frozenset()
             return
@@ -75,15 +82,20 @@ class Memory:
         )
         self.far = (self.far | {it.fitted for it in (*named, *left_out)}) - {it.fitted for it in near}
 
-    def begun(self, search: Search, null: FittedExplanation) -> list[FittedExplanation]:
+    def begun(
+        self, search: Search, null: FittedExplanation, noise_only: Callable[[FittedExplanation], bool]
+    ) -> list[FittedExplanation]:
         """The explanations that competed, fitted to the data of a search; the best first.
 
-        Empty where the best of them leaves more than noise.
+        Args:
+            search: fits them.
+            null: the model alone.
+            noise_only: whether an explanation leaves noise only; where the best of them does not there are none.
         """
         if self.near:
             search.tell(f"fitting {len(self.near)} explanations from where they stood")
         found = best_of([one for it in self.near if (one := _fitted(search, null, it)) is not None])
-        return found if found and leaves_noise_only(search.data, found[0]) else []
+        return found if found and noise_only(found[0]) else []
 
 
 def _fitted(search: Search, null: FittedExplanation, remembered: Remembered) -> FittedExplanation | None:

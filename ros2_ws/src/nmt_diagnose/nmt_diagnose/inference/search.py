@@ -73,6 +73,8 @@ class Search:
             base: the fit.
             known: scores on top of another fit, what candidates change being taken from there; empty = it is computed.
         """
+        if not known:
+            self.tell(f"scanning {len(self.candidates)} candidates")
         taken = base.explanation.causes
         found = [
             (score.candidate, score.origin, score.column, score.signed)

@@ -286,10 +286,12 @@ class Investigation:
         return any(test.state == "declined" for test in self.record.tests)
 
     def _sure(self, answers: Mapping[str, float]) -> bool:
+        """Whether an answer has the wanted probability without what the recordings do not distinguish from it."""
         assert self.diagnosis is not None
         if self.diagnosis.verdict is Verdict.EFFECT and self.diagnosis.ranking:
             first = self.diagnosis.ranking[0]
-            return not first.equivalents and first.probability >= self.settings.until
+            alone = first.probability if not first.equivalents else answers.get(first.effect, 0.0)
+            return alone >= self.settings.until
         return answers.get("none", 0.0) >= self.settings.until
 
     def _conclude(self) -> None:

@@ -16,6 +16,7 @@ from scipy.special import entr
 from nmt_core.errors import BenchError
 from nmt_diagnose.inference.diagnosis import HIDDEN, NULL, UNKNOWN, Diagnosis, NextTest, Verdict
 from nmt_diagnose.investigation.investigation_record import AskedTest, EmptyTestError, InvestigationRecord, Turn
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_sequencer.level_plan import parse_levels
 
 YES, NO, STOP = "yes", "no", "stop"
@@ -309,8 +310,10 @@ class Investigation:
             self._end("no_gap", found.sentences[1])
         else:
             first = found.ranking[0]
-            rivals = [*first.equivalents, *(it.effect for it in found.ranking[1:2])]
-            apart = " or ".join(name.replace("_", " ") for name in [first.effect, *rivals])
+            least = THRESHOLDS.next_test.second_class_share * first.probability
+            second = [it.effect for it in found.ranking[1:2] if it.probability > least]
+            rivals = dict.fromkeys((first.effect, *first.equivalents, *second))
+            apart = " or ".join(name.replace("_", " ") for name in rivals)
             plan = "" if found.next_levels is None else self._of_plan(found.next_levels)
             self._end(
                 "not_told_apart",

@@ -51,6 +51,7 @@ said = {"verdict": "effect", "ranking": [cubic], "where": [], "probabilities": {
 if words[0] == "investigate":
     tests = [{"state": "measured", "seconds": 30.0, "expected": e, "received": r, "separates": s}
              for e, r, s in ((None, None, ()), (0.5, 0.6, ("a", "b")), (0.325083, 0.1, ("none", "too_weak_so_far")))]
+    tests += [{"state": "empty", "seconds": 6.0}, {"state": "asked", "seconds": 50.0}]
     answers = {"none": 0.9, "too_weak_so_far": 0.1}
     turns = [{"tests": n, "thinking_s": t, "answers": answers, "verdict": "none"} for n, t in ((1, 4.0), (2, 8.0))]
     (out / "investigate.json").write_text(json.dumps({"tests": tests, "turns": turns, "ended": "named"}))
@@ -91,7 +92,7 @@ def test_truths_are_sealed_before_anything_is_run_and_results_are_kept(tmp_path:
     assert all(call.endswith("True") for call in calls)
     assert len(calls) == 12
     assert [text.split()[0] for text in reported] == ["0/2", "1/2", "2/2"]
-    assert "a: cubic_stiffness @ 4: right (effect cubic_stiffness structure 4) 90 s" in reported[1]
+    assert "a: cubic_stiffness @ 4: right (effect cubic_stiffness structure 4) 96 s" in reported[1]
     assert print_lines(run(tmp_path)) == print_lines(lines)
     assert len((tmp_path / "calls").read_text().splitlines()) == 12
 
@@ -124,14 +125,14 @@ def test_the_table_has_both_ways(tmp_path: Path) -> None:
     found = summary(lines)
     assert found["classes"]["investigation"]["right"] == 1
     assert found["classes"]["plan"]["honest unknown"] == 1
-    assert found["bench_s_median"] == {"investigation": 90.0, "plan": 180.0}
-    assert found["bench_share_where_right"] == 0.5
+    assert found["bench_s_median"] == {"investigation": 96.0, "plan": 180.0}  # what locked nothing took time, too
+    assert found["bench_share_where_right"] == pytest.approx(96.0 / 180.0)
     assert found["turn_s_median"] == 6.0
     assert found["information_slope"] == pytest.approx((0.5 * 0.6 + 0.325083 * 0.1) / (0.5**2 + 0.325083**2))
     assert (found["tests_that_settle"], found["information_slope_open"]) == (1, pytest.approx(0.6 / 0.5))
     assert found["chosen_tests_without_expectation"] == 0
     text = "\n".join(print_lines(lines))
-    assert "investigation: right 1; bench time 90 s in the median" in text
+    assert "investigation: right 1; bench time 96 s in the median" in text
     files = write_tables(lines, tmp_path / "out")
     assert json.loads(files[1].read_text())["rigs"][0]["plan_outcome"] == "honest unknown"
 

@@ -40,6 +40,8 @@ _RESULT = "result.json"
 _INVESTIGATION, _PLAN, _DIAGNOSIS = "investigation", "plan", "diagnosis/diagnosis.json"
 _DONE = (0, 3)
 NOT_RUN = "not run"
+RAN = ("measured", "empty", "failed")
+"""States of a test that took bench time."""
 _PARTED = 0.05
 """Largest probability of the other effect of a pair over that of the true one for them to be told apart."""
 _PLAN_LEVELS = 10
@@ -267,7 +269,7 @@ def line_of(rig: DrivenRig, result: Mapping[str, Any], place: Path) -> RigLine:
         f"{named} @ {', '.join(truth.place)}" if truth.place else named,
         Arm(
             _judged(truth, place / _INVESTIGATION / _DIAGNOSIS, result["investigation"]["trouble"]),
-            sum(float(test["seconds"]) for test in tests),
+            math.fsum(float(test["seconds"] or 0.0) for test in record.get("tests", ()) if test["state"] in RAN),
             len(tests),
             tuple(float(turn["thinking_s"]) for turn in record.get("turns", ())),
             str(result["investigation"]["trouble"]),

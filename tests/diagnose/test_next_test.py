@@ -26,6 +26,7 @@ from nmt_diagnose.inference.search import Search
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import validate_rig
 from nmt_rig.rig_file import RigDocument
 
@@ -143,6 +144,22 @@ def test_a_test_that_cannot_tell_is_not_proposed(
     future[DRAG.label] = future[CUBIC.label] * a.fit.theta[0] / b.fit.theta[0]
     monkeypatch.setattr(look_ahead, "proposals", lambda *_: [proposal()])
     assert next_tests(RIG, MEASURED, a, compared(((a, b), 0.9))) == ()
+
+
+def test_an_investigation_is_offered_tests_that_tell_little(
+    future: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is not worth a person's while counts where the bench chooses by information for its time."""
+    a, b = competing()
+    cubic = future[CUBIC.label] * a.fit.theta[0]
+    across = future[DRAG.label] - cubic * (cubic @ future[DRAG.label]) / (cubic @ cubic)
+    across /= np.linalg.norm(across)
+    monkeypatch.setattr(look_ahead, "proposals", lambda *_: [proposal()])
+    edges = THRESHOLDS.next_test.least_asked_sigmas, THRESHOLDS.next_test.least_sigmas
+    for sigmas, offered in ((0.5 * edges[0], 0), (0.5 * (edges[0] + edges[1]), 1)):
+        future[DRAG.label] = (cubic + sigmas * SIGMA * across) / b.fit.theta[0]
+        for with_plan, count in ((True, offered), (False, 0)):
+            assert len(next_tests(RIG, MEASURED, a, compared(((a, b), 0.9)), with_plan)) == count
 
 
 def test_one_sure_explanation_needs_no_further_test(monkeypatch: pytest.MonkeyPatch) -> None:

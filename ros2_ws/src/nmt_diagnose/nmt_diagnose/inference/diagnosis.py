@@ -193,7 +193,7 @@ class NextTest:
     @property
     def tells_little(self) -> bool:
         """Whether not even all levels of the plan that are left set apart what is left of explanations."""
-        return self.plan_sigma < THRESHOLDS.next_test.least_plan_sigmas
+        return self.plan_sigma < THRESHOLDS.next_test.least_asked_sigmas
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ def next_tests(
         comparison: explanations.
         with_plan: levels go on by the real rig's plan, see `next_levels`; else up to twice those measured.
         chain_names: of the errors of the measuring chain in the fits.
-        most: tests to name.
+        most: tests to name; with a plan all of them, among which an investigation chooses by their time.
     """
     competing = _competing(comparison, null)
     if len(competing) < 2:
@@ -98,14 +98,15 @@ def next_tests(
     names = tuple(joined(competitor.effects) or NULL for competitor in competing)
     p = [comparison.by_label.get(it.explanation.label, 0.0) for it in competing]
     found = []
+    least = THRESHOLDS.next_test.least_asked_sigmas if with_plan else THRESHOLDS.next_test.least_sigmas
     for proposal in proposals(rig, observations, with_plan):
         proposal = replace(proposal, observations=noise_over_motion(proposal.observations, observations, competing[0]))
         sigma, of_first = Apart(proposal.observations, competing, chain_names).sigmas()
-        if sigma >= THRESHOLDS.next_test.least_sigmas:
+        if sigma >= least:
             information = expected_information(p[0], p[1], of_first)
             sigma = min(sigma, THRESHOLDS.next_test.most_sigmas)
             found.append(NextTest(proposal.text, proposal.command, names, sigma, proposal.seconds, information))
-    return tuple(sorted(found, key=lambda item: -item.expected_sigma)[:most])
+    return tuple(sorted(found, key=lambda item: -item.expected_sigma)[: None if with_plan else most])
 
 
 def next_levels(

@@ -314,15 +314,11 @@ class Investigation:
             second = [it.effect for it in found.ranking[1:2] if it.probability > least]
             rivals = dict.fromkeys((first.effect, *first.equivalents, *second))
             apart = " or ".join(name.replace("_", " ") for name in rivals)
-            plan = "" if found.next_levels is None else self._of_plan(found.next_levels)
             self._end(
                 "not_told_apart",
-                f"Whether it is {apart} cannot be told with these sensors and exciters: no other drive point or mode "
-                f"that is left sets them apart by three standard deviations{plan}; {self._elsewhere()}.",
+                f"Whether it is {apart} cannot be told with these sensors and exciters: no level of the plan, other "
+                f"drive point or mode that is left sets them apart by a standard deviation; {self._elsewhere()}.",
             )
-
-    def _of_plan(self, levels: NextTest) -> str:
-        return f", nor do all levels of the plan that are left, which do by {levels.plan_sigma:.1f}"
 
     def _elsewhere(self) -> str:
         """What would set apart what no test that is left does."""

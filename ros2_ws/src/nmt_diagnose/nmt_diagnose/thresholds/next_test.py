@@ -13,12 +13,13 @@ class NextTestThresholds:
 
     least_sigmas: float = threshold(
         3.0, "σ",
-        "A test that tells less apart is not worth making.",
+        "A test that tells less apart is not proposed to a person.",
         "",
     )  # fmt: skip
-    least_plan_sigmas: float = threshold(
+    least_asked_sigmas: float = threshold(
         1.0, "σ",
-        "An investigation does not go up a plan whose levels that are left, all together, tell rivals less apart.",
+        "An investigation makes no test that tells rivals less apart, nor goes up a plan whose levels that are left "
+        "do, all together.",
         "tests/diagnose/test_investigation.py::test_levels_that_tell_rivals_little_apart_are_not_made",
     )  # fmt: skip
     most_sigmas: float = threshold(

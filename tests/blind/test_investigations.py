@@ -25,8 +25,16 @@ from nmt_blind.campaign.investigations import (
     told_small,
     write_tables,
 )
-from nmt_blind.cases.draw import SIZES, draw_cases
-from nmt_blind.cases.driven_rigs import CALIBRATION_FILE, LEAST_SIZE, calibration_of, make_pairs, read_rigs, truth_of
+from nmt_blind.cases.draw import SIZES, TrueEffect, draw_cases
+from nmt_blind.cases.driven_rigs import (
+    CALIBRATION_FILE,
+    LEAST_SIZE,
+    calibration_of,
+    make_pairs,
+    read_rigs,
+    truth_of,
+    truth_of_effect,
+)
 from nmt_blind.cases.rig_edits import rig_yaml, with_edits
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
@@ -184,6 +192,16 @@ def test_what_is_true_of_a_drawn_rig_is_judged_right(tmp_path: Path) -> None:
         assert judge(truth, diagnosis).outcome == "right"
         head["effect"] = "clock_error" if effect.name != "clock_error" else "cubic_stiffness"
         assert judge(truth, diagnosis).outcome == "confidently wrong"
+
+
+def test_a_mass_of_the_force_sensor_is_at_its_place_without_a_channel(tmp_path: Path) -> None:
+    (tmp_path / "truth.yaml").write_text(
+        yaml.safe_dump(truth_of_effect(TrueEffect("force_cell_mass", "force_sensor", "f2", 10.0, 0.2, "kg", True, {}))),
+        encoding="utf-8",
+    )
+    head = {"effect": "force_cell_mass", "place": "force_sensor", "detail": "", "probability": 0.99}
+    diagnosis = {"verdict": "effect", "ranking": [head], "where": [], "probabilities": {}}
+    assert judge(read_truth(tmp_path / "truth.yaml"), diagnosis).outcome == "right"
 
 
 def test_the_slope_of_information_goes_through_the_origin() -> None:

@@ -270,6 +270,7 @@ def truth_of_effect(effect: TrueEffect) -> dict[str, Any]:
 
 
 def _place(effect: TrueEffect) -> list[str]:
-    """Words of which the stated place has to hold one."""
+    """Words of which the stated place has to hold one; that of a force sensor may lack its channel."""
     words = [word for word in re.split(r"[^\w]+", effect.detail) if word]
-    return words[:1] or [effect.place]
+    only = [effect.place] if effect.place == "force_sensor" or not words else []
+    return [*words[:1], *only]

@@ -31,8 +31,8 @@ TWO = [
 def response(observations: Observations, channel: int, harmonic: int) -> ComplexArray:
     """Fundamentals of a channel in the locked windows, (levels,)."""
     rows = observations.rows
-    mine = (rows.test == 0) & (rows.channel == channel) & (rows.harmonic == harmonic)
-    size, angle = (observations.values[mine & (rows.part == part)] for part in (Part.LOG_MAGNITUDE, Part.PHASE))
+    selected = (rows.test == 0) & (rows.channel == channel) & (rows.harmonic == harmonic)
+    size, angle = (observations.values[selected & (rows.part == part)] for part in (Part.LOG_MAGNITUDE, Part.PHASE))
     return np.asarray(np.exp(size + 1j * angle))
 
 
@@ -46,13 +46,13 @@ def test_columns_are_those_of_a_sum_of_two_motions() -> None:
     rows, picked = observations.rows, [name for name in found.names if name.startswith("transverse")]
     assert picked == ["transverse x1", "transverse x2"]
     # The loop holds the phase of x1, whose errors move all other channels with it.
-    own, beside = names.index("x2"), names.index("x1")
-    ratio = response(observations, beside, 1) / response(observations, own, 1)
+    moved, held = names.index("x2"), names.index("x1")
+    ratio = response(observations, held, 1) / response(observations, moved, 1)
     column = found.columns[:, found.names.index("transverse x2")]
     for part, value in ((Part.LOG_MAGNITUDE, ratio.real), (Part.PHASE, ratio.imag)):
-        mine = (rows.test == 0) & (rows.channel == own) & (rows.harmonic == 1) & (rows.part == part)
-        assert column[mine] == pytest.approx(TOLERANCES.transverse * value, rel=2e-3, abs=1e-9)
-    assert not column[(rows.test == 0) & (rows.channel == beside)].any()
+        selected = (rows.test == 0) & (rows.channel == moved) & (rows.harmonic == 1) & (rows.part == part)
+        assert column[selected] == pytest.approx(TOLERANCES.transverse * value, rel=2e-3, abs=1e-9)
+    assert not column[(rows.test == 0) & (rows.channel == held)].any()
 
 
 def test_a_pick_up_within_its_tolerance_is_no_effect() -> None:

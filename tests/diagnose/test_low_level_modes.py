@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnose.predicted_tests import chain, noise_test
 from ruamel.yaml import YAML
 from scipy.optimize import brentq
 
@@ -11,7 +12,8 @@ from nmt_bench.data_import import import_data
 from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.low_level_modes import Modes, disorder, measured_modes, modes_that_lack
+from nmt_diagnose.inference.low_level_modes import LowLevelModes, Modes, disorder, measured_modes, modes_that_lack
+from nmt_diagnose.observations.observables import RowTable, joined
 
 LENGTH, WIDTH, HEIGHT, MODULUS, DENSITY = 0.7, 0.0053, 0.0116, 185e9, 7830.0
 MASS = DENSITY * WIDTH * HEIGHT * LENGTH
@@ -133,6 +135,16 @@ def test_modes_in_another_order_are_told():
     ((_, sentence),) = disorder("random", found, np.array([1, 0]), alike)
     assert "50 and 60 Hz in the other order" in sentence
     assert disorder("random", found, np.array([1, 0]), np.ones((2, 2))) == []
+
+
+def test_friction_of_no_width_has_no_modes_and_ends_nothing():
+    model = chain(local_elements=[])
+    test, _ = noise_test(model, 5.0, 60.0, 60, test=0, window="none")
+    modes = LowLevelModes(joined([RowTable().observations(test)]), model)
+    dry = {"kind": "tanh_friction", "point": 2, "slip_force_n": 1.0}
+    for width, there in ((1e-2, True), (1e-310, False)):
+        rig = chain(local_elements=[{**dry, "reference_velocity_m_s": width}])
+        assert (modes.modes(rig, test) is not None) is there
 
 
 def test_a_mode_that_the_model_lacks_is_no_effect(tmp_path: Path):

@@ -302,11 +302,14 @@ class LowLevelModes:
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
             return None
         linear, r = parts.linear, parts.coordinates
-        stiffness, damping = parts.resting
         displacement_shapes = linear.displacement[:r]
-        state = np.diag(linear.poles) - linear.inputs[:, :r] @ (
-            stiffness[:, None] * displacement_shapes + damping[:, None] * displacement_shapes * linear.poles
-        )
+        with np.errstate(over="ignore", invalid="ignore"):  # a search may go where a force is without bounds
+            stiffness, damping = parts.resting
+            state = np.diag(linear.poles) - linear.inputs[:, :r] @ (
+                stiffness[:, None] * displacement_shapes + damping[:, None] * displacement_shapes * linear.poles
+            )
+        if not np.isfinite(state).all():
+            return None
         values, vectors = np.linalg.eig(state)
         kept = (values.imag > 0.0) & (-values.real < THRESHOLDS.modes.highest_model_damping * np.abs(values))
         order = np.flatnonzero(kept)[np.argsort(np.abs(values[kept]))]

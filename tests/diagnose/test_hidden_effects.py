@@ -137,7 +137,8 @@ def test_what_is_small_matters_from_the_level_where_draws_of_its_strength_do() -
     model = chain()
     spring = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 1e9}
     observations = observations_of_model(real(model, local_elements=[spring]), seed=4, drives=(0.1, 0.2, 0.3))
-    modes, parameters = LowLevelModes(observations, model), free_parameters(model, observations)
+    modes, free = LowLevelModes(observations, model), free_parameters(model, observations)
+    parameters = [it for it in free if it.name.startswith("exciter.")]  # they hardly take a part of it
     used = np.ones(len(observations.rows), dtype=bool)
     observations, _, null, data = model_alone(model, observations, parameters, used, modes)
     known = candidates(model, operating_range(model, observations.tests, observations=observations))
@@ -156,7 +157,7 @@ def test_what_is_small_matters_from_the_level_where_draws_of_its_strength_do() -
         theta[position] = strength
         return forward.predict(fitted.parametrisation.rig(theta)).values[frequency]
 
-    base = moved(0.0)
+    base = alone.base.values[frequency]
     draws = fitted.theta[position] + fitted.std[position] * rng.standard_normal(60)
     matters = np.array([np.abs(moved(value) - base) > wanted["frequency"] for value in draws])
     shares = matters.mean(axis=0)

@@ -24,7 +24,7 @@ from nmt_diagnose.inference.ahead import Ahead
 from nmt_diagnose.inference.candidate_starts import at_strength, strength_position
 from nmt_diagnose.inference.explanations import FittedExplanation, Score
 from nmt_diagnose.inference.search import Search
-from nmt_diagnose.inference.size import size_of_change, without_strength
+from nmt_diagnose.inference.size import size_of_change
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -62,8 +62,9 @@ class Hidden:
 class Growth:
     """How probable it is that what shows and does not matter yet matters at levels that are left.
 
-    What it changes there goes with its strength. It has to change by what matters, and to leave more than noise beside
-    the model alone once that has followed: both come from a share 1/r of the fitted strength on.
+    What it changes there beside the model alone, which took its part of it in the recordings at hand, goes with its
+    strength. That has to be what matters, and to leave more than noise once the model has followed: both come from a
+    share 1/r of the fitted strength on.
 
     Args:
         found: what shows, fitted to the recordings at hand.
@@ -85,12 +86,11 @@ class Growth:
         forward, fitted = Forward(left.tests, left.rows), found.fit
         self._left, self._ahead, self._change = left, ahead, np.full(len(left.rows), np.nan)
         try:
-            there = forward.predict(fitted.parametrisation.rig(fitted.theta))
-            without = forward.predict(fitted.parametrisation.rig(without_strength(found)), there)
+            there = forward.predict(fitted.parametrisation.rig(fitted.theta), ahead.base)
         except _NO_SOLUTION:
             return
-        self._left = replace(left, values=without.values)
-        self._change = forward.difference(there.values, without.values)
+        self._left = replace(left, values=ahead.base.values)
+        self._change = forward.difference(there.values, ahead.base.values)
 
     def matters(self, rows: BoolArray) -> float:
         """The probability that it matters in some of the rows, (m,)."""

@@ -207,7 +207,8 @@ def test_what_explains_a_part_is_not_set_against_itself_with_more(tmp_path: Path
     """Where something unnamed acts beside it, that is the end; levels that are left may still show a law."""
     pair = ("microslip", "microslip + two_sided_gap")
     levels = NextTest("more", "", pair, 0.0, 20.0, 0.0, levels=PLAN[2:4], plan_sigma=0.0)
-    partly = diagnosis(Verdict.EFFECT, {"unknown": 1.0, "microslip@joint": 0.0}, levels=levels)
+    moved = ahead("moved", "run real.yaml --exciter 4 --levels 0.1:0.2:2", 99.0, 20.0, 1e-9)
+    partly = diagnosis(Verdict.EFFECT, {"unknown": 1.0, "microslip@joint": 0.0}, [moved], levels=levels)
     partly.adequate = False
     record = investigated(tmp_path, Bench([partly]))
     assert len(record.measured) == 4

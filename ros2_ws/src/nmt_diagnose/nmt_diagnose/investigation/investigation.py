@@ -204,9 +204,10 @@ class Investigation:
     def _choose(self) -> AskedTest | None:
         """The test that is expected to tell most for its bench time; None where none is left that may be made."""
         assert self.diagnosis is not None
-        proposed = [self._asked(item) for item in self._possible()]
+        least = THRESHOLDS.next_test.least_information
+        proposed = [self._asked(item) for item in self._possible() if not item.information < least]
         levels = self._next_levels()
-        if levels is not None and math.isfinite(levels.expected):
+        if levels is not None and levels.expected >= least:
             proposed.append(levels)
         known = {test.words for test in self.record.tests if test.state != "failed"}
         proposed = [test for test in proposed if test.words not in known and self._affordable(test)]

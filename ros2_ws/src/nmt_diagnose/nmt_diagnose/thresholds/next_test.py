@@ -22,6 +22,12 @@ class NextTestThresholds:
         "do, all together.",
         "tests/diagnose/test_investigation.py::test_levels_that_tell_rivals_little_apart_are_not_made",
     )  # fmt: skip
+    least_information: float = threshold(
+        1e-3, "nat",
+        "An investigation makes no test between rivals that is expected to tell less: something unnamed acts, or the "
+        "question is settled.",
+        "tests/diagnose/test_investigation.py::test_what_explains_a_part_is_not_set_against_itself_with_more",
+    )  # fmt: skip
     most_sigmas: float = threshold(
         99.0, "σ",
         "A larger number tells no more.",

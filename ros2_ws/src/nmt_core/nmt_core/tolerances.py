@@ -29,7 +29,7 @@ class ChainTolerances:
         "Share of the largest motion that a sensor records beside its own: accelerometers state a transverse "
         "sensitivity of up to 5 %, what moves across them is some tenth of what moves along, and a computed shape is "
         "off by as much about its nodes.",
-        "tests/diagnose/test_chain_transverse.py::test_a_pick_up_within_its_tolerance_is_no_effect",
+        "tests/diagnose/test_ordinary_effects.py::test_a_pick_up_within_its_tolerance_is_no_effect",
     )  # fmt: skip
     force_factor: float = threshold(
         0.03, "1",

@@ -86,8 +86,8 @@ class Effect:
         report: values -> physical parameters as they are reported; the values themselves when None.
         equivalents: effects that look alike, and the test that distinguishes them.
         form: which of several forms of one name it is; empty where they never compete.
-        ordinary: standard deviation of the strength in an ordinary measuring chain, where its tolerances stand for less
-            than every form of the effect; 0 = they stand for all of it, or there is no such tolerance.
+        ordinary: standard deviation of the strength in an ordinary measuring chain, where no error of the chain stands
+            for it; 0 = one does, or there is no such tolerance.
     """
 
     name: str

@@ -31,7 +31,6 @@ from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import (
     BackboneTable,
     LockedLevel,
-    MeasuredChannel,
     PhaseResonanceTest,
     RandomTest,
     RecordTest,
@@ -47,7 +46,6 @@ from nmt_diagnose.prediction.stepped_sine_predictor import gain_error
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import BeamSection, ModalSection, Rig, SensorSection
 from nmt_rig.rig_model import build_structure
-from nmt_rig.rig_sections import TransverseSection
 
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
 _COVERED = (PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest)
@@ -57,7 +55,7 @@ _OF_A_TEST = ("start ", "settling ", "phase of ")  # as well known as the test's
 _IMAGE_ORDERS = (-1, 1, -2, 2)
 # Of the frequencies of a harmonic and a mode, up to which 0.5 % of the latter is more than 3 % of the response.
 _NEAR_A_MODE = 1.2
-_GAIN_STEP, _SHARE_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-3, 1e-5, 1e-6
+_GAIN_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-5, 1e-6
 
 
 @dataclass(frozen=True)
@@ -271,7 +269,7 @@ class _Builder:
         return {"clock": max(chain.clock for chain in self.tests.measuring_chains) * self._changed(moved, _CLOCK_STEP)}
 
     def _channels(self) -> dict[str, FloatArray]:
-        """Gain, transverse sensitivity, delay and lead of each channel."""
+        """Gain, delay and lead of each channel."""
         found: dict[str, FloatArray] = {}
         for name, channel in self.tests.channels.items():
             tolerance = next(
@@ -280,9 +278,6 @@ class _Builder:
             )
             louder = edited(self.rig, channel, _louder)
             found[f"gain {name}"] = tolerance.gain * self._changed(louder, _GAIN_STEP)
-            if other := self._loudest_beside(channel):
-                mixed = edited(self.rig, channel, partial(_picking_up, point=other))
-                found[f"transverse {name}"] = TOLERANCES.transverse * self._changed(mixed, _SHARE_STEP)
             delayed = edited(self.rig, channel, later)
             found[f"delay {name}"] = tolerance.delay_s * self._changed(delayed, DELAY_STEP_S)
             turned = 1j * self.tests.rows_of(name).astype(np.complex128)
@@ -294,19 +289,6 @@ class _Builder:
                 leading = edited(self.rig, channel, partial(_leading, corner_hz=corner))
                 found[f"lead {name}"] = tolerance.phase * self._changed(leading, _LEAD_STEP)
         return found | self._reduced() | self._over_force()
-
-    def _loudest_beside(self, channel: MeasuredChannel) -> int:
-        """Point of the largest motion among sensors of a kind, but for that of a channel; 0 = there is none."""
-        if channel.quantity not in MOTIONS:
-            return 0
-        sizes = {
-            other.point: float(np.mean(self.tests.observations.values[self.tests.selected][rows]))
-            for name, other in self.tests.channels.items()
-            if other.quantity is channel.quantity
-            and other.point != channel.point
-            and (rows := self.tests.rows_of(name) & (self.rows.part == Part.LOG_MAGNITUDE)).any()
-        }
-        return max(sizes, key=sizes.__getitem__, default=0)
 
     def _reduced(self) -> dict[str, FloatArray]:
         """Gain, phase and delay of each response and of the reference, at held amplitudes.
@@ -542,15 +524,6 @@ def _distorted(level: LockedLevel, order: int, share: complex) -> LockedLevel:
 
 def _louder(sensor: SensorSection) -> SensorSection:
     return sensor.model_copy(update={"gain": sensor.gain * (1.0 + _GAIN_STEP)})
-
-
-def _picking_up(sensor: SensorSection, point: int) -> SensorSection:
-    """The sensor with more of the motion at another point; one that picks up at a third point stays as it is."""
-    before = sensor.transverse
-    if before is not None and before.point != point:
-        return sensor
-    fraction = _SHARE_STEP + (before.fraction if before is not None else 0.0)
-    return sensor.model_copy(update={"transverse": TransverseSection(point=point, fraction=fraction)})
 
 
 def _leading(sensor: SensorSection, corner_hz: float) -> SensorSection:

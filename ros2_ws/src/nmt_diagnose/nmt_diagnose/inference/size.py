@@ -194,8 +194,8 @@ def needed(
 
 
 def _ordinary(data: Data, found: FittedExplanation) -> frozenset[int]:
-    """Effects that are no larger than those of an ordinary measuring chain, beside one that is none of them."""
-    if not data.chain_names:
+    """Effects that are no larger than in an ordinary measuring chain."""
+    if not data.tolerances.any():
         return found.small
     within = set(found.small)
     for number, candidate in enumerate(found.candidates):
@@ -204,7 +204,7 @@ def _ordinary(data: Data, found: FittedExplanation) -> frozenset[int]:
             largest = THRESHOLDS.comparison.credible_sigmas * candidate.effect.ordinary
             if abs(values[strength_parameter(candidate).name]) <= largest:
                 within.add(number)
-    return frozenset(within) if len(within) < len(found.candidates) else found.small
+    return frozenset(within)
 
 
 def worth(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:

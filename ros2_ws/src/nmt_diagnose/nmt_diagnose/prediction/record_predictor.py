@@ -18,8 +18,6 @@ from scipy.signal import resample_poly
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
-from nmt_core.tolerances import TOLERANCES
-from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.conditions import RecordTest
 from nmt_diagnose.observations.observables import Part, Rows
@@ -82,8 +80,7 @@ class RecordPredictor:
     def errors(self, rig: Rig, cache: PartsCache, chain: MeasuringChain | None) -> dict[str, FloatArray]:
         """What a standard deviation of each error of the record adds to its rows, (rows,) each.
 
-        Errors are the zero, the gain and the transverse sensitivity of each sensor and the state in which the record
-        begins.
+        Errors are the zero and the gain of each sensor and the state in which the record begins.
 
         Args:
             rig: about whose motion they act.
@@ -112,25 +109,9 @@ class RecordPredictor:
                 found[f"zero of {channel.name} in {self.test.name}"] = zero * selected
                 gain = chain.of(channel.name).gain * self._of_rows(base) * selected
                 found[f"gain of {channel.name} in {self.test.name}"] = gain
-            found |= self._transverse(base)
         for number, error in enumerate(initial.errors):
             moved = self._stepped(parts, rate, substeps, initial.state + _ERROR_STEP * error)[0]
             found[f"start {number} of {self.test.name}"] = change(moved)
-        return found
-
-    def _transverse(self, recorded: FloatArray) -> dict[str, FloatArray]:
-        """What sensors pick up of the largest motion at another point, (rows,) each."""
-        found, size = {}, np.sqrt(np.mean(recorded**2, axis=1))
-        for number, channel in enumerate(self.channels):
-            alike = [
-                k
-                for k, other in enumerate(self.channels)
-                if other.quantity is channel.quantity and other.point != channel.point
-            ]
-            if channel.quantity in MOTIONS and alike:
-                mixed = np.zeros_like(recorded)
-                mixed[number] = TOLERANCES.transverse * recorded[max(alike, key=size.__getitem__)]
-                found[f"transverse of {channel.name} in {self.test.name}"] = self._of_rows(mixed)
         return found
 
     def _stepping(self, rig: Rig, cache: PartsCache) -> tuple[RigParts, float, int]:

@@ -19,7 +19,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from nmt_core.tolerances import MODEL_PRIORS, TOLERANCES
+from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.location import LocationKind
@@ -44,8 +44,7 @@ from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.stepped_sine_predictor import gain_error
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_rig.rig import BeamSection, ModalSection, Rig, SensorSection
-from nmt_rig.rig_model import build_structure
+from nmt_rig.rig import BeamSection, Rig, SensorSection
 
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
 _COVERED = (PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest)
@@ -53,8 +52,6 @@ _IMAGE = "image"
 _OF_A_TEST = ("start ", "settling ", "phase of ")  # as well known as the test's own samples tell them
 # Orders of images that are followed, the nearest first; those beyond them are one constant for each channel.
 _IMAGE_ORDERS = (-1, 1, -2, 2)
-# Of the frequencies of a harmonic and a mode, up to which 0.5 % of the latter is more than 3 % of the response.
-_NEAR_A_MODE = 1.2
 _GAIN_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-5, 1e-6
 
 
@@ -243,7 +240,7 @@ class _Builder:
     def found(self) -> dict[str, FloatArray]:
         """All columns by name, of all rows."""
         found = self._channels() | self._clock() | self._voltage() | self._hold() | self._images()
-        found |= self._aims() | self._harmonics() | self._modes_at_harmonics() | self._sweeps() | self._mesh()
+        found |= self._aims() | self._harmonics() | self._sweeps() | self._mesh()
         for module in (ModesLeftOut(self.tests), ShapeErrors(self.tests)):
             name = type(module).__name__
             found |= {f"{name} {k}": column for k, column in enumerate(module.columns(self.base))}
@@ -464,36 +461,6 @@ class _Builder:
             for part, share in (("re", 1.0), ("im", 1j)):
                 moved = _with_levels(self.tests.tests, partial(_distorted, order=order, share=share))
                 found[f"harmonic {order} of the drive {part}"] = self.tests.moved(moved, self.base)
-        return found
-
-    def _modes_at_harmonics(self) -> dict[str, FloatArray]:
-        """Frequency and damping of each mode near a harmonic of a locked window, on the harmonics alone.
-
-        A modal model has them as parameters. In others a few parameters move all modes together, and each mode is as
-        far from the structure's as ordinary models are.
-        """
-        rows = self.rows
-        harmonics = self._of(PhaseResonanceTest) & (rows.harmonic > 1)
-        if isinstance(self.rig.structure, ModalSection) or not harmonics.any():
-            return {}
-        excited = np.unique(rows.harmonic[harmonics]) * self.tests.tested()
-        structure = build_structure(self.rig.model_copy(update={"local_elements": []}))
-        found = {}
-        for number, frequency in enumerate(structure.undamped_hz):
-            ratios = excited / max(float(frequency), 1e-9)
-            if not np.any((ratios > 1.0 / _NEAR_A_MODE) & (ratios < _NEAR_A_MODE)):
-                continue
-            for what, moved in (
-                ("frequency", (number, 1.0 + MODEL_PRIORS["frequency_hz"].std, 1.0)),
-                ("damping", (number, 1.0, 1.0 + MODEL_PRIORS["damping_ratio"].std)),
-            ):
-                forward = Forward(self.tests.tests, rows, PredictionSettings(moved_mode=moved))
-                try:
-                    values = forward.predict(self.rig, self.base).values
-                except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
-                    continue
-                change = np.nan_to_num(self.tests.forward.difference(values, self.base.values))
-                found[f"{what} of mode {number + 1} at harmonics"] = np.where(harmonics, change, 0.0)
         return found
 
     def _sweeps(self) -> dict[str, FloatArray]:

@@ -19,8 +19,6 @@ class PredictionSettings:
         full_size: see ``kept_modes``.
         iterations: limit of Newton's method per level.
         tolerance: of the last Newton step, relative to the solution.
-        moved_mode: number of a mode of the structure (0 the lowest) with factors of its frequency and its damping
-            ratio, such as a model is off by; None = all as the rig file has them.
     """
 
     harmonics: int = 9
@@ -30,4 +28,3 @@ class PredictionSettings:
     full_size: int = 40
     iterations: int = 30
     tolerance: float = 1e-9
-    moved_mode: tuple[int, float, float] | None = None

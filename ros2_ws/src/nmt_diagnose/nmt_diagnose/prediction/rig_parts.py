@@ -226,7 +226,7 @@ def rig_parts(
         structure, bare = near.structure, near.bare
     else:
         without = rig.model_copy(update={"local_elements": []})
-        structure = near.structure if near is not None and kept else _structure(without, settings)
+        structure = near.structure if near is not None and kept else build_structure(without)
         bare = build_system(without, structure)
         if forced:
             bare = driven_by_force(bare)
@@ -302,11 +302,6 @@ def rig_parts(
         bare=bare,
         rig=rig,
     )
-
-
-def _structure(rig: Rig, settings: PredictionSettings) -> Structure:
-    structure = build_structure(rig)
-    return structure if settings.moved_mode is None else structure.with_mode_moved(*settings.moved_mode)
 
 
 def same_structure(rig: Rig, other: Rig) -> bool:

@@ -173,25 +173,6 @@ class Structure(PointMotion):
         each[: len(factors)] = factors[: own.size]
         return replace(self, damping=self.damping + (weighted * ((each - 1.0) * own)) @ weighted.T)
 
-    @property
-    def undamped_hz(self) -> Array:
-        """Frequencies of the undamped modes, ascending, Hz; 0 for a rigid-body mode, (n,)."""
-        return np.asarray(np.sqrt(np.maximum(self._undamped()[0], 0.0)) / (2.0 * np.pi))
-
-    def with_mode_moved(self, number: int, frequency: float, damping: float) -> Structure:
-        """The structure with frequency and damping ratio of one undamped mode times factors; its shapes stay.
-
-        Args:
-            number: of the mode, 0 the lowest.
-            frequency, damping: the factors.
-        """
-        squares, weighted = self._undamped()
-        vector = weighted[:, number]
-        added = (frequency**2 - 1.0) * float(squares[number])
-        factors = [1.0] * self.size
-        factors[number] = damping * frequency
-        return replace(self, stiffness=self.stiffness + added * np.outer(vector, vector)).with_damping_factors(factors)
-
     def _undamped(self) -> tuple[Array, Array]:
         """ω² (n,) of the undamped modes, ascending, and M φ (n, n) of their mass-normalised shapes."""
         squares, shapes = eigh(self.stiffness, self.mass)

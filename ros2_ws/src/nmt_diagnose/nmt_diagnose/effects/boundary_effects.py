@@ -13,7 +13,7 @@ from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.effects.structure_effects import spots
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.local_elements.element import ElementSection
-from nmt_rig.model.local_elements.friction import JenkinsSection, TanhFrictionSection
+from nmt_rig.model.local_elements.friction import JenkinsSection
 from nmt_rig.model.local_elements.iwan import IwanSection
 from nmt_rig.model.local_elements.springs import LinearSpringSection
 from nmt_rig.rig import BeamSection, Rig
@@ -24,8 +24,6 @@ SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
 # than that of the structure to rigid, whatever it holds.
 FREE_SLIP_SHARE, FREE_SLIP_STD = 0.1, 3.0
 FREE_SLIP_GRID = (3e-4, 0.03, 0.3, 1.0, 3.0, 7.0)
-# Velocity from which on a contact without a spring slides, of a tenth of the largest.
-SLIDING_SHARE = 0.1
 CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp_lateral_stiffness_n_m"}
 _FRICTION_REFERENCE = "Jenkins, Br. J. Appl. Phys. 13 (1962) 30; Iwan, J. Appl. Mech. 33 (1966) 893"
 _POWER = EffectParameter("power", "1", "shape", grid=(0.5, 1.0))
@@ -92,27 +90,6 @@ def _stiffness_of(values: Mapping[str, float]) -> Mapping[str, float]:
     """Stiffness and slip displacement of a contact by its slip force."""
     slip = values["slip_displacement"]
     return {"kt": values["slip_force"] / slip, "slip_displacement": slip}
-
-
-def _sliding(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    """The places of contacts, with a slip force and a velocity from which on they slide."""
-    return tuple(
-        replace(
-            site,
-            scales={
-                "slip_force": site.scales["slip_force"],
-                "reference_velocity": operating.omega * site.scales["slip_displacement"],
-            },
-        )
-        for site in _beside(_contact_sites)(rig, operating)
-    )
-
-
-def _with_sliding(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    return with_local(
-        rig, TanhFrictionSection, site,
-        slip_force_n=values["slip_force"], reference_velocity_m_s=values["reference_velocity"],
-    )  # fmt: skip
 
 
 def _without_friction(sites: Sites) -> Sites:
@@ -288,19 +265,5 @@ JOINT_EFFECTS: tuple[Effect, ...] = (
         "a Jenkins element of stiffness kt that it takes from the model's, slip_force = kt slip_displacement; "
         "for a model without friction",
         "jenkins, linear_spring of −kt",
-    ),
-    Effect(
-        name="second_friction_contact",
-        place="joint",
-        equation="slip_force tanh(velocity / reference_velocity): dry friction without a spring",
-        reference="Pennestrì et al., Nonlinear Dynamics 83 (2016) 1785",
-        keys="local_elements: tanh_friction",
-        parameters=(
-            EffectParameter("slip_force", "N"),
-            EffectParameter("reference_velocity", "m/s", "shape", grid=(SLIDING_SHARE,), std=FREE_SLIP_STD),
-        ),
-        sites=_sliding,
-        change=_with_sliding,
-        form="dry",
     ),
 )  # fmt: skip

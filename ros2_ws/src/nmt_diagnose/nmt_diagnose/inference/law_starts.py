@@ -38,12 +38,11 @@ def with_laws(search: Search, null: FittedExplanation, reading: LawReading | Non
         reading: of the held levels.
     """
     laws = reading.laws if reading is not None else ()
-    found = [starts for law in laws if (starts := _starts(search.candidates, law))]
+    found = [start for law in laws if (start := _start(search.candidates, law)) is not None]
     if not found or reading is None or not worth_a_start(reading):
         return []
     search.tell("fitting the laws that the held levels show")
-    groups = [[start] for starts in found for start in starts]
-    groups += [[starts[0] for starts in found]] if len(found) > 1 else []
+    groups = [[start] for start in found] + ([found] if len(found) > 1 else [])
     fitted = [one for group in groups if (one := _fitted(search, null, group)) is not None]
     return best_of(fitted)
 
@@ -87,20 +86,17 @@ def _weaker(candidate: Candidate, theta: FloatArray, share: float) -> FloatArray
     return np.where(strengths, share * theta, theta)
 
 
-def _starts(candidates: Sequence[Candidate], law: LocalLaw) -> list[tuple[Candidate, FloatArray]]:
-    """The effect of the library that a law is, with its parameters, in all its forms; none where it has none."""
+def _start(candidates: Sequence[Candidate], law: LocalLaw) -> tuple[Candidate, FloatArray] | None:
+    """The effect of the library that a law is, with its parameters; None where it has none."""
     for name, values in _effects(law):
-        found = []
         for candidate in candidates:
             site = candidate.site
             places = {(site.point, site.other_point), (site.other_point, site.point)}
             if candidate.effect.name == name and (law.point, law.other_point) in places and site.option == "":
                 theta = parameters_at(candidate, values)
                 if theta is not None:
-                    found.append((candidate, theta))
-        if found:
-            return found
-    return []
+                    return candidate, theta
+    return None
 
 
 def _effects(law: LocalLaw) -> list[tuple[str, Mapping[str, float]]]:
@@ -112,12 +108,8 @@ def _effects(law: LocalLaw) -> list[tuple[str, Mapping[str, float]]]:
         return [("second_friction_contact", _friction(stiffness, force))]
     if any(term.kind in ("friction", "weakening friction") for term in law.terms):
         force = sum(term.coefficient for term in law.terms if term.unit == "N")
-        reaches = [float(np.max(np.abs(loop.displacement))) for loop in law.loops]
-        speeds = [float(np.max(np.abs(loop.velocity))) for loop in law.loops]
-        share = THRESHOLDS.law.dry_slip_share
-        slip = share * min(reaches, default=law.valid_to_m)
-        speed = {"reference_velocity": share * min(speeds)} if speeds else {}
-        return [("second_friction_contact", {**_friction(force / slip, force), **speed})]
+        slip = THRESHOLDS.law.dry_slip_share * law.valid_to_m
+        return [("second_friction_contact", _friction(force / slip, force))]
     largest = sorted(law.terms, key=lambda term: -_size(term, law.valid_to_m))
     return [(name, values) for term in largest for name, values in _of_term(term)]
 

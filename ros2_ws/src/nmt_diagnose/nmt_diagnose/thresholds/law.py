@@ -94,6 +94,6 @@ class LawThresholds:
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     dry_slip_share: float = threshold(
-        0.02, "1", "Slip displacement over the smallest motion with which a slider stands for dry friction.",
+        0.02, "1", "Slip displacement over the largest motion with which a slider stands for dry friction.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip

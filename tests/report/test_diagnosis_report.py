@@ -19,7 +19,7 @@ from nmt_diagnose.effects.library import library
 from nmt_diagnose.inference.diagnosis import Ranked, Remainder, RemainderPart, Share, Value, Verdict
 from nmt_diagnose.observations.observables import Part, joined
 from nmt_report import diagnosis_figures, rig_drawing
-from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv
+from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv, on_one_scale
 from nmt_report.diagnosis_report import diagnosis_page, probability_shares
 from nmt_report.diagnosis_tables import ranking_table
 from nmt_report.diagnosis_words import (
@@ -179,6 +179,23 @@ def test_levels_of_the_same_channels_are_in_one_figure_and_told_apart() -> None:
     legend = [entry["text"] for entry in responses[0]["legends"][0]["entries"]]
     assert legend[-4:] == ["0.5 N ↑", "0.5 N ↓", "1.5 N ↑", "1.5 N ↑ (2)"]
     assert [len(panel["series"]) for panel in responses[0]["panels"]] == [12, 8 + 5, 9, 6 + 4]
+
+
+def test_levels_in_one_panel_have_one_unit_and_one_turn() -> None:
+    """900 and 1100 m would have the units m and 10³ m, and 179° and −179° be a turn apart."""
+    sweep = fixture.stepped_sine(0.5, 1, (fixture.DISPLACEMENT,))
+    (one,) = courses(sweep, fixture.models_of(sweep), 0, Part.LOG_MAGNITUDE)
+    low = one.moved(0.9e3, 0.0, unit="m", exponent=0)
+    high = one.moved(1.1, 0.0, unit="10³ m", exponent=3)
+    drawn = on_one_scale([low, None, high])
+    assert [course and course.unit for course in drawn] == ["10³ m", None, "10³ m"]
+    for course, size in zip((drawn[0], drawn[2]), (0.9, 1.1), strict=True):
+        assert course is not None
+        for name in ("measured", "given", "refitted", "final"):
+            np.testing.assert_allclose(getattr(course, name), size * getattr(one, name))
+        np.testing.assert_array_equal(course.deviations, one.deviations)
+    phases = [one.moved(0.0, degrees, unit="°", turn=360.0) for degrees in (179.0, -179.0, -541.0)]
+    assert [course.measured[0] for course in on_one_scale(phases) if course] == [179.0, 181.0, 179.0]
 
 
 def test_a_course_is_in_the_units_that_its_axes_say() -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -65,6 +66,8 @@ class Course:
         deviations: model − measured of the three models and the standard deviation, in ``deviation_unit``, (4, k).
         logarithmic: whether the values are shown on a logarithmic axis.
         joined: whether neighbours are close enough for a line between them.
+        exponent: power of ten in ``unit``.
+        turn: a whole turn in ``unit``; 0 where the values are no phase.
     """
 
     title: str
@@ -80,6 +83,13 @@ class Course:
     deviations: FloatArray
     logarithmic: bool = False
     joined: bool = True
+    exponent: int = 0
+    turn: float = 0.0
+
+    def moved(self, factor: float, offset: float, **changes: Any) -> Course:
+        """The course with its values (not the deviations) times a factor, and an offset added."""
+        names = ("measured", "given", "refitted", "final")
+        return replace(self, **{name: factor * getattr(self, name) + offset for name in names}, **changes)
 
 
 @dataclass(frozen=True)
@@ -128,6 +138,28 @@ def level_names(tests: Sequence[Test]) -> list[str]:
         before = sum(name.split(" (")[0] == level for name in names)
         names.append(f"{level} ({before + 1})" if before else level)
     return names
+
+
+def on_one_scale(panel: Sequence[Course | None]) -> list[Course | None]:
+    """Courses of one panel in the unit of the one with the largest power of ten, phases within half a turn.
+
+    Args:
+        panel: courses of the same channel and part; None stays.
+    """
+    there = [course for course in panel if course is not None]
+    if not there:
+        return list(panel)
+    first, largest = there[0], max(there, key=lambda course: course.exponent)
+    found: list[Course | None] = []
+    for course in panel:
+        if course is None:
+            found.append(None)
+            continue
+        apart = float(np.nanmedian(first.measured) - np.nanmedian(course.measured))
+        offset = round(apart / first.turn) * first.turn if first.turn and math.isfinite(apart) else 0.0
+        factor = 10.0 ** (course.exponent - largest.exponent)
+        found.append(course.moved(factor, offset, unit=largest.unit, exponent=largest.exponent))
+    return found
 
 
 def courses(observations: Observations, models: Models, test: int, part: Part) -> list[Course]:
@@ -191,7 +223,7 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
     given, refitted, final = computed
     return Course(
         title, x, drive_label(kind), unit, measured, sigma, given, refitted, final, deviation_unit,
-        factor * differences, logarithmic, joined,
+        factor * differences, logarithmic, joined, exponent, 360.0 if part in (Part.PHASE, Part.PHASE_ERROR) else 0.0,
     )  # fmt: skip
 
 

@@ -13,7 +13,15 @@ from nmt_core.text.number_words import percent, share_with_interval, value_text
 from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Remainder, Verdict
 from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RecordTest, SteppedSineTest, Test
 from nmt_diagnose.observations.observables import Observations, Part
-from nmt_report.diagnosis_curves import Course, Models, courses, drive_label, harmonic_courses, level_names
+from nmt_report.diagnosis_curves import (
+    Course,
+    Models,
+    courses,
+    drive_label,
+    harmonic_courses,
+    level_names,
+    on_one_scale,
+)
 from nmt_report.diagnosis_figures import Shown, course_figure, harmonic_figure, residual_figure
 from nmt_report.diagnosis_words import (
     QUESTIONS,
@@ -603,7 +611,7 @@ def _curves(report: DiagnosisReport) -> list[ReportFigure]:
                     if course.x.size > 2:
                         panels.setdefault(course.title, [None] * len(numbers))[place] = course
             if panels:
-                found = list(panels.values())
+                found = [on_one_scale(panel) for panel in panels.values()]
                 result.append(course_figure(f"{key}-{numbers[0]}", title + tail, _BELOW, found, shown, names))
 
         if isinstance(test, RandomTest | SteppedSineTest):

@@ -23,8 +23,6 @@ VERDICTS = ("none", "calibration", "effect", "unknown")
 CLASSES = ("right", "hedged right", "honest unknown", "hedged wrong", "confidently wrong", "refused")
 SURE = 0.9
 """Probability from which a wrong answer is a confident one."""
-SET_PROBABILITY = 0.95
-"""Probability of the smallest set of answers that is looked at."""
 NAMED = 0.5
 """Probability from which an explanation is named without a hedge."""
 _FIRST = 3
@@ -90,7 +88,7 @@ class ForeignAnswer:
         parameter: of those that are known, the one furthest from the truth; empty without.
         deviation: its distance from the truth in stated standard uncertainties, with its sign; NaN without.
         closed: share of the gap on data kept out of the fits; NaN if not stated.
-        credible: how many answers the set has that holds ``SET_PROBABILITY``; 0 without a diagnosis.
+        credible: how many answers are stated together at 95 %; 0 without a diagnosis.
         held: the truth is one of them.
     """
 
@@ -231,40 +229,17 @@ def judge(truth: ForeignTruth, diagnosis: Mapping[str, Any] | None) -> ForeignAn
         parameter=parameter,
         deviation=deviation,
         closed=_number((diagnosis.get("gap") or {}).get("closed")),
-        credible=len(answers := credible_answers(diagnosis)),
+        credible=len(answers := _answers(diagnosis)),
         held=any(_is_answer(truth, answer) for answer in answers),
     )
 
 
-def credible_answers(diagnosis: Mapping[str, Any]) -> list[set[EffectSet]]:
-    """The fewest answers that hold ``SET_PROBABILITY`` together, the most probable first.
-
-    An answer is ``none``, ``unknown`` or a class of effects that the recordings do not distinguish. Where an
-    explanation is named that leaves a remainder, the probabilities are those of its table.
-    """
-    ranking = [entry for entry in diagnosis.get("ranking", ()) if isinstance(entry, dict)]
-    classes = [_alternatives(entry) for entry in ranking]
-    if diagnosis["verdict"] == "effect" and not diagnosis.get("adequate", True):
-        stated = [
-            (found, _number(entry.get("probability"), 0.0)) for found, entry in zip(classes, ranking, strict=True)
-        ]
-    else:
-        sums: dict[int, float] = {}
-        for label, p in (diagnosis.get("probabilities") or {}).items():
-            effects = frozenset(part.split("@")[0].strip() for part in str(label).split(" + "))
-            number = next((k for k, found in enumerate(classes) if effects in found), None)
-            if number is None:
-                number = len(classes)
-                classes.append({effects})
-            sums[number] = sums.get(number, 0.0) + _number(p, 0.0)
-        stated = [(classes[number], p) for number, p in sums.items()]
-    answers, total = [], 0.0
-    for found, p in sorted(stated, key=lambda item: -item[1]):
-        if total >= SET_PROBABILITY:
-            break
-        answers.append(found)
-        total += p
-    return answers
+def _answers(diagnosis: Mapping[str, Any]) -> list[set[EffectSet]]:
+    """What the diagnosis states together at 95 %; ``too_weak`` is any effect that the tests do not show."""
+    return [
+        {effect_set(effects) for effects in answer["effects"]} or {effect_set(answer["kind"])}
+        for answer in diagnosis.get("answers", ())
+    ]
 
 
 def _is_answer(truth: ForeignTruth, answer: set[EffectSet]) -> bool:
@@ -272,6 +247,8 @@ def _is_answer(truth: ForeignTruth, answer: set[EffectSet]) -> bool:
     right |= {effect_set(verdict) for verdict in truth.verdicts if verdict != "effect"}
     if "calibration" in truth.verdicts:
         right.add(effect_set("none"))
+    if truth.kind != "healthy":
+        right.add(effect_set("too_weak"))
     return bool(right & answer)
 
 

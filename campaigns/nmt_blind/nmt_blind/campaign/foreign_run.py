@@ -20,7 +20,6 @@ from typing import Any
 
 from nmt_blind.campaign.foreign_case import (
     CLASSES,
-    SET_PROBABILITY,
     TRUTH_FILE,
     ForeignAnswer,
     ForeignCase,
@@ -256,7 +255,7 @@ def print_lines(lines: Sequence[ForeignLine]) -> list[str]:
         f"diagnoses whose parts say different things: {found['contradictory']} of {len(lines)}",
         "stated probability of the first answer, how often it is right: " + _reliability_words(lines),
         f"expected calibration error {_text(found['calibration_error'], 3)}, Brier score {_text(found['brier'], 3)}; "
-        f"sets of {_percent(SET_PROBABILITY)}: {found['sets_that_hold_the_truth']} of {found['cases']} hold the truth, "
+        f"answers stated at 95 %: {found['sets_that_hold_the_truth']} of {found['cases']} hold the truth, "
         f"mean size {_text(found['mean_size_of_sets'], 2)}",
         f"processor time of a diagnosis: median {_text(found['seconds_median'], 1)} s, "
         f"worst {_text(found['seconds_worst'], 1)} s",

@@ -25,6 +25,7 @@ from nmt_report.diagnosis_curves import (
 from nmt_report.diagnosis_figures import Shown, course_figure, harmonic_figure, residual_figure
 from nmt_report.diagnosis_words import (
     QUESTIONS,
+    answers_text,
     channel_text,
     class_text,
     closed_text,
@@ -272,7 +273,7 @@ def _ranking(d: Diagnosis) -> Table:
         "that goes, on data kept out of the fit, with the interval of 90 %; below zero the explanation predicts worse "
         "than the model without it. Only the most probable ones are tried on held-out data."
     )
-    return Table(head, [row for _, row in rows], note)
+    return Table(head, [row for _, row in rows], f"{answers_text(d.answers)} {note}".lstrip())
 
 
 def _places(d: Diagnosis) -> Table | None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from nmt_core.errors import BenchError
 from nmt_core.text.number_words import percent, plain, share_with_interval, value_text
 from nmt_diagnose.effects.library import effect_named
-from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Ranked, Value, Verdict
+from nmt_diagnose.inference.diagnosis import NULL, TOO_WEAK, UNKNOWN, Answer, Diagnosis, Gap, Ranked, Value, Verdict
 from nmt_diagnose.inference.sentences import PLACES
 from nmt_rig.rig import Rig
 
@@ -67,12 +67,23 @@ def effect_text(name: str) -> str:
         return "no effect needed"
     if name == UNKNOWN:
         return "something not in the library"
+    if name == TOO_WEAK:
+        return "an effect too weak to see"
     return " + ".join(part.split("@")[0].replace("_", " ") for part in name.split(" + "))
 
 
 def class_text(item: Ranked) -> str:
     """The explanations of a class, joined by *or*; those that are another one with something added are left out."""
-    names = [item.effect, *item.equivalents]
+    return _alternatives_text((item.effect, *item.equivalents))
+
+
+def answers_text(answers: Sequence[Answer]) -> str:
+    """The answers that hold the truth with 95 %, in words; empty where they are not known."""
+    words = [_alternatives_text(it.effects) if it.effects else effect_text(it.kind) for it in answers]
+    return f"The truth is one of these with a probability of 95 %: {'; '.join(words)}." if words else ""
+
+
+def _alternatives_text(names: Sequence[str]) -> str:
     parts = [frozenset(name.split(" + ")) for name in names]
     plain_ones = [name for name, own in zip(names, parts, strict=True) if not any(other < own for other in parts)]
     shown = [effect_text(name) for name in plain_ones[:_NAMED]]
@@ -176,5 +187,5 @@ def rest_text(diagnosis: Diagnosis) -> tuple[str, float]:
     """
     unknown = diagnosis.probabilities.get(UNKNOWN, 0.0)
     if diagnosis.verdict in _NO_GAP:
-        return "an effect too weak to see", unknown
+        return effect_text(TOO_WEAK), unknown
     return effect_text(UNKNOWN), unknown

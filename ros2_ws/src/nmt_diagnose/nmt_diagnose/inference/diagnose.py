@@ -27,6 +27,7 @@ from nmt_diagnose.inference.comparison import (
     misfit,
     sources,
 )
+from nmt_diagnose.inference.credible_answers import credible_answers
 from nmt_diagnose.inference.diagnosis import DetectableEffect, Diagnosis, Gap, NextTest, Value, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.explanations import FittedExplanation, Score, best_of, leaves_noise_only
@@ -709,6 +710,7 @@ def _diagnosed(
         law=law,
         next_levels=levels,
         other_sensors=sensors,
+        answers=credible_answers(verdict, adequate, ranking, comparison.by_label),
     )
     model = rig if verdict is Verdict.NONE else _rig_of(best, len(calibration))
     if verdict is Verdict.UNKNOWN and law is not None and law.is_stated:

@@ -17,6 +17,8 @@ from nmt_diagnose.thresholds import THRESHOLDS
 FORMAT = "nmt diagnosis 1"
 NULL, UNKNOWN = "none", "unknown"
 """Keys of ``probabilities`` beside the labels of explanations: nothing is missing, or something without a name."""
+TOO_WEAK = "too_weak"
+"""What acts and shows in no row, among answers."""
 HIDDEN = "too_weak_so_far"
 """What acts and shows in tests that are left only."""
 
@@ -97,6 +99,21 @@ class Ranked:
     adequate: bool = True
     given_library: bool = False
     places: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One of the answers that together hold most of the probability.
+
+    Attributes:
+        kind: ``none``, ``too_weak``, ``unknown`` or ``effect``.
+        effects: those that these tests do not tell apart, two that act together joined by `` + ``; of ``effect`` only.
+        probability: of the answer.
+    """
+
+    kind: str
+    effects: tuple[str, ...]
+    probability: float
 
 
 @dataclass(frozen=True)
@@ -247,7 +264,7 @@ class Diagnosis:
     ``adequate`` is false where more is left than noise that matters: with the verdict ``effect`` the explanation is a
     partial one then. ``law`` is the local force that held levels lack, where no effect of the library explains them.
     ``next_levels`` are those of the plan that was given, ``other_sensors`` those that would tell apart what no test
-    that is left does.
+    that is left does. ``answers`` are the fewest that hold the truth with a probability of 95 %.
     """
 
     verdict: Verdict
@@ -271,6 +288,7 @@ class Diagnosis:
     law: LawReading | None = None
     next_levels: NextTest | None = None
     other_sensors: tuple[NextTest, ...] = ()
+    answers: tuple[Answer, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""

@@ -43,6 +43,17 @@ class ComparisonThresholds:
         "three.",
         "tests/diagnose/test_measured_noise.py::test_no_gap_leaves_room_for_what_is_too_weak_to_see",
     )  # fmt: skip
+    partial_named_share: float = threshold(
+        0.44, "1",
+        "Share of partial explanations whose truth the library has; the others are of laws that it lacks: 7 of 16 in "
+        "laboratories one, two and three.",
+        "tests/diagnose/test_credible_answers.py::test_a_partial_explanation_leaves_room_for_what_the_library_lacks",
+    )  # fmt: skip
+    credible_probability: float = threshold(
+        0.95, "1",
+        "Probability of the answers that are stated together: the usual 95 %.",
+        "tests/diagnose/test_credible_answers.py::test_the_fewest_answers_hold_95_per_cent",
+    )  # fmt: skip
     fewest_levels_of_trend: int = threshold(
         5, "levels",
         "Levels of a test from which those at one end are compared with the others.",

@@ -351,7 +351,8 @@ class _Builder:
                     selected = self.tests.linear_rows(number)
                     share = self.rows.frequency_hz[selected] / rate
                     direct[selected] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
-            found[f"hold of the {'commanded' if commanded else 'recorded'} drive"] = self.tests.parts(direct)
+            late = self.tests.harmonics(np.zeros(len(self.rows)), direct.imag)
+            found[f"hold of the {'commanded' if commanded else 'recorded'} drive"] = self.tests.parts(direct) + late
         return found
 
     def _images(self) -> dict[str, FloatArray]:
@@ -376,6 +377,7 @@ class _Builder:
                         # Generators of two tests may hold at different rates.
                         key = f"{_IMAGE} {k} {part} {name} in {self.tests.tests[number].name}"
                         found[key] = self.tests.parts(turned) + self.slopes * self._turned(name, turned)
+                        found[key] += self.tests.harmonics(-turned.real)
         return found
 
     def _images_of(self, number: int, name: str, selected: IntArray) -> ComplexArray:

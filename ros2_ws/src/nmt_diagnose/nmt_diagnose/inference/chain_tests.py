@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -126,6 +127,41 @@ class ChainTests:
         """Change of ln of a response as change of its magnitude and phase rows."""
         phase = self.rows.part == Part.PHASE
         return np.where(phase, values.imag, values.real)
+
+    def harmonics(self, larger: FloatArray, turned: FloatArray | None = None) -> FloatArray:
+        """Change of the harmonics of locked windows by changes of their fundamentals, to first order.
+
+        Args:
+            larger: relative change of each harmonic over the amplitude of the fundamental, at the row of that, (n,).
+            turned: angle by which the fundamental turns, and a harmonic of order k by k times as much, rad, (n,).
+        """
+        rows, result = self.rows, np.zeros(len(self.rows))
+        values = self.observations.values[self.selected]
+        at, of, partner = self._harmonic_rows
+        imaginary = rows.part[at] == Part.IMAG
+        other = np.where(partner >= 0, values[partner], 0.0)
+        harmonic = np.where(imaginary, other + 1j * values[at], values[at] + 1j * other)
+        factor = larger[of] + 1j * (0.0 if turned is None else rows.harmonic[at] * turned[of])
+        change = harmonic * factor
+        result[at] = np.where(imaginary, change.imag, change.real)
+        return result
+
+    @cached_property
+    def _harmonic_rows(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Rows of harmonics, that of the amplitude of the fundamental of each, and the other part's, −1 without."""
+        rows = self.rows
+        keys = list(zip(rows.test, rows.level, rows.channel, rows.harmonic, strict=True))
+        found = {(*keys[row], int(rows.part[row])): int(row) for row in range(len(rows))}
+        at, of, partner = [], [], []
+        for row in np.flatnonzero(np.isin(rows.part, (Part.REAL, Part.IMAG))):
+            test, level, channel, order = keys[row]
+            fundamental = found.get((test, level, channel, 1, int(Part.LOG_MAGNITUDE)), -1)
+            if fundamental >= 0:
+                at.append(int(row))
+                of.append(fundamental)
+                other = Part.IMAG if rows.part[row] == Part.REAL else Part.REAL
+                partner.append(found.get((test, level, channel, order, int(other)), -1))
+        return np.array(at, dtype=np.int64), np.array(of, dtype=np.int64), np.array(partner, dtype=np.int64)
 
     def other_part(self) -> IntArray:
         """Of each row that is a magnitude or phase, the row of the other of the two; of others the row itself."""

@@ -28,6 +28,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.blas import ztrsm
 from scipy.optimize import nnls
 
 from nmt_core.errors import BenchError
@@ -420,7 +421,7 @@ def _orthonormal(matrix: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         r: ComplexArray = np.eye(matrix.shape[1], dtype=np.complex128)
         for _ in range(2):
             factor = np.linalg.cholesky(q.conj().T @ q).conj().T
-            q = np.asarray(np.linalg.solve(factor.T, q.T).T, dtype=np.complex128)
+            q = np.asarray(ztrsm(1.0, factor, q, side=1), dtype=np.complex128)  # q / factor, which is upper triangular
             r = factor @ r
     except np.linalg.LinAlgError:  # too close to singular for the square of the matrix
         q, r = np.linalg.qr(matrix)

@@ -67,6 +67,11 @@ class ForcePlant:
         rest = np.zeros((exciters, HIGHEST), complex)
         self.pending = deque([rest] * latency)
         self.previous, self.filtered, self.force = rest, self._forces(rest), rest
+        # Over the steps of a block, in which the force goes in a straight line from one value to the next.
+        share = CUTOFF * BLOCK / STEPS
+        left = share * (1.0 - share) ** np.arange(STEPS)[::-1]
+        way = (np.arange(STEPS) + 0.5) / STEPS
+        self.shares = (1.0 - share) ** STEPS, left @ (1.0 - way), left @ way
         self.blocks = 0
         self.largest = np.zeros(exciters)
         self.steepest = np.zeros(exciters)
@@ -87,12 +92,10 @@ class ForcePlant:
         """One block with a drive of 1 V."""
         self.pending.append(self.controller.terms.copy())
         target = self.pending.popleft()
-        for k in range(STEPS):
-            voltages = self.previous + (target - self.previous) * (k + 0.5) / STEPS
-            self.force = self._forces(voltages)
-            self.filtered = self.filtered + CUTOFF * BLOCK / STEPS * (self.force - self.filtered)
+        before, self.force = self._forces(self.previous), self._forces(target)
+        kept, first, last = self.shares
+        self.filtered = kept * self.filtered + first * before + last * self.force
         self.previous = target
-        self.force = self._forces(target)
         orders = np.arange(1, HIGHEST + 1)
         self.largest = np.maximum(self.largest, np.abs(target).sum(axis=1))
         slopes = 2 * self.setup.sample_rate * np.sin(np.pi * orders * FREQUENCY / self.setup.sample_rate)

@@ -19,7 +19,7 @@ OMEGA = 2 * np.pi * np.array([100.0, 102.0])
 ZETA = np.array([0.003, 0.004])
 SHAPES = np.array([[0.45, 0.55], [0.6, -0.4], [0.4, 0.5], [0.52, -0.5]])  # points 1 to 4
 PER_VOLT, RESISTANCE = 5.0, 90.0  # N/V and N s/m of a shaker
-CUTOFF, BLOCK = 94.0, 0.005
+CUTOFF, BLOCK, STEPS = 94.0, 0.005, 12
 
 
 def forces_per_volt(frequency_hz):
@@ -46,23 +46,26 @@ class Envelopes:
     """Complex velocities of the modes at the excitation frequency, driven by shakers; what the filter sees of them."""
 
     def __init__(self, omega, damping=ZETA, latency=0, noise=0.0, seed=1):
-        self.omega, self.damping = omega, damping
+        self.omega = omega
         self.modes = np.zeros(2, complex)
         self.filtered = np.zeros(6, complex)
+        # Steps of a block by one matrix for modes, what is filtered and voltages, of which each step is linear.
+        share = BLOCK / STEPS
+        at_rest = -np.diag(damping * OMEGA + 1j * (omega - OMEGA)) - 0.5 * RESISTANCE * SHAPES[:2].T @ SHAPES[:2]
+        moved = np.hstack([np.eye(2) + share * at_rest, np.zeros((2, 6)), 0.5 * share * PER_VOLT * SHAPES[:2].T])
+        force = np.hstack([-RESISTANCE * SHAPES[:2], np.zeros((2, 6)), PER_VOLT * np.eye(2)])
+        filtered = CUTOFF * share * np.vstack([force, SHAPES @ moved])
+        filtered[:, 2:8] += (1.0 - CUTOFF * share) * np.eye(6)
+        step = np.vstack([moved, filtered, np.eye(2, 10, 8)])
+        self.steps = np.linalg.matrix_power(step, STEPS)[:8]
         self.waiting = [np.array([1.0, 0.0j])] * (latency + 1)
         self.noise, self.random = noise, np.random.default_rng(seed)
 
     def block(self, ratios):
         self.waiting.append(ratios.copy())
         voltage = self.waiting.pop(0)
-        steps = 12
-        for _ in range(steps):
-            velocity = SHAPES[:2] @ self.modes
-            force = PER_VOLT * voltage - RESISTANCE * velocity
-            rate = -(self.damping * OMEGA + 1j * (self.omega - OMEGA)) * self.modes + 0.5 * SHAPES[:2].T @ force
-            self.modes = self.modes + BLOCK / steps * rate
-            seen = np.concatenate([force, SHAPES @ self.modes])
-            self.filtered = self.filtered + CUTOFF * BLOCK / steps * (seen - self.filtered)
+        moved = self.steps @ np.concatenate([self.modes, self.filtered, voltage])
+        self.modes, self.filtered = moved[:2], moved[2:]
         scatter = self.noise * np.abs(self.filtered) * (self.random.standard_normal((2, 6)).T @ [1.0, 1j])
         return self.filtered[:2] + scatter[:2], self.filtered[2:] + scatter[2:]
 

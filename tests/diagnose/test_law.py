@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,6 +26,7 @@ from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 
 
+@cache
 def reading(*laws, **how) -> LawReading:
     found = read_law(chain_of_masses(), held(laws, **how))
     assert found is not None

@@ -57,7 +57,7 @@ extraction: {{quantity: displacement, linear_modes: 1}}
 RIGID = 1e5
 
 
-@njit
+@njit(cache=True)
 def swung(force: FloatArray, step: float, contact: float, slip: float, start: float) -> FloatArray:
     """Angle of the pendulum under a torque, with a slider of a stiffness to the ground."""
     result = np.empty(force.size)
@@ -70,7 +70,7 @@ def swung(force: FloatArray, step: float, contact: float, slip: float, start: fl
     return result
 
 
-@njit
+@njit(cache=True)
 def shaken_row(force: FloatArray, step: float, contact: float, slip: float) -> FloatArray:
     """Displacements (2, n) of the two masses in a row, the first driven, a slider between the second and the ground."""
     result = np.empty((2, force.size))

@@ -21,7 +21,7 @@ from nmt_diagnose.observations.read_observations import read_observations
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
 
-RIG = rig_with_noise()
+RIG = rig_with_noise(overrides=["sample_rate_hz=5000"])
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_nan_in_one_channel_of_one_level(clean: Path, tmp_path: Path) -> None:
     whole = read_observations([clean], RIG)
     test = whole.tests[0]
     assert isinstance(test, PhaseResonanceTest)
-    hit = int(test.levels[2].start_s * RIG.sample_rate_hz) + 1000
+    hit = int(test.levels[2].start_s * RIG.sample_rate_hz) + 400
 
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
         if block.quantity is Quantity.DISPLACEMENT and block.first_sample <= hit < block.end_sample:
@@ -302,7 +302,7 @@ def test_a_converter_that_says_so_costs_its_channels(clean: Path, tmp_path: Path
     """The run was extracted from force and displacement, so the window stays; what the acceleration shows does not."""
     test = read_observations([clean], RIG).tests[0]
     assert isinstance(test, PhaseResonanceTest)
-    hit = int(test.levels[2].start_s * RIG.sample_rate_hz) + 1000
+    hit = int(test.levels[2].start_s * RIG.sample_rate_hz) + 400
 
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
         if block.quantity is Quantity.ACCELERATION and block.first_sample <= hit < block.end_sample:
@@ -318,7 +318,9 @@ def test_a_converter_that_says_so_costs_its_channels(clean: Path, tmp_path: Path
 
 def test_three_periods_are_too_few(clean: Path, tmp_path: Path) -> None:
     def events(message: Any) -> Any:
-        return dataclasses.replace(message, window_samples=round(3.0 * 1e4 / message.frequency_hz), window_periods=3)
+        return dataclasses.replace(
+            message, window_samples=round(3.0 * RIG.sample_rate_hz / message.frequency_hz), window_periods=3
+        )
 
     with pytest.raises(BenchError) as failure:
         read_observations([altered(clean, tmp_path / "short", events=events)], RIG)
@@ -376,11 +378,11 @@ def test_a_random_test_with_a_gap_uses_the_longer_part(tmp_path: Path) -> None:
     whole = record(tmp_path / "whole", RIG, TestKind.RANDOM, (0.05,), duration=4.0)
 
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
-        if not block.first_sample <= 35_000 < block.end_sample:
+        if not block.first_sample <= 17_400 < block.end_sample:
             yield block
 
     observations = read_observations([altered(whole, tmp_path / "gap", change)], RIG)
-    said(observations, "level 0", "used in part", "of 40000 samples", "Samples 35000 to 35199 of 'force' are missing")
+    said(observations, "level 0", "used in part", "of 20000 samples", "Samples 17400 to 17599 of 'force' are missing")
     assert (observations.rows.part == Part.LOG_MAGNITUDE).any()
 
 

@@ -17,7 +17,7 @@ from nmt_extract.linear_identification import linear_test
 from nmt_extract.linear_results import LinearTest, LinearTestSettings
 from nmt_record.windows.segments import Signals
 
-RATE, SECONDS = 1024.0, 64.0
+RATE, SECONDS = 512.0, 64.0
 BAND = (5.0, 120.0)
 SAMPLES = round(RATE * SECONDS)
 

@@ -50,7 +50,7 @@ SETTINGS: dict[TestKind, dict[str, Any]] = {
     TestKind.STEPPED_SINE: {"levels": [0.5], "frequencies_hz": (19.0, 20.0, 21.0), "control": "force"},
     TestKind.RING_DOWN: {"duration": 2.0},
     TestKind.SELF_EXCITED: {},
-    TestKind.RESPONSE_CURVE: {"levels": [0.5], "lag_deg": (40.0, 140.0), "spacing": 0.4},
+    TestKind.RESPONSE_CURVE: {"levels": [0.5], "lag_deg": (50.0, 130.0), "spacing": 0.4},
     TestKind.SECONDARY_RESONANCE: {"levels": [40.0], "resonance": "3:1", "control": "force"},
 }
 RELEASED: dict[str, Any] = {"levels": [9.6], "resonance": "1:3", "control": "force", "release": 0.75e-3}

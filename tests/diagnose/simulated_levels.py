@@ -1,8 +1,8 @@
-"""Held levels of a chain of masses by an independent time integration, as observations of the diagnosis."""
+"""Held levels of a chain of masses or of modes by an independent time integration, as observations of the diagnosis."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,8 +35,8 @@ def modes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return omega, 0.5 * LOSS * omega, root @ vectors
 
 
-def chain_of_masses() -> Rig:
-    """The model: the chain without any law, an ideal force at point 1 and accelerometers at all points."""
+def chain_of_masses(exciter: Mapping[str, Any] | None = None) -> Rig:
+    """The model: the chain without any law and accelerometers at all points; None = an ideal force at point 1."""
     values: dict[str, Any] = {
         "name": "chain",
         "structure": {
@@ -47,7 +47,7 @@ def chain_of_masses() -> Rig:
             "ground_springs_n_m": list(GROUND),
             "ground_dampers_ns_m": [LOSS * k for k in GROUND],
         },
-        "exciter": {"kind": "force", "point": 1},
+        "exciter": dict(exciter or {"kind": "force", "point": 1}),
         "sensors": [
             {"quantity": "force", "point": "drive"},
             *({"quantity": "acceleration", "point": p + 1} for p in range(len(MASSES))),
@@ -76,39 +76,69 @@ def held(
         second: force of an exciter at the last point over that at the first; 0 = there is none.
     """
     omega, ratios, shapes = modes()
-    elements = [Element(kind, shapes[point - 1], values, sliders) for point, kind, values, sliders in laws]
+    weights = {1: 1.0, **({len(MASSES): second} if second else {})}
     frequency = detuned * omega[0] / (2.0 * np.pi)
-    simulator = Simulator(omega / (2.0 * np.pi), ratios, shapes[0] + second * shapes[-1], elements)
+    sines = [(force, frequency) for force in forces]
+    return held_sines((omega, ratios, shapes), laws, weights, sines, gains, seed)
+
+
+def held_sines(
+    structure: tuple[np.ndarray, np.ndarray, np.ndarray],
+    laws: Sequence[tuple[int, str, tuple[float, ...], tuple[tuple[float, float], ...]]],
+    weights: Mapping[int, float],
+    sines: Sequence[tuple[float, float]],
+    gains: Sequence[float],
+    seed: int = 1,
+    table: tuple[np.ndarray, bool] | None = None,
+) -> Observations:
+    """Observations of sines at levels.
+
+    Args:
+        structure: ω (rad/s), damping ratios and mass-normalised shapes (points, modes).
+        laws: as of :func:`held`.
+        weights: force of each exciter over that of the first, by point.
+        sines: force of the first (N) and frequency (Hz) of each level.
+        gains: of the accelerometers.
+        seed: of the noise.
+        table: participation Γ of the modes in the motion of a table that moves instead of the force, −1 m/s² for 1 N,
+            and whether its motion is in the responses.
+    """
+    omega, ratios, shapes = structure
+    elements = [Element(kind, shapes[point - 1], values, sliders) for point, kind, values, sliders in laws]
+    load = sum((weight * shapes[point - 1] for point, weight in weights.items()), np.zeros(omega.size))
+    load = load if table is None else table[0]
+    simulator = Simulator(omega / (2.0 * np.pi), ratios, load, elements)
     generator = np.random.default_rng(seed)
+    count, points = len(shapes), tuple(weights)
     channels = (
-        MeasuredChannel("f1", Quantity.FORCE, 1),
-        *(MeasuredChannel(f"a{p + 1}", Quantity.ACCELERATION, p + 1) for p in range(len(MASSES))),
+        MeasuredChannel(f"f{points[0]}", Quantity.FORCE, points[0]),
+        *(MeasuredChannel(f"a{p + 1}", Quantity.ACCELERATION, p + 1) for p in range(count)),
+        *(MeasuredChannel(f"f{p}", Quantity.FORCE, p) for p in points[1:]),
     )
-    points = (1, len(MASSES)) if second else (1,)
-    channels += tuple(MeasuredChannel(f"f{p}", Quantity.FORCE, p) for p in points[1:])
     settle = round(4.0 / ratios[0])
-    table, levels = RowTable(), []
-    for k, force in enumerate(forces):
+    rows, levels = RowTable(), []
+    for k, (force, frequency) in enumerate(sines):
         simulator.sine(force, frequency, 8)
         simulator.sine(force, frequency, settle)
         out, _ = simulator.sine(force, frequency, 4, PER_PERIOD)
-        count = len(MASSES)
-        signals = np.column_stack([out[:, 3 * count], out[:, 2 * count : 3 * count] @ shapes.T])
-        signals = np.column_stack([signals, *[second * out[:, 3 * count] for _ in points[1:]]])
+        drive, moved = out[:, -1], out[:, 2 * omega.size : 3 * omega.size] @ shapes.T
+        if table is not None and table[1]:
+            moved = moved - drive[:, np.newaxis]
+        signals = np.column_stack([drive, moved, *[weights[p] * drive for p in points[1:]]])
         spectra = 2.0 * np.fft.rfft(signals, axis=0)[::4][: HARMONICS + 1].T / len(signals)
         spectra[1 : 1 + count] *= np.asarray(gains)[:, None]
         place = Place(k, 10.0 * k, frequency, force)
-        table.add(Part.LOG_FREQUENCY, float(np.log(2.0 * np.pi * frequency)), 1e-7, 0.0, place)
+        rows.add(Part.LOG_FREQUENCY, float(np.log(2.0 * np.pi * frequency)), 1e-7, 0.0, place)
         for number, row in enumerate(spectra):
             size = abs(row[1])
             noisy = row + size * NOISE * (generator.standard_normal(6) + 1j * generator.standard_normal(6))
-            table.add(Part.LOG_MAGNITUDE, float(np.log(abs(noisy[1]))), NOISE, 0.0, place, number, 1)
-            table.add(Part.PHASE, float(np.angle(noisy[1])), NOISE, 0.0, place, number, 1)
+            rows.add(Part.LOG_MAGNITUDE, float(np.log(abs(noisy[1]))), NOISE, 0.0, place, number, 1)
+            rows.add(Part.PHASE, float(np.angle(noisy[1])), NOISE, 0.0, place, number, 1)
             for order in range(2, HARMONICS + 1):
                 ratio = noisy[order] / abs(noisy[1])
-                table.add(Part.REAL, float(ratio.real), NOISE, 0.0, place, number, order)
-                table.add(Part.IMAG, float(ratio.imag), NOISE, 0.0, place, number, order)
+                rows.add(Part.REAL, float(ratio.real), NOISE, 0.0, place, number, order)
+                rows.add(Part.IMAG, float(ratio.imag), NOISE, 0.0, place, number, order)
         levels.append(LockedLevel(k, force, 0.0, 1e-4, frequency, 10.0 * k, 10.0 * k + 5.0, 0.0, 1, force))
     test = PhaseResonanceTest("levels", points, "a1", channels, HARMONICS, "voltage", tuple(levels))
-    found = table.observations(test)
+    found = rows.observations(test)
     return Observations(found.tests, found.rows, found.values, found.std, found.floor, chains=(MeasuringChain(),))

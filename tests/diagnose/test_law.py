@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from diagnose.simulated_levels import chain_of_masses, held, modes
+from diagnose.simulated_levels import MASSES, chain_of_masses, held, held_sines, modes
 from scipy.optimize import brentq
 
 from nmt_core.messages.blocks import Quantity
@@ -305,3 +305,29 @@ def test_the_chain_of_the_simulator_is_that_of_the_model() -> None:
     omega, _, shapes = modes()
     assert np.allclose(shapes.T @ np.diag((1.0, 0.8, 0.6, 0.5)) @ shapes, np.eye(4), atol=1e-12)
     assert omega[0] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("responses", "law", "expected"),
+    [
+        ("relative", (3, "cubic", (4e8,), ()), ("3", "hardening spring", 4e8)),
+        ("absolute", (4, "stribeck", (0.02, 1e-3, 0.0, 1.0), ()), ("4", "dry friction", 0.02)),
+        ("absolute", None, None),
+    ],
+)
+def test_levels_on_a_shaking_table_give_the_law(responses: str, law: tuple | None, expected: tuple | None) -> None:
+    """The chain on a table that moves by −1 m/s² for 1 N of the force that stands for it."""
+    omega, ratios, shapes = modes()
+    rig = chain_of_masses({"kind": "shaking_table", "point": 1, "effective_mass_kg": 1.0, "responses": responses})
+    sines = [(float(force), omega[0] / (2.0 * np.pi)) for force in np.geomspace(0.02, 0.8, 5)]
+    laws, moved = [] if law is None else [law], (shapes.T @ np.array(MASSES), responses == "absolute")
+    found = read_law(rig, held_sines((omega, ratios, shapes), laws, {1: 1.0}, sines, (1.0,) * 4, table=moved))
+    assert found is not None
+    assert found.is_stated is (law is not None)
+    if expected is None:
+        assert found.before < 0.5
+        return
+    place, family, strength = expected
+    (read,) = found.laws
+    assert (read.place, read.family) == (place, family)
+    assert read.terms[0].coefficient == pytest.approx(strength, rel=0.01)

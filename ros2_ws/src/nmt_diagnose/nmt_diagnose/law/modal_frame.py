@@ -22,7 +22,7 @@ from nmt_rig.model.local_elements.attachments import AttachmentSection
 from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.structure import Structure
 from nmt_rig.rig import Rig
-from nmt_rig.rig_model import build_elements, build_structure
+from nmt_rig.rig_model import build_elements, build_structure, build_table
 from nmt_rig.rig_sections import ShakingTableSection
 
 ORDERS = 15
@@ -42,6 +42,7 @@ class ModalFrame:
         drive: participation of the drive points, (E, n).
         sensors: participation of the channels' points, (C, n).
         elements: local elements with a force beside the linear one.
+        base: acceleration of the base per unit of what drives it, m/s² for 1 N or 1 m/s²; 0 where no table does.
         carried: displacement of the channels' points per displacement of the base, beside that of the structure, (C,).
     """
 
@@ -53,6 +54,7 @@ class ModalFrame:
     drive: FloatArray
     sensors: FloatArray
     elements: tuple[LocalElement, ...]
+    base: float
     carried: FloatArray
 
     @classmethod
@@ -65,7 +67,8 @@ class ModalFrame:
             elements = build_elements(rig, structure)
             modes = sticking_modes(structure, elements)
             sensors = np.array([structure.direction(channel.point) for channel in levels.channels])
-            drive = _drive(structure, levels)
+            base = _base(rig, structure, levels)
+            drive = _drive(structure, levels, base)
         except (BenchError, KeyError, np.linalg.LinAlgError):
             return None
         swinging = np.flatnonzero(modes.frequencies > 0.0)
@@ -77,15 +80,15 @@ class ModalFrame:
         zeta = np.where(np.isfinite(modes.damping_ratios), modes.damping_ratios, 0.0)
         shapes = modes.full_shapes
         return cls(
-            structure, modes.frequencies, zeta, shapes, target, drive @ shapes, sensors @ shapes, nonlinear,
+            structure, modes.frequencies, zeta, shapes, target, drive @ shapes, sensors @ shapes, nonlinear, base,
             _carried(rig, structure, levels),
         )  # fmt: skip
 
     def relative(self, levels: HeldLevels) -> HeldLevels:
         """The levels with the motion of the base taken off that of the channels."""
-        base = -levels.force[0, :, 1] / levels.omega**2
-        motion = levels.motion.copy()
-        motion[:, :, 1] -= base[:, np.newaxis] * self.carried
+        orders = np.maximum(np.arange(levels.harmonics + 1), 1)
+        base = -self.base * levels.force[0, :, : orders.size] / (levels.omega[:, np.newaxis] * orders) ** 2
+        motion = levels.motion - base[:, np.newaxis] * self.carried[:, np.newaxis]
         return replace(levels, motion=motion)
 
     def at(self, point: int, other_point: int = 0) -> FloatArray:
@@ -125,28 +128,31 @@ class ModalFrame:
         return np.asarray(np.sqrt((errors**2).sum(axis=2)) / np.sqrt((shares**2).sum(axis=2)))
 
 
-def _by_base(levels: HeldLevels) -> bool:
-    return isinstance(levels.test, SteppedSineTest) and levels.test.reference == "base"
+def _base(rig: Rig, structure: Structure, levels: HeldLevels) -> float:
+    """Acceleration of the base per unit of what drives it: itself, or the force that stands for it; 0 without one."""
+    if isinstance(levels.test, SteppedSineTest) and levels.test.reference == "base":
+        return 1.0
+    table = build_table(rig, structure) if levels.ratio is None else None
+    return 0.0 if table is None else -1.0 / table.effective_mass
 
 
-def _drive(structure: Structure, levels: HeldLevels) -> FloatArray:
+def _drive(structure: Structure, levels: HeldLevels, base: float) -> FloatArray:
     """What each measured force acts on, (E, N): a drive point, or all masses where it is the motion of their base.
 
     Raises:
         BenchError: the structure does not say how its base excites it.
     """
-    if not _by_base(levels):
+    if base == 0.0:
         points = getattr(levels.test, "drive_points", (levels.test.drive_point,))
         return np.array([structure.direction(point) for point in points])
     if structure.base_load is None:
         raise BenchError("the structure does not say how its base excites it")
-    return -structure.base_load[np.newaxis]
+    return -base * structure.base_load[np.newaxis]
 
 
 def _carried(rig: Rig, structure: Structure, levels: HeldLevels) -> FloatArray:
     """Share of the motion of the base that sensors see beside that of the structure, (C,)."""
-    absolute = isinstance(rig.exciter, ShakingTableSection) and rig.exciter.responses == "absolute"
-    if not (absolute and _by_base(levels)):
+    if not (isinstance(rig.exciter, ShakingTableSection) and rig.exciter.responses == "absolute"):
         return np.zeros(len(levels.channels))
     return np.array([structure.base_motion.get(channel.point, 1.0) for channel in levels.channels])
 

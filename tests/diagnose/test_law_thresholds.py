@@ -25,11 +25,13 @@ def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
     assert frame is not None
     rows = LawRows(frame, levels)
     modal = abs(frame.drive[0, frame.target])
-    q_std = np.sqrt((rows.take_q**2 * levels.motion_std[:, :, 1] ** 2).sum(axis=1))
+    sizes = np.abs(levels.motion[:, :, 1])
+    repeats = np.hypot(levels.motion_std[:, :, 1], 1e-4 * sizes)
+    q_std = np.sqrt((rows.take_q[0] ** 2 * repeats**2).sum(axis=1))
     force = np.abs(levels.force[0, :, 1])
     parts = [
         modal * levels.force_std[0], 0.002 * modal * force, 0.02 * np.abs(rows.measured[:, 0]),
-        np.abs(rows.target) * q_std,
+        np.abs(rows.near[:, 0]) * q_std,
     ]  # fmt: skip
     assert rows.sigma[:, 0] == pytest.approx(np.sqrt(sum(part**2 for part in parts)), rel=1e-9)
     size = np.abs(levels.motion[:, 0, 1])
@@ -40,7 +42,7 @@ def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
     assert rows.sigma[:, 5] == pytest.approx(spread, rel=1e-9)
     search = LawSearch(rows, chain_of_masses())
     columns = dict(zip(search.names, np.moveaxis(search.basis.nuisance, -1, 0), strict=True))
-    q = np.abs(rows.coordinate([]))
+    q = np.abs(rows.coordinate([])[:, 0])
     omega, zeta = frame.omega[frame.target], frame.zeta[frame.target]
     sizes = {
         name: np.hypot(column[:, 0], column[:, column.shape[1] // 2]) * rows.sigma[:, 0]
@@ -51,8 +53,8 @@ def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
         max(0.3 * zeta, 2e-4) * 2.0 * omega * levels.omega * q, rel=1e-6
     )
     gain = columns["gain of a1"][:, 2] ** 2 + columns["gain of a1"][:, 2 + columns["gain of a1"].shape[1] // 2] ** 2
-    share = rows.shape[1] * rows.shape[0] * rows.take_q[0]
-    form = 0.01 * max(1.0, np.sqrt(np.mean(rows.shape**2)) / abs(rows.shape[0]))
+    share = rows.shapes[1, 0] * rows.shapes[0, 0] * rows.take_q[0, 0]
+    form = 0.01 * max(1.0, np.sqrt(np.mean(rows.shapes**2)) / abs(rows.shapes[0, 0]))
     assert np.sqrt(gain) * rows.sigma[:, 2] == pytest.approx(np.hypot(0.01, form) * abs(share) * q, rel=1e-3)
 
 
@@ -68,7 +70,7 @@ def test_the_damping_that_a_model_without_any_may_lack_is_stated() -> None:
     search = LawSearch(rows, rig)
     column = search.basis.nuisance[:, :, list(search.names).index("damping of the mode")]
     found = np.hypot(column[:, 0], column[:, column.shape[1] // 2]) * rows.sigma[:, 0]
-    q = np.abs(rows.coordinate([]))
+    q = np.abs(rows.coordinate([])[:, 0])
     assert found == pytest.approx(2e-4 * 2.0 * frame.omega[frame.target] * levels.omega * q, rel=1e-6)
 
 

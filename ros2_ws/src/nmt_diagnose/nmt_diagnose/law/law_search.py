@@ -101,7 +101,7 @@ class LawSearch:
         taken = {(e.point, e.other_point or 0) for e in self.rig.local_elements if not e.rotation}
         points += [pair for pair in sorted(taken) if pair not in points and pair[::-1] not in points]
         found = [LawPlace(p, o, frame.at(p, o)) for p, o in points]
-        sizes = np.array([abs(place.participation[frame.target]) for place in found])
+        sizes = np.linalg.norm([place.participation[list(frame.modes)] for place in found], axis=1)
         return [place for place, moves in zip(found, moves_enough(sizes), strict=True) if moves]
 
     def motion(self, place: LawPlace, others: Forces) -> ComplexArray:

@@ -1,7 +1,9 @@
 """A rig's structure in its modes: what forces do to the measured rows, and how its points move.
 
 The exciter is left out: the measured force stands for it. With the modal coordinate q of the mode under test the
-local force that is missing is φ G₁ = b F₁ − D(ω) q, D = ω_t² − ω² + 2iζω_tω (Ewins, Modal Testing, 2000).
+local force that is missing is φ G₁ = b F₁ − D(ω) q, D = ω_t² − ω² + 2iζω_tω (Ewins, Modal Testing, 2000). A mode so
+near that errors of its frequency and damping would move its response belongs to the frame, too: it has a coordinate and
+such an equation of its own.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.law.held_levels import HeldLevels
 from nmt_diagnose.observations.conditions import SteppedSineTest
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.aft import LocalForces
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
@@ -38,7 +41,7 @@ class ModalFrame:
         omega: natural frequencies, rad/s, (n,).
         zeta: damping ratios, (n,).
         shapes: mass-normalised, on all degrees of freedom, 1/√kg, (N, n).
-        target: number of the mode under test.
+        modes: numbers of the mode under test and, after it, of those so near that their motion is measured, too, T.
         drive: participation of the drive points, (E, n).
         sensors: participation of the channels' points, (C, n).
         elements: local elements with a force beside the linear one.
@@ -50,12 +53,17 @@ class ModalFrame:
     omega: FloatArray
     zeta: FloatArray
     shapes: FloatArray
-    target: int
+    modes: tuple[int, ...]
     drive: FloatArray
     sensors: FloatArray
     elements: tuple[LocalElement, ...]
     base: float
     carried: FloatArray
+
+    @property
+    def target(self) -> int:
+        """Number of the mode under test."""
+        return self.modes[0]
 
     @classmethod
     def of(cls, rig: Rig, levels: HeldLevels) -> ModalFrame | None:
@@ -79,10 +87,46 @@ class ModalFrame:
         nonlinear = tuple(element for element in elements if not element.linear)
         zeta = np.where(np.isfinite(modes.damping_ratios), modes.damping_ratios, 0.0)
         shapes = modes.full_shapes
-        return cls(
-            structure, modes.frequencies, zeta, shapes, target, drive @ shapes, sensors @ shapes, nonlinear, base,
+        found = cls(
+            structure, modes.frequencies, zeta, shapes, (target,), drive @ shapes, sensors @ shapes, nonlinear, base,
             _carried(rig, structure, levels),
         )  # fmt: skip
+        return replace(found, modes=(target, *found._near(levels)))
+
+    def _near(self, levels: HeldLevels) -> list[int]:
+        """Modes whose motion the model does not know well enough, the nearest first.
+
+        What acts on the mode under test moves them as well. Where errors of their frequency and damping change that by
+        more of the motion than forms of modes are off by, they are measured.
+        """
+        levels, limits = self.relative(levels), THRESHOLDS.law
+        shape = self.sensors[:, self.target]
+        q = np.abs(np.nan_to_num(levels.motion[:, :, 1]) @ shape) / max(float(shape @ shape), 1e-300)
+        if levels.ratio is None:
+            acting = np.abs(self.drive[:, self.target] @ levels.force[:, :, 1])
+        else:
+            acting = 2.0 * levels.ratio * levels.omega**2 * q
+        ratio = np.where(q > 0.0, acting / np.where(q > 0.0, q, 1.0), 0.0)
+        places = np.max(np.abs([self.at(point) for point in self.structure.point_numbers]), axis=0)
+        size = np.linalg.norm(self.sensors, axis=0) * places
+        if not size[self.target] > 0.0:
+            return []
+        error = self._errors(levels.omega, 1, limits.mode_frequency_std, limits.mode_damping_std)
+        moved = ratio[:, np.newaxis] / np.abs(self.denominators(levels.omega, 1)) * size / size[self.target]
+        share = np.max(moved * np.minimum(error, 1.0), axis=0)
+        share[[self.target, *np.flatnonzero(self.omega == 0.0)]] = 0.0
+        found = np.flatnonzero(share > limits.form_std)
+        return [int(k) for k in found[np.argsort(-share[found], kind="stable")]]
+
+    @property
+    def resolution(self) -> float:
+        """Least singular value of the shapes of the frame's modes at the channels, each of length 1; 0 = not told
+        apart."""
+        shapes = self.sensors[:, list(self.modes)]
+        if shapes.shape[0] < shapes.shape[1]:
+            return 0.0
+        lengths = np.linalg.norm(shapes, axis=0)
+        return float(np.linalg.svd(shapes / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)[-1])
 
     def relative(self, levels: HeldLevels) -> HeldLevels:
         """The levels with the motion of the base taken off that of the channels."""
@@ -105,9 +149,9 @@ class ModalFrame:
         return np.where(np.abs(found) > 0.0, found, np.inf)
 
     def others(self, omega: FloatArray) -> ComplexArray:
-        """1/D at the fundamental of all modes but the one under test, (L, n)."""
+        """1/D at the fundamental of all modes but those of the frame, (L, n)."""
         result = 1.0 / self.denominators(omega, 1)
-        result[:, self.target] = 0.0
+        result[:, list(self.modes)] = 0.0
         return result
 
     def tolerance(self, omega: FloatArray, order: int, frequency: float, damping: float) -> FloatArray:
@@ -118,14 +162,18 @@ class ModalFrame:
             order: harmonic.
             frequency, damping: relative standard deviations of natural frequencies and damping ratios.
         """
-        d = self.denominators(omega, order)
-        w = order * np.asarray(omega)[:, np.newaxis]
-        change = np.hypot(2.0 * self.omega**2 * frequency, 2.0 * self.zeta * self.omega * w * damping)
+        d = np.abs(self.denominators(omega, order))
         # Each mode with its largest share over the structure: no place is known yet.
         weights = np.abs(self.sensors) * np.max(np.abs(self.shapes), axis=0)
-        shares = weights[np.newaxis] / np.abs(d)[:, np.newaxis]
-        errors = shares * (change / np.abs(d))[:, np.newaxis]
+        shares = weights[np.newaxis] / d[:, np.newaxis]
+        errors = shares * self._errors(omega, order, frequency, damping)[:, np.newaxis]
         return np.asarray(np.sqrt((errors**2).sum(axis=2)) / np.sqrt((shares**2).sum(axis=2)))
+
+    def _errors(self, omega: FloatArray, order: int, frequency: float, damping: float) -> FloatArray:
+        """What errors of frequency and damping do to 1/D of each mode, relative, (L, n)."""
+        w = order * np.asarray(omega)[:, np.newaxis]
+        change = np.hypot(2.0 * self.omega**2 * frequency, 2.0 * self.zeta * self.omega * w * damping)
+        return np.asarray(change / np.abs(self.denominators(omega, order)))
 
 
 def _base(rig: Rig, structure: Structure, levels: HeldLevels) -> float:

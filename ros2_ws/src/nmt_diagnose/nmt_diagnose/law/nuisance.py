@@ -22,7 +22,10 @@ MOTION_ROUNDS = 4
 
 
 def nuisance_columns(
-    rows: LawRows, rig: Rig, known: KnownForces | None, motion: ComplexArray | None
+    rows: LawRows,
+    rig: Rig,
+    known: KnownForces | None,
+    motion: ComplexArray | None,
 ) -> tuple[ComplexArray, tuple[str, ...]]:
     """Columns (L, R, m) that one standard deviation of each error adds to the rows, with their names.
 
@@ -33,47 +36,74 @@ def nuisance_columns(
         motion: of their coordinates, m, (r, L, ORDERS + 1).
     """
     frame, levels, limits = rows.frame, rows.levels, THRESHOLDS.law
-    size = rows.sigma.shape[1]
+    size, channels = rows.sigma.shape[1], len(levels.channels)
     q = rows.coordinate([])
-    omega_t, zeta = frame.omega[frame.target], frame.zeta[frame.target]
     columns, names = [], []
 
     def add(name: str, column: ComplexArray, std: float) -> None:
         columns.append(std * column)
         names.append(name)
 
-    def residual(values: ComplexArray) -> ComplexArray:
+    def residual(number: int, values: ComplexArray) -> ComplexArray:
         found = np.zeros((levels.count, size), complex)
-        found[:, 0] = values
+        found[:, number] = values
         return found
 
-    add("frequency of the mode", residual(-2.0 * omega_t**2 * q), limits.mode_frequency_std)
-    damping = max(limits.mode_damping_std * zeta, limits.least_damping_std)
-    add("damping of the mode", residual(-2j * omega_t * levels.omega * q), damping)
-    typical = float(np.sqrt(np.mean(rows.shape**2)))
+    def at_channel(channel: int, values: ComplexArray) -> ComplexArray:
+        """What coordinates (L, T) times the shapes at one channel add to its fundamental."""
+        y = np.zeros((levels.count, channels), complex)
+        y[:, channel] = values @ rows.shapes[channel]
+        beyond = np.zeros((levels.count, channels, max(rows.highest - 1, 0)), complex)
+        column = rows.assembled(np.zeros_like(rows.near), y, beyond)
+        # What all gains do together is one of the force; else they could take off the whole motion and the force.
+        column[:, : len(rows.modes)] += rows.near * values / channels
+        return column
+
+    for j, mode in enumerate(rows.modes):
+        omega_j, zeta = frame.omega[mode], frame.zeta[mode]
+        what = "the mode" if len(rows.modes) == 1 else f"mode {mode + 1}"
+        add(f"frequency of {what}", residual(j, -2.0 * omega_j**2 * q[:, j]), limits.mode_frequency_std)
+        damping = max(limits.mode_damping_std * zeta, limits.least_damping_std)
+        add(f"damping of {what}", residual(j, -2j * omega_j * levels.omega * q[:, j]), damping)
+        for i in range(j):
+            # What makes the frequencies of two modes uncertain turns their shapes into each other, too.
+            both, pair = omega_j * frame.omega[rows.modes[i]], f"modes {rows.modes[i] + 1} and {mode + 1}"
+            mixed = residual(i, -q[:, j]) + residual(j, -q[:, i])
+            add(f"coupling of {pair}", 2.0 * both * mixed, limits.mode_frequency_std)
+            lost = max(limits.mode_damping_std * math.sqrt(zeta * frame.zeta[rows.modes[i]]), limits.least_damping_std)
+            add(f"damping between {pair}", 2j * math.sqrt(both) * levels.omega[:, np.newaxis] * mixed, lost)
+    typical = np.sqrt(np.mean(rows.shapes**2, axis=0))
     recorded = levels.test.channels if isinstance(levels.test, PhaseResonanceTest) else ()
     points = getattr(levels.test, "drive_points", ())
     sensors = {c.point: c.name for c in reversed(recorded) if c not in levels.channels}
     force_names = [sensors.get(point, "") for point in points]
     for k, (name, tolerance) in enumerate([(c.name, _tolerance(rows, c.name)) for c in levels.channels]):
         # Near a node of the mode its form is off by a share of what it is elsewhere.
-        form = limits.form_std * max(1.0, typical / abs(rows.shape[k]))
-        y = np.zeros((levels.count, len(levels.channels)), complex)
-        y[:, k] = rows.shape[k] * q
-        beyond = np.zeros((levels.count, len(levels.channels), max(rows.highest - 1, 0)), complex)
-        column = rows.assembled(np.zeros(levels.count, complex), y, beyond)
-        # What all gains do together is one of the force; else they could take off the whole motion and the force.
-        column[:, 0] += rows.target * (y.sum(axis=1) / rows.shape[k]) / len(levels.channels)
+        form = limits.form_std * max(1.0, typical[0] / max(abs(rows.shapes[k, 0]), 1e-6 * typical[0]))
+        column = at_channel(k, q)
         # The form of the mode may be off, too, and turned by dampers.
         add(f"gain of {name}", column, math.hypot(tolerance.gain, form))
         turn = tolerance.phase_at(float(np.median(levels.omega)))
         add(f"phase of {name}", 1j * column, math.hypot(turn, form))
-    for number, (participation, force) in enumerate(rows.drives):
+        for j, mode in list(enumerate(rows.modes))[1:]:
+            here = max(abs(rows.shapes[k, j]), 1e-6 * typical[j])
+            column = at_channel(k, np.where(np.arange(len(rows.modes)) == j, q, 0.0))
+            spread = limits.form_std * max(1.0, typical[j] / here)
+            add(f"form of mode {mode + 1} at {name}", column, spread)
+            add(f"turn of mode {mode + 1} at {name}", 1j * column, spread)
+    if levels.ratio is None:
+        acting = [-rows.of_force(participation, force) for participation, force in rows.drives]
+    else:
+        acting = [-sum((rows.of_force(p, force) for p, force in rows.drives), np.zeros((levels.count, size), complex))]
+    for number, drive in enumerate(acting):
         name = force_names[number] if number < len(force_names) else ""
-        tolerance, what = _tolerance(rows, name), "the force" if len(rows.drives) == 1 else name
-        drive = -rows.of_force(participation, force)
+        tolerance, what = _tolerance(rows, name), "the force" if len(acting) == 1 else name
         add(f"gain of {what}", drive, tolerance.gain)
         add(f"phase of {what}", 1j * drive, tolerance.phase_at(float(np.median(levels.omega))))
+        for j, mode in list(enumerate(rows.modes))[1:] if levels.ratio is None else []:
+            participation, force = rows.drives[number]
+            share = max(float(typical[j]), abs(float(participation[mode])))
+            add(f"form of mode {mode + 1} at {what}", residual(j, share * force[:, 1]), limits.form_std)
     if known is not None and motion is not None:
         for name, column, std in _of_elements(rows, rig, known, motion):
             add(name, column, std)

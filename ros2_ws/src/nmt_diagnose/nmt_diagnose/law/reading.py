@@ -121,6 +121,13 @@ def read_law(rig: Rig, observations: Observations) -> LawReading | None:
     frame = ModalFrame.of(rig, levels)
     if frame is None:
         return None
+    if frame.resolution < THRESHOLDS.law.least_resolution:
+        near = " and ".join(f"{mode + 1}" for mode in sorted(frame.modes))
+        why = (
+            f"modes {near} lie so near each other that the levels move all of them, and the channels do not tell their "
+            "shapes apart; put sensors where they differ"
+        )
+        return LawReading(levels.test.name, levels.count, (), math.nan, math.nan, math.nan, math.nan, (why,))
     levels = frame.relative(levels)
     return _read(LawSearch(LawRows(frame, levels), rig), levels)
 

@@ -49,6 +49,10 @@ class LawThresholds:
         0.01, "1", "Form of the mode under test at a sensor: as a gain, 1 %.",
         "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
     )  # fmt: skip
+    least_resolution: float = threshold(
+        0.1, "1", "Least singular value of shapes of near modes at the sensors: below it 1 % of form is 10 % of q.",
+        "tests/diagnose/test_law_near_modes.py::test_sensors_that_do_not_tell_near_modes_apart_are_no_reading",
+    )  # fmt: skip
     fewest_levels: int = threshold(
         4, "1", "Levels from which one can be left out between the lowest and the highest.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",

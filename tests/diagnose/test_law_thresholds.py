@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,6 +17,7 @@ from nmt_diagnose.law.law_blocks import blocks
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.law_search import LawSearch, fewest, moves_enough
 from nmt_diagnose.law.modal_frame import ModalFrame
+from nmt_diagnose.law.nuisance import _of_other_modes
 
 
 def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
@@ -139,3 +141,27 @@ def test_a_law_that_makes_the_top_levels_worse_is_refused() -> None:
 @pytest.mark.parametrize("name", EDGES)
 def test_a_threshold_decides(name: str) -> None:
     assert EDGES[name]()
+
+
+def test_errors_of_other_modes_are_what_a_moved_model_makes_of_a_law() -> None:
+    """Columns against rows of a model whose third mode is moved by a part of one standard deviation."""
+    levels = held_levels(held(forces=FORCES[:4]), 0)
+    assert levels is not None
+    frame = ModalFrame.of(chain_of_masses(), levels)
+    assert frame is not None
+    rows, place = LawRows(frame, levels), frame.at(3)
+    force = np.zeros((4, 16), complex)
+    force[:, 1:6] = 100.0 * (1.0 + 0.3j) ** np.arange(5)
+    columns = dict(_of_other_modes(rows, [(place, force)]))
+    step, here = 1e-5, rows.of_force(place, force)
+    for what, std in (("frequency", 0.01), ("damping", 0.3)):
+        moved = getattr(frame, {"frequency": "omega", "damping": "zeta"}[what]).copy()
+        moved[2] *= 1.0 + step * std
+        # The damping of a mode is 2ζω: what its frequency is moved by leaves it.
+        zeta = frame.zeta * (frame.omega / moved) if what == "frequency" else moved
+        omega = moved if what == "frequency" else frame.omega
+        changed = LawRows(replace(frame, omega=omega, zeta=zeta), levels).of_force(place, force) - here
+        assert (
+            np.abs(changed / step - columns[f"{what} of mode 3 at its harmonics"]).max()
+            < 1e-3 * np.abs(changed / step).max()
+        )

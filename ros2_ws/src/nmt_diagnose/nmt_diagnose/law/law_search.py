@@ -88,7 +88,7 @@ class LawSearch:
         missing = self.rows.measured.copy()
         for participation, force in forces:
             missing -= self.rows.of_force(participation, force)
-        columns, self.names = nuisance_columns(self.rows, self.rig, self.known, motion)
+        columns, self.names = nuisance_columns(self.rows, self.rig, self.known, motion, others)
         white = np.moveaxis(self.rows.whitened(np.moveaxis(columns, -1, 0)), 0, -1)
         return ConvexFit(self.rows.whitened(missing), white, self.inner)
 

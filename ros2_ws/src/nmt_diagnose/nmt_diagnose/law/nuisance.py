@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,11 +22,16 @@ MOTION_ROUNDS = 4
 """Rounds of motion and force: an even force near the end of its equilibrium takes so many to 1 %."""
 
 
+_OTHER_MODES = 4
+"""Errors of modes outside the frame that are let free, the largest ones."""
+
+
 def nuisance_columns(
     rows: LawRows,
     rig: Rig,
     known: KnownForces | None,
     motion: ComplexArray | None,
+    forces: Sequence[tuple[FloatArray, ComplexArray]] = (),
 ) -> tuple[ComplexArray, tuple[str, ...]]:
     """Columns (L, R, m) that one standard deviation of each error adds to the rows, with their names.
 
@@ -34,6 +40,7 @@ def nuisance_columns(
         rig: the model.
         known: its own elements whose force is not linear; None without.
         motion: of their coordinates, m, (r, L, ORDERS + 1).
+        forces: participation and harmonics of laws beside them.
     """
     frame, levels, limits = rows.frame, rows.levels, THRESHOLDS.law
     size, channels = rows.sigma.shape[1], len(levels.channels)
@@ -104,6 +111,8 @@ def nuisance_columns(
             participation, force = rows.drives[number]
             share = max(float(typical[j]), abs(float(participation[mode])))
             add(f"form of mode {mode + 1} at {what}", residual(j, share * force[:, 1]), limits.form_std)
+    for name, column in _of_other_modes(rows, forces):
+        add(name, column, 1.0)
     if known is not None and motion is not None:
         for name, column, std in _of_elements(rows, rig, known, motion):
             add(name, column, std)
@@ -116,6 +125,34 @@ def nuisance_columns(
         gains = [_tolerance(rows, channel.name).gain for channel in levels.channels]
         add("scale of the motion", shared, float(np.mean(gains)))
     return np.stack(columns, axis=-1), tuple(names)
+
+
+def _of_other_modes(rows: LawRows, forces: Sequence[tuple[FloatArray, ComplexArray]]) -> list[tuple[str, ComplexArray]]:
+    """What one standard deviation of frequency and damping of other modes does to the rows by forces of laws.
+
+    It is one error at all levels and channels, which the uncertainty of the rows takes for many.
+    """
+    frame, levels, limits = rows.frame, rows.levels, THRESHOLDS.law
+    found: list[tuple[float, str, ComplexArray]] = []
+    for mode in np.flatnonzero(frame.omega > 0.0) if forces else []:
+        response = np.zeros((levels.count, rows.highest + 1), complex)
+        for participation, force in forces:
+            response += participation[mode] * force[:, : rows.highest + 1]
+        d = np.array([rows.denominators[h][:, mode] for h in range(rows.highest + 1)]).T
+        changes = {
+            "frequency": np.full(d.shape, 2.0 * limits.mode_frequency_std * frame.omega[mode] ** 2, complex),
+            "damping": 2j * limits.mode_damping_std * frame.zeta[mode] * frame.omega[mode]
+            * levels.omega[:, np.newaxis] * np.arange(rows.highest + 1),
+        }  # fmt: skip
+        for what, change in changes.items():
+            moved = frame.sensors[:, mode] * (response * change / d**2)[:, :, np.newaxis]
+            first = np.zeros_like(moved[:, 1]) if mode in rows.modes else moved[:, 1]
+            column = rows.assembled(np.zeros_like(rows.near), first, np.moveaxis(moved[:, 2:], 1, 2))
+            size = float(np.linalg.norm(column / rows.sigma))
+            if size > 1.0:
+                found.append((size, f"{what} of mode {mode + 1} at its harmonics", column))
+    found.sort(key=lambda one: -one[0])
+    return [(name, column) for _, name, column in found[:_OTHER_MODES]]
 
 
 def _tolerance(rows: LawRows, name: str) -> ChannelTolerance:

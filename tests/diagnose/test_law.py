@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from diagnose.simulated_levels import MASSES, chain_of_masses, held, held_sines, modes
+from diagnose.simulated_levels import FORCES, MASSES, chain_of_masses, held, held_sines, modes
 from scipy.optimize import brentq
 
 from nmt_core.messages.blocks import Quantity
@@ -71,6 +71,27 @@ def test_friction_that_weakens_with_speed_is_no_law_of_the_library_but_is_read()
     (law,) = found.laws
     assert law.place == "4"
     assert law.family == "dry friction that weakens with speed"
+    assert found.closed_inside > 0.9
+
+
+def test_bristles_that_weaken_with_speed_are_read_and_written() -> None:
+    """Friction of LuGre: its presliding is that of bristles, not of one slider."""
+    found = reading((4, "lugre", (150.0, 1e-3, 0.029, 0.046, 0.044), ()), forces=FORCES[:6])
+    assert found.is_stated
+    (law,) = found.laws
+    assert (law.place, law.family) == ("4", "dry friction that weakens with speed")
+    assert (found.closed_inside, found.closed_above) == pytest.approx((1.0, 1.0), abs=0.05)
+    bristles, weakening = with_law(chain_of_masses(), found).local_elements
+    assert bristles.bristle_stiffness_n_m + weakening.bristle_stiffness_n_m == pytest.approx(150.0, rel=0.05)
+    assert bristles.static_force_n + weakening.static_force_n == pytest.approx(0.046, rel=0.05)
+    assert bristles.coulomb_force_n + weakening.coulomb_force_n == pytest.approx(0.029, rel=0.05)
+
+
+def test_friction_whose_loops_are_pinched_is_read() -> None:
+    found = reading((4, "pinched", (75.0, 2.2e-3, 1.5, 2.0, 5.4e-4), ()), forces=FORCES[:6])
+    assert found.is_stated
+    (law,) = found.laws
+    assert (law.place, law.family) == ("4", "friction with pinched loops")
     assert found.closed_inside > 0.9
 
 

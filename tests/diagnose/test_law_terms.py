@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import lsq_linear
 
 from nmt_diagnose.law.convex import ConvexFit
 from nmt_diagnose.law.law_elements import element_of
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.reading import LawTerm, LocalLaw
-from nmt_diagnose.law.terms import SAMPLES, Term, harmonics
+from nmt_diagnose.law.terms import LEFT_SHARE, SAMPLES, Term, harmonics
 
 OMEGA, A = 100.0, 1e-3
 TURN = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
@@ -45,6 +46,43 @@ def test_a_slider_dissipates_four_times_its_slip_force_and_way() -> None:
     slip = 0.3 * A
     loss = float(np.sum(Term("slider", slip).force(X, V) * V)) * 2.0 * math.pi / OMEGA / SAMPLES
     assert loss == pytest.approx(4.0 * slip * (A - slip), rel=1e-2)
+
+
+@pytest.mark.parametrize("reach", [0.05 * A, 0.7 * A, 20.0 * A])
+def test_bristles_have_the_loop_of_their_closed_form(reach: float) -> None:
+    """dz/dx = 1 − z / reach one way and its mirror the other: z = reach tanh(A / reach) at the ends (Dahl 1976)."""
+    force = Term("bristle", reach).force(X, V)[0]
+    end = reach * math.tanh(A / reach)
+    assert force[0] == pytest.approx(end, rel=1e-3)
+    loss = float(np.sum(force * V[0])) * 2.0 * math.pi / OMEGA / SAMPLES
+    expected = 4.0 * A * reach - 2.0 * reach * (reach + end) * (1.0 - math.exp(-2.0 * A / reach))
+    assert loss == pytest.approx(expected, rel=1e-2, abs=1e-4 * A**2)
+
+
+def test_weakening_bristles_are_those_of_their_equation() -> None:
+    """ż = v − |v| z / s(v) by an adaptive integrator, at its fourth period."""
+    reach, fall = 0.1 * A, 0.3 * OMEGA * A
+
+    def rate(time: float, z: np.ndarray) -> np.ndarray:
+        v = -OMEGA * A * math.sin(OMEGA * time)
+        level = reach * (LEFT_SHARE + (1.0 - LEFT_SHARE) * math.exp(-((v / fall) ** 2)))
+        return np.array([v - abs(v) * z[0] / level])
+
+    period = 2.0 * math.pi / OMEGA
+    times = period * (3.0 + np.arange(0, SAMPLES, 8) / SAMPLES)
+    found = solve_ivp(rate, (0.0, 4.0 * period), [0.0], "LSODA", times, rtol=1e-9, atol=1e-13, max_step=period / 64)
+    force = Term("weakening bristle", reach, fall).force(X, V)[0, ::8]
+    assert np.abs(force - found.y[0]).max() < 0.02 * reach
+
+
+def test_slack_narrows_a_sliders_loop_about_no_force() -> None:
+    """The slack takes its share of the force that slides, and all of the stiffness about no force."""
+    slip, share = 0.3 * A, 0.4
+    force = Term("slack slider", slip, share).force(X, V)[0]
+    loss = float(np.sum(force * V[0])) * 2.0 * math.pi / OMEGA / SAMPLES
+    assert loss == pytest.approx(4.0 * slip * (1.0 - share) * (A - slip), rel=1e-2)
+    behind = Term("slider", slip).force(X, V)[0]
+    assert np.all(force[np.abs(behind) < share * slip] == 0.0)
 
 
 def test_even_forces_have_a_mean() -> None:
@@ -125,6 +163,24 @@ def test_a_slider_is_written_as_a_jenkins_element() -> None:
     assert section.own_values() == [1e3, pytest.approx(0.2)]
 
 
+def test_bristles_are_written_as_friction_of_bristles() -> None:
+    """Steady force at a speed, c s(v), against the section's F_C + (F_S − F_C) exp(−(v / v_S)²)."""
+    for term in (
+        LawTerm("bristle", (2e-4,), 1e3, 0.0, "N/m"),
+        LawTerm("weakening bristle", (2e-4, 0.1), 1e3, 0.0, "N/m"),
+    ):
+        section = element_of(term, LocalLaw(3, 0, "", (term,), 2e-3, (), ()))
+        assert section is not None
+        assert (section.kind, section.valid_to_m) == ("lugre", 2e-3)
+        stiffness, damping, viscous, coulomb, static, speed = section.own_values()
+        assert (stiffness, damping, viscous) == (1e3, 0.0, 0.0)
+        # At a constant speed, over a way of many reaches, in the middle of a saw tooth.
+        v = 0.07
+        x = np.concatenate([np.linspace(-1.0, 1.0, 256), np.linspace(1.0, -1.0, 256)])[np.newaxis]
+        force = 1e3 * Term(term.kind, *term.parameters).force(x, np.where(np.arange(512) < 256, v, -v)[np.newaxis])
+        assert force[0, 128] == pytest.approx(coulomb + (static - coulomb) * math.exp(-((v / speed) ** 2)), rel=1e-6)
+
+
 def test_what_no_kind_of_element_has_is_not_written() -> None:
     term = LawTerm("weakening friction", (1e-3, 0.1), 0.2, 0.0, "N")
     assert element_of(term, LocalLaw(3, 0, "", (term,), 2e-3, (), ())) is None
@@ -136,4 +192,8 @@ def test_families_are_named_by_what_the_terms_do() -> None:
     assert family([(Term("power", 2.0), 1.0)]) == "asymmetric spring"
     two = [(Term("slider", 1e-4), 1.0), (Term("slider", 1.4e-4), 1.0)]
     assert family(two) == "friction of a slider behind a spring"
+    assert family([*two, (Term("slack slider", 2e-4, 0.3), 1.0)]) == "friction with pinched loops"
+    assert family([(Term("bristle", 1e-4), 1.0)]) == "friction of a slider behind a spring"
+    weakening = (Term("weakening bristle", 1e-4, 0.1), 1.0)
+    assert family([(Term("bristle", 1e-4), 1.0), weakening]) == "dry friction that weakens with speed"
     assert family([*two, (Term("slider", 4e-4), 1.0)]) == "friction of many sliders"

@@ -90,11 +90,12 @@ def refused(score: float, pull: float, above: float = 0.9) -> bool:
     return bool(reading._refusals(search, best, 1.0, above))
 
 
-def has_second(first: float, second: float) -> bool:
+def has_second(first: float, second: float, without: float = 10.0) -> bool:
     fit = SimpleNamespace(coefficients=np.array([1.0, 1.0]), nuisance=np.zeros(0), covariance=1e-4 * np.eye(2))
     block = SimpleNamespace(terms=(1,))
     pair = law(second, 2, fit=fit)
-    search: Any = SimpleNamespace(seconds=lambda _: [pair], firsts=lambda _: [], again=lambda one: one)
+    null = SimpleNamespace(score=without)
+    search: Any = SimpleNamespace(seconds=lambda _: [pair], firsts=lambda _: [], again=lambda one: one, null=null)
     return reading._with_second(search, law(first, parts=[(None, block)])) is pair
 
 
@@ -127,7 +128,8 @@ EDGES = {
     "told_score_ratio": lambda: [refused(score, 0.0) for score in (0.49, 0.51)] == [False, True],
     "pull_sigmas": lambda: [refused(0.1, pull) for pull in (2.9, 3.1)] == [False, True],
     "second_score_ratio": lambda: [has_second(4.0, 4.0 * share) for share in (0.74, 0.76)] == [True, False],
-    "second_from_score": lambda: [has_second(first, 0.1) for first in (0.49, 0.51)] == [False, True],
+    "single_closure": lambda: [has_second(2.0, 0.1, 1.0 + 1.0 / left) for left in (0.051, 0.049)] == [True, False],
+    "second_from_score": lambda: [has_second(first, 0.1, 1.0) for first in (0.49, 0.51)] == [False, True],
     "least_null_score": lambda: [is_looked_for(score) for score in (0.99, 1.01)] == [False, True],
     "start_score_ratio": lambda: [worth_a_start(shares_of(score)) for score in (0.79, 0.81)] == [True, False],
     "dry_slip_share": lambda: abs(dry_slip() - 0.02 * 1e-3) < 1e-12,

@@ -39,7 +39,7 @@ FAMILIES = {
     "drag": "damping that grows with speed", "amplitude_damper": "damping that grows with amplitude",
     "coulomb": "dry friction", "slider": "friction of a slider behind a spring",
     "stribeck": "dry friction that weakens with speed", "iwan": "friction of many sliders",
-    "pinched": "friction of many sliders", "magnet": "softening spring", "backlash": "clearance",
+    "pinched": "friction with pinched loops", "magnet": "softening spring", "backlash": "clearance",
     "asymmetric": "hardening, asymmetric spring", "lugre": "dry friction that weakens with speed",
 }  # fmt: skip
 """How a reader would say it."""

@@ -101,7 +101,7 @@ def _start(candidates: Sequence[Candidate], law: LocalLaw) -> tuple[Candidate, F
 
 def _effects(law: LocalLaw) -> list[tuple[str, Mapping[str, float]]]:
     """Names of effects with parameters by name, the strongest term of the law first."""
-    sliders = [term for term in law.terms if term.kind == "slider"]
+    sliders = [term for term in law.terms if term.kind in ("slider", "slack slider", "bristle", "weakening bristle")]
     if sliders:
         stiffness = sum(term.coefficient for term in sliders)
         force = sum(term.coefficient * term.parameters[0] for term in sliders)

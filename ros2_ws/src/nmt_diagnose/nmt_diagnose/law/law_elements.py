@@ -8,6 +8,8 @@ from typing import Any
 from nmt_diagnose.effects.changes import kind_of
 from nmt_diagnose.effects.rig_edit import with_element
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw
+from nmt_diagnose.law.terms import LEFT_SHARE
+from nmt_rig.model.local_elements.attachments import LuGreSection
 from nmt_rig.model.local_elements.contacts import TwoSidedGapSection, UnilateralStopSection
 from nmt_rig.model.local_elements.dampers import AmplitudeDamperSection, EddyBrakeSection, PowerLawDamperSection
 from nmt_rig.model.local_elements.element import ElementSection
@@ -23,6 +25,7 @@ _NAMES = {
     "stop damping": "damping in contact",
     "stop": "a stop on the negative side",
     "weakening friction": "the part of the friction that weakens with speed",
+    "slack slider": "the part of the friction with slack",
 }
 
 
@@ -51,6 +54,13 @@ def _keys(term: LawTerm) -> tuple[type[ElementSection], dict[str, float]] | None
         return (UnilateralStopSection, {"stiffness_n_m": c, "gap_m": gap}) if side > 0.0 else None
     if term.kind == "slider":
         return JenkinsSection, {"tangential_stiffness_n_m": c, "slip_force_n": c * first}
+    if term.kind in ("bristle", "weakening bristle"):
+        weakens = term.kind == "weakening bristle"
+        return LuGreSection, {
+            "bristle_stiffness_n_m": c, "bristle_damping_ns_m": 0.0, "viscous_damping_ns_m": 0.0,
+            "coulomb_force_n": c * first * (LEFT_SHARE if weakens else 1.0), "static_force_n": c * first,
+            "stribeck_velocity_m_s": term.parameters[-1] if weakens else 1.0,
+        }  # fmt: skip
     if term.kind == "speed":
         return PowerLawDamperSection, {"coefficient_n_sp_mp": c, "exponent": first}
     if term.kind == "amplitude" and first == 2.0:

@@ -221,16 +221,15 @@ class LawSearch:
     ) -> tuple[LawPlace, Block]:
         """One part with the parameter of its block moved to where the fit is best."""
         place, block = candidate.parts[number]
-        if not block.refined or (block.refined == 1 and not block.terms[0].first > 0.0):
-            return place, block
 
-        def cost(log_factor: float) -> float:
+        def cost(other: Block) -> float:
             parts = list(candidate.parts)
-            parts[number] = (place, moved(block, float(np.exp(log_factor))))
+            parts[number] = (place, other)
             return problem.cost(*self._along(tuple(parts), motions))
 
-        found = minimize_scalar(cost, bounds=(-0.4, 0.4), method="bounded", options={"xatol": 2e-3, "maxiter": 20})
-        return place, moved(block, float(np.exp(found.x))) if found.fun < cost(0.0) else block
+        for parameter in block.refined if block.terms[0].first > 0.0 or 1 not in block.refined else ():
+            block = _best_moved(block, parameter, (-0.4, 0.4), cost)
+        return place, block
 
     def seconds(self, first: Candidate) -> list[Candidate]:
         """Blocks at all places beside a first law, the best first."""
@@ -267,9 +266,21 @@ def _between(family: Sequence[Block], number: int, cost: Callable[[Block], float
     if not bounds[1] > bounds[0]:
         return best
     found = minimize_scalar(
-        lambda factor: cost(moved(best, float(factor))), bounds=bounds, method="bounded", options={"maxiter": 12}
+        lambda factor: cost(moved(best, 1, float(factor))), bounds=bounds, method="bounded", options={"maxiter": 12}
     )
-    return moved(best, float(found.x)) if found.fun < cost(best) else best
+    return moved(best, 1, float(found.x)) if found.fun < cost(best) else best
+
+
+def _best_moved(block: Block, number: int, logs: tuple[float, float], cost: Callable[[Block], float]) -> Block:
+    """The block with a parameter moved, within logarithms of a factor, to where the cost is least."""
+
+    def at(log_factor: float) -> Block:
+        return moved(block, number, float(np.exp(log_factor)))
+
+    found = minimize_scalar(
+        lambda log_factor: cost(at(log_factor)), bounds=logs, method="bounded", options={"xatol": 2e-3, "maxiter": 20}
+    )
+    return at(float(found.x)) if found.fun < cost(block) else block
 
 
 def fewest(found: Sequence[Candidate]) -> Candidate:

@@ -12,12 +12,16 @@ _PLAIN = {
     "gap": "clearance", "gap damping": "clearance", "slider": "friction of a slider behind a spring",
     "speed": "damping that grows with speed", "amplitude": "damping that grows with amplitude",
     "friction": "dry friction", "weakening friction": "dry friction that weakens with speed",
-    "brake": "damping that falls with speed",
+    "brake": "damping that falls with speed", "slack slider": "friction with pinched loops",
+    "weakening bristle": "dry friction that weakens with speed",
 }  # fmt: skip
 
 
 _SMALL_SHARE = 0.05
 """Force of a slider over the largest below which it says nothing of the family."""
+_PART_SHARE = 0.2
+"""Force of sliders with slack, or of bristles that weaken, over that of all below which the others say the family."""
+_SLIDERS = ("slider", "slack slider", "bristle", "weakening bristle")
 _ONE_RATIO = 1.6
 """Ratio of slip displacements up to which sliders of a grid stand for one between them."""
 
@@ -29,14 +33,26 @@ def family(terms: Sequence[tuple[Term, float]]) -> str:
         return _polynomial(terms)
     if kinds & {"stop", "stop damping"}:
         return "stop on one side"
-    sliders = [(term.first, value * term.first) for term, value in terms if term.kind == "slider"]
+    sliders = [(term.first, _sliding_force(term, value)) for term, value in terms if term.kind in _SLIDERS]
     if sliders:
+        by_kind = {
+            kind: sum(_sliding_force(t, c) for t, c in terms if t.kind == kind) for kind in kinds & set(_SLIDERS)
+        }
+        total = sum(by_kind.values())
+        for kind in ("slack slider", "weakening bristle"):
+            if by_kind.get(kind, 0.0) > _PART_SHARE * total:
+                return _PLAIN[kind]
         most = max(force for _, force in sliders)
         large = [slip for slip, force in sliders if force > _SMALL_SHARE * most]
         return "friction of many sliders" if max(large) > _ONE_RATIO * min(large) else _PLAIN["slider"]
     if "weakening friction" in kinds:
         return _PLAIN["weakening friction"]
     return _PLAIN[next(iter(sorted(kinds)))]
+
+
+def _sliding_force(term: Term, coefficient: float) -> float:
+    """Force at which a slider or bristles slide, at their slowest."""
+    return coefficient * term.first * (1.0 - term.second if term.kind == "slack slider" else 1.0)
 
 
 def _polynomial(terms: Sequence[tuple[Term, float]]) -> str:
@@ -66,6 +82,9 @@ def formula(kind: str, parameters: Sequence[float]) -> str:
         "slider": f"spring that slips at {size} mm", "speed": f"|v|{power} sgn v", "amplitude": f"|x|{power} v",
         "friction": f"tanh(v / {significant(first, 2)} m/s)",
         "weakening friction": f"tanh(v / {significant(first, 2)} m/s) exp(−(v / {last} m/s)²)",
+        "slack slider": f"spring that slips at {size} mm, slack up to {last} of it",
+        "bristle": f"bristles that slide at {size} mm",
+        "weakening bristle": f"bristles that slide at {size} mm exp(−(v / {last} m/s)²)",
         "brake": f"v / (1 + (v / {significant(first, 2)} m/s)²)",
     }[kind]  # fmt: skip
 

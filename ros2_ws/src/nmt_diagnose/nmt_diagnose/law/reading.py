@@ -166,6 +166,8 @@ def _with_second(search: LawSearch, first: Candidate) -> Candidate:
     limits = THRESHOLDS.law
     if first.score <= limits.second_from_score:
         return first
+    if _closed(search.null.score, first.score) >= limits.single_closure:
+        return first
     pairs = sorted((search.again(pair) for pair in search.seconds(first)[:4]), key=lambda pair: pair.score)
     if not pairs or pairs[0].score > limits.second_score_ratio * first.score:
         return first

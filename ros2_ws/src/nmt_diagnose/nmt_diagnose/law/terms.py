@@ -10,6 +10,8 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_diagnose.law.modal_frame import ORDERS
 
+LEFT_SHARE = 0.01
+"""Of the force of weakening bristles that high speeds leave; without it they would not hold on to anything there."""
 SAMPLES = 512
 """A period's samples: forces with corners have aliases below 1e-4 of their size in the orders that are kept."""
 
@@ -53,6 +55,14 @@ class Term:
             return np.asarray(np.where(np.sign(b) * x > a, v, 0.0))
         if self.kind == "slider":
             return slider_force(x, a)
+        if self.kind == "slack slider":
+            # The spring before the slider has a slack of a share of its slip displacement: loops narrow about no force.
+            behind = slider_force(x, a)
+            return np.asarray(behind - np.clip(behind, -b * a, b * a))
+        if self.kind == "bristle":
+            return bristle_force(x, np.full_like(x, a))
+        if self.kind == "weakening bristle":
+            return bristle_force(x, a * (LEFT_SHARE + (1.0 - LEFT_SHARE) * np.exp(-((v / b) ** 2))))
         if self.kind == "speed":
             return np.asarray(np.abs(v) ** a * np.sign(v))
         if self.kind == "amplitude":
@@ -68,7 +78,7 @@ class Term:
 
 _UNITS = {
     "gap": "N/m", "stop": "N/m", "gap damping": "N s/m", "stop damping": "N s/m", "slider": "N/m", "friction": "N",
-    "weakening friction": "N", "brake": "N s/m",
+    "weakening friction": "N", "brake": "N s/m", "slack slider": "N/m", "bristle": "N/m", "weakening bristle": "N/m",
 }  # fmt: skip
 
 
@@ -103,6 +113,45 @@ def _slider_loops(x: FloatArray, slip: float) -> FloatArray:
                 at = min(max(at, x[row, k] - slip), x[row, k] + slip)
                 if turn == 1:
                     result[row, k] = x[row, k] - at
+    return result
+
+
+def bristle_force(x: FloatArray, reach: FloatArray) -> FloatArray:
+    """Force z of bristles of 1 N/m on its closed loop: dz/dx = 1 − z sgn(v) / reach.
+
+    Constant reach is Dahl's law, one that falls with speed the bristles of Canudas de Wit et al. (IEEE Trans. Automat.
+    Contr. 40, 1995) without their damping. Between samples the reach is constant; the loop is affine in its start.
+
+    Args:
+        x: one period of the displacement, m, (…, n).
+        reach: deflection of the bristles while they slide, m, (…, n).
+    """
+    flat = (np.ascontiguousarray(part.reshape(-1, x.shape[-1])) for part in (x, reach))
+    loops: FloatArray = _bristle_loops(*flat)
+    return loops.reshape(x.shape)
+
+
+@njit(cache=True)
+def _bristle_loops(x: FloatArray, reach: FloatArray) -> FloatArray:
+    """Deflection of the bristles, row by row."""
+    result = np.empty_like(x)
+    count = x.shape[1]
+    for row in range(x.shape[0]):
+        at, kept = 0.0, 1.0
+        # A period from zero and what it keeps of a start give the start that a period comes back to.
+        for turn in range(2):
+            if turn == 1:
+                at = at / (1.0 - kept) if kept < 1.0 else 0.0
+            for k in range(count):
+                result[row, k] = at
+                after = (k + 1) % count
+                way = x[row, after] - x[row, k]
+                full = 0.5 * (reach[row, after] + reach[row, k])
+                full = full if way > 0.0 else -full
+                share = np.exp(-abs(way / full))
+                at = full + (at - full) * share
+                if turn == 0:
+                    kept *= share
     return result
 
 

@@ -93,6 +93,10 @@ class LawThresholds:
         0.5, "1", "Score from which on a second law is looked for: healthy structures leave 0.2 to 0.5 of tolerances.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
+    single_closure: float = threshold(
+        0.95, "1", "Share of the gap closed from which on one law is enough: grids of sliders leave 1 to 5 %.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
     start_score_ratio: float = threshold(
         0.8, "1", "Score with the law over that without it from which on the search begins at it, too.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",

@@ -129,27 +129,30 @@ def scan_modes(
     """
     plain = np.ones(model.frequencies.size)
 
-    def cost(ratios: FloatArray) -> float:
-        moved = np.abs(model(ratios, plain) / at_rest)
+    def costs_of(trials: FloatArray) -> FloatArray:
+        """Of some ratios, (n, m): median over the channels of what is left beside a gain."""
+        moved = np.abs(np.array([model(ratios, plain) for ratios in trials]) / at_rest)
         log = np.log(np.maximum(measured, 1e-300) / np.maximum(expected * moved, 1e-300))
         costs = []
-        for row, keep in zip(log, clear, strict=True):
+        for row, keep in enumerate(clear):
             if keep.sum() >= 10:
-                costs.append(float(np.mean(np.minimum(np.abs(row[keep] - np.median(row[keep])), 3.0))))
-        return float(np.median(costs)) if costs else 0.0
+                left = log[:, row, keep]
+                left = np.abs(left - np.median(left, axis=1, keepdims=True))
+                costs.append(np.mean(np.minimum(left, 3.0), axis=1))
+        return np.asarray(np.median(costs, axis=0)) if costs else np.zeros(len(trials))
 
-    best, ratios = cost(plain), plain.copy()
-    together = [cost(ratio * plain) for ratio in _RATIOS]
-    if min(together) < 0.7 * best:
-        best, ratios = min(together), _RATIOS[int(np.argmin(together))] * plain
+    best, ratios = float(costs_of(plain[np.newaxis])[0]), plain.copy()
+    together = costs_of(np.multiply.outer(_RATIOS, plain))
+    if together.min() < 0.7 * best:
+        best, ratios = float(together.min()), _RATIOS[int(np.argmin(together))] * plain
     for _ in range(2):
         before = best
         for mode in range(ratios.size):
             trials = np.tile(ratios, (_RATIOS.size, 1))
             trials[:, mode] = _RATIOS
-            costs = [cost(trial) for trial in trials]
-            if min(costs) < 0.8 * best:
-                best, ratios = min(costs), trials[int(np.argmin(costs))]
+            costs = costs_of(trials)
+            if costs.min() < 0.8 * best:
+                best, ratios = float(costs.min()), trials[int(np.argmin(costs))]
         if best == before:
             break
     return ratios

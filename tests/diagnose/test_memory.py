@@ -27,7 +27,7 @@ KNOWN = ("cubic_stiffness", "quintic_stiffness", "phase_offset", "viscous_dampin
 SETTINGS = DiagnosisSettings(
     withheld=tuple(effect.name for effect in library() if effect.name not in KNOWN), look_ahead=False
 )
-LOW, ALL = (0.1, 0.2, 0.4, 0.8, 1.6), (0.1, 0.2, 0.4, 0.8, 1.6, 2.0)
+LOW, ALL = (0.1, 0.4, 1.6), (0.1, 0.4, 1.6, 2.0)
 
 
 def observed(drives: tuple[float, ...]) -> Observations:

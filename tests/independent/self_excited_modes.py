@@ -114,7 +114,7 @@ def nonlinear_mode(
     return result[:, 0], result[:, 1]
 
 
-def limit_cycle(model: SelfExcitedModel, start: float, seconds: float = 12.0) -> tuple[float, float]:
+def limit_cycle(model: SelfExcitedModel, start: float, seconds: float = 8.0) -> tuple[float, float]:
     """Amplitude q of the fundamental and angular frequency that the free motion settles at, by time integration.
 
     Args:

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import yaml
 
+import nmt_rig
 from nmt_core.files import yaml_text as module
+from nmt_core.files.hardened import BoundedYaml, fast_loader
+from nmt_core.files.yaml_document import _document
 from nmt_rig.rig import load_rig
+
+RIGS = Path(nmt_rig.__file__).parent / "rigs"
 
 SHARED = [1, 2]
 VALUE = {
@@ -46,3 +52,30 @@ def test_the_text_loads_to_the_value(yaml_text, sort_keys, ascii_only):
 def test_other_types_are_refused(yaml_text):
     with pytest.raises(yaml.YAMLError):
         yaml_text({"object": object()})
+
+
+BY_HAND = """\
+# A file by hand: ä, µ
+name: "a \\u00b5 b"   # quoted
+numbers: {one: 1e-4, two: 1.0E+3, three: 0x1f, four: 1_000, time: 12:30:00, date: 2026-03-01, none: ~}
+words: [yes, 'it''s', plain words, on, -, .inf]
+text: |
+  first
+
+  second
+folded: >-
+  goes on
+  here
+nested:
+- {a: [1, 2, {b: c}]}
+-
+  key : value
+"""
+
+
+@pytest.mark.parametrize("file", ["", "frame.yaml", "clamped_beam.yaml"])
+def test_both_parsers_read_a_file_by_hand_alike(file: str) -> None:
+    text = (RIGS / file).read_text(encoding="utf-8") if file else BY_HAND
+    one, other = (_document(loader(text), "x", "file", "") for loader in (BoundedYaml, fast_loader()))
+    assert one == other
+    assert len(one.places) > 20

@@ -7,9 +7,9 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
 
 from nmt_core.errors import BenchError
+from nmt_core.files.hardened import yaml_value
 from nmt_core.kinds import KindOfTest, SelfExcitedTest, kind_named
 from nmt_pll.loop_settings import LoopSettings
 from nmt_rig.rig import Rig, load_rig
@@ -213,8 +213,8 @@ def _text_with_block(text: str, rig: Rig) -> str:
     line = f"block_samples: {rig.block_samples}\n"
     longer = f"{text.rstrip()}\n\n# Chosen for the test in which this rig was used.\n{line}"
     try:
-        values = yaml.safe_load(longer)
-    except yaml.YAMLError:
+        values = yaml_value(longer, "rig file")
+    except BenchError:
         return rig_text(rig)
     only = isinstance(values, dict) and longer.count("block_samples:") == 1
     return longer if only and values.get("block_samples") == rig.block_samples else rig_text(rig)

@@ -131,7 +131,7 @@ BoundedYaml.add_implicit_resolver(
 
 
 @cache
-def _fast_loader() -> type[Any]:
+def fast_loader() -> type[Any]:
     """`BoundedYaml` whose text is taken apart by libyaml, ten times as fast; itself where PyYAML has no libyaml."""
     if not yaml.__with_libyaml__:
         return BoundedYaml
@@ -155,7 +155,7 @@ def yaml_value(text: str, name: str) -> Any:
     if len(text) > LARGEST_DOCUMENT:
         raise BenchError(f"{name} has {len(text)} characters, more than the {LARGEST_DOCUMENT} that are read.")
     try:
-        loader = _fast_loader()(text)
+        loader = fast_loader()(text)
         try:
             node = loader.get_single_node()
             _count_expanded(node, [_MOST_NODES], name)

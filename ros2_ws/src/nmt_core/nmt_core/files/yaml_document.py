@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from nmt_core.errors import BenchError
-from nmt_core.files.hardened import LARGEST_DOCUMENT, YAML_FAULTS, BoundedYaml, check_number, read_text
+from nmt_core.files.hardened import LARGEST_DOCUMENT, YAML_FAULTS, BoundedYaml, check_number, fast_loader, read_text
 
 KeyPath = tuple[str | int, ...]
 _MOST_NODES = 20_000
@@ -60,9 +60,21 @@ def parse_document(
     if len(text) > LARGEST_DOCUMENT:
         raise BenchError(f"{name} has {len(text)} characters, far too many for a {what}; is it the right file?")
     try:
+        return _document(fast_loader()(text), name, what, needs)
+    except yaml.YAMLError:
+        pass  # PyYAML's parser, which is slower, says better what is wrong
+    try:
         loader = BoundedYaml(text)
     except yaml.YAMLError as error:
         raise BenchError(f"{name} is not a YAML text file: {str(error).splitlines()[0]}.") from error
+    try:
+        return _document(loader, name, what, needs)
+    except yaml.YAMLError as error:
+        raise BenchError(_syntax_message(error, name)) from error
+
+
+def _document(loader: BoundedYaml, name: str, what: str, needs: str) -> YamlDocument:
+    """Errors as :func:`parse_document`, and those of YAML as they are."""
     try:
         node = loader.get_single_node()
         if node is None:
@@ -70,8 +82,6 @@ def parse_document(
         places: dict[KeyPath, str] = {}
         budget = [_MOST_NODES]
         values = _construct(loader, node, (), places, name, budget)
-    except yaml.YAMLError as error:
-        raise BenchError(_syntax_message(error, name)) from error
     except RecursionError as error:
         raise BenchError(f"{name}: the file is nested too deeply; write it out plainly.") from error
     finally:

@@ -21,7 +21,7 @@ from nmt_diagnose.observations.read_observations import read_observations
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
 
-RIG = rig_with_noise(overrides=["sample_rate_hz=5000"])
+RIG = rig_with_noise()
 
 
 @pytest.fixture(scope="module")

@@ -97,7 +97,7 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Rig, Path]:
 
 
 def test_observables_of_a_linear_rig_without_noise(tmp_path: Path) -> None:
-    rig = rig_with_noise(overrides=LINEAR, noise=0.0)
+    rig = rig_with_noise(overrides=[*LINEAR, "sample_rate_hz=10000"], noise=0.0)
     observations = read_observations([record(tmp_path / "run", rig, levels=(0.2, 0.5, 0.3))], rig)
     test = observations.tests[0]
     assert isinstance(test, PhaseResonanceTest)
@@ -334,7 +334,7 @@ def test_lines_gather_where_the_phase_turns() -> None:
 
 
 def test_ring_down_of_a_linear_rig(tmp_path: Path) -> None:
-    rig = rig_with_noise(overrides=LINEAR, noise=0.1)
+    rig = rig_with_noise(overrides=[*LINEAR, "sample_rate_hz=10000"], noise=0.1)
     observations = read_observations([record(tmp_path / "run", rig, TestKind.RING_DOWN, (1.0,), duration=3.0)], rig)
     test = observations.tests[0]
     assert isinstance(test, RingDownTest)

@@ -25,7 +25,7 @@ from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK, parse_topic
 from nmt_record.windows.segments import Segment, segments
 
-RIG = rig_with_noise()
+RIG = rig_with_noise(overrides=["sample_rate_hz=10000"])
 LEVELS = tuple(0.1 * 1.2**number for number in range(12))
 REASONS = {
     1: "Within the window a converter was overloaded ('force', block at sample {block}).",

@@ -68,7 +68,7 @@ def test_a_harmonic_at_the_mains_hides_it() -> None:
 
 
 def test_a_humming_channel_of_a_bag_is_named_and_the_twin_knows_its_line(tmp_path: Path) -> None:
-    model = rig_with_noise(noise=20.0, overrides=["local_elements=[]"])
+    model = rig_with_noise(noise=20.0, overrides=["local_elements=[]", "sample_rate_hz=10000"])
     index = next(k for k, sensor in enumerate(model.sensors) if model.sensor_channel(sensor) == "x4")
     sensors = list(model.sensors)
     sensors[index] = sensors[index].model_copy(update={"hum_amplitude": 2e-7, "hum_hz": 60.0})

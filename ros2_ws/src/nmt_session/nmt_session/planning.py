@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import yaml_value
 from nmt_core.kinds import KindOfTest, SelfExcitedTest, kind_named

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -49,6 +50,12 @@ def searched(truth: Rig, wandering: float = 0.0) -> tuple[Search, FittedExplanat
     return Search(data, MODEL, parameters, library), null
 
 
+@cache
+def searched_model() -> tuple[Search, FittedExplanation]:
+    """Without an error."""
+    return searched(MODEL)
+
+
 NEVER = ("frequency", "damping", "response", "harmonics")
 
 
@@ -59,7 +66,7 @@ def moved(found: FittedExplanation, to: float) -> FittedExplanation:
 
 
 def test_a_parameter_that_nobody_believes_is_named_with_its_distance() -> None:
-    search, null = searched(MODEL)
+    search, null = searched_model()
     count = len(null.fit.parametrisation.calibration)
     edge = float(norm.isf(THRESHOLDS.comparison.incredible_probability / (2.0 * count)))  # Bonferroni
     assert edge > THRESHOLDS.comparison.credible_sigmas - 0.5
@@ -75,7 +82,7 @@ def test_a_parameter_that_nobody_believes_is_named_with_its_distance() -> None:
 
 
 def test_an_effect_stands_in_for_an_error_of_the_chain_that_nobody_believes() -> None:
-    search, null = searched(MODEL)
+    search, null = searched_model()
     errors = null.fit.errors
     position = search.data.chain_names.index("delay x1")
     slope = errors.slopes[:, position]
@@ -93,7 +100,7 @@ def test_an_effect_stands_in_for_an_error_of_the_chain_that_nobody_believes() ->
 
 
 def test_an_error_of_the_chain_counts_where_it_is_incredible_and_matters() -> None:
-    search, null = searched(MODEL)
+    search, null = searched_model()
     position = search.data.chain_names.index("gain x1")
 
     def pulled(sigmas: float, matters: float) -> float:
@@ -124,7 +131,7 @@ def test_an_effect_is_needed_where_the_fit_without_it_leaves_something_that_matt
 
 
 def test_no_effect_is_needed_where_the_model_alone_lies_within_the_noise() -> None:
-    search, null = searched(MODEL)
+    search, null = searched_model()
     wanted = DiagnosisSettings().matters
     assert not leaves_something(search.data, null, wanted)
     for found in [it for score in search.scores(null)[:3] if (it := search.added(null, score)) is not None]:
@@ -162,7 +169,7 @@ def test_errors_that_share_a_reason_count_together() -> None:
 
 
 def test_a_rival_is_fitted_again_from_the_parameters_of_the_leader() -> None:
-    search, null = searched(MODEL)
+    search, null = searched_model()
 
     def lost_by(distance: float) -> FittedExplanation:
         """The model alone with a parameter elsewhere, said to be far worse."""
@@ -201,7 +208,7 @@ def test_what_was_fitted_to_other_data_is_fitted_anew_before_it_competes() -> No
 
 def test_no_stinger_is_on_a_shaking_table() -> None:
     table = MODEL.model_copy(update={"exciter": ShakingTableSection(kind="shaking_table", point=2)})
-    operating = operating_range(MODEL, searched(MODEL)[0].data.observations.tests)
+    operating = operating_range(MODEL, searched_model()[0].data.observations.tests)
     stinger = effect_named("stinger_stiffness")
     assert stinger.sites(MODEL, operating)
     assert not stinger.sites(table, operating)

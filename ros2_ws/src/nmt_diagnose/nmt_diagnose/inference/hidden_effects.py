@@ -15,8 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import entr
-from scipy.stats import norm
+from scipy.special import entr, ndtr
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
@@ -100,7 +99,7 @@ class Growth:
         size = size_of_change(self._left, known, self._left.sigma, self._change).values
         most = max((value / max(self._wanted.get(kind, 0.0), 1e-300) for kind, value in size.items()), default=0.0)
         least = min(most, self._beyond_noise(known))
-        return self._probability * float(norm.cdf(self._found.sigmas * (1.0 - 1.0 / least))) if least > 0.0 else 0.0
+        return self._probability * float(ndtr(self._found.sigmas * (1.0 - 1.0 / least))) if least > 0.0 else 0.0
 
     def _beyond_noise(self, known: BoolArray) -> float:
         """How much stronger it is than what leaves more than noise in a channel's rows of one kind."""

@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
@@ -75,7 +75,7 @@ class Groups:
         """Probability by its prior that each learnt scale is as large (Fisher's F), (K,); NaN where none is learnt."""
         learnt = np.isfinite(self.degrees) & (counts > 0.0)
         result = np.full(self.degrees.size, np.nan)
-        result[learnt] = fisher.sf(squares[learnt] / counts[learnt], counts[learnt], self.degrees[learnt])
+        result[learnt] = fdtrc(counts[learnt], self.degrees[learnt], squares[learnt] / counts[learnt])
         return result
 
     def trends(self, residual: FloatArray, used: BoolArray) -> FloatArray:
@@ -109,7 +109,7 @@ class Groups:
                 sums, numbers = sums[: levels // 2], numbers[: levels // 2]
                 degrees = nu + counts.sum() - numbers
                 others = np.maximum((nu + squares.sum() - sums) / degrees, self.least[group])
-                tails.append(fisher.sf(sums / numbers / others, numbers, degrees))
+                tails.append(fdtrc(numbers, degrees, sums / numbers / others))
             result[group] = min(1.0, float(np.min(tails)) * 2.0 * (levels // 2))
         return result
 

@@ -11,8 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, norm
-from scipy.stats import f as fisher
+from scipy.special import chdtrc, fdtrc, ndtr
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.inference.residual_map import channel_name
@@ -82,7 +81,7 @@ def holm(tests: list[ResidualTest]) -> tuple[ResidualTest, ...]:
 
 
 def _chi_square(name: str, where: str, statistic: float, degrees_of_freedom: int) -> ResidualTest:
-    return ResidualTest(name, where, statistic, degrees_of_freedom, float(chi2.sf(statistic, degrees_of_freedom)))
+    return ResidualTest(name, where, statistic, degrees_of_freedom, float(chdtrc(degrees_of_freedom, statistic)))
 
 
 def _size(test: Test, squares: float, count: int) -> ResidualTest:
@@ -90,7 +89,7 @@ def _size(test: Test, squares: float, count: int) -> ResidualTest:
     name, degrees = "size of the residual", getattr(test, "noise_degrees", math.inf)
     if math.isinf(degrees):
         return _chi_square(name, test.name, squares, count)
-    return ResidualTest(name, test.name, squares, count, float(fisher.sf(squares / count, count, degrees)))
+    return ResidualTest(name, test.name, squares, count, float(fdtrc(count, degrees, squares / count)))
 
 
 def _over_level(
@@ -162,5 +161,5 @@ def _neighbours(
         if count > 10:
             z = total / np.sqrt(count)
             name = channel_name(observations, number, int(channel))
-            result.append(ResidualTest("likeness of neighbouring lines", name, z, 0, float(norm.sf(z))))
+            result.append(ResidualTest("likeness of neighbouring lines", name, z, 0, float(ndtr(-z))))
     return result

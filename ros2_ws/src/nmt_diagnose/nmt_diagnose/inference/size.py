@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtr
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_core.text.number_words import significant
@@ -158,7 +158,7 @@ def implausible_parameters(data: Data, found: FittedExplanation) -> tuple[tuple[
         return (), 1.0
     theta = np.abs(found.fit.theta[: len(parameters)])
     worst = int(np.argmax(theta))
-    chance = min(1.0, len(parameters) * 2.0 * float(norm.sf(theta[worst])))
+    chance = min(1.0, len(parameters) * 2.0 * float(ndtr(-theta[worst])))
     if chance >= THRESHOLDS.comparison.incredible_probability:
         return (), chance
     credible = found.fit.theta.copy()
@@ -239,7 +239,7 @@ def tension(data: Data, found: FittedExplanation) -> float:
 def relief_that_counts(data: Data, found: FittedExplanation) -> float:
     """Fall of the tension of a fit by one effect more that is no chance: χ² of one degree of freedom, Bonferroni."""
     count = _believed(data, found).size
-    return float(chi2.isf(THRESHOLDS.comparison.incredible_probability / max(count, 1), 1))
+    return float(chdtri(1, THRESHOLDS.comparison.incredible_probability / max(count, 1)))
 
 
 def _believed(data: Data, found: FittedExplanation) -> FloatArray:
@@ -270,7 +270,7 @@ def strained(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) 
             *(abs(float(chain[j])) for j in far if _matters(data, moved[:, j], wanted)),
         ]
     )
-    return min(1.0, (parameters.size + chain.size) * 2.0 * float(norm.sf(farthest)))
+    return min(1.0, (parameters.size + chain.size) * 2.0 * float(ndtr(-farthest)))
 
 
 def _matters(data: Data, change: FloatArray, wanted: Mapping[str, float]) -> bool:

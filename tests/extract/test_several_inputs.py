@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
@@ -168,12 +169,12 @@ def test_inputs_that_depend_on_each_other_are_refused(record):
         evaluated(signals(same, responses))
 
 
-@pytest.mark.parametrize("inverted", [(0, 1), (0,), (1,)])
+@pytest.mark.parametrize("inverted", with_quick(["12", "1", "2"], "12", "2"))
 def test_an_inverted_force_is_refused(record, inverted):
     forces, responses = record[0].copy(), record[1]
     recorded = signals(forces, responses)
-    for row in inverted:
-        recorded.channels[f"f{row + 1}"] = -forces[row]
+    for number in inverted:
+        recorded.channels[f"f{number}"] = -forces[int(number) - 1]
     with pytest.raises(BenchError, match="wrong sign"):
         evaluated(recorded)
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from node import lockstep_trials
+from tiers import with_quick
 
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.errors import BenchError
@@ -233,7 +234,7 @@ def test_a_killed_node_ends_the_run(victim: str, pacing: str, tmp_path: Path) ->
         assert not blocks[-1].data.any()
 
 
-@pytest.mark.parametrize("reader", ["recorder", "extract"])
+@pytest.mark.parametrize("reader", with_quick(["recorder", "extract"], "recorder"))
 def test_in_lockstep_a_stopped_reader_is_waited_for(reader: str, tmp_path: Path) -> None:
     """It is stopped until the plant waits for it; bag and points are whole."""
     said: list[str] = []

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from pll.closed_loop import ClosedLoop
+from tiers import with_quick
 
 from nmt_core.messages.blocks import BlockFlag, Quantity
 from nmt_core.vocabulary import ControlKind, LoopState
@@ -125,7 +126,7 @@ def four_levels(point: int) -> np.ndarray:
     return np.geomspace(RANGES[point][0] * (1 if point == 2 else 2), RANGES[point][1], 4)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", with_quick([1, 2, 3], 1))
 @pytest.mark.parametrize("point", [2, 6])
 def test_the_noise_of_the_paper_does_not_keep_it_from_locking(point, seed):
     bench = ClosedLoop(point, [*noise(), f"seed={seed}"])

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from pll.internal_resonance import at_amplitude, folds
+from tiers import with_quick
 
 from nmt_core.vocabulary import PointStatus
 from nmt_pll.amplitude.response_control import ResponseController
@@ -58,8 +59,9 @@ def test_a_fold_over_the_force_is_none_over_the_amplitude():
     assert len(folds(0.2)[1]) == 2
 
 
-@pytest.mark.parametrize("direction", [1, -1], ids=["up", "down"])
-@pytest.mark.parametrize("factor", [1.0, 0.5], ids=["1 %", "0.5 %"])
+@pytest.mark.parametrize(
+    ("factor", "direction"), with_quick([(1.0, 1), (1.0, -1), (0.5, 1), (0.5, -1)], (1.0, 1), (0.5, -1))
+)
 def test_the_levels_pass_an_internal_resonance(factor, direction):
     points = measured(factor, list(np.geomspace(0.6e-3, 2.7e-3, 8)[::direction]))
     assert all(point.status is PointStatus.OK for point in points)
@@ -82,7 +84,7 @@ def test_at_a_fold_over_the_amplitude_the_levels_jump_once():
         assert point.omega_rad_s == pytest.approx(first.omega_b, rel=1e-3)
 
 
-@pytest.mark.parametrize("latency", [0, 1, 3])
+@pytest.mark.parametrize("latency", with_quick([0, 1, 3], 0, 3))
 def test_latency_and_noise_leave_the_levels_stable(latency):
     levels = [1.2e-3, 1.8e-3, 2.2e-3, 2.6e-3]
     points = measured(0.5, levels, NOISE, latency_blocks=latency)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pll.internal_resonance import at_amplitude, folds
+from tiers import with_quick
 
 from nmt_core.vocabulary import PointStatus, SteeringAct
 from nmt_extract.backbone_jumps import direction_difference, find_jumps
@@ -50,7 +51,7 @@ def test_levels_are_put_in_where_the_backbone_bends_and_the_bag_knows_them(tmp_p
     assert all(one.identical(other) for one, other in zip(again, points, strict=True))
 
 
-@pytest.mark.parametrize("factor", [1.0, 0.5])
+@pytest.mark.parametrize("factor", with_quick([1.0, 0.5], 0.5))
 def test_without_a_fold_over_the_amplitude_up_and_down_are_the_same(factor, tmp_path):
     levels = [0.7e-3, 1.2e-3, 1.7e-3, 1.9e-3, 2.1e-3, 2.6e-3]
     points, _, _ = measured(factor, [*levels, *levels[-2::-1]], tmp_path, 0.0)

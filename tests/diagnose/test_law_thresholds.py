@@ -43,7 +43,7 @@ def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
     spread = np.sqrt(levels.motion_std[:, 0, 2] ** 2 + (doubt * second) ** 2 + (1e-5 * size) ** 2)
     assert rows.sigma[:, 5] == pytest.approx(spread, rel=1e-9)
     search = LawSearch(rows, chain_of_masses())
-    columns = dict(zip(search.names, np.moveaxis(search.basis.nuisance, -1, 0), strict=True))
+    columns = dict(zip(search.basis.names, np.moveaxis(search.basis.nuisance, -1, 0), strict=True))
     q = np.abs(rows.coordinate([])[:, 0])
     omega, zeta = frame.omega[frame.target], frame.zeta[frame.target]
     sizes = {
@@ -70,7 +70,7 @@ def test_the_damping_that_a_model_without_any_may_lack_is_stated() -> None:
     assert frame is not None
     rows = LawRows(frame, levels)
     search = LawSearch(rows, rig)
-    column = search.basis.nuisance[:, :, list(search.names).index("damping of the mode")]
+    column = search.basis.nuisance[:, :, list(search.basis.names).index("damping of the mode")]
     found = np.hypot(column[:, 0], column[:, column.shape[1] // 2]) * rows.sigma[:, 0]
     q = np.abs(rows.coordinate([])[:, 0])
     assert found == pytest.approx(2e-4 * 2.0 * frame.omega[frame.target] * levels.omega * q, rel=1e-6)
@@ -85,18 +85,21 @@ def shares_of(after: float, before: float = 1.0) -> Any:
 
 
 def refused(score: float, pull: float, above: float = 0.9) -> bool:
-    search: Any = SimpleNamespace(names=("gain",))
-    best = law(score, fit=SimpleNamespace(nuisance=np.array([pull])))
-    return bool(reading._refusals(search, best, 1.0, above))
+    best = law(score, fit=SimpleNamespace(nuisance=np.array([pull]), names=("gain",)))
+    return bool(reading._refusals(best, 1.0, above))
 
 
 def has_second(first: float, second: float, without: float = 10.0) -> bool:
-    fit = SimpleNamespace(coefficients=np.array([1.0, 1.0]), nuisance=np.zeros(0), covariance=1e-4 * np.eye(2))
+    fit = SimpleNamespace(
+        coefficients=np.array([1.0, 1.0]), nuisance=np.zeros(0), names=(), covariance=1e-4 * np.eye(2)
+    )
     block = SimpleNamespace(terms=(1,))
     pair = law(second, 2, fit=fit)
     null = SimpleNamespace(score=without)
-    search: Any = SimpleNamespace(seconds=lambda _: [pair], firsts=lambda _: [], again=lambda one: one, null=null)
-    return reading._with_second(search, law(first, parts=[(None, block)])) is pair
+    search: Any = SimpleNamespace(
+        seconds=lambda _: [pair], firsts=lambda _: [], fewer=lambda _: [], again=lambda one: one, null=null
+    )
+    return reading._with_second(search, law(first, fit=fit, parts=[(None, block)])) is pair
 
 
 def is_looked_for(score: float) -> bool:
@@ -134,6 +137,28 @@ EDGES = {
     "start_score_ratio": lambda: [worth_a_start(shares_of(score)) for score in (0.79, 0.81)] == [True, False],
     "dry_slip_share": lambda: abs(dry_slip() - 0.02 * 1e-3) < 1e-12,
 }  # fmt: skip
+
+
+def test_a_second_law_is_looked_for_where_the_first_needs_a_pull() -> None:
+    """It is taken where it takes the pull off, however little the score falls."""
+
+    def chosen(pulls: tuple[float, float], score: float) -> bool:
+        common = {"coefficients": np.array([1.0, 1.0]), "names": ("gain",), "covariance": 1e-4 * np.eye(3)}
+        fits = [SimpleNamespace(nuisance=np.array([pull]), **common) for pull in pulls]
+        pair = law(score, 2, fit=fits[1])
+        search: Any = SimpleNamespace(
+            seconds=lambda _: [pair],
+            firsts=lambda _: [],
+            fewer=lambda _: [],
+            again=lambda one: one,
+            null=SimpleNamespace(score=10.0),
+        )
+        parts = [(None, SimpleNamespace(terms=(1,)))]
+        return reading._with_second(search, law(0.4, fit=fits[0], parts=parts)) is pair
+
+    assert [chosen((pull, 0.0), 0.39) for pull in (2.9, 3.1)] == [False, True]
+    assert [chosen((3.5, pull), 0.39) for pull in (2.9, 3.1)] == [True, False]
+    assert not chosen((3.5, 0.0), 0.41)
 
 
 def test_a_law_that_makes_the_top_levels_worse_is_refused() -> None:

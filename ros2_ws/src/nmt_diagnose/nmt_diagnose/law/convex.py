@@ -24,6 +24,8 @@ class Solution:
 
     Attributes:
         nuisance: errors of chain and model in their standard deviations, (m,).
+        names: of these errors.
+        corrected: whitened rows less these errors, (L, M).
         coefficients: of the columns, (k,).
         squares: sum of squared residuals of each level, (L,).
         score: rms of whitened rows of levels that the fit did not see; NaN if none was left out.
@@ -31,6 +33,8 @@ class Solution:
     """
 
     nuisance: FloatArray
+    names: tuple[str, ...]
+    corrected: FloatArray
     coefficients: FloatArray
     squares: FloatArray
     score: float
@@ -49,10 +53,13 @@ class ConvexFit:
         target: whitened rows, (L, M).
         nuisance: whitened columns of one standard deviation each, (L, M, m).
         left_out: levels that are left out in turn.
+        names: of the errors.
     """
 
-    def __init__(self, target: FloatArray, nuisance: FloatArray, left_out: list[int]) -> None:
-        self.target, self.nuisance, self.left_out = target, nuisance, left_out
+    def __init__(
+        self, target: FloatArray, nuisance: FloatArray, left_out: list[int], names: tuple[str, ...] = ()
+    ) -> None:
+        self.target, self.nuisance, self.left_out, self.names = target, nuisance, left_out, names
         self.counts = np.isfinite(target).sum(axis=1)
         self.tt = np.einsum("lm,lm->l", target, target)
         self.nn = np.einsum("lmi,lmj->lij", nuisance, nuisance)
@@ -87,8 +94,10 @@ class ConvexFit:
         normal = all_normal[np.ix_(active, active)] + np.diag(np.where(active < m, 1.0, _JITTER))
         covariance = np.linalg.pinv(normal)
         sizes = np.concatenate([np.ones(m), 1.0 / np.where(norms > 0.0, norms, 1.0)])[active]
-        return Solution(theta[:m], theta[m:] / np.where(norms > 0.0, norms, 1.0), squares, found,
-                        covariance * np.outer(sizes, sizes))  # fmt: skip
+        return Solution(
+            theta[:m], self.names, self.target - self.nuisance @ theta[:m],
+            theta[m:] / np.where(norms > 0.0, norms, 1.0), squares, found, covariance * np.outer(sizes, sizes),
+        )  # fmt: skip
 
     def predicted(self, columns: FloatArray, signed: BoolArray, out: list[int]) -> float:
         """rms of whitened rows of some levels that a fit to the others predicts."""

@@ -46,9 +46,8 @@ def force_loops(search: LawSearch, candidate: Candidate, number: int) -> tuple[F
     rows = search.rows
     place, _ = candidate.parts[number]
     forces = search.forces(candidate)
-    problem = search.problem(forces)
     # What chain and model are off by, and the laws of other places, do not belong to it.
-    left = problem.target - problem.nuisance @ candidate.fit.nuisance
+    left = candidate.fit.corrected
     for k, (participation, force) in enumerate(forces):
         if k != number:
             left = left - rows.whitened(rows.of_force(participation, force))

@@ -88,9 +88,9 @@ class LawSearch:
         missing = self.rows.measured.copy()
         for participation, force in forces:
             missing -= self.rows.of_force(participation, force)
-        columns, self.names = nuisance_columns(self.rows, self.rig, self.known, motion, others)
+        columns, names = nuisance_columns(self.rows, self.rig, self.known, motion, others)
         white = np.moveaxis(self.rows.whitened(np.moveaxis(columns, -1, 0)), 0, -1)
-        return ConvexFit(self.rows.whitened(missing), white, self.inner)
+        return ConvexFit(self.rows.whitened(missing), white, self.inner, names)
 
     def places(self) -> list[LawPlace]:
         """Points that move, and neighbours of a chain."""
@@ -247,6 +247,17 @@ class LawSearch:
         second = Candidate(pair.parts[1:], pair.fit, pair.motions[1:])
         found = self._at(pair.parts[0][0], pair.motions[0], self.problem(self.forces(pair)), second)
         return sorted(found, key=lambda candidate: candidate.score)
+
+    def fewer(self, pair: Candidate) -> list[Candidate]:
+        """The laws with one power less: a polynomial that was chosen beside another first law may have one too many."""
+        problem, found = self.problem(self.forces(pair)), []
+        for k, (place, block) in enumerate(pair.parts):
+            for term in block.terms if len(block.terms) > 1 else ():
+                if term.kind == "power":
+                    kept = replace(block, terms=tuple(other for other in block.terms if other != term))
+                    parts = (*pair.parts[:k], (place, kept), *pair.parts[k + 1 :])
+                    found.append(replace(pair, parts=parts, fit=problem.solve(*self._along(parts, pair.motions))))
+        return found
 
 
 def moves_enough(sizes: FloatArray) -> BoolArray:

@@ -157,25 +157,37 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
     above = _closed(*_above(search, best))
     return LawReading(
         levels.test.name, levels.count, laws, before, best.score, _closed(before, best.score), above,
-        _refusals(search, best, before, above),
+        _refusals(best, before, above),
     )  # fmt: skip
 
 
 def _with_second(search: LawSearch, first: Candidate) -> Candidate:
-    """The law with a second one beside it where the score falls enough by it."""
+    """The law with a second one beside it where the score falls enough by it, or where the first bends the model."""
     limits = THRESHOLDS.law
-    if first.score <= limits.second_from_score:
+    bent = bool(_pulled(first))
+    if not bent and first.score <= limits.second_from_score:
         return first
-    if _closed(search.null.score, first.score) >= limits.single_closure:
+    if not bent and _closed(search.null.score, first.score) >= limits.single_closure:
         return first
-    pairs = sorted((search.again(pair) for pair in search.seconds(first)[:4]), key=lambda pair: pair.score)
-    if not pairs or pairs[0].score > limits.second_score_ratio * first.score:
+    found = [search.again(pair) for pair in search.seconds(first)[:4]]
+    pairs = [pair for pair in found if _is_better(pair, first)]
+    if not pairs:
         return first
     pair = fewest(pairs)
     size = len(first.parts[0][1].terms)
     values, std = pair.fit.coefficients[size:], _stds(pair)[size:]
-    sure = np.any(np.abs(values[values != 0.0]) > limits.pull_sigmas * std[values != 0.0])
-    return fewest([pair, *(search.again(other) for other in search.firsts(pair)[:3])]) if sure else first
+    if not np.any(np.abs(values[values != 0.0]) > limits.pull_sigmas * std[values != 0.0]):
+        return first
+    others = [search.again(other) for other in search.firsts(pair)[:3]]
+    chosen = fewest([pair, *(other for other in others if _is_better(other, first))])
+    return fewest([chosen, *(search.again(law) for law in search.fewer(chosen))])
+
+
+def _is_better(pair: Candidate, first: Candidate) -> bool:
+    """Whether the score falls enough by a second law, or it takes off a pull that the first alone needs."""
+    if pair.score <= THRESHOLDS.law.second_score_ratio * first.score:
+        return True
+    return pair.score < first.score and bool(_pulled(first)) and not _pulled(pair)
 
 
 def _stds(candidate: Candidate) -> FloatArray:
@@ -210,20 +222,25 @@ def _above(search: LawSearch, best: Candidate) -> tuple[float, float]:
     )
 
 
-def _refusals(search: LawSearch, best: Candidate, before: float, closed_above: float) -> tuple[str, ...]:
+def _refusals(best: Candidate, before: float, closed_above: float) -> tuple[str, ...]:
     limits, result = THRESHOLDS.law, []
     if best.score > limits.told_score_ratio * before:
         result.append(f"with it {100.0 * best.score / before:.0f} % of the misfit stay; half is asked for")
-    pulled = [
-        f"{name} ({value:+.1f} σ)"
-        for name, value in zip(search.names, best.fit.nuisance, strict=True)
-        if abs(value) > limits.pull_sigmas
-    ]
+    pulled = _pulled(best)
     if pulled:
         result.append(f"it needs what chain and model are not ordinarily off by: {', '.join(pulled)}")
     if closed_above < 0.0:
         result.append(f"the top two levels are predicted worse with it: {percent(closed_above)} of the gap is closed")
     return tuple(result)
+
+
+def _pulled(best: Candidate) -> list[str]:
+    """Errors of chain and model that a law needs and that are not ordinarily so large."""
+    return [
+        f"{name} ({value:+.1f} σ)"
+        for name, value in zip(best.fit.names, best.fit.nuisance, strict=True)
+        if abs(value) > THRESHOLDS.law.pull_sigmas
+    ]
 
 
 def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Candidate]) -> LocalLaw:

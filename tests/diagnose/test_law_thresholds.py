@@ -13,11 +13,12 @@ from diagnose.simulated_levels import FORCES, chain_of_masses, held
 from nmt_diagnose.inference.law_starts import _effects, worth_a_start
 from nmt_diagnose.law import reading
 from nmt_diagnose.law.held_levels import held_levels
-from nmt_diagnose.law.law_blocks import blocks
+from nmt_diagnose.law.law_blocks import Block, blocks
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.law_search import LawSearch, fewest, moves_enough
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.nuisance import _of_other_modes
+from nmt_diagnose.law.terms import Term
 
 
 def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
@@ -131,7 +132,8 @@ EDGES = {
     "told_score_ratio": lambda: [refused(score, 0.0) for score in (0.49, 0.51)] == [False, True],
     "pull_sigmas": lambda: [refused(0.1, pull) for pull in (2.9, 3.1)] == [False, True],
     "second_score_ratio": lambda: [has_second(4.0, 4.0 * share) for share in (0.74, 0.76)] == [True, False],
-    "single_closure": lambda: [has_second(2.0, 0.1, 1.0 + 1.0 / left) for left in (0.051, 0.049)] == [True, False],
+    "single_closure": lambda: [has_second(2.0, 1.3, 1.0 + 1.0 / left) for left in (0.051, 0.049)] == [True, False],
+    "clear_score_ratio": lambda: [has_second(2.0, 2.0 * share, 100.0) for share in (0.49, 0.51)] == [True, False],
     "second_from_score": lambda: [has_second(first, 0.1, 1.0) for first in (0.49, 0.51)] == [False, True],
     "least_null_score": lambda: [is_looked_for(score) for score in (0.99, 1.01)] == [False, True],
     "start_score_ratio": lambda: [worth_a_start(shares_of(score)) for score in (0.79, 0.81)] == [True, False],
@@ -159,6 +161,17 @@ def test_a_second_law_is_looked_for_where_the_first_needs_a_pull() -> None:
     assert [chosen((pull, 0.0), 0.39) for pull in (2.9, 3.1)] == [False, True]
     assert [chosen((3.5, pull), 0.39) for pull in (2.9, 3.1)] == [True, False]
     assert not chosen((3.5, 0.0), 0.41)
+
+
+def test_what_does_not_slip_at_the_levels_below_predicts_nothing_of_those_above() -> None:
+    motion = np.zeros((4, 16), complex)
+    motion[:, 1] = np.array([1.0, 2.0, 3.0, 4.0]) * 1e-3
+    sliders = Block("sliders", tuple(Term("slider", slip) for slip in (1e-3, 1.9e-3, 2.1e-3)))
+    one = Block("slider", (Term("slider", 2.5e-3),))
+    search: Any = SimpleNamespace(rows=SimpleNamespace(levels=SimpleNamespace(omega=np.full(4, 100.0))))
+    for block, expected in ((sliders, [True, True, False]), (one, [True])):
+        best: Any = SimpleNamespace(parts=((None, block),), motions=(motion,))
+        assert reading._slipping(search, best, 2).tolist() == expected
 
 
 def test_a_law_that_makes_the_top_levels_worse_is_refused() -> None:

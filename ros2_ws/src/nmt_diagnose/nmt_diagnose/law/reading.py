@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
 from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop, force_loops
 from nmt_diagnose.law.held_levels import HeldLevels, held_levels
@@ -167,10 +167,11 @@ def _with_second(search: LawSearch, first: Candidate) -> Candidate:
     bent = bool(_pulled(first))
     if not bent and first.score <= limits.second_from_score:
         return first
-    if not bent and _closed(search.null.score, first.score) >= limits.single_closure:
-        return first
+    # What a law leaves that closes nearly all is often its own form, and then falls by a part only.
+    enough = _closed(search.null.score, first.score) >= limits.single_closure
+    ratio = limits.clear_score_ratio if enough else limits.second_score_ratio
     found = [search.again(pair) for pair in search.seconds(first)[:4]]
-    pairs = [pair for pair in found if _is_better(pair, first)]
+    pairs = [pair for pair in found if _is_better(pair, first, ratio)]
     if not pairs:
         return first
     pair = fewest(pairs)
@@ -179,13 +180,13 @@ def _with_second(search: LawSearch, first: Candidate) -> Candidate:
     if not np.any(np.abs(values[values != 0.0]) > limits.pull_sigmas * std[values != 0.0]):
         return first
     others = [search.again(other) for other in search.firsts(pair)[:3]]
-    chosen = fewest([pair, *(other for other in others if _is_better(other, first))])
+    chosen = fewest([pair, *(other for other in others if _is_better(other, first, ratio))])
     return fewest([chosen, *(search.again(law) for law in search.fewer(chosen))])
 
 
-def _is_better(pair: Candidate, first: Candidate) -> bool:
-    """Whether the score falls enough by a second law, or it takes off a pull that the first alone needs."""
-    if pair.score <= THRESHOLDS.law.second_score_ratio * first.score:
+def _is_better(pair: Candidate, first: Candidate, ratio: float) -> bool:
+    """Whether the score falls to a ratio by a second law, or it takes off a pull that the first alone needs."""
+    if pair.score <= ratio * first.score:
         return True
     return pair.score < first.score and bool(_pulled(first)) and not _pulled(pair)
 
@@ -214,12 +215,27 @@ def _above(search: LawSearch, best: Candidate) -> tuple[float, float]:
     top = [count - 2, count - 1]
     forces = search.forces(best)
     problem = search.problem(forces)
-    signed = np.array([t.signed for _, block in best.parts for t in block.terms])
     empty = np.zeros((*problem.target.shape, 0))
+    kept = _slipping(search, best, count - 2)
+    signed = np.array([t.signed for _, block in best.parts for t in block.terms])[kept]
     return (
         search.basis.predicted(empty, np.zeros(0, bool), top),
-        problem.predicted(search.law_columns(best), signed, top),
+        problem.predicted(search.law_columns(best)[:, :, kept], signed, top),
     )
+
+
+def _slipping(search: LawSearch, best: Candidate, count: int) -> BoolArray:
+    """Terms of a law that its lowest levels can tell, (k,): of many sliders those that slip there.
+
+    What does not slip is a spring to them, and many such are told from each other by nothing.
+    """
+    result = []
+    for (_, block), motion in zip(best.parts, best.motions, strict=True):
+        x, _ = sampled(motion[:count], search.rows.levels.omega[:count])
+        largest = float(np.abs(x).max())
+        slips = [term.kind not in ("slider", "slack slider") or term.first <= largest for term in block.terms]
+        result += slips if any(slips) else [True] * len(slips)
+    return np.array(result, bool)
 
 
 def _refusals(best: Candidate, before: float, closed_above: float) -> tuple[str, ...]:

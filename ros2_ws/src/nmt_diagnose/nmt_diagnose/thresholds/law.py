@@ -94,7 +94,11 @@ class LawThresholds:
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     single_closure: float = threshold(
-        0.95, "1", "Share of the gap closed from which on one law is enough: grids of sliders leave 1 to 5 %.",
+        0.95, "1", "Share of the gap closed by a law from which on a second must halve the rest: grids leave 1 to 5 %.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
+    clear_score_ratio: float = threshold(
+        0.5, "1", "Score with a second law over that of a first that closes nearly all from which on it is told.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     start_score_ratio: float = threshold(

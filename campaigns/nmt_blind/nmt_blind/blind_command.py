@@ -6,6 +6,7 @@ import contextlib
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -74,6 +75,11 @@ class RunOptions:
     scheduler: str = scheduler_option()
     discard_bags: bool = option(False, "remove the bags of a case once it is diagnosed; hashes stay")
     again: bool = option(False, "diagnose cases that have a result, too")
+    sizes: str = option(
+        "none",
+        "what matters: usual, the sizes of './nmt diagnose', or none, every effect that is seen (default: none)",
+        choices=("none", "usual"),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,7 +195,7 @@ def _make(options: MakeOptions) -> int:
 
 
 def _run(options: RunOptions) -> int:
-    from nmt_blind.campaign.run import run_campaign
+    from nmt_blind.campaign.run import diagnose_case, run_campaign
 
     with _bar(options, "diagnosing") as bar:
         done = run_campaign(
@@ -199,6 +205,7 @@ def _run(options: RunOptions) -> int:
             options.scheduler,
             options.discard_bags,
             options.again,
+            partial(diagnose_case, sizes=options.sizes),
             progress=lambda number, total, case: bar.update(number, total, case),
         )
     each = f", {done.seconds:.1f} s each (median)" if done.new else ""

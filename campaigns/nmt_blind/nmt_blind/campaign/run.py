@@ -50,14 +50,22 @@ class CampaignRun:
     waiting: int = 0
 
 
-def diagnose_case(model: Path, bags: Sequence[Path], withheld: str) -> dict[str, Any]:
-    """The diagnosis that ``./nmt diagnose`` makes, without looking for the next test, and a baseline's answer."""
+def diagnose_case(model: Path, bags: Sequence[Path], withheld: str, sizes: str = "none") -> dict[str, Any]:
+    """The diagnosis that ``./nmt diagnose`` makes, without looking for the next test, and a baseline's answer.
+
+    Args:
+        model, bags, withheld: of the case.
+        sizes: from which size on a difference matters: ``none``, every one that is seen, or ``usual``.
+    """
     from nmt_blind.campaign.ensemble_sindy import sparse_terms
     from nmt_diagnose.inference.diagnose import diagnose_bags
-    from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+    from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
 
-    # What is asked is whether an effect is seen, however small it is.
-    settings = DiagnosisSettings(withheld=tuple(withheld.split(",")) if withheld else (), look_ahead=False, matters={})
+    settings = DiagnosisSettings(
+        withheld=tuple(withheld.split(",")) if withheld else (),
+        look_ahead=False,
+        matters=MATTERS if sizes == "usual" else {},
+    )
     result = diagnose_bags(model, bags, settings=settings).diagnosis.to_mapping()
     with contextlib.suppress(BenchError, ArithmeticError, np.linalg.LinAlgError):
         result["sindy"] = sparse_terms(model, bags)

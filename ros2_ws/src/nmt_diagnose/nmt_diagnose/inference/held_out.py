@@ -79,7 +79,6 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
     # the samples that are lost in one window tell of those in others.
     limits = np.isin(rows.part, (Part.LIMIT, Part.REPEATS))
     result = []
-    levelled = np.zeros(len(rows), dtype=bool)
     odd = np.zeros(len(rows), dtype=bool)
     top = np.zeros(len(rows), dtype=bool)
     for number, test in enumerate(observations.tests):
@@ -89,7 +88,6 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
         levels = np.unique(rows.level[selected])
         if levels.size < THRESHOLDS.verdict.held_out_fewest_levels:
             continue
-        levelled |= selected
         odd |= selected & np.isin(rows.level, levels[1::2])
         if not isinstance(test, RecordTest):
             by_amplitude = {level: float(np.max(rows.amplitude[selected & (rows.level == level)])) for level in levels}

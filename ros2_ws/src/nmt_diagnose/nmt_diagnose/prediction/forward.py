@@ -37,6 +37,15 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, SensorSection
 
 _OF_THE_CHANNEL = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
+_PREDICTORS: dict[type, type] = {
+    PhaseResonanceTest: PhaseResonancePredictor,
+    RandomTest: RandomPredictor,
+    SteppedSineTest: SteppedSinePredictor,
+    RingDownTest: RingDownPredictor,
+    ImposedMotionTest: ImposedMotionPredictor,  # a record, too
+    RecordTest: RecordPredictor,
+    BackboneTable: BackbonePredictor,
+}
 
 
 @dataclass(frozen=True)
@@ -93,20 +102,9 @@ class Forward:
                 predictor.use(shared)
 
     def _twin(self, test: Test, rows: Rows) -> Any:
-        if isinstance(test, PhaseResonanceTest):
-            return PhaseResonancePredictor(test, rows, self.settings)
-        if isinstance(test, RandomTest):
-            return RandomPredictor(test, rows, self.settings)
-        if isinstance(test, SteppedSineTest):
-            return SteppedSinePredictor(test, rows, self.settings)
-        if isinstance(test, RingDownTest):
-            return RingDownPredictor(test, rows, self.settings)
-        if isinstance(test, ImposedMotionTest):
-            return ImposedMotionPredictor(test, rows, self.settings)
-        if isinstance(test, RecordTest):
-            return RecordPredictor(test, rows, self.settings)
-        if isinstance(test, BackboneTable):
-            return BackbonePredictor(test, rows, self.settings)
+        for kind, predictor in _PREDICTORS.items():
+            if isinstance(test, kind):
+                return predictor(test, rows, self.settings)
         raise BenchError(f"the diagnosis' model cannot predict a test of kind {type(test).__name__}.")
 
     def _unexcited(

@@ -116,7 +116,6 @@ class PeriodicLevels:
         driven = max((len(term) for level in test.levels for term in level.terms), default=1)
         self.basis = FourierBasis.up_to(max(settings.harmonics, test.harmonics, driven))
         self.ideal_force = test.held == "force"
-        self.measured_count = len(test.channels)
         # Channels that the phase condition needs come behind those of the test, if they were not recorded.
         channels = list(test.channels)
         names = [channel.name for channel in channels]

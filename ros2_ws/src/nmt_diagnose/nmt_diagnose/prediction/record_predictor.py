@@ -129,14 +129,18 @@ class RecordPredictor:
         selected = self.rows.part == Part.SAMPLE
         return np.where(selected, responses[np.maximum(self.rows.channel, 0), self._sample], 0.0)
 
+    def _driven_model(self, parts: RigParts, rate: float, substeps: int) -> tuple[float, float, SteppedModel]:
+        """Saturation and gain of the drive, and the recursion of the poles over a step."""
+        saturation = math.inf if self.ideal_force else float(parts.saturation[0])
+        gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
+        rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
+        return saturation, gain, stepped_model(parts.linear, parts.coordinates, rows, 1.0 / (rate * substeps))
+
     def _raw(
         self, parts: RigParts, rate: float, substeps: int, errors: bool = False
     ) -> tuple[FloatArray, InitialState]:
         """Motion and its begin as :meth:`_stepped`, remembered; rigs that differ in sensors only share it."""
-        saturation = math.inf if self.ideal_force else float(parts.saturation[0])
-        gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
-        rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
-        model = stepped_model(parts.linear, parts.coordinates, rows, 1.0 / (rate * substeps))
+        saturation, gain, model = self._driven_model(parts, rate, substeps)
         errors = errors or self.test.begins_in_motion
         digest = hashlib.sha256(repr((substeps, saturation, gain, errors)).encode())
         # The state that a record begins in is read through the sensors.
@@ -172,10 +176,7 @@ class RecordPredictor:
             louder: share of the input that is added to it.
             errors: whether those of the begin are wanted where the model starts at rest.
         """
-        saturation = math.inf if self.ideal_force else float(parts.saturation[0])
-        gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
-        rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
-        model = stepped_model(parts.linear, parts.coordinates, rows, 1.0 / (rate * substeps))
+        saturation, gain, model = self._driven_model(parts, rate, substeps)
         drive = (1.0 + louder) * self._interpolated(substeps) + offset
         if math.isfinite(saturation):
             drive = saturation * np.tanh(drive / saturation)

@@ -55,8 +55,16 @@ class ForcePlant:
         self.setup = ForceSetup(HIGHEST, CUTOFF, BLOCK, latency, (1.5 + latency) * BLOCK, 40, **setup)
         told = [np.nan] if factors is None else factors
         known = known or (lambda f: matrices(f, exciters) * np.broadcast_to(told, exciters))
+        tables = {}  # of the frequencies that are asked for block by block
+
+        def table(frequency_hz):
+            key = np.asarray(frequency_hz, dtype=float).tobytes()
+            if key not in tables:
+                tables[key] = known(frequency_hz)
+            return tables[key].copy()
+
         start, gain = np.eye(1, exciters)[0].astype(complex), FUNDAMENTAL_GAIN[:exciters].copy()
-        self.controller = ForceController(self.setup, known, start, gain)
+        self.controller = ForceController(self.setup, table, start, gain)
         self.gains = matrices(FREQUENCY * np.arange(2, HIGHEST + 1), exciters)
         for exciter, order in dead:
             self.gains[order - 2, :, exciter - 1] = 0.0

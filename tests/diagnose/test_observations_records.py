@@ -16,11 +16,12 @@ from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, RecordTest
-from nmt_diagnose.observations.kinds.record_observations import interpolated, spread_samples, white_noise
+from nmt_diagnose.observations.kinds.record_observations import spread_samples, white_noise
 from nmt_diagnose.observations.kinds.table_observations import noise_of_weak_lines
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_record.exchange.imported_run import read_import, write_import
+from nmt_signals.band_limited import finer
 
 
 def simulated(test: RecordTest, stiffness: float, damping: float, gain: float) -> FloatArray:
@@ -93,10 +94,10 @@ def test_interpolation_is_exact_in_its_band() -> None:
     def signal(t: FloatArray) -> FloatArray:
         return np.asarray(np.sin(2 * np.pi * 60.0 * t + 0.3) + 0.5 * np.cos(2 * np.pi * 110.0 * t) + 0.2)
 
-    result = interpolated(signal(time), 4)
+    result = finer(signal(time), 4, padding=400)
     np.testing.assert_allclose(result[::4], signal(time), atol=1e-9)
     assert np.abs(result - signal(fine))[800:-800].max() < 2e-3
-    assert interpolated(signal(time), 1) is not result
+    assert finer(signal(time), 1) is not result
 
 
 def test_samples_are_spread_and_different() -> None:

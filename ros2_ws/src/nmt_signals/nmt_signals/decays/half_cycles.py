@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.signal import resample, savgol_filter
+from scipy.signal import savgol_filter
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
+from nmt_signals.band_limited import finer
 from nmt_signals.decays.decay_nodes import Node
 from nmt_signals.thresholds import DECAYS
 
@@ -37,7 +38,9 @@ def half_cycle_nodes(samples: FloatArray, sample_rate: float, frequency_hz: floa
     if samples.size < period:
         raise BenchError(f"its {samples.size} samples are less than a period of the mode at {frequency_hz:.4g} Hz")
     factor = math.ceil(DECAYS.turning_fine_samples / period)
-    time, value, time_std, value_std = _turning_points(_finer(samples, factor), factor * period)
+    time, value, time_std, value_std = _turning_points(
+        finer(samples, factor)[: (samples.size - 1) * factor + 1], factor * period
+    )
     # Interpolated samples are no more independent values than those that were measured.
     time, time_std, value_std = time / factor, time_std / math.sqrt(factor), value_std * math.sqrt(factor)
     swing = 0.5 * np.abs(np.diff(value))
@@ -80,19 +83,6 @@ def strongest_frequency(samples: FloatArray, sample_rate: float) -> float:
     size = 8 * samples.size
     power = np.abs(np.fft.rfft(motion, size))
     return float(np.argmax(power[1:]) + 1) * sample_rate / size
-
-
-def _finer(samples: FloatArray, factor: int) -> FloatArray:
-    """Band-limited interpolation between samples; sample k comes to stand at ``factor`` k."""
-    if factor <= 1:
-        return samples
-    # Odd reflections at the ends: no step where the ends of the Fourier transform meet.
-    size = samples.size - 1
-    padded = np.concatenate((2.0 * samples[0] - samples[:0:-1], samples, 2.0 * samples[-1] - samples[-2::-1]))
-    trend = np.linspace(padded[0], padded[-1], padded.size)
-    fine = resample(padded - trend, padded.size * factor)
-    fine = fine + np.interp(np.arange(fine.size) / factor, np.arange(padded.size), trend)
-    return np.asarray(fine[size * factor : (2 * size) * factor + 1])
 
 
 def _turning_points(samples: FloatArray, period: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -19,7 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import resample, welch
+from scipy.signal import welch
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
@@ -32,6 +32,7 @@ from nmt_diagnose.observations.observables import Observations, Part, Place, Row
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.linear_modes import damped_modes
+from nmt_signals.band_limited import finer
 from nmt_signals.channel_faults.clipping import clipping_level
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -52,21 +53,6 @@ def white_noise(samples: FloatArray, sample_rate: float) -> float:
     segment = min(samples.size, max(64, samples.size // 64))
     _, power = welch(samples - samples.mean(), sample_rate, nperseg=segment)
     return float(math.sqrt(np.quantile(power[1:-1], THRESHOLDS.reading.record_noise_quantile) * 0.5 * sample_rate))
-
-
-def interpolated(samples: FloatArray, factor: int) -> FloatArray:
-    """Band-limited interpolation; sample k comes to stand at ``factor`` k, shape (factor n,)."""
-    if factor == 1:
-        return samples
-    size = min(THRESHOLDS.reading.record_padding_samples, samples.size - 1)
-    # Odd reflections at the ends: no step where the ends of the Fourier transform meet.
-    head = 2.0 * samples[0] - samples[size:0:-1]
-    tail = 2.0 * samples[-1] - samples[-2 : -size - 2 : -1]
-    padded = np.concatenate((head, samples, tail))
-    trend = np.linspace(padded[0], padded[-1], padded.size)
-    fine = resample(padded - trend, padded.size * factor)
-    fine = fine + np.interp(np.arange(fine.size) / factor, np.arange(padded.size), trend)
-    return np.ascontiguousarray(fine[size * factor : (size + samples.size) * factor])
 
 
 def refinement(response: FloatArray, sample_rate: float) -> int:
@@ -169,7 +155,7 @@ def _one(
         drive_point=view.rig.drive_point,
         sample_rate=factor * stretch.sample_rate,
         input_channel=model_channel,
-        input=interpolated(source_samples, factor),
+        input=finer(source_samples, factor, THRESHOLDS.reading.record_padding_samples),
         channels=tuple(present),
         segment_bounds=factor * bounds.astype(np.float64),
         start_s=stretch.start_s,

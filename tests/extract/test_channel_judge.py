@@ -26,7 +26,7 @@ Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 def run(rig: str, levels: list[float], channel: str = "", change: Change | None = None, **plan: Any) -> Any:
     """Points of a run; from its second level on a channel is changed: (values, the 100 values before) -> values."""
-    test = plan_test(rig, levels, window_periods=40, **plan)
+    test = plan_test(rig, levels, window_periods=24, **plan)
     on = [False]
 
     class Device(SimulatedRig):

@@ -17,7 +17,7 @@ from nmt_record.windows.segments import Signals
 from nmt_report.linear_report import coherence_remarks, linear_page
 from nmt_signals.frequency_responses import averaged_spectra, frf_estimate
 
-RATE, SECONDS = 2000.0, 40.0
+RATE, SECONDS = 2000.0, 24.0
 FREQUENCIES, ZETA = np.array([100.0, 102.0, 260.0]), np.array([0.003, 0.004, 0.005])
 SHAPES = np.array([[0.45, 0.55, 0.5], [0.6, -0.4, -0.4], [0.4, 0.5, -0.5]])
 BAND = (20.0, 600.0)

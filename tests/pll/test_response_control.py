@@ -24,7 +24,7 @@ NOISE = [
 def measured(factor: float, levels: list[float], overrides: list[str] | None = None, **settings):
     """Modal points of the shipped rig at a damping of ``factor`` per cent."""
     changes = [f"structure.damping_factors=[{factor},{factor},{factor}]", *(overrides or [])]
-    plan = plan_test("internal_resonance", levels, overrides=changes, control="response", window_periods=40, **settings)
+    plan = plan_test("internal_resonance", levels, overrides=changes, control="response", window_periods=20, **settings)
     with Session(plan, record=False) as session:
         return session.run().points
 

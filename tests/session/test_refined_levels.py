@@ -23,7 +23,7 @@ def measured(factor: float, levels, tmp_path, refinement: float):
         levels,
         overrides=[f"structure.damping_factors=[{factor},{factor},{factor}]"],
         control="response",
-        window_periods=20,
+        window_periods=12,
         refinement=refinement,
     )
 

@@ -24,7 +24,8 @@ def run(name: str, out: Path, levels: list[float] | None = None, noise: bool = F
         if noise and sensor.quantity in PAPER_NOISE_OF:
             overrides.append(f"sensors.{row}.noise_psd={PAPER_NOISE_OF[sensor.quantity]}")
             overrides.append(f"sensors.{row}.noise_correlation_time_s={PAPER_CORRELATION}")
-    with Session(plan_test(name, levels, test="self_excited", overrides=overrides, **settings), out) as session:
+    plan = plan_test(name, levels, test="self_excited", overrides=overrides, window_periods=20, **settings)
+    with Session(plan, out) as session:
         return session.run()
 
 

@@ -195,5 +195,11 @@ def test_families_are_named_by_what_the_terms_do() -> None:
     assert family([*two, (Term("slack slider", 2e-4, 0.3), 1.0)]) == "friction with pinched loops"
     assert family([(Term("bristle", 1e-4), 1.0)]) == "friction of a slider behind a spring"
     weakening = (Term("weakening bristle", 1e-4, 0.1), 1.0)
+    for share, falls in ((0.06, True), (0.04, False)):
+        words = family([(Term("bristle", 1e-4), 1.0 - share), (weakening[0], share)])
+        assert (words == "dry friction that weakens with speed") is falls
+    for share, pinched in ((0.21, True), (0.19, False)):
+        slack = (Term("slack slider", 1e-4, 0.5), 2.0 * share)
+        assert (family([(Term("slider", 1e-4), 1.0 - share), slack]) == "friction with pinched loops") is pinched
     assert family([(Term("bristle", 1e-4), 1.0), weakening]) == "dry friction that weakens with speed"
     assert family([*two, (Term("slider", 4e-4), 1.0)]) == "friction of many sliders"

@@ -1,9 +1,10 @@
 """Makes sealed cases of :mod:`independent.laboratory_laws`, reads the law of each, and tabulates what was read.
 
-Run from the root of the repository::
+Run from the root of the repository in ``./nmt shell``::
 
-    PYTHONPATH=tests python -m independent.law_campaign make --seed 800 --out cases --laboratory-one LABORATORY
-    PYTHONPATH=tests python -m independent.law_campaign read cases --out answers
+    export PYTHONPATH=tests:$PYTHONPATH
+    python -m independent.law_campaign make --seed 800 --out cases --laboratory-one LABORATORY
+    python -m independent.law_campaign read cases --out answers
 
 ``make`` writes ``seal.txt``, the SHA-256 of all truths; ``read`` refuses others. The reading alone is timed, without
 import and rows. A case that has an answer is not read again.

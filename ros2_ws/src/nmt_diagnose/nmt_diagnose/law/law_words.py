@@ -18,9 +18,9 @@ _PLAIN = {
 
 
 _SMALL_SHARE = 0.05
-"""Force of a slider over the largest below which it says nothing of the family."""
-_PART_SHARE = 0.2
-"""Force of sliders with slack, or of bristles that weaken, over that of all below which the others say the family."""
+"""Force of a slider over the largest, of weakening bristles over all, below which it says nothing of the family."""
+_SLACK_SHARE = 0.2
+"""The same of sliders with slack: a grid of sliders takes some of them for its corners."""
 _SLIDERS = ("slider", "slack slider", "bristle", "weakening bristle")
 _ONE_RATIO = 1.6
 """Ratio of slip displacements up to which sliders of a grid stand for one between them."""
@@ -39,8 +39,8 @@ def family(terms: Sequence[tuple[Term, float]]) -> str:
             kind: sum(_sliding_force(t, c) for t, c in terms if t.kind == kind) for kind in kinds & set(_SLIDERS)
         }
         total = sum(by_kind.values())
-        for kind in ("slack slider", "weakening bristle"):
-            if by_kind.get(kind, 0.0) > _PART_SHARE * total:
+        for kind, share in (("slack slider", _SLACK_SHARE), ("weakening bristle", _SMALL_SHARE)):
+            if by_kind.get(kind, 0.0) > share * total:
                 return _PLAIN[kind]
         most = max(force for _, force in sliders)
         large = [slip for slip, force in sliders if force > _SMALL_SHARE * most]

@@ -11,7 +11,6 @@ setup(
     ],
     install_requires=[
         "numpy>=1.26",
-        "PyYAML>=6.0",
     ],
     extras_require={"test": ["pytest"]},
     zip_safe=False,

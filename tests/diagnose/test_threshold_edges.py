@@ -139,6 +139,18 @@ def place_odds(size: float) -> float:
     return q / p
 
 
+def same_class(apart: float, size: float) -> bool:
+    """Whether two laws whose fits lie so far apart are one class, for an effect of such a size over the noise."""
+
+    def at(residual: float, effects: tuple[str, ...]) -> Any:
+        left = SimpleNamespace(residual=np.array([residual]), weights=np.ones(1))
+        return SimpleNamespace(fit=SimpleNamespace(errors=left), effects=effects, stated=(0,))
+
+    data: Any = SimpleNamespace(observations=SimpleNamespace(matters={}))
+    everything = Hypotheses(data, at(size, ()), [], [], [], [])
+    return everything._alike(at(0.0, ("a",)), at(apart, ("b",)))
+
+
 def excess(chance: float) -> bool:
     """Whether a scale that is by this chance as large counts as more than noise."""
     groups = Groups(np.zeros(10, dtype=np.int64), ("a",), np.array([6.0]), np.zeros(1))
@@ -299,6 +311,14 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "tolerances.image_share": (lambda: TOLERANCES.image_share, pytest.approx(1.0 / math.sqrt(3.0), rel=0.05)),
     "tolerances.amplitude_scale": (lambda: TOLERANCES.amplitude_scale, pytest.approx(TOLERANCES.gain)),
 }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("apart", "size", "alike"), [(2.9, 10.0, True), (3.1, 10.0, False), (19.0, 1e3, True), (21.0, 1e3, False)]
+)
+def test_laws_part_where_errors_of_shapes_do_not(apart: float, size: float, alike: bool) -> None:
+    # Two per cent of all that the effect does, or three standard deviations.
+    assert same_class(apart, size) is alike
 
 
 def test_what_predicts_worse_than_the_model_alone_is_not_the_nearest() -> None:

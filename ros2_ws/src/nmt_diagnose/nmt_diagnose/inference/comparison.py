@@ -496,8 +496,12 @@ class Hypotheses:
         return plain[0] if first.small and plain else first
 
     def _alike(self, one: FittedExplanation, other: FittedExplanation) -> bool:
-        """Whether recordings do not distinguish two explanations, and what has an effect more saves nothing by it."""
-        if distance(one, other) >= THRESHOLDS.comparison.equivalent_sigmas:
+        """Whether recordings do not distinguish two explanations, and what has an effect more saves nothing by it.
+
+        What two laws differ by has to be more than what errors of an ordinary model's shapes do to the effect.
+        """
+        limits = THRESHOLDS.comparison
+        if distance(one, other) >= max(limits.equivalent_sigmas, limits.place_form_std * distance(one, self.null)):
             return False
         fewer, more = sorted((one, other), key=lambda it: len(it.stated))
         wanted = self.data.observations.matters

@@ -206,6 +206,16 @@ def test_what_was_fitted_to_other_data_is_fitted_anew_before_it_competes() -> No
     assert search.again(FittedExplanation(other.candidates, nowhere)).fit.log_evidence == -np.inf
 
 
+def test_no_third_effect_is_looked_for_beside_two_laws() -> None:
+    search, null = searched_model()
+    cubic, friction = (
+        next(c for c in search.candidates if c.effect.name == name)
+        for name in ("cubic_stiffness", "second_friction_contact")
+    )
+    assert search.pairs([FittedExplanation((cubic, friction), null.fit)]) == []
+    assert all(len(it.candidates) == 2 for it in search.pairs([FittedExplanation((cubic,), null.fit)]))
+
+
 def test_no_stinger_is_on_a_shaking_table() -> None:
     table = MODEL.model_copy(update={"exciter": ShakingTableSection(kind="shaking_table", point=2)})
     operating = operating_range(MODEL, searched_model()[0].data.observations.tests)

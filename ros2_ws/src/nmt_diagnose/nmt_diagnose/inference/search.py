@@ -434,16 +434,18 @@ class Search:
     def pairs(
         self, singles: Sequence[FittedExplanation], known: Sequence[FittedExplanation] = ()
     ) -> list[FittedExplanation]:
-        """Second effects on top of the best explanations that leave something, the best first.
+        """Second effects on top of the best explanations by one effect that leave something, the best first.
 
         Args:
-            singles: explanations by one effect, the best first.
+            singles: explanations, the best first.
             known: those among which heads have been chosen before.
         """
         found: list[FittedExplanation] = []
         scores: list[Score] = []
         before = {explanation.explanation for explanation in best_by_effect(known)[: THRESHOLDS.search.pair_heads]}
-        for single in best_by_effect(singles)[: THRESHOLDS.search.pair_heads]:
+        # A search that begins at the laws of held levels has explanations by two effects already.
+        heads = [it for it in singles if len(it.candidates) == 1]
+        for single in best_by_effect(heads)[: THRESHOLDS.search.pair_heads]:
             if single.explanation in before or leaves_noise_only(self.data, single):
                 continue
             # Rivals make the same motion, about which an effect does the same.

@@ -16,13 +16,14 @@ from markupsafe import Markup
 from report import diagnosis_fixture as fixture
 
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.diagnosis import Ranked, Remainder, RemainderPart, Share, Value, Verdict
+from nmt_diagnose.inference.diagnosis import Answer, Ranked, Remainder, RemainderPart, Share, Value, Verdict
 from nmt_diagnose.observations.observables import Part, joined
 from nmt_report import diagnosis_figures, rig_drawing
 from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv, on_one_scale
 from nmt_report.diagnosis_report import diagnosis_page, probability_shares
 from nmt_report.diagnosis_tables import ranking_table
 from nmt_report.diagnosis_words import (
+    answers_text,
     class_text,
     effect_text,
     key_text,
@@ -316,6 +317,14 @@ def test_without_a_claim_the_rest_is_too_weak_to_see_and_not_unnamed() -> None:
     assert rest_text(quiet) == ("an effect too weak to see", pytest.approx(0.3))
     loud = replace(quiet, verdict=Verdict.UNKNOWN)
     assert rest_text(loud) == ("something not in the library", pytest.approx(0.3))
+
+
+def test_answers_stand_together_in_words() -> None:
+    alike = Answer("effect", ("cubic_stiffness", "quintic_stiffness"), 0.6)
+    words = answers_text((alike, Answer("unknown", (), 0.36)))
+    assert words.endswith(": cubic stiffness or quintic stiffness; something not in the library.")
+    assert answers_text((Answer("too_weak", (), 1.0),)).endswith(": an effect too weak to see.")
+    assert answers_text(()) == ""
 
 
 @pytest.mark.usefixtures("undrawn")

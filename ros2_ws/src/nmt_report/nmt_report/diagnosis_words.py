@@ -78,9 +78,9 @@ def class_text(item: Ranked) -> str:
 
 
 def answers_text(answers: Sequence[Answer]) -> str:
-    """The answers that hold the truth with 95 %, in words; empty where they are not known."""
+    """The answers that together hold 95 % of the probability, in words; empty where they are not known."""
     words = [_alternatives_text(it.effects) if it.effects else effect_text(it.kind) for it in answers]
-    return f"The truth is one of these with a probability of 95 %: {'; '.join(words)}." if words else ""
+    return f"Answers that together hold 95 % of the probability: {'; '.join(words)}." if words else ""
 
 
 def _alternatives_text(names: Sequence[str]) -> str:

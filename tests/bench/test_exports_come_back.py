@@ -20,7 +20,7 @@ from nmt_extract.linear_evaluation import evaluate_linear_test
 from nmt_extract.modal_table import write_csv
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange.exported_run import export_run
+from nmt_record.exchange.export.exported_run import export_run
 from nmt_record.windows.recorded_tests import recorded_tests
 from nmt_record.windows.segments import read_signals, segments
 from nmt_session import Session, plan_test

@@ -19,7 +19,7 @@ from nmt_extract.modal_point import Status
 from nmt_extract.modal_table import read_csv, read_json
 from nmt_extract.mode_uff import linear_modes, write_mode_uff
 from nmt_record import Bag
-from nmt_record.exchange.observables import observable_tables
+from nmt_record.exchange.reduced.observables import observable_tables
 from nmt_record.windows.segments import read_signals, segments
 from nmt_rig.linear_description import linear_description
 from nmt_rig.modal_files import read_uff55

@@ -25,7 +25,7 @@ from nmt_blind.cases.reduced_tests import (
 from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_core.vocabulary import TestKind
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange.observables import observable_tables
+from nmt_record.exchange.reduced.observables import observable_tables
 from nmt_record.windows.segments import segments
 from nmt_rig.rig import ModalSection, Rig
 

@@ -41,7 +41,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain, measuring_chain
 from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_record.exchange.calibration_file import read_calibration
+from nmt_record.exchange.sidecar.calibration_file import read_calibration
 
 RIG = short_rig()
 

@@ -30,7 +30,7 @@ from nmt_core.vocabulary import (
     TestKind,
     Waveform,
 )
-from nmt_record.exchange.import_sidecar import SignalSection
+from nmt_record.exchange.sidecar.import_sidecar import SignalSection
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "ros2_ws" / "src"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_record.exchange.imported_run import read_import, write_import
+from nmt_record.exchange.imports.imported_run import read_import, write_import
 from nmt_rig.rig import Rig, load_rig
 
 RATE = 1e7 / 2**14

@@ -26,7 +26,7 @@ from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
-from nmt_record.exchange.observables import ObservableTable
+from nmt_record.exchange.reduced.observables import ObservableTable
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 

@@ -20,7 +20,7 @@ from nmt_diagnose.observations.conditions import RingDownTest
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
-from nmt_record.exchange.imported_run import read_import, write_import
+from nmt_record.exchange.imports.imported_run import read_import, write_import
 from nmt_rig.rig import load_rig
 
 RATE, FINER = 500, 40

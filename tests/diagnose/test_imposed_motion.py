@@ -20,7 +20,7 @@ from nmt_diagnose.observations.conditions import ImposedMotionTest
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
-from nmt_record.exchange.imported_run import read_import, write_import
+from nmt_record.exchange.imports.imported_run import read_import, write_import
 from nmt_record.exchange.unit_table import channel_factor
 from nmt_rig.rig import Rig, load_rig
 

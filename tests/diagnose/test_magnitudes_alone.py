@@ -15,7 +15,7 @@ from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_record import Bag
-from nmt_record.exchange.observables import observable_tables
+from nmt_record.exchange.reduced.observables import observable_tables
 from nmt_rig.rig import load_rig
 
 OMEGA, DAMPING, CUBIC = 2 * np.pi * 50, 2 * 0.01 * 2 * np.pi * 50, 2.4e9

@@ -20,7 +20,7 @@ from nmt_diagnose.observations.kinds.record_observations import spread_samples, 
 from nmt_diagnose.observations.kinds.table_observations import noise_of_weak_lines
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_record.exchange.imported_run import read_import, write_import
+from nmt_record.exchange.imports.imported_run import read_import, write_import
 from nmt_signals.band_limited import finer
 
 

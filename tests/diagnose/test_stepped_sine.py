@@ -27,7 +27,7 @@ from nmt_diagnose.prediction.forward import Forward, traced
 from nmt_diagnose.prediction.frequency_sweep import frequency_sweep
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.prediction.stepped_sine_predictor import gain_error, whitened_difference
-from nmt_record.exchange.imported_run import read_import, write_import
+from nmt_record.exchange.imports.imported_run import read_import, write_import
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 

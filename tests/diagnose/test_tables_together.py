@@ -12,7 +12,7 @@ from nmt_diagnose.observations.kinds.stepped_table_observations import measured_
 from nmt_diagnose.observations.kinds.table_observations import table_observations
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_record.exchange.observables import ObservableTable
+from nmt_record.exchange.reduced.observables import ObservableTable
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 

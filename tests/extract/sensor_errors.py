@@ -14,7 +14,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract.modal import modal_point
 from nmt_extract.modal_point import ModalPoint
 from nmt_extract.window import Channel, Window
-from nmt_record.exchange.channel_tolerances import ChannelTolerance, Tolerances
+from nmt_record.exchange.sidecar.channel_tolerances import ChannelTolerance, Tolerances
 
 POINTS = (1, 2, 3, 4)
 DRIVE = 2

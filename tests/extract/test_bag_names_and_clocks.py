@@ -17,10 +17,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from nmt_core.errors import BenchError
 from nmt_extract.decays.free_decay import free_decays
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange.bag_clock import ClockChoice
-from nmt_record.exchange.imported_run import ImportedRun, read_import, write_import
-from nmt_record.exchange.ros_bag_table import bag_tables, read_bag
-from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.clocks.message_clock import ClockChoice
+from nmt_record.exchange.imports.imported_run import ImportedRun, read_import, write_import
+from nmt_record.exchange.messages.ros_bag_table import bag_tables, read_bag
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
 BEGIN = 1_764_064_800_000_000_000  # ns
 STORE = get_typestore(Stores.ROS2_JAZZY)

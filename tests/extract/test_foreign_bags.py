@@ -19,10 +19,10 @@ from nmt_core.messages.stamped_samples import interpolated
 from nmt_extract.decays.free_decay import free_decays
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange.even_grid import even_grid
-from nmt_record.exchange.imported_run import read_import, write_import
-from nmt_record.exchange.ros_bag_table import bag_tables
-from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.clocks.even_grid import even_grid
+from nmt_record.exchange.imports.imported_run import read_import, write_import
+from nmt_record.exchange.messages.ros_bag_table import bag_tables
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
 RATE, FREQUENCY, DAMPING = 500.0, 20.0, 0.004
 BEGIN = 1_764_064_800_000_000_000  # ns

@@ -19,10 +19,10 @@ from nmt_extract.decays.free_decay import free_decays
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange.import_sidecar import Sidecar
-from nmt_record.exchange.imported_run import read_import
-from nmt_record.exchange.observables import observable_tables
-from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.imports.imported_run import read_import
+from nmt_record.exchange.reduced.observables import observable_tables
+from nmt_record.exchange.sidecar.import_sidecar import Sidecar
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
 INPUTS = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "strangers"
 

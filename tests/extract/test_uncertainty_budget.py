@@ -26,8 +26,8 @@ from nmt_extract.uncertainty_budget import (
     uncertainty_budget,
     write_budget,
 )
-from nmt_record.exchange.calibration_file import CalibrationSheet, read_calibration
-from nmt_record.exchange.channel_tolerances import ChannelTolerance, Tolerances, tolerances
+from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet, read_calibration
+from nmt_record.exchange.sidecar.channel_tolerances import ChannelTolerance, Tolerances, tolerances
 
 FORCE, A = Quantity.FORCE, Quantity.ACCELERATION
 

@@ -32,7 +32,7 @@ from nmt_extract.modal_table import write_results
 from nmt_extract.offline import extract_bag
 from nmt_extract.synthesis import SynthesisedBackbone
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange.exported_run import export_run
+from nmt_record.exchange.export.exported_run import export_run
 from nmt_record.windows.recorded_tests import recorded_tests
 from nmt_record.windows.segments import read_signals, segments
 from nmt_report.figure_files import report_figures

@@ -26,8 +26,8 @@ from sensor_msgs.msg import CompressedImage, JointState
 from nmt_extract.decays.free_decay import free_decays
 from nmt_record import Bag
 from nmt_record.bag.message_definitions import local_definitions
-from nmt_record.exchange.imported_run import read_import, write_import
-from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.imports.imported_run import read_import, write_import
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
 pytestmark = [
     pytest.mark.node,

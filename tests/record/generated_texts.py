@@ -17,8 +17,8 @@ import numpy as np
 import yaml
 
 from nmt_core.errors import BenchError
-from nmt_record.exchange.imported_run import read_import
-from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.imports.imported_run import read_import
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
 # Spellings of a unit, its factor to SI, and how a sidecar answers.
 UNITS = {

@@ -36,10 +36,10 @@ from nmt_extract.modal_table import read_csv, read_json
 from nmt_extract.response_table import read_response_csv
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bag_writer import BagWriter
-from nmt_record.exchange.frf_table import read_frf_table
-from nmt_record.exchange.imported_run import read_import
-from nmt_record.exchange.side_tables import read_block_table, read_records
-from nmt_record.exchange.uff import TIME_RESPONSE, Axis, UffFunction, write_uff
+from nmt_record.exchange.arrays.uff import TIME_RESPONSE, Axis, UffFunction, write_uff
+from nmt_record.exchange.imports.imported_run import read_import
+from nmt_record.exchange.reduced.frf_table import read_frf_table
+from nmt_record.exchange.sidecar.side_tables import read_block_table, read_records
 from nmt_report.run_data import read_reference
 from nmt_rig.rig import find_rig, load_rig
 

@@ -13,7 +13,7 @@ from record.foreign_data import write
 
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange.imported_run import read_import, write_import
+from nmt_record.exchange.imports.imported_run import read_import, write_import
 
 
 def rewritten(source: Path, folder: Path, reach: int, chunk: int) -> Path:

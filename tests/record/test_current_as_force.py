@@ -16,8 +16,8 @@ from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_record import Bag
-from nmt_record.exchange.channel_tolerances import tolerances
-from nmt_record.exchange.imported_run import read_import
+from nmt_record.exchange.imports.imported_run import read_import
+from nmt_record.exchange.sidecar.channel_tolerances import tolerances
 
 RATE, COUNT, FACTOR, MASS, HZ, RATIO = 1000.0, 60_000, 16.0, 0.9, 58.0, 0.01
 

@@ -21,8 +21,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from nmt_core.errors import BenchError
-from nmt_record.exchange.imported_run import ImportedRun, read_import
-from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.imports.imported_run import ImportedRun, read_import
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
 BAGS = int(os.environ.get("NMT_BAGS", "30"))
 BEGIN = 1_764_064_800_000_000_000  # ns

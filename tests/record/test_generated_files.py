@@ -20,8 +20,8 @@ import yaml
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_record.exchange.imported_run import read_import
-from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.imports.imported_run import read_import
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
 FILES = 200
 RATES = (50.0, 500.0, 1000.0, 1024.0, 1600.0, 2000.0, 4096.0, 10_000.0, 25_600.0, 44_100.0, 51_200.0)

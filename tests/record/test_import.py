@@ -17,8 +17,8 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import TestKind
 from nmt_record import Bag
-from nmt_record.exchange.imported_run import ImportedRun, read_import, write_import
-from nmt_record.exchange.observables import observable_tables
+from nmt_record.exchange.imports.imported_run import ImportedRun, read_import, write_import
+from nmt_record.exchange.reduced.observables import observable_tables
 from nmt_record.exchange.unit_table import factor_to_si
 from nmt_record.windows.segments import read_signals, segments
 

@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from nmt_core.errors import BenchError
-from nmt_record.exchange.import_clock import quantum_of
+from nmt_record.exchange.clocks.column_clock import quantum_of
 from nmt_record.exchange.import_table import read_table
-from nmt_record.exchange.imported_run import ImportedRun, read_import
+from nmt_record.exchange.imports.imported_run import ImportedRun, read_import
 
 ROWS = 400
 

@@ -13,8 +13,8 @@ import pytest
 from record.foreign_data import RATE, recording, sidecar, write, write_csv, write_sidecar
 
 from nmt_core.errors import BenchError
-from nmt_record.exchange import uff
-from nmt_record.exchange.imported_run import read_import
+from nmt_record.exchange.arrays import uff
+from nmt_record.exchange.imports.imported_run import read_import
 
 Case = Callable[[Path], Path]
 

@@ -15,9 +15,9 @@ from scipy.io import savemat
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_record.exchange.imported_run import ImportedRun, read_import
-from nmt_record.exchange.observables import ObservableTable
-from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.imports.imported_run import ImportedRun, read_import
+from nmt_record.exchange.reduced.observables import ObservableTable
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
 HZ, RATIO, MASS = 30.0, 0.01, 2.0
 OMEGA = 2.0 * math.pi * HZ

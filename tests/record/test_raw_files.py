@@ -10,8 +10,8 @@ from scipy.io import savemat
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_record.exchange.imported_run import ImportedRun, read_import
-from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.imports.imported_run import ImportedRun, read_import
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 from nmt_record.exchange.unit_table import channel_factor
 
 T = np.arange(400) / 1000.0

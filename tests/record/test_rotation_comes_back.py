@@ -17,7 +17,7 @@ from nmt_diagnose.observations.read_observations import read_observations
 from nmt_extract.decays.free_decay import free_decays
 from nmt_record import Bag
 from nmt_record.exchange import FORMATS
-from nmt_record.exchange.exported_run import export_run
+from nmt_record.exchange.export.exported_run import export_run
 from nmt_record.windows.segments import read_signals
 from nmt_rig.rig import load_rig
 

@@ -13,9 +13,9 @@ from scipy.io import savemat
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_record.exchange import uff
-from nmt_record.exchange.imported_run import ImportedRun, read_import
-from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.arrays import uff
+from nmt_record.exchange.imports.imported_run import ImportedRun, read_import
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
 LINES = np.arange(20.0, 50.0, 0.05)
 OMEGA = 2.0 * np.pi * LINES

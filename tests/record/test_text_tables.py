@@ -12,8 +12,8 @@ import yaml
 
 from nmt_core.errors import BenchError
 from nmt_record.exchange.import_table import read_table
-from nmt_record.exchange.imported_run import ImportedRun, read_import
-from nmt_record.exchange.sidecar_template import sidecar_templates
+from nmt_record.exchange.imports.imported_run import ImportedRun, read_import
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
 RATE, COUNT = 1000.0, 3000
 TIME = np.arange(COUNT) / RATE

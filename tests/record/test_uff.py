@@ -10,8 +10,8 @@ import pytest
 import pyuff
 
 from nmt_core.errors import BenchError
-from nmt_record.exchange import uff
-from nmt_record.exchange.uff import Axis, UffFunction
+from nmt_record.exchange.arrays import uff
+from nmt_record.exchange.arrays.uff import Axis, UffFunction
 
 RANDOM = np.random.default_rng(5)
 TIME = UffFunction(

@@ -25,7 +25,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import OscillatorPhase
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_plant.devices.simulated_rig import rig_sensors, sensor_row
-from nmt_record.exchange.imported_run import read_import, write_import
+from nmt_record.exchange.imports.imported_run import read_import, write_import
 from nmt_rig.drift import Drift
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator

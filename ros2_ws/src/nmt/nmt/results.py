@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from nmt_extract.response_curve import ResponseCurve
     from nmt_extract.swept_response import FrequencyResponseTable
-    from nmt_record.exchange.frf_table import FrequencyResponseRecord
+    from nmt_record.exchange.reduced.frf_table import FrequencyResponseRecord
 
 
 _TAU = 2.0 * math.pi
@@ -357,7 +357,7 @@ class LinearResult(Results):
         Raises:
             BenchError: damaged.
         """
-        from nmt_record.exchange.frf_table import read_frf_table
+        from nmt_record.exchange.reduced.frf_table import read_frf_table
 
         document = read_json(folder / "linear.json", "linear test")
         description = LinearDescription.from_mapping(document)

@@ -14,7 +14,7 @@ CONSUMERS: dict[str, str] = {
     "reference": "nmt_rig.reference",
     "diagnosis": "nmt_diagnose.coverage",
     "synthesis": "nmt_extract.synthesis",
-    "export and import": "nmt_record.exchange.exported_run",
+    "export and import": "nmt_record.exchange.export.exported_run",
     "nmt.open": "nmt.opening",
     "report": "nmt_report.coverage",
     "figures": "nmt_report.coverage",

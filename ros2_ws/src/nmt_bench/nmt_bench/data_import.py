@@ -9,8 +9,8 @@ from pathlib import Path
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_record.exchange.import_sidecar import Sidecar
-from nmt_record.exchange.imported_run import ImportedRun, read_import, write_import
+from nmt_record.exchange.imports.imported_run import ImportedRun, read_import, write_import
+from nmt_record.exchange.sidecar.import_sidecar import Sidecar
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import Rig, ShakingTableSection, find_rig, load_rig
 from nmt_rig.rig_snapshot import rig_text

@@ -12,11 +12,11 @@ from nmt_core.vocabulary import MOTIONS
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.modal_point import ModalPoint
 from nmt_extract.uncertainty_budget import BudgetInputs, MethodError, PointBudget, uncertainty_budget
-from nmt_record.exchange.channel_tolerances import is_simulated, tolerances
+from nmt_record.exchange.sidecar.channel_tolerances import is_simulated, tolerances
 
 if TYPE_CHECKING:
     from nmt_record.bag.bag_reader import Bag
-    from nmt_record.exchange.calibration_file import CalibrationSheet
+    from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 
 
 def bag_budget(

@@ -118,7 +118,7 @@ def extract_opened_bag(
 
 
 def _refuse_foreign(bag: Any) -> None:
-    from nmt_record.exchange.ros_bag_table import is_foreign
+    from nmt_record.exchange.messages.ros_bag_table import is_foreign
 
     if is_foreign(bag) and bag.topics and not bag.loss:
         there = ", ".join(f"/{topic} ({kind})" for topic, (kind, _) in sorted(bag.topics.items())[:8])

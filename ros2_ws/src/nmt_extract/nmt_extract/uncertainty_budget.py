@@ -27,7 +27,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_extract.judgement.window_judge import phase_part
 from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.student import two_sided_quantile
-from nmt_record.exchange.channel_tolerances import Tolerances
+from nmt_record.exchange.sidecar.channel_tolerances import Tolerances
 
 FORMAT = "nmt uncertainty budget 1"
 COVERAGE = 0.95

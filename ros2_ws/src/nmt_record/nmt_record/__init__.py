@@ -14,7 +14,7 @@ from nmt_core.public_names import loaded
 if TYPE_CHECKING:
     from nmt_record.bag.bag_reader import Bag
     from nmt_record.bag.bag_writer import BagWriter
-    from nmt_record.exchange.exported_run import ExportedRun, export_run
+    from nmt_record.exchange.export.exported_run import ExportedRun, export_run
     from nmt_record.windows.segments import read_signals
 
 __all__ = [

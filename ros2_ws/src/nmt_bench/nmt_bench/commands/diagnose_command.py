@@ -99,7 +99,7 @@ def run(options: DiagnoseOptions) -> int:
     from nmt_diagnose.effects.library import effect_named
     from nmt_diagnose.inference.diagnose import diagnose_bags
     from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-    from nmt_record.exchange.calibration_file import read_calibration
+    from nmt_record.exchange.sidecar.calibration_file import read_calibration
     from nmt_report.diagnosis_files import write_diagnosis
     from nmt_rig.rig import load_rig
 

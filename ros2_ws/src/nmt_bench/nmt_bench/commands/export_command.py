@@ -56,7 +56,7 @@ def run(options: ExportOptions) -> int:
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_record.exchange.exported_run import export_run
+    from nmt_record.exchange.export.exported_run import export_run
 
     console = make_console()
     with WorkDisplay(console, ("exporting",)), OutputFolder(options.out, options.force) as folder:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from nmt_extract.modal_point import ModalPoint
     from nmt_extract.uncertainty_budget import MethodError
     from nmt_record.bag.bag_reader import Bag
-    from nmt_record.exchange.calibration_file import CalibrationSheet
+    from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,7 +168,9 @@ def _decays(bag: Bag, options: ExtractOptions, console: Console) -> int:
 
 
 def _calibration(path: Path) -> CalibrationSheet:
-    from nmt_record.exchange.calibration_file import read_calibration  # loads pydantic, which few extractions need
+    from nmt_record.exchange.sidecar.calibration_file import (
+        read_calibration,
+    )  # loads pydantic, which few extractions need
 
     return read_calibration(path)
 

@@ -15,7 +15,7 @@ from nmt_core.options import option, optional_argument
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from nmt_record.exchange.imported_run import ImportedRun
+    from nmt_record.exchange.imports.imported_run import ImportedRun
 
 _DATA = (".csv", ".txt", ".tsv", ".dat", ".asc", ".npz", ".mat", ".h5", ".hdf5", ".uff", ".unv", ".58", ".lvm",
          ".tdms", ".mcap", ".db3", ".nc", ".nc4")  # fmt: skip
@@ -53,7 +53,7 @@ def run(options: ImportOptions) -> int:
     sidecar = options.sidecar
     assert sidecar is not None  # the parser takes exactly one of the two
     check_output(options.out, options.force)
-    from nmt_record.exchange.sidecar_template import no_sidecar
+    from nmt_record.exchange.templates.sidecar_template import no_sidecar
 
     if not sidecar.is_file() or sidecar.suffix.lower() in _DATA:
         raise no_sidecar(sidecar)
@@ -93,7 +93,7 @@ def _init(data: Path, force: bool) -> int:
         BenchError: the data cannot be read, or there is a sidecar already.
     """
     from nmt_core.files.whole_file import write_whole, writing
-    from nmt_record.exchange.sidecar_template import sidecar_templates
+    from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
     texts = sidecar_templates(data)
     stems = [data.stem] if len(texts) == 1 else [f"{data.stem}-{number + 1}" for number in range(len(texts))]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from nmt_diagnose.inference.diagnosis import Diagnosis
     from nmt_diagnose.investigation.investigation import InvestigationSettings
     from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord
-    from nmt_record.exchange.calibration_file import CalibrationSheet
+    from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
     from nmt_rig.rig import Rig
 
 _DEFAULT_UNTIL, _DEFAULT_PERIODS, _DEFAULT_RANDOM = 0.95, 50, 20.0
@@ -97,7 +97,7 @@ def run(options: InvestigateOptions) -> int:
         os.environ.setdefault(variable, "1")
     from nmt_bench.commands.console import make_console
     from nmt_diagnose.investigation.investigation_record import RECORD_FILE, InvestigationRecord, read_record
-    from nmt_record.exchange.calibration_file import read_calibration
+    from nmt_record.exchange.sidecar.calibration_file import read_calibration
     from nmt_rig.rig import load_rig
 
     console = make_console()

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from nmt_bench.harness import Bench
-    from nmt_record.exchange.calibration_file import CalibrationSheet
+    from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
     from nmt_report.run_data import ReferenceCurve
     from nmt_report.run_verdict import RunVerdict
     from nmt_session.run_result import RunResult
@@ -247,7 +247,7 @@ def _run(options: RunOptions) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.linear_input import check_fits, read_linear
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_record.exchange.calibration_file import read_calibration
+    from nmt_record.exchange.sidecar.calibration_file import read_calibration
     from nmt_report.run_verdict import BAD, GOOD
 
     if not options.resonance and options.start_frequency is not None:

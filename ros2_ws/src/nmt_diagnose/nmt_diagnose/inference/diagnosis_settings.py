@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from nmt_record.exchange.calibration_file import CalibrationSheet
+from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 
 MATTERS: dict[str, float] = {"frequency": 5e-4, "damping": 0.02, "response": 0.02, "harmonics": 1e-3}
 """Smallest relative size that matters: of a frequency, a damping ratio, a response, a harmonic over the fundamental."""

@@ -13,7 +13,7 @@ from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.modal_frame import ORDERS, KnownForces
 from nmt_diagnose.observations.conditions import PhaseResonanceTest
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_record.exchange.channel_tolerances import ChannelTolerance
+from nmt_record.exchange.sidecar.channel_tolerances import ChannelTolerance
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_elements
 

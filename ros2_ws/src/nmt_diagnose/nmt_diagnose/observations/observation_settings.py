@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from nmt_diagnose.observations.noise.floors import Floors
-from nmt_record.exchange.calibration_file import CalibrationSheet
+from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 
 
 @dataclass(frozen=True)

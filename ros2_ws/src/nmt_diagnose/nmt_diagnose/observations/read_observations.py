@@ -41,7 +41,7 @@ from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, strangers
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange.observables import ObservableTable, observable_tables
+from nmt_record.exchange.reduced.observables import ObservableTable, observable_tables
 from nmt_record.windows.recorded_tests import recorded_tests
 from nmt_record.windows.segments import Segment, segments
 from nmt_rig.rig import Rig

@@ -9,12 +9,12 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import open_regular
 from nmt_core.files.mat_file import MAT5, is_hdf5
 from nmt_core.files.universal_file import is_universal_file
-from nmt_record.exchange.array_table import read_mat_table, read_npz
+from nmt_record.exchange.arrays.array_table import read_mat_table, read_npz
+from nmt_record.exchange.arrays.uff_table import read_uff_table
+from nmt_record.exchange.arrays.vendor_table import read_lvm, read_tdms
+from nmt_record.exchange.clocks.time_columns import clocks_joined
 from nmt_record.exchange.source_table import SourceTable
-from nmt_record.exchange.text_table import read_text_table
-from nmt_record.exchange.time_columns import clocks_joined
-from nmt_record.exchange.uff_table import read_uff_table
-from nmt_record.exchange.vendor_table import read_lvm, read_tdms
+from nmt_record.exchange.text.text_table import read_text_table
 
 LARGEST_DATA = 2**29  # bytes of a file of columns
 
@@ -46,7 +46,7 @@ def read_table(path: Path, wanted: Sequence[str | int] = (), time: str | int | N
     Raises:
         BenchError: not there, of another kind, or malformed.
     """
-    from nmt_record.exchange.ros_bag_table import is_bag, read_bag  # a bag reader, where the file is one
+    from nmt_record.exchange.messages.ros_bag_table import is_bag, read_bag  # a bag reader, where the file is one
 
     if is_bag(path):
         return read_bag(path, wanted)

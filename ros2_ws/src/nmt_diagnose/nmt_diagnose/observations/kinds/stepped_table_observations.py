@@ -18,7 +18,7 @@ from nmt_diagnose.observations.noise.scatter import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_record.exchange.observables import ObservableTable
+from nmt_record.exchange.reduced.observables import ObservableTable
 from nmt_record.exchange.unit_table import REFERENCE_UNITS, quantity_of_unit
 from nmt_rig.rig import ShakingTableSection
 

@@ -22,7 +22,7 @@ from nmt_diagnose.observations.noise.scatter import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_record.exchange.observables import ObservableTable
+from nmt_record.exchange.reduced.observables import ObservableTable
 from nmt_rig.model.linear_modes import damped_modes
 from nmt_rig.rig import Rig
 

@@ -17,7 +17,7 @@ from nmt_diagnose.observations.kinds.table_observations import table_observation
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_record.exchange.observables import ObservableTable
+from nmt_record.exchange.reduced.observables import ObservableTable
 from nmt_record.windows.segments import Segment
 from nmt_rig.rig import Rig
 from nmt_signals.harmonics import harmonic_amplitudes

@@ -16,8 +16,8 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_record.exchange.import_sidecar import TableSection
-from nmt_record.exchange.observables import ObservableTable
+from nmt_record.exchange.reduced.observables import ObservableTable
+from nmt_record.exchange.sidecar.import_sidecar import TableSection
 
 ShapeSign = Callable[[int, int, float], float]
 """Sign of a response at its resonance by the model: point, drive point, frequency in Hz; 0 where it is not known."""

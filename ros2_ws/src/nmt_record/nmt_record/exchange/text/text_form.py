@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from nmt_core.errors import BenchError
-from nmt_record.exchange.text_stamps import is_date, is_stamp
+from nmt_record.exchange.clocks.text_stamps import is_date, is_stamp
 
 MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none"})
 INFINITE = re.compile(r"[-+]?inf(inity)?$", re.I)

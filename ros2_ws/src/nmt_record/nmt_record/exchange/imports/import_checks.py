@@ -15,7 +15,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, QUANTITIES
-from nmt_record.exchange.import_sidecar import STEADY_KINDS, ChannelSection, SignalSection
+from nmt_record.exchange.sidecar.import_sidecar import STEADY_KINDS, ChannelSection, SignalSection
 from nmt_record.exchange.source_table import SourceTable, split_name
 from nmt_record.exchange.unit_table import coordinate_of_unit, plain_unit, quantity_of_unit
 from nmt_signals.spectral_lines import line_amplitude, piece_spectra

@@ -10,8 +10,8 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import MOTIONS
-from nmt_record.exchange import uff
-from nmt_record.exchange.import_sidecar import TableSection
+from nmt_record.exchange.arrays import uff
+from nmt_record.exchange.sidecar.import_sidecar import TableSection
 from nmt_record.exchange.unit_table import (
     is_quotient,
     other_factor,

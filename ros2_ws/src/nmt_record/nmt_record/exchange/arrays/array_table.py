@@ -16,7 +16,7 @@ from nmt_core.files.hardened import read_arrays
 from nmt_core.files.mat_file import read_attributes, read_mat
 from nmt_core.numerics.arrays import FloatArray
 from nmt_record.exchange.source_table import AS_IT_IS, Scaling, SourceTable
-from nmt_record.exchange.text_heading import LARGEST_STEP
+from nmt_record.exchange.text.text_heading import LARGEST_STEP
 from nmt_record.exchange.unit_table import TIME_UNITS, is_known_unit, plain_unit
 
 _MOST_COLUMNS = 64  # of one matrix

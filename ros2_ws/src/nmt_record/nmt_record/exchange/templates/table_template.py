@@ -9,11 +9,11 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import MOTIONS
-from nmt_record.exchange import uff
-from nmt_record.exchange.import_clock import bare_name
-from nmt_record.exchange.observables import amplitudes_by_name, percent_by_name
+from nmt_record.exchange.arrays import uff
+from nmt_record.exchange.clocks.column_clock import bare_name
+from nmt_record.exchange.reduced.observables import amplitudes_by_name, percent_by_name
+from nmt_record.exchange.reduced.uff_observables import stated_unit
 from nmt_record.exchange.source_table import SourceTable
-from nmt_record.exchange.uff_observables import stated_unit
 from nmt_record.exchange.unit_table import (
     decibels,
     is_known_unit,

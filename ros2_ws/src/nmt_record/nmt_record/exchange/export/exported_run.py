@@ -24,9 +24,10 @@ from nmt_core.messages.wire import LEVEL, read_status
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LEVEL_UNITS, ROTATION_UNITS, ControlKind, TestKind
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange import FORMATS, uff
-from nmt_record.exchange.frf_table import read_frf_table
-from nmt_record.exchange.side_tables import BlockRow, write_block_table, write_records
+from nmt_record.exchange import FORMATS
+from nmt_record.exchange.arrays import uff
+from nmt_record.exchange.reduced.frf_table import read_frf_table
+from nmt_record.exchange.sidecar.side_tables import BlockRow, write_block_table, write_records
 from nmt_record.exchange.unit_table import coordinate_of_unit
 from nmt_record.windows.segments import Segment, Signals, read_signals, segments
 

@@ -14,9 +14,8 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import QUANTITIES
-from nmt_record.exchange import uff
-from nmt_record.exchange.import_checks import hinted_quantity, looks_like_counts
-from nmt_record.exchange.import_clock import (
+from nmt_record.exchange.arrays import uff
+from nmt_record.exchange.clocks.column_clock import (
     Clock,
     bare_name,
     find_clock,
@@ -24,13 +23,21 @@ from nmt_record.exchange.import_clock import (
     quantum_of,
     time_unit_of,
 )
-from nmt_record.exchange.import_sidecar import Sidecar
 from nmt_record.exchange.import_table import kind_of, read_table
-from nmt_record.exchange.imported_run import check_proposal
-from nmt_record.exchange.ros_bag_table import bag_tables, is_bag
+from nmt_record.exchange.imports.import_checks import hinted_quantity, looks_like_counts
+from nmt_record.exchange.imports.imported_run import check_proposal
+from nmt_record.exchange.messages.ros_bag_table import bag_tables, is_bag
+from nmt_record.exchange.reduced.uff_observables import frequency_responses
+from nmt_record.exchange.sidecar.import_sidecar import Sidecar
 from nmt_record.exchange.source_table import ClockQuestionError, SourceTable
-from nmt_record.exchange.table_template import ASK, column_of, frequency_columns, quoted, table_proposal, uff_lines
-from nmt_record.exchange.uff_observables import frequency_responses
+from nmt_record.exchange.templates.table_template import (
+    ASK,
+    column_of,
+    frequency_columns,
+    quoted,
+    table_proposal,
+    uff_lines,
+)
 from nmt_record.exchange.unit_table import (
     coordinate_of_unit,
     is_channel_unit,

@@ -18,10 +18,10 @@ from nmt_core.files.hardened import json_value
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.exchange.import_sidecar import TableSection
 from nmt_record.exchange.import_table import kind_of, read_table
+from nmt_record.exchange.reduced.uff_observables import frequency_responses, response_values, stated_unit
+from nmt_record.exchange.sidecar.import_sidecar import TableSection
 from nmt_record.exchange.source_table import SourceTable, split_name
-from nmt_record.exchange.uff_observables import frequency_responses, response_values, stated_unit
 from nmt_record.exchange.unit_table import (
     REFERENCE_UNITS,
     decibels,

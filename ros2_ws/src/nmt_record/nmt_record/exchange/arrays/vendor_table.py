@@ -10,7 +10,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import LARGEST_TABLE, open_regular
 from nmt_record.exchange.source_table import SourceTable
-from nmt_record.exchange.text_table import decoded
+from nmt_record.exchange.text.text_table import decoded
 
 
 def read_lvm(path: Path) -> SourceTable:

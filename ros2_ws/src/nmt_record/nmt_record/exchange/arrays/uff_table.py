@@ -8,7 +8,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_record.exchange import uff
+from nmt_record.exchange.arrays import uff
 from nmt_record.exchange.source_table import AS_IT_IS, Scaling, SourceTable
 from nmt_record.exchange.unit_table import TIME_UNITS, other_factor, plain_unit, quantity_of_unit
 

@@ -21,7 +21,7 @@ from nmt_record.bag.bag_keys import SIMULATED_RIG
 from nmt_record.exchange.unit_table import is_quantity, measured_quantity
 
 if TYPE_CHECKING:
-    from nmt_record.exchange.calibration_file import CalibrationSheet
+    from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 
 Place = tuple[Quantity, int]
 

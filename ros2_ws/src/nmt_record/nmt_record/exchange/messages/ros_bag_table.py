@@ -18,10 +18,10 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK, bench_name
-from nmt_record.exchange.bag_clock import ClockChoice, JudgedClock, judged_clock
-from nmt_record.exchange.even_grid import FEWEST, EvenGrid, even_grid, sampled_at
-from nmt_record.exchange.message_columns import TopicReader, structure_of
-from nmt_record.exchange.message_series import Series, series_of
+from nmt_record.exchange.clocks.even_grid import FEWEST, EvenGrid, even_grid, sampled_at
+from nmt_record.exchange.clocks.message_clock import ClockChoice, JudgedClock, judged_clock
+from nmt_record.exchange.messages.message_columns import TopicReader, structure_of
+from nmt_record.exchange.messages.message_series import Series, series_of
 from nmt_record.exchange.source_table import ClockQuestionError, SourceTable
 
 _MAGICS = (b"\x89MCAP0\r\n", b"SQLite format 3\0")

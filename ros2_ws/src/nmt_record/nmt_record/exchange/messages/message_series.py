@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_record.exchange.bag_clock import ClockChoice
-from nmt_record.exchange.even_grid import FEWEST
-from nmt_record.exchange.message_columns import (
+from nmt_record.exchange.clocks.even_grid import FEWEST
+from nmt_record.exchange.clocks.message_clock import ClockChoice
+from nmt_record.exchange.messages.message_columns import (
     MOST_ELEMENTS,
     Column,
     Layout,

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from nmt_core.errors import BenchError
 from nmt_core.files.validation_sentence import validation_sentence
 from nmt_core.files.yaml_document import read_document
-from nmt_record.exchange.import_sidecar import QuantityName
+from nmt_record.exchange.sidecar.import_sidecar import QuantityName
 
 Share = Annotated[float, Field(ge=0, lt=1)]
 

@@ -9,7 +9,7 @@ from decimal import Decimal, InvalidOperation
 
 from nmt_core.errors import BenchError
 from nmt_record.exchange.source_table import Scaling, split_name
-from nmt_record.exchange.text_form import TextForm
+from nmt_record.exchange.text.text_form import TextForm
 from nmt_record.exchange.unit_table import is_known_unit, plain_unit
 
 _STAMP = re.compile(r"\d[-./:]\d")  # a date or a time of day is no unit

@@ -12,10 +12,10 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import LARGEST_TABLE, open_regular
 from nmt_core.numerics.arrays import FloatArray
+from nmt_record.exchange.clocks.text_stamps import StampReader, date_columns, is_date, is_stamp, joined_stamps
 from nmt_record.exchange.source_table import AS_IT_IS, Scaling, SourceTable
-from nmt_record.exchange.text_form import INFINITE, MISSING, TextForm, form_of, refuse_split_decimals
-from nmt_record.exchange.text_heading import Heading, clock_of_heading, heading_of, scaling_of_heading
-from nmt_record.exchange.text_stamps import StampReader, date_columns, is_date, is_stamp, joined_stamps
+from nmt_record.exchange.text.text_form import INFINITE, MISSING, TextForm, form_of, refuse_split_decimals
+from nmt_record.exchange.text.text_heading import Heading, clock_of_heading, heading_of, scaling_of_heading
 from nmt_record.exchange.unit_table import plain_unit
 
 _MOST_ROWS_ACROSS = 64  # of a table whose channels are rows

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_record.exchange.import_sidecar import Sidecar
+from nmt_record.exchange.clocks.time_columns import TIME_NAME, day_numbers, unit_of_word
+from nmt_record.exchange.sidecar.import_sidecar import Sidecar
 from nmt_record.exchange.source_table import ClockQuestionError, SourceTable, split_name
-from nmt_record.exchange.time_columns import TIME_NAME, day_numbers, unit_of_word
 from nmt_record.exchange.unit_table import TIME_UNITS, other_factor, plain_unit, quantity_of_unit, unit_in_name
 
 # Steps may scatter by this share (rounded or jittering time stamps); above it they are another clock's.

@@ -8,7 +8,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
-from nmt_record.exchange.import_sidecar import ChannelSection
+from nmt_record.exchange.sidecar.import_sidecar import ChannelSection
 from nmt_record.exchange.source_table import SourceTable
 from nmt_record.exchange.unit_table import channel_factor
 

@@ -23,13 +23,27 @@ from nmt_core.vocabulary import ControlKind, LoopState, TestKind
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.bag.bench_topics import BENCH_TOPICS
 from nmt_record.bag.message_definitions import local_definitions
-from nmt_record.exchange.bag_clock import ClockChoice
-from nmt_record.exchange.channel_values import channel_values, without_delay
-from nmt_record.exchange.frf_checks import ShapeSign, check_responses
-from nmt_record.exchange.import_checks import CheckedStretch, ImportedChannel, check_columns, check_names, check_physics
-from nmt_record.exchange.import_clock import Clock, find_clock
-from nmt_record.exchange.import_continuity import doubled_blocks, phase_jump
-from nmt_record.exchange.import_sidecar import (
+from nmt_record.exchange.clocks.column_clock import Clock, find_clock
+from nmt_record.exchange.clocks.message_clock import ClockChoice
+from nmt_record.exchange.import_table import read_table
+from nmt_record.exchange.imports.channel_values import channel_values, without_delay
+from nmt_record.exchange.imports.import_checks import (
+    CheckedStretch,
+    ImportedChannel,
+    check_columns,
+    check_names,
+    check_physics,
+)
+from nmt_record.exchange.imports.import_continuity import doubled_blocks, phase_jump
+from nmt_record.exchange.messages.ros_bag_table import is_bag, read_bag
+from nmt_record.exchange.reduced.frf_checks import ShapeSign, check_responses
+from nmt_record.exchange.reduced.observables import (
+    OBSERVABLES_TOPIC,
+    OBSERVABLES_TYPE,
+    ObservableTable,
+    read_observables,
+)
+from nmt_record.exchange.sidecar.import_sidecar import (
     STEADY_KINDS,
     Sidecar,
     SignalSection,
@@ -38,10 +52,7 @@ from nmt_record.exchange.import_sidecar import (
     read_sidecar,
     sidecar_of,
 )
-from nmt_record.exchange.import_table import read_table
-from nmt_record.exchange.observables import OBSERVABLES_TOPIC, OBSERVABLES_TYPE, ObservableTable, read_observables
-from nmt_record.exchange.ros_bag_table import is_bag, read_bag
-from nmt_record.exchange.side_tables import BlockRow, read_block_table, read_records
+from nmt_record.exchange.sidecar.side_tables import BlockRow, read_block_table, read_records
 from nmt_record.exchange.source_table import SourceTable
 
 _BLOCK_SECONDS, _LEAST_BLOCK = 0.02, 200  # s, samples: each block costs a message, however slow the clock is

@@ -1,0 +1,1 @@
+"""Files of arrays: NPZ, MATLAB, HDF5, universal files, LVM and TDMS."""

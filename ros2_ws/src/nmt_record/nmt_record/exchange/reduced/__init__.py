@@ -1,0 +1,1 @@
+"""Tables that others have reduced: backbones and frequency responses."""

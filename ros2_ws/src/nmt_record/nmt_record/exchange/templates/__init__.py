@@ -1,0 +1,1 @@
+"""Sidecars to start from, by what a file of data itself tells."""

@@ -16,7 +16,8 @@ from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.quiet_tests import play_backbone, play_random
 from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_extract.offline import extract_bag
@@ -107,8 +108,8 @@ def test_windows_and_random_tests_refer_to_the_same_recorded_voltage(tmp_path: P
         record(tmp_path / name, model, model, bench, 5, converters)
     found = read_observations([tmp_path / "backbone", tmp_path / "random"], model)
     rows, (locked, random) = found.rows, found.tests
-    assert isinstance(locked, PhaseResonanceTest)
-    assert isinstance(random, RandomTest)
+    assert isinstance(locked, LockedWindows)
+    assert isinstance(random, RandomResponses)
     assert not locked.commanded
     for part in (Part.LOG_MAGNITUDE, Part.PHASE):
         of_force = rows.part == part

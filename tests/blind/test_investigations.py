@@ -38,8 +38,8 @@ from nmt_blind.cases.driven_rigs import (
 from nmt_blind.cases.rig_edits import rig_yaml, with_edits
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain, measuring_chain
-from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.sidecar.calibration_file import read_calibration
 

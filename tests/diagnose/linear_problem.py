@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 
 
@@ -71,7 +72,7 @@ def rows_of(m, levels=None, test=0, part=Part.REAL):
 
 def observations_of(values, std, levels=None, part=Part.REAL, tests=("run",)):
     m = len(values)
-    kinds = tuple(PhaseResonanceTest(name, (1,), "a1", (), 1, "voltage", ()) for name in tests)
+    kinds = tuple(LockedWindows(name, (1,), "a1", (), 1, "voltage", ()) for name in tests)
     return Observations(
         kinds,
         rows_of(m, levels, part=part),
@@ -82,4 +83,4 @@ def observations_of(values, std, levels=None, part=Part.REAL, tests=("run",)):
 
 
 def random_test(name):
-    return RandomTest(name, 1, (), "voltage", np.ones(1), 1.0, "hann", 1.0, 0.0, 1.0)
+    return RandomResponses(name, 1, (), "voltage", np.ones(1), 1.0, "hann", 1.0, 0.0, 1.0)

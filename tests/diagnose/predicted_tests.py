@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from nmt_core.messages.blocks import Quantity
-from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
@@ -71,12 +73,10 @@ def level(drive: float, frequency: float, phase: float = 0.0, start: float = 0.0
 
 def locked(
     rig: Rig, levels: Sequence[LockedLevel], response: str, test: int = 0, harmonics: int = 5, held: str = "voltage"
-) -> tuple[PhaseResonanceTest, list[tuple[int, int, int, int, Part]]]:
+) -> tuple[LockedWindows, list[tuple[int, int, int, int, Part]]]:
     """A test of locked windows with all observables of all channels."""
     channels = channels_of(rig)
-    conditions = PhaseResonanceTest(
-        f"locked {test}", rig.exciter_points, response, channels, harmonics, held, tuple(levels)
-    )
+    conditions = LockedWindows(f"locked {test}", rig.exciter_points, response, channels, harmonics, held, tuple(levels))
     table: list[tuple[int, int, int, int, Part]] = []
     for position in range(len(levels)):
         table += [(test, position, -1, -1, Part.LOG_FREQUENCY), (test, position, -1, -1, Part.PHASE_ERROR)]
@@ -89,13 +89,13 @@ def locked(
 
 def noise_test(
     rig: Rig, low: float, high: float, count: int, test: int = 0, reference: str = "voltage", window: str = "hann"
-) -> tuple[RandomTest, list[tuple[int, int, int, int, Part]]]:
+) -> tuple[RandomResponses, list[tuple[int, int, int, int, Part]]]:
     """A random test over evenly spread lines."""
     left_out = Quantity.VOLTAGE if reference == "voltage" else Quantity.FORCE
     channels = tuple(c for c in channels_of(rig) if c.quantity not in (left_out, Quantity.VOLTAGE))
     resolution = 0.5
     lines = np.unique(np.round(np.linspace(low, high, count) / resolution)) * resolution
-    conditions = RandomTest(
+    conditions = RandomResponses(
         f"noise {test}", rig.drive_point, channels, reference, lines, resolution, window, 0.05, 0.0, 60.0
     )
     table = [

@@ -9,8 +9,9 @@ import numpy as np
 from independent.modal_simulator import Element, Simulator
 
 from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
@@ -139,6 +140,6 @@ def held_sines(
                 rows.add(Part.REAL, float(ratio.real), NOISE, 0.0, place, number, order)
                 rows.add(Part.IMAG, float(ratio.imag), NOISE, 0.0, place, number, order)
         levels.append(LockedLevel(k, force, 0.0, 1e-4, frequency, 10.0 * k, 10.0 * k + 5.0, 0.0, 1, force))
-    test = PhaseResonanceTest("levels", points, "a1", channels, HARMONICS, "voltage", tuple(levels))
+    test = LockedWindows("levels", points, "a1", channels, HARMONICS, "voltage", tuple(levels))
     found = rows.observations(test)
     return Observations(found.tests, found.rows, found.values, found.std, found.floor, chains=(MeasuringChain(),))

@@ -19,9 +19,12 @@ from nmt_diagnose.inference.chain import linear_chain, scale_columns
 from nmt_diagnose.inference.diagnose import diagnose_observations
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.backbone_table.reading import table_observations
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RandomTest, RingDownTest
-from nmt_diagnose.observations.kinds.table_observations import table_observations
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.prediction.forward import Forward
@@ -130,7 +133,7 @@ def test_the_gain_of_a_decays_channel_is_an_error_of_the_chain_and_counts_once()
     rig = validate_rig(RigDocument("test", values, {}))
     table = backbone(1.0)
     amplitudes = np.sort(table.tests[0].amplitudes)[::-1]  # type: ignore[union-attr]
-    decay = RingDownTest("decay", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), amplitudes, HZ)
+    decay = RecordedDecay("decay", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), amplitudes, HZ)
     decays = replace(table, tests=(decay,), chains=(MeasuringChain(),))
     found = Forward(decays.tests, decays.rows).predict(rig)
     chain = linear_chain(decays, rig, found)
@@ -151,7 +154,7 @@ def test_the_scale_of_a_table_and_of_a_decay_is_their_own_amplitude(quantity: Qu
     amplitudes = np.array([2e-4, 3e-3]) * OMEGA**derivatives
     for test in (
         BackboneTable("table", 1, channel, amplitudes),
-        RingDownTest("decay", 1, channel, amplitudes[::-1], HZ),
+        RecordedDecay("decay", 1, channel, amplitudes[::-1], HZ),
     ):
         found = operating_range(oscillator(), [test], observations=backbone(1.0))
         assert found.displacement[1] == pytest.approx(3e-3, rel=1e-9)
@@ -180,7 +183,7 @@ def test_the_mode_of_a_table_is_the_one_at_its_frequency() -> None:
 
 
 def test_without_any_motion_the_scale_is_a_millimetre_at_the_mode_under_test() -> None:
-    test = RandomTest("frf", 1, (), "force", np.array([HZ]), 1.0, "none", 0.0, 0.0, 0.0)
+    test = RandomResponses("frf", 1, (), "force", np.array([HZ]), 1.0, "none", 0.0, 0.0, 0.0)
     found = operating_range(oscillator(), [test])
     assert found.displacement[1] == pytest.approx(1e-3)
     assert found.omega == pytest.approx(OMEGA, rel=1e-9)

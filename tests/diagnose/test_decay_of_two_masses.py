@@ -14,9 +14,10 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 
 from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.recorded_decay import reading
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
-from nmt_diagnose.observations.kinds import ring_down_observations
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -103,7 +104,7 @@ def test_each_channel_decays_at_its_own_rate(name: str, motion: dict[str, np.nda
     ratio = np.array([-fit[1] for fit in fits]) / omega
     quantity = {"x": Quantity.DISPLACEMENT, "v": Quantity.VELOCITY, "a": Quantity.ACCELERATION}[name[0]]
     channel = MeasuredChannel(name, quantity, int(name[1]))
-    test = RingDownTest("decay", 1, channel, np.exp([fit[2] for fit in fits]), float(omega[0]) / (2.0 * np.pi))
+    test = RecordedDecay("decay", 1, channel, np.exp([fit[2] for fit in fits]), float(omega[0]) / (2.0 * np.pi))
     table = [(0, k, 0, 1, part) for k in range(PERIODS.size) for part in (Part.LOG_FREQUENCY, Part.DAMPING)]
     values = Forward([test], rows_of(table)).predict(two_masses(DAMPING)).values
     np.testing.assert_allclose(np.exp(values[::2]), omega, rtol=1e-4)
@@ -120,9 +121,7 @@ def read(cubic: float) -> Observations:
     laser = MeasuredChannel("v1", Quantity.VELOCITY, 1)
     stretch = SampleStretch(0, 2000.0, (laser,), velocity[np.newaxis], None, {}, math.nan)
     view = ModelView.of(two_masses(LIGHT, 0.0), (1,))
-    return ring_down_observations.ring_down_observations(
-        "tap", stretch, math.nan, view, {"v1": laser}, ObservationSettings()
-    )
+    return reading.ring_down_observations("tap", stretch, math.nan, view, {"v1": laser}, ObservationSettings())
 
 
 def deviations(observations: Observations) -> np.ndarray:

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from nmt_core.messages.blocks import Quantity
-from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.equivalent_linear import equivalents
 from nmt_diagnose.prediction.forward import Forward
@@ -140,7 +141,7 @@ def _predicted(rig: Rig, lines: NDArray[Any], drive: float, others: dict[int, fl
     """Response at point 1 to the exciter there, driven with this rms; ``others`` are points and rms of further ones."""
     point, count = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), lines.size
     beside = {"resting_points": tuple(others or ()), "other_rms": tuple((others or {}).values())}
-    test = RandomTest("random", 1, (point,), "voltage", lines, 0.05, "none", drive, 0.0, 20.0, **beside)
+    test = RandomResponses("random", 1, (point,), "voltage", lines, 0.05, "none", drive, 0.0, 20.0, **beside)
     own = np.tile(np.arange(count), 2)
     zero = np.zeros(2 * count, dtype=np.int64)
     part = np.repeat([int(Part.LOG_MAGNITUDE), int(Part.PHASE)], count)

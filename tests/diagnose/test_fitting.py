@@ -19,7 +19,7 @@ from nmt_diagnose.inference.fitting import ChainErrors, _normal, approach, data_
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups, chance_of
 from nmt_diagnose.inference.search import Search
-from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.lateness import delay_of, lateness
 from nmt_diagnose.prediction.operating_range import operating_range
@@ -96,10 +96,10 @@ def test_late_channels_are_effects_that_begin_there_and_no_modes() -> None:
     found = {
         observations.tests[test].channels[channel].name: delay
         for (test, channel), delay in lateness(observations, MODEL).items()
-        if isinstance(observations.tests[test], RandomTest)
+        if isinstance(observations.tests[test], RandomResponses)
     }
     assert found
-    highest = max(float(t.lines_hz.max()) for t in observations.tests if isinstance(t, RandomTest))
+    highest = max(float(t.lines_hz.max()) for t in observations.tests if isinstance(t, RandomResponses))
     for name, delay in found.items():
         expected = 4e-3 if name.startswith("a") else 0.0
         assert delay == pytest.approx(expected, abs=1.0 / (8.0 * highest))
@@ -135,7 +135,9 @@ def test_sources_act_on_the_model_as_it_was_fitted() -> None:
     """The model as given has its resonances elsewhere: a drift without a name is that of temperature all the same."""
     stiffer = real(MODEL, structure={"springs_n_m": [1.15 * k for k in MODEL.structure.springs_n_m]})
     observations = observations_of_model(stiffer, seed=3, drives=(0.1, 0.4))
-    tests = tuple(replace(t, start_s=20.0, stop_s=60.0) if isinstance(t, RandomTest) else t for t in observations.tests)
+    tests = tuple(
+        replace(t, start_s=20.0, stop_s=60.0) if isinstance(t, RandomResponses) else t for t in observations.tests
+    )
     observations = replace(observations, tests=tests)
     everything, parameters = np.ones(len(observations.rows), dtype=bool), free_parameters(MODEL, observations)
     modes = LowLevelModes(observations, MODEL)

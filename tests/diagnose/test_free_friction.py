@@ -16,7 +16,7 @@ from nmt_core.numerics.kernels import njit
 from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.observations.conditions import RingDownTest
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
@@ -145,7 +145,7 @@ def test_a_decay_is_read_from_its_beginning(tmp_path: Path) -> None:
     bag, _ = diagnosed(tmp_path, PENDULUM, {"angle 1": decay(800.0, 0.15)}, "ring_down")
     observations = read_observations([bag], load_rig(tmp_path / "rig.yaml"))
     (test,) = observations.tests
-    assert isinstance(test, RingDownTest)
+    assert isinstance(test, RecordedDecay)
     assert test.amplitudes.max() > 0.08
     assert test.amplitudes.size >= 6
 

@@ -16,7 +16,7 @@ from nmt_diagnose.effects.library import library
 from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.observations.conditions import ImposedMotionTest
+from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
@@ -140,7 +140,7 @@ def test_one_mass_takes_its_forces_along_the_motion(tmp_path: Path, kind: str) -
     bag = bag_of(tmp_path, RATE, {"force 1": force, "displacement 1": w}, record(time.size), FREE + more)
     observations = read_observations([bag], rig)
     (test,) = observations.tests
-    assert isinstance(test, ImposedMotionTest)
+    assert isinstance(test, ImposedMotion)
     left = observations.values - predicted(rig, observations)
     assert np.sqrt(np.mean(left**2)) < 3e-3 * np.sqrt(np.mean(force**2))
 
@@ -251,7 +251,7 @@ def test_a_hundredth_of_the_power_at_a_mode_is_vibration(tmp_path: Path, share: 
     rig = rig_of(tmp_path, text)
     w = sines(np.arange(8000) / RATE, (0.03, 2.0, 0.0), (0.03 * math.sqrt(share / (1.0 - share)), 48.0, 0.0))[0]
     bag = bag_of(tmp_path, RATE, {"force 1": 180.0 * w, "displacement 1": w}, record(w.size), text)
-    assert all(isinstance(test, ImposedMotionTest) is imposed for test in read_observations([bag], rig).tests)
+    assert all(isinstance(test, ImposedMotion) is imposed for test in read_observations([bag], rig).tests)
 
 
 @pytest.mark.parametrize(("held", "imposed"), [(None, True), ("response", True), ("force", False)])
@@ -265,7 +265,7 @@ def test_a_motion_far_from_the_modes_is_imposed(tmp_path: Path, held: str | None
     more = {} if held is None else {"held": held}
     bag = bag_of(tmp_path, RATE, {"force 1": force, "displacement 1": w}, record(time.size, **more), text)
     observations = read_observations([bag], rig)
-    assert all(isinstance(test, ImposedMotionTest) is imposed for test in observations.tests)
+    assert all(isinstance(test, ImposedMotion) is imposed for test in observations.tests)
     assert any("held: force" in note for note in observations.notes) == (held is None)
 
 
@@ -276,7 +276,7 @@ def test_a_motion_on_a_resonance_is_an_answer(tmp_path: Path) -> None:
     w, v, a = sines(time, (0.03, 2.1, 0.0))
     force = 2e-3 * a + 1e-3 * v + 0.32 * w
     bag = bag_of(tmp_path, RATE, {"force 1": force, "displacement 1": w}, record(time.size), text)
-    assert not any(isinstance(test, ImposedMotionTest) for test in read_observations([bag], rig).tests)
+    assert not any(isinstance(test, ImposedMotion) for test in read_observations([bag], rig).tests)
 
 
 def test_a_short_window_is_left_out(tmp_path: Path) -> None:

@@ -19,8 +19,11 @@ from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch
 from nmt_diagnose.law.reading import LawReading, read_law
 from nmt_diagnose.law.terms import Term
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RingDownTest, SteppedSineTest
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
@@ -181,7 +184,7 @@ def amplitudes(decay: bool, cubic: float = 0.0, friction: float = 0.0, bent: flo
         table.add(Part.LOG_FREQUENCY, float(np.log(omega[k]) + 1e-6 * draw.standard_normal()), 1e-6, 0.0, place, 0, 1)
         table.add(Part.DAMPING, float(damping[k] + 1e-5 * draw.standard_normal()), 1e-5, 0.0, place, 0, 1)
     channel = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1)
-    test = RingDownTest("decay", 1, channel, a, 20.0) if decay else BackboneTable("table", 1, channel, a)
+    test = RecordedDecay("decay", 1, channel, a, 20.0) if decay else BackboneTable("table", 1, channel, a)
     found = table.observations(test)
     return Observations(found.tests, found.rows, found.values, found.std, found.floor, chains=(MeasuringChain(),))
 
@@ -268,7 +271,7 @@ def lines(reference: str, cubic: float, friction: float, responses: str = "relat
         if reference == "base" and responses == "absolute":
             measured = measured - 1.0 / omega**2
         measured = measured * (1.0 + 1e-3 * draw.standard_normal(omega.size))
-        test = SteppedSineTest(
+        test = SteppedResponses(
             f"up {number}", 1, (channel,), reference, reference, omega / (2.0 * np.pi),
             np.full(omega.size, force if reference == "force" else force / mass), measured[:, np.newaxis],
             np.full(omega.size, 1e-3),

@@ -28,8 +28,10 @@ from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.noise import Groups, groups_of
 from nmt_diagnose.inference.search import Search
 from nmt_diagnose.inference.size import IMITATION
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, PhaseResonanceTest
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
@@ -278,9 +280,9 @@ def test_where_the_loop_truly_stood_is_no_gap() -> None:
     assert diagnosed(known).features["rms:levels: frequency"] > 5.0
 
 
-def _certain(test: object) -> PhaseResonanceTest:
+def _certain(test: object) -> LockedWindows:
     """The test with the phases of its windows as if they were known."""
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     return replace(test, levels=tuple(replace(level, phase_error_std=0.0) for level in test.levels))
 
 

@@ -33,7 +33,7 @@ def test_whitened_residuals_have_the_likelihood_of_the_covariance() -> None:
     rows, count = observations.rows, len(observations.rows)
     rng = np.random.default_rng(1)
     share = rng.uniform(0.2, 0.9, count)
-    line = np.array([type(observations.tests[t]).__name__ == "RandomTest" for t in rows.test])
+    line = np.array([type(observations.tests[t]).__name__ == "RandomResponses" for t in rows.test])
     covariance = np.eye(count)
     for i in range(count):
         for j in range(i):

@@ -12,8 +12,10 @@ from diagnose.test_stepped_sine import DAMPER, OMEGA, observations_of, oscillato
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.chain import linear_chain
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import table_chain
-from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import ResidualSection, Rig
 
@@ -30,8 +32,8 @@ def receptance(other: bool) -> np.ndarray:
     return np.asarray(found)
 
 
-def without_level(test: SteppedSineTest) -> RandomTest:
-    return RandomTest(
+def without_level(test: SteppedResponses) -> RandomResponses:
+    return RandomResponses(
         "responses", 1, test.channels, "force", test.lines_hz, float(np.diff(LINES)[0]), "none", 0.0, 0.0, 0.0
     )
 

@@ -15,7 +15,7 @@ from tiers import with_quick
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.conditions import PhaseResonanceTest
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_rig.rig import load_rig
@@ -59,7 +59,7 @@ def test_a_clean_bag_says_nothing(clean: Path) -> None:
 def test_nan_in_one_channel_of_one_level(clean: Path, tmp_path: Path) -> None:
     whole = read_observations([clean], RIG)
     test = whole.tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     hit = int(test.levels[2].start_s * RIG.sample_rate_hz) + 400
 
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
@@ -175,7 +175,7 @@ def test_windows_of_impossible_length(clean: Path, tmp_path: Path, samples: int)
     observations = read_observations([altered(clean, tmp_path / "odd", events=events)], RIG)
     said(observations, "level 2", "left out")
     kept = observations.tests[0]
-    assert isinstance(kept, PhaseResonanceTest)
+    assert isinstance(kept, LockedWindows)
     assert [level.index for level in kept.levels] == [0, 1, 3]
 
 
@@ -213,7 +213,7 @@ def test_a_wrong_sign_is_no_phase_of_the_loop(clean: Path, tmp_path: Path) -> No
 
 def test_time_going_backwards(clean: Path, tmp_path: Path) -> None:
     test = read_observations([clean], RIG).tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     turn = int(test.levels[1].start_s * RIG.sample_rate_hz) + 2000
 
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
@@ -224,13 +224,13 @@ def test_time_going_backwards(clean: Path, tmp_path: Path) -> None:
     observations = read_observations([altered(clean, tmp_path / "back", change)], RIG)
     said(observations, "level 1", "repeats samples")
     kept = observations.tests[0]
-    assert isinstance(kept, PhaseResonanceTest)
+    assert isinstance(kept, LockedWindows)
     assert [level.index for level in kept.levels] == [0, 2, 3]
 
 
 def test_a_clock_that_is_set_back_spoils_all_that_follows(clean: Path, tmp_path: Path) -> None:
     test = read_observations([clean], RIG).tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     turn = int(test.levels[1].stop_s * RIG.sample_rate_hz) + 4000
 
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
@@ -240,13 +240,13 @@ def test_a_clock_that_is_set_back_spoils_all_that_follows(clean: Path, tmp_path:
     observations = read_observations([altered(clean, tmp_path / "back", change)], RIG)
     said(observations, "level 2", "clock", "was set back")
     kept = observations.tests[0]
-    assert isinstance(kept, PhaseResonanceTest)
+    assert isinstance(kept, LockedWindows)
     assert [level.index for level in kept.levels] == [0, 1]
 
 
 def test_a_gap_spoils_its_window_only(clean: Path, tmp_path: Path) -> None:
     test = read_observations([clean], RIG).tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     hole = int(test.levels[3].start_s * RIG.sample_rate_hz) + 2000
 
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
@@ -255,14 +255,14 @@ def test_a_gap_spoils_its_window_only(clean: Path, tmp_path: Path) -> None:
 
     observations = read_observations([altered(clean, tmp_path / "gap", change)], RIG)
     kept = observations.tests[0]
-    assert isinstance(kept, PhaseResonanceTest)
+    assert isinstance(kept, LockedWindows)
     assert [level.index for level in kept.levels] == [0, 1, 2]
     said(observations, "level 3", "missing")
 
 
 def test_a_jump_of_the_phase_spoils_its_window(clean: Path, tmp_path: Path) -> None:
     test = read_observations([clean], RIG).tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     hit = int(test.levels[0].start_s * RIG.sample_rate_hz) + 2000
 
     def change(block: SampleBlock) -> Iterator[SampleBlock]:
@@ -301,7 +301,7 @@ def test_clipping_that_nobody_noticed_is_evidence(clean: Path, tmp_path: Path) -
 def test_a_converter_that_says_so_costs_its_channels(clean: Path, tmp_path: Path) -> None:
     """The run was extracted from force and displacement, so the window stays; what the acceleration shows does not."""
     test = read_observations([clean], RIG).tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     hit = int(test.levels[2].start_s * RIG.sample_rate_hz) + 400
 
     def change(block: SampleBlock) -> Iterator[SampleBlock]:

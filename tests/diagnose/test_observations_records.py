@@ -15,16 +15,18 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.diagnose import diagnose_bags
 from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, RecordTest
-from nmt_diagnose.observations.kinds.record_observations import spread_samples, white_noise
-from nmt_diagnose.observations.kinds.table_observations import noise_of_weak_lines
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.backbone_table.reading import noise_of_weak_lines
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.driven_record.reading import spread_samples, white_noise
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_record.exchange.imports.imported_run import read_import, write_import
 from nmt_signals.band_limited import finer
 
 
-def simulated(test: RecordTest, stiffness: float, damping: float, gain: float) -> FloatArray:
+def simulated(test: DrivenRecord, stiffness: float, damping: float, gain: float) -> FloatArray:
     """Response of one degree of freedom to a record's input, straight between its samples."""
     return oscillator(test.input, test.sample_rate, stiffness, damping, gain)
 
@@ -36,7 +38,7 @@ def oscillator(samples: FloatArray, rate: float, stiffness: float, damping: floa
 
 def predicted(observations: Observations, number: int, response: FloatArray) -> FloatArray:
     test = observations.tests[number]
-    assert isinstance(test, RecordTest)
+    assert isinstance(test, DrivenRecord)
     mine = observations.rows.test == number
     index = np.round((observations.rows.time_s[mine] - test.start_s) * test.sample_rate).astype(int)
     return response[index]
@@ -52,7 +54,7 @@ def test_a_linear_record_leaves_the_noise(tmp_path: Path) -> None:
     y = response[::16] + noise * np.random.default_rng(2).standard_normal(u.size)
     observations = read_observations([imported(tmp_path, u, y, [(0, 20_000)])], rig)
     test = observations.tests[0]
-    assert isinstance(test, RecordTest)
+    assert isinstance(test, DrivenRecord)
     assert (observations.rows.part == Part.SAMPLE).all()
     assert observations.std[0] == pytest.approx(noise, rel=0.1)
     assert observations.floor[0] == pytest.approx(0.01 * y.std(), rel=0.02)
@@ -154,7 +156,7 @@ def test_frequency_response_table(tmp_path: Path) -> None:
     bag = table(tmp_path, "frf", "frequency_hz,real,imag\n" + lines)
     observations = read_observations([bag], rig_in(tmp_path))
     test = observations.tests[0]
-    assert isinstance(test, RandomTest)
+    assert isinstance(test, RandomResponses)
     assert (test.reference, test.window, test.drive_rms) == ("force", "none", 0.0)
     assert test.lines_hz.size <= 160
     picked = np.interp(test.lines_hz, frequency, np.log(np.abs(response)))
@@ -240,7 +242,7 @@ def test_silverbox(data_folder: Path, tmp_path: Path) -> None:
     spans = [(0, 40_000), (40_580, 56_964), (57_500, 73_884)]
     observations = read_observations([imported(tmp_path, raw[:, 0], raw[:, 1], spans)], rig_in(tmp_path))
     arrow = observations.tests[0]
-    assert isinstance(arrow, RecordTest)
+    assert isinstance(arrow, DrivenRecord)
     assert [test.name[-1] for test in observations.tests] == ["1", "2", "3"]
     # Values near those of the literature; no fit here.
     response = simulated(arrow, 1.908e5, 43.3, 1.886e5)

@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.locked_windows.reading import analyse_window
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.conditions import MeasuredChannel, PhaseResonanceTest, RandomTest, RingDownTest
-from nmt_diagnose.observations.kinds.phase_resonance_observations import analyse_window
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.observations.noise.settling import settling
@@ -55,14 +58,14 @@ def exact_linear(observations: Observations, rig: Rig) -> FloatArray:
     test = observations.tests[0]
     rows = observations.rows
     exact = np.full(len(rows), np.nan)
-    if isinstance(test, RandomTest):
+    if isinstance(test, RandomResponses):
         frequency, drive = test.lines_hz, np.ones(test.lines_hz.size)
     else:
-        assert isinstance(test, PhaseResonanceTest)
+        assert isinstance(test, LockedWindows)
         frequency = np.array([level.frequency_hz for level in test.levels])
         drive = np.array([level.drive for level in test.levels])
     response = linear_responses(rig, test.channels, frequency) * drive
-    if isinstance(test, RandomTest):
+    if isinstance(test, RandomResponses):
         response = of_a_held_drive(rig, test)
     own = response[rows.channel, rows.level]
     fundamental = rows.channel >= 0
@@ -73,7 +76,7 @@ def exact_linear(observations: Observations, rig: Rig) -> FloatArray:
     return exact
 
 
-def of_a_held_drive(rig: Rig, test: RandomTest) -> NDArray[np.complex128]:
+def of_a_held_drive(rig: Rig, test: RandomResponses) -> NDArray[np.complex128]:
     """Sampled responses to the samples of a drive that goes straight between them (channels, lines)."""
     rate, total = test.drive_hold_hz, np.zeros((len(test.channels), test.lines_hz.size), dtype=np.complex128)
     for order in range(-8, 9):
@@ -100,7 +103,7 @@ def test_observables_of_a_linear_rig_without_noise(tmp_path: Path) -> None:
     rig = rig_with_noise(overrides=[*LINEAR, "sample_rate_hz=10000"], noise=0.0)
     observations = read_observations([record(tmp_path / "run", rig, levels=(0.2, 0.5, 0.3))], rig)
     test = observations.tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     assert test.held == "voltage"
     assert (test.drive_point, test.response_channel) == (2, "x2")
     assert [level.direction for level in test.levels] == [1, 1, -1]
@@ -124,7 +127,7 @@ def test_phase_at_lock_and_frequency_belong_together(noisy: tuple[Rig, Path]) ->
     rig, bag = noisy
     observations = read_observations([bag], rig)
     test = observations.tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     index = [channel.name for channel in test.channels].index
     rows = (test.channels[index("f2")], test.channels[index("x2")])
     for level in test.levels:
@@ -163,7 +166,7 @@ def test_without_recorded_phase_or_voltage_the_force_is_held(noisy: tuple[Rig, P
     whole = read_observations([bag], rig)
     bare = read_observations([altered(bag, tmp_path / "bare", change, run={"imported": {}})], rig)
     test = bare.tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     assert test.held == "force"
     names = [channel.name for channel in test.channels]
     force = bare.rows.channel == names.index("f2")
@@ -195,7 +198,7 @@ def test_with_voltage_but_without_phase_the_voltage_is_the_frame(noisy: tuple[Ri
     whole = read_observations([bag], rig)
     blind = read_observations([altered(bag, tmp_path / "blind", change)], rig)
     test = blind.tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     assert test.held == "voltage"
     difference = blind.values - whole.values
     difference[blind.rows.part == Part.PHASE] = wrapped(difference[blind.rows.part == Part.PHASE])
@@ -337,7 +340,7 @@ def test_ring_down_of_a_linear_rig(tmp_path: Path) -> None:
     rig = rig_with_noise(overrides=[*LINEAR, "sample_rate_hz=10000"], noise=0.1)
     observations = read_observations([record(tmp_path / "run", rig, TestKind.RING_DOWN, (1.0,), duration=3.0)], rig)
     test = observations.tests[0]
-    assert isinstance(test, RingDownTest)
+    assert isinstance(test, RecordedDecay)
     assert test.channel.name == "x2"
     assert (np.diff(test.amplitudes) < 0.0).all()
     assert test.amplitudes.size >= 4
@@ -438,7 +441,7 @@ def test_the_shipped_rigs_make_views() -> None:
 
 
 def test_a_loop_that_still_settles_leans_and_a_steady_offset_does_not() -> None:
-    from nmt_diagnose.observations.kinds.phase_resonance_observations import _lean
+    from nmt_diagnose.measurements.locked_windows.reading import _lean
 
     time = np.arange(10) / 10.0
     noise = 1e-5 * np.random.default_rng(3).standard_normal(10)

@@ -16,9 +16,10 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.coverage import covers
-from nmt_diagnose.observations.conditions import PhaseResonanceTest, SteppedSineTest
-from nmt_diagnose.observations.kinds.phase_resonance_observations import _terms
-from nmt_diagnose.observations.kinds.ring_down_observations import _close_mode
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.locked_windows.reading import _terms
+from nmt_diagnose.measurements.recorded_decay.reading import _close_mode
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_extract.response_curve import response_curves
@@ -90,7 +91,7 @@ def test_without_recorded_voltages_the_forces_are_what_drives(exciters: str, tmp
     rig = load_rig(file)
     observations = read_observations([recorded(tmp_path, file, harmonics_control=5)], rig)
     test = observations.tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     assert test.held == "force"
     assert test.drive_points == rig.exciter_points
     assert distance(observations, rig) < 1.5
@@ -113,7 +114,7 @@ def test_a_spring_that_takes_the_frequency_far_is_followed(tmp_path: Path) -> No
     rig = load_rig("strong_cubic")
     observations = read_observations([bag], rig)
     test = observations.tests[0]
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     assert test.levels[1].frequency_hz > 1.5 * test.levels[0].frequency_hz
     assert distance(observations, rig) < 1.5
 
@@ -127,7 +128,7 @@ def test_a_response_curve_is_what_its_model_predicts_on_every_branch(tmp_path: P
     rig = load_rig("strong_cubic")
     observations = read_observations([result.bag], rig)
     test = observations.tests[0]
-    assert isinstance(test, SteppedSineTest)
+    assert isinstance(test, SteppedResponses)
     assert test.lines_hz.size == len(result.points)
     (measured,) = response_curves(result.points)
     assert np.count_nonzero(measured.stable == 0.0) > 1

@@ -20,14 +20,17 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, effect_named, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.rig_edit import value_at, with_element, with_value
-from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RecordTest, RingDownTest
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.driven_record.predictor import stepped_model
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.influence import Source
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.record_predictor import stepped_model
 from nmt_diagnose.prediction.rig_parts import rig_parts
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.model.forced_response import ForcedProblem
@@ -269,7 +272,7 @@ def test_linear_ring_down_is_the_damped_pole():
     for pole in poles:
         hz = pole.imag / (2 * np.pi)
         channel = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1)
-        test = RingDownTest("decay", 1, channel, np.array([1e-3, 1e-4]), hz * 1.02)
+        test = RecordedDecay("decay", 1, channel, np.array([1e-3, 1e-4]), hz * 1.02)
         table = [(0, k, 0, 1, part) for k in range(2) for part in (Part.LOG_FREQUENCY, Part.DAMPING)]
         values = Forward([test], rows_of(table)).predict(rig).values
         np.testing.assert_allclose(np.exp(values[::2]), pole.imag, rtol=1e-8)
@@ -284,7 +287,7 @@ def test_ring_down_of_duffing_and_friction_follow_the_averages():
         {"kind": "quadratic_drag", "point": 1, "drag_ns2_m2": c2},
     ])  # fmt: skip
     amplitudes = np.array([2e-3, 1e-3, 2e-4])
-    test = RingDownTest("decay", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), amplitudes, 33.0)
+    test = RecordedDecay("decay", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), amplitudes, 33.0)
     table = [(0, k, 0, 1, part) for k in range(3) for part in (Part.LOG_FREQUENCY, Part.DAMPING)]
     values = Forward([test], rows_of(table), PredictionSettings(harmonics=3)).predict(rig).values
     omega, ratio = np.exp(values[::2]), values[1::2]
@@ -292,7 +295,7 @@ def test_ring_down_of_duffing_and_friction_follow_the_averages():
     rate = 2.0 / (2 * 0.5) + 4.0 * c2 * omega * amplitudes / (3 * np.pi * 0.5)
     slope = 0.75 * k3 * amplitudes**2 / (20_000.0 + 0.75 * k3 * amplitudes**2)
     np.testing.assert_allclose(ratio * omega, rate / (1.0 + 0.5 * slope), rtol=1.2e-2)
-    seen = RingDownTest("decay", 1, MeasuredChannel("a1", Quantity.ACCELERATION, 1), amplitudes * omega**2, 33.0)
+    seen = RecordedDecay("decay", 1, MeasuredChannel("a1", Quantity.ACCELERATION, 1), amplitudes * omega**2, 33.0)
     values = Forward([seen], rows_of(table), PredictionSettings(harmonics=3)).predict(rig).values
     np.testing.assert_allclose(np.exp(values[::2]), omega, rtol=2e-3)
     np.testing.assert_allclose(values[1::2], ratio * (1.0 + 2.0 * slope), rtol=2e-2)
@@ -321,7 +324,7 @@ def test_a_decay_in_time_follows_the_ring_down(kind):
     rate = -np.gradient(log, middle)
     # Above the amplitude at which the joint sticks: there a decay changes within one period.
     picks = np.array([3, 6, 9])
-    test = RingDownTest(
+    test = RecordedDecay(
         "decay", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), np.exp(log[picks]), omega[3] / (2 * np.pi)
     )
     table = [(0, k, 0, 1, part) for k in range(3) for part in (Part.LOG_FREQUENCY, Part.DAMPING)]
@@ -336,7 +339,7 @@ def test_a_late_channel_sees_an_earlier_and_larger_part_of_a_decay():
     rig = chain(local_elements=[])
     sensors = [s.model_copy(update={"delay_s": late}) if s.quantity == "acceleration" else s for s in rig.sensors]
     here, there = MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), MeasuredChannel("a2", Quantity.ACCELERATION, 2)
-    test = RingDownTest("decay", 1, here, np.array([1e-3, 3e-4]), 24.0, (there,))
+    test = RecordedDecay("decay", 1, here, np.array([1e-3, 3e-4]), 24.0, (there,))
     kinds = [(0, Part.LOG_FREQUENCY), (0, Part.DAMPING), (1, Part.LOG_MAGNITUDE), (1, Part.PHASE)]
     forward = Forward([test], rows_of([(0, k, channel, 1, part) for k in range(2) for channel, part in kinds]))
     punctual = forward.predict(rig).values
@@ -348,7 +351,7 @@ def test_a_late_channel_sees_an_earlier_and_larger_part_of_a_decay():
 
 def test_ring_down_jacobian_is_that_of_solutions():
     rig = chain()
-    test = RingDownTest("decay", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), np.array([1e-3, 3e-4]), 24.0)
+    test = RecordedDecay("decay", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), np.array([1e-3, 3e-4]), 24.0)
     table = [(0, k, 0, 1, part) for k in range(2) for part in (Part.LOG_FREQUENCY, Part.DAMPING)]
     forward = Forward([test], rows_of(table))
     parametrisation = Parametrisation(rig, calibration_parameters(rig))
@@ -405,7 +408,7 @@ def test_a_record_against_the_plant(kind):
     table = [(0, 0, channel, 1, Part.SAMPLE) for channel in range(3) for _ in picks]
     rows = rows_of(table)
     rows.time_s[:] = np.tile(picks / 1e4, 3)
-    test = RecordTest(
+    test = DrivenRecord(
         "record", 1, 1e4, MeasuredChannel("u", Quantity.VOLTAGE, 0), y["u"], channels, np.array([0.0, count])
     )
     values = Forward([test], rows).predict(rig).values.reshape(3, -1)
@@ -422,7 +425,7 @@ def test_a_record_of_one_mass_driven_by_a_measured_force():
     picks = np.arange(100, 4900, 11)
     rows = rows_of([(0, 0, 0, 1, Part.SAMPLE)] * picks.size)
     rows.time_s[:] = 3.0 + picks / 1e4
-    test = RecordTest(
+    test = DrivenRecord(
         "record", 1, 1e4, MeasuredChannel("f1", Quantity.FORCE, 1), y["f1"],
         (MeasuredChannel("x1", Quantity.DISPLACEMENT, 1),), np.array([0.0, 5000.0]), 3.0,
     )  # fmt: skip

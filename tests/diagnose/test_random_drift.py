@@ -10,7 +10,7 @@ from diagnose.predicted_tests import rows_of
 from diagnose.test_stepped_sine import CHANNEL, DAMPER, OMEGA, oscillator
 from scipy.integrate import quad
 
-from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig
@@ -38,7 +38,7 @@ def estimate(hz: float, rate: float) -> complex:
 def test_the_mean_of_the_closed_form(rate: float) -> None:
     # 2e-4 per second for a minute is 0.6 % of the frequency, more than half the width of the resonance.
     lines = np.linspace(48.0, 52.0, 41)
-    test = RandomTest("noise", 1, (CHANNEL,), "voltage", lines, 0.1, "none", 1e-3, START, STOP)
+    test = RandomResponses("noise", 1, (CHANNEL,), "voltage", lines, 0.1, "none", 1e-3, START, STOP)
     table = [(0, k, 0, 1, part) for k in range(lines.size) for part in (Part.REAL, Part.IMAG)]
     rows = rows_of(table)
     values = Forward([test], rows).predict(drifting(rate)).values
@@ -57,7 +57,9 @@ def test_a_test_of_no_length_is_that_of_its_moment() -> None:
     lines = np.array([49.5, 50.5])
     table = [(0, k, 0, 1, part) for k in range(2) for part in (Part.REAL, Part.IMAG)]
     both = [
-        Forward([RandomTest("noise", 1, (CHANNEL,), "voltage", lines, 0.1, "none", 1e-3, start, stop)], rows_of(table))
+        Forward(
+            [RandomResponses("noise", 1, (CHANNEL,), "voltage", lines, 0.1, "none", 1e-3, start, stop)], rows_of(table)
+        )
         .predict(drifting(1e-4))
         .values
         for start, stop in ((20.0, 20.0), (20.0 - 1e-6, 20.0 + 1e-6))

@@ -16,13 +16,13 @@ from nmt_diagnose.inference.diagnose import diagnose_bags, free_parameters, mode
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.observations.conditions import RecordTest
-from nmt_diagnose.observations.kinds.record_observations import _begins_in_motion, _head
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.driven_record.predictor import RecordPredictor
+from nmt_diagnose.measurements.driven_record.reading import _begins_in_motion, _head
 from nmt_diagnose.observations.noise.input_noise import InputNoise, input_noise, noise_lines, propagated_noise
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.record_predictor import RecordPredictor
 from nmt_rig.rig import Rig, load_rig
 
 FINER = 8
@@ -78,7 +78,7 @@ def left(rig: Rig, bag: Path) -> float:
     """What a rig leaves of the samples of a record over their rms, zeros taken out."""
     observations = read_observations([bag], rig)
     (test,) = observations.tests
-    assert isinstance(test, RecordTest)
+    assert isinstance(test, DrivenRecord)
     settings = PredictionSettings()
     difference = observations.values - RecordPredictor(test, observations.rows, settings).values(
         rig, PartsCache(settings)
@@ -93,7 +93,7 @@ def test_the_zero_of_a_sensor_is_an_error_of_the_record(tmp_path: Path) -> None:
     volts_zero, y_zero = 0.7 * TOLERANCES.zero * np.abs(volts).max(), 0.05
     bag = imported(tmp_path, volts + volts_zero, y + y_zero, [(0, volts.size)])
     test = read_observations([bag], rig).tests[0]
-    assert isinstance(test, RecordTest)
+    assert isinstance(test, DrivenRecord)
     assert np.mean(test.input) == pytest.approx(np.mean(volts) + volts_zero, rel=1e-3)
     assert test.zeros[0] == pytest.approx(0.1 * np.abs(volts + volts_zero).max(), rel=1e-3)
     assert test.zeros[1] == pytest.approx(math.hypot(0.1 * np.abs(y + y_zero).max(), np.mean(y + y_zero)), rel=1e-3)
@@ -111,8 +111,8 @@ def test_the_zero_of_a_sensor_is_one_for_quiet_and_loud_records(tmp_path: Path) 
     rig = with_cubic(tmp_path)
     observations = read_observations([bag], rig)
     quiet, loud = observations.tests
-    assert isinstance(quiet, RecordTest)
-    assert isinstance(loud, RecordTest)
+    assert isinstance(quiet, DrivenRecord)
+    assert isinstance(loud, DrivenRecord)
     assert zero > 4.0 * quiet.zeros[0]
     assert zero < loud.zeros[0]
     everything = np.ones(len(observations.rows), dtype=bool)
@@ -147,7 +147,7 @@ def test_a_record_cut_in_mid_motion_lacks_nothing(tmp_path: Path, first: int) ->
     y = y + 1e-4 * rng.standard_normal(volts.size)
     bag = imported(tmp_path, volts, y, [(first, volts.size)])
     test = read_observations([bag], rig).tests[0]
-    assert isinstance(test, RecordTest)
+    assert isinstance(test, DrivenRecord)
     assert test.begins_in_motion
     assert left(rig, bag) < 0.02
     found = diagnosed(rig, bag)

@@ -7,7 +7,8 @@ from scipy.stats import kstest
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import ResidualTest, holm, residual_tests
-from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 
 CHANNELS = (MeasuredChannel("f1", Quantity.FORCE, 1), MeasuredChannel("a1", Quantity.ACCELERATION, 1))
@@ -33,7 +34,7 @@ def run_observations(levels=10, harmonics=4, down=False):
         LockedLevel(int(i), float(drive[level == i][0]), 0.0, 1e-3, 22.0, 0.0, 1.0, 0.0, 1 if i < levels else -1)
         for i in np.unique(level)
     )
-    test = PhaseResonanceTest("run", (1,), "a1", CHANNELS, harmonics, "voltage", plan)
+    test = LockedWindows("run", (1,), "a1", CHANNELS, harmonics, "voltage", plan)
     return Observations((test,), rows, np.zeros(m), np.full(m, 0.01), np.zeros(m))
 
 

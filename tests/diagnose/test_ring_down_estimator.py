@@ -12,9 +12,10 @@ from scipy.special import ellipk
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.recorded_decay.reading import ring_down_observations
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
-from nmt_diagnose.observations.kinds.ring_down_observations import ring_down_observations
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -109,7 +110,7 @@ def test_a_decay_that_starts_at_twice_its_frequency(rate: float) -> None:
     cubic = 4.5 * OMEGA**2 / TOP**2
     observations = observations_of(decay(rate, 5.0, cubic), rate, rig())
     test = observations.tests[0]
-    assert isinstance(test, RingDownTest)
+    assert isinstance(test, RecordedDecay)
     assert test.amplitudes.size >= 10
     log = values(observations, Part.LOG_FREQUENCY)
     assert math.exp(log[0]) > 1.6 * OMEGA

@@ -15,7 +15,7 @@ from nmt_core.messages.blocks import BlockFlag, Quantity, SampleBlock
 from nmt_core.messages.records import LoopStatus
 from nmt_core.messages.wire import BlockReader, BlockWriter, write_status
 from nmt_core.vocabulary import LoopState
-from nmt_diagnose.observations.conditions import PhaseResonanceTest
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_extract.modal_point import ModalPoint, Status
@@ -161,7 +161,7 @@ def test_all_readers_reject_the_same_windows_for_the_same_reason(bag: tuple[Path
     observations = read_observations([path], RIG)
     assert left_out(observations) == reasons
     (test,) = observations.tests
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     assert {level.index for level in test.levels} == TOUCHED
 
 
@@ -172,7 +172,7 @@ def test_the_samples_of_a_window_are_those_that_were_extracted(bag: tuple[Path, 
     points: dict[int, Any] = extracted(path)
     observations = read_observations([path], RIG)
     (test,) = observations.tests
-    assert isinstance(test, PhaseResonanceTest)
+    assert isinstance(test, LockedWindows)
     for level in test.levels:
         segment = segments(opened)[level.index]
         rate = RIG.sample_rate_hz

@@ -11,8 +11,8 @@ import pytest
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.chain_tests import ChainTests
 from nmt_diagnose.inference.shape_errors import ShapeErrors
+from nmt_diagnose.measurements.backbone_table.reading import table_observations
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.kinds.table_observations import table_observations
 from nmt_diagnose.observations.observables import Part, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_record.exchange.reduced.observables import ObservableTable

@@ -12,8 +12,9 @@ from scipy.stats import f as fisher
 
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.residual_tests import residual_tests
-from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
-from nmt_diagnose.observations.kinds.stepped_table_observations import scatter_of_lines
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+from nmt_diagnose.measurements.stepped_responses.table_reading import scatter_of_lines
 from nmt_diagnose.observations.noise.scatter import shrunk, with_shared_scatter
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -64,7 +65,7 @@ def sweeps(noise: list[float], degrees: list[float]) -> Observations:
     """Sweeps of one channel with two rows a line; the floor is 0.1 %."""
     rows = np.repeat(np.arange(len(noise)), 2 * LINES)
     tests = [
-        SteppedSineTest(
+        SteppedResponses(
             name=f"sweep {number}",
             drive_point=1,
             channels=(MeasuredChannel("a1", Quantity.ACCELERATION, 1),),
@@ -97,7 +98,7 @@ def test_stated_noise_stays_and_estimated_noise_is_shared() -> None:
     np.testing.assert_array_equal(stated, 0.0001)
     for number, std in enumerate((first[0], second[0], 0.0001)):
         test = after.tests[number]
-        assert isinstance(test, SteppedSineTest)
+        assert isinstance(test, SteppedResponses)
         np.testing.assert_allclose(test.noise, math.hypot(std, 1e-3))
     (note,) = after.notes
     assert note.startswith("The scatter of the 2 sweeps of a1 is taken together: ")

@@ -19,14 +19,16 @@ from nmt_diagnose.inference.diagnose import diagnose_observations
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.inference.held_out import splits
-from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
-from nmt_diagnose.observations.kinds.stepped_table_observations import jumps_of, scatter_of_lines
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.stepped_responses.frequency_sweep import frequency_sweep
+from nmt_diagnose.measurements.stepped_responses.predictor import gain_error, whitened_difference
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+from nmt_diagnose.measurements.stepped_responses.table_reading import jumps_of, scatter_of_lines
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward, traced
-from nmt_diagnose.prediction.frequency_sweep import frequency_sweep
 from nmt_diagnose.prediction.operating_range import operating_range
-from nmt_diagnose.prediction.stepped_sine_predictor import gain_error, whitened_difference
 from nmt_record.exchange.imports.imported_run import read_import, write_import
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
@@ -93,16 +95,16 @@ def integrated(hz: float, force: float, start: complex, base: bool = False) -> c
 
 def swept(
     hz: FloatArray, force: float, measured: FloatArray, direction: int = 1, reference: str = "force"
-) -> SteppedSineTest:
+) -> SteppedResponses:
     count = hz.size
     column = np.asarray(measured, dtype=np.complex128).reshape(count, 1)
-    return SteppedSineTest(
+    return SteppedResponses(
         f"{force:g} {direction}", 1, (CHANNEL,), reference, reference, hz, np.full(count, force), column,
         np.full(count, 5e-3), direction,
     )  # fmt: skip
 
 
-def observations_of(tests: list[SteppedSineTest], std: float = 5e-3) -> Observations:
+def observations_of(tests: list[SteppedResponses], std: float = 5e-3) -> Observations:
     rows = []
     for number, test in enumerate(tests):
         for part in (Part.LOG_MAGNITUDE, Part.PHASE):
@@ -115,7 +117,7 @@ def observations_of(tests: list[SteppedSineTest], std: float = 5e-3) -> Observat
     return Observations(tuple(tests), identity, table[:, 8], np.full(len(rows), std), np.full(len(rows), 2e-4))
 
 
-def predicted(rig: Rig, test: SteppedSineTest) -> np.ndarray:
+def predicted(rig: Rig, test: SteppedResponses) -> np.ndarray:
     """Responses that the rows of a test say, its noise propagated about the rig itself."""
     own = observations_of([test])
     for _ in range(2):
@@ -287,7 +289,7 @@ def test_a_column_of_levels_makes_a_test_for_each(tmp_path: Path) -> None:
     text = f"{HEAD},level\n" + "".join(lines_of(hz, upper(hz, f), f",{1000 * f!r}") for f in (0.5, 2.0, 5.0))
     segment = "  - {kind: frf, unit: m/N, point: 1, drive_point: 1, level_unit: mN, direction: up, noise: 0.5}\n"
     observations = read_observations([imported(tmp_path, {"a.csv": text}, segment)], rig_from(MODEL, tmp_path))
-    tests = [test for test in observations.tests if isinstance(test, SteppedSineTest)]
+    tests = [test for test in observations.tests if isinstance(test, SteppedResponses)]
     assert [float(np.median(test.levels)) for test in tests] == pytest.approx([0.5, 2.0, 5.0])
     assert {(test.held, test.reference, test.direction) for test in tests} == {("force", "force", 1)}
     np.testing.assert_allclose(observations.std, 5e-3)
@@ -311,7 +313,7 @@ def test_the_measured_force_of_each_line_counts(tmp_path: Path) -> None:
     bag = imported(tmp_path, {"a.csv": f"{HEAD},force_n\n" + rows}, segment)
     observations = read_observations([bag], rig_from(MODEL, tmp_path))
     test = observations.tests[0]
-    assert isinstance(test, SteppedSineTest)
+    assert isinstance(test, SteppedResponses)
     np.testing.assert_allclose(test.levels, force)
     np.testing.assert_allclose(test.amplitudes, np.abs(response) * force)
 
@@ -322,13 +324,13 @@ def test_levels_in_g_of_a_moving_base_and_of_a_response(tmp_path: Path) -> None:
     rig = rig_from(ON_TABLE, tmp_path)
     base = "  - {kind: frf, unit: g/g, point: 1, drive_point: 1, level: 0.1, level_unit: g, direction: up}\n"
     test = read_observations([imported(tmp_path, {"a.csv": text}, base, ON_TABLE)], rig).tests[0]
-    assert isinstance(test, SteppedSineTest)
+    assert isinstance(test, SteppedResponses)
     assert (test.reference, test.held) == ("base", "base")
     np.testing.assert_allclose(test.levels, 0.980665)
     (tmp_path / "other").mkdir()
     held = "  - {kind: frf, unit: m/s^2/N, point: 1, drive_point: 1, level: 0.2, level_unit: mm}\n"
     test = read_observations([imported(tmp_path / "other", {"a.csv": text}, held)], rig_from(MODEL, tmp_path)).tests[0]
-    assert isinstance(test, SteppedSineTest)
+    assert isinstance(test, SteppedResponses)
     assert test.held == "response"
     np.testing.assert_allclose(test.amplitudes, 2e-4 * (2.0 * np.pi * test.lines_hz) ** 2)
 
@@ -359,7 +361,7 @@ def test_a_coherence_is_that_of_noise(tmp_path: Path) -> None:
     text = f"{HEAD},coherence\n" + lines_of(hz, upper(hz, 0.5), ",0.99")
     segment = "  - {kind: frf, unit: m/N, point: 1, drive_point: 1, level: 0.5, level_unit: N}\n"
     observations = read_observations([imported(tmp_path, {"a.csv": text}, segment)], rig_from(MODEL, tmp_path))
-    assert isinstance(observations.tests[0], RandomTest)
+    assert isinstance(observations.tests[0], RandomResponses)
 
 
 def test_imported_windows_of_a_stepped_sine_are_a_frequency_response(tmp_path: Path) -> None:
@@ -386,7 +388,7 @@ def test_imported_windows_of_a_stepped_sine_are_a_frequency_response(tmp_path: P
     )
     bag = write_import(read_import(tmp_path / "sidecar.yaml"), tmp_path / "bag", "one_mode", MODEL, {})
     observations = read_observations([bag], rig_from(MODEL, tmp_path))
-    tests = [test for test in observations.tests if isinstance(test, SteppedSineTest)]
+    tests = [test for test in observations.tests if isinstance(test, SteppedResponses)]
     assert [test.direction for test in tests] == [1, -1]
     for test, mine in zip(tests, (hz[:9], hz[9:]), strict=True):
         assert (test.held, test.reference) == ("force", "force")
@@ -434,14 +436,14 @@ def test_an_error_of_a_gain_moves_the_rows_as_a_recording_that_has_it(off: tuple
     rows = Rows(zeros, level, channel, zeros + 1, part, np.zeros(4 * count), hz[level], np.ones(4 * count))
     rig = oscillator(CUBIC)
 
-    def left(test: SteppedSineTest) -> FloatArray:
+    def left(test: SteppedResponses) -> FloatArray:
         forward, seen = Forward((test,), rows), test.measured[level, channel]
         values = np.where(part == Part.PHASE, np.angle(seen), np.log(np.abs(seen)))
         return forward.difference(values, forward.predict(rig).values)
 
     prediction = Forward((plain,), rows).predict(rig)
     test = replace(traced((plain,), prediction)[0], noise=np.full(count, 1.0))
-    assert isinstance(test, SteppedSineTest)
+    assert isinstance(test, SteppedResponses)
     gain = 1.0 + 1e-5 * np.isin([0, 1], off)
     changed = replace(test, measured=test.measured * gain, scale=1.0 / gain[0])
     found = (left(changed) - left(test)) / 1e-5

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from nmt_core.messages.blocks import Quantity
-from nmt_diagnose.observations.kinds.stepped_table_observations import measured_together
-from nmt_diagnose.observations.kinds.table_observations import table_observations
+from nmt_diagnose.measurements.backbone_table.reading import table_observations
+from nmt_diagnose.measurements.stepped_responses.table_reading import measured_together
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_record.exchange.reduced.observables import ObservableTable

@@ -26,10 +26,10 @@ from nmt_diagnose.inference.low_level_modes import Modes, disorder, modes_that_l
 from nmt_diagnose.inference.misfit import misfit_of
 from nmt_diagnose.inference.search import Search
 from nmt_diagnose.inference.warnings import warned
+from nmt_diagnose.measurements.backbone_table.reading import scatter_about_a_course
+from nmt_diagnose.measurements.driven_record.reading import refinement
+from nmt_diagnose.measurements.stepped_responses.table_reading import _groups, jumps_of, scatter_of_lines
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.kinds.record_observations import refinement
-from nmt_diagnose.observations.kinds.stepped_table_observations import _groups, jumps_of, scatter_of_lines
-from nmt_diagnose.observations.kinds.table_observations import scatter_about_a_course
 from nmt_diagnose.observations.noise.settling import settling
 from nmt_diagnose.observations.observables import Part
 from nmt_rig.rig import Rig

@@ -16,10 +16,11 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.tolerances import MODEL_PRIORS
 from nmt_diagnose.effects.calibration import mode_dampings
 from nmt_diagnose.inference.chain import _distorted
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel
+from nmt_diagnose.measurements.locked_windows.reading import _lean
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.channels.plausibility import check_frequency, out_of_scale
-from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel
-from nmt_diagnose.observations.kinds.phase_resonance_observations import _lean
 from nmt_diagnose.observations.noise.settling import _RATES, settling
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.rig import load_rig

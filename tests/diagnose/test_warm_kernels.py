@@ -7,18 +7,21 @@ from typing import Any
 
 import pytest
 
-from nmt_diagnose.prediction import phase_resonance_predictor, random_predictor, record_kernel, stepped_sine_predictor
+from nmt_diagnose.measurements.locked_windows import predictor as locked_windows
+from nmt_diagnose.measurements.random_responses import predictor as random_responses
+from nmt_diagnose.measurements.stepped_responses import predictor as stepped_responses
+from nmt_diagnose.prediction import record_kernel
 from nmt_diagnose.prediction.warm_up import warm_up_predictions
 from nmt_rig.rig import load_rig
 
 # The kernels that the modules of the prediction call; what those call in turn compiles with them.
 KERNELS = [
-    (phase_resonance_predictor, "newton"),
-    (phase_resonance_predictor, "residuals"),
-    (random_predictor, "linear_responses"),
-    (random_predictor, "windowed"),
-    (stepped_sine_predictor, "solve_lines"),
-    (stepped_sine_predictor, "step_lines"),
+    (locked_windows, "newton"),
+    (locked_windows, "residuals"),
+    (random_responses, "linear_responses"),
+    (random_responses, "windowed"),
+    (stepped_responses, "solve_lines"),
+    (stepped_responses, "step_lines"),
     (record_kernel, "_step_all"),
     (record_kernel, "_step_one"),
 ]

@@ -22,15 +22,12 @@ from nmt_diagnose.inference.diagnosis import (
 )
 from nmt_diagnose.inference.gap import rms
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
-from nmt_diagnose.observations.conditions import (
-    LockedLevel,
-    MeasuredChannel,
-    PhaseResonanceTest,
-    RandomTest,
-    RecordTest,
-    RingDownTest,
-    SteppedSineTest,
-)
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, joined
 from nmt_report.diagnosis_curves import Models
 from nmt_report.diagnosis_report import DiagnosisReport
@@ -56,7 +53,7 @@ def phase_resonance() -> Observations:
             for order in (2, 3):
                 table.add(Part.REAL, 0.003 * order, 1e-4, 0.0, place, channel, order)
                 table.add(Part.IMAG, -0.004 * order, 1e-4, 0.0, place, channel, order)
-    test = PhaseResonanceTest("backbone", (2,), "x5", (FORCE, DISPLACEMENT), 3, "voltage", tuple(levels))
+    test = LockedWindows("backbone", (2,), "x5", (FORCE, DISPLACEMENT), 3, "voltage", tuple(levels))
     return table.observations(test)
 
 
@@ -67,7 +64,7 @@ def random() -> Observations:
         place = Place(k, 0.0, float(line), 0.05)
         table.add(Part.LOG_MAGNITUDE, 0.01 * k, 5e-3, 0.0, place, 0)
         table.add(Part.PHASE, -0.01 * k, 5e-3, 0.0, place, 0)
-    return table.observations(RandomTest("random", 2, (FORCE,), "voltage", lines, 0.1, "none", 0.05, 0.0, 30.0))
+    return table.observations(RandomResponses("random", 2, (FORCE,), "voltage", lines, 0.1, "none", 0.05, 0.0, 30.0))
 
 
 def stepped_sine(force: float, direction: int, channels: tuple[MeasuredChannel, ...], point: int = 2) -> Observations:
@@ -79,7 +76,7 @@ def stepped_sine(force: float, direction: int, channels: tuple[MeasuredChannel, 
     measured = np.ones((lines.size, len(channels)), dtype=np.complex128)
     noise = np.full(lines.size, 5e-3)
     name = f"sweep {force} {direction} {point}"
-    test = SteppedSineTest(
+    test = SteppedResponses(
         name, point, channels, "force", "force", lines, np.full(lines.size, force), measured, noise, direction
     )
     return table.observations(test)
@@ -92,7 +89,7 @@ def ring_down() -> Observations:
         place = Place(k, 0.3 * k, HZ, float(amplitude))
         table.add(Part.LOG_FREQUENCY, math.log(2.0 * math.pi * HZ), 1e-4, 0.0, place)
         table.add(Part.DAMPING, 0.01, 1e-4, 0.0, place)
-    return table.observations(RingDownTest("decay", 2, DISPLACEMENT, amplitudes, HZ))
+    return table.observations(RecordedDecay("decay", 2, DISPLACEMENT, amplitudes, HZ))
 
 
 def record() -> Observations:
@@ -100,7 +97,7 @@ def record() -> Observations:
     for k in range(60):
         table.add(Part.SAMPLE, 1e-3 * math.sin(0.3 * k), 1e-5, 0.0, Place(k // 20, 0.01 * k, 0.0, 0.0), 0)
     bounds = np.array([0.0, 20.0, 40.0, 60.0])
-    return table.observations(RecordTest("record", 2, 100.0, FORCE, np.zeros(60), (DISPLACEMENT,), bounds))
+    return table.observations(DrivenRecord("record", 2, 100.0, FORCE, np.zeros(60), (DISPLACEMENT,), bounds))
 
 
 def every_test() -> Observations:
@@ -163,7 +160,7 @@ def report(verdict: Verdict, observations: Observations | None = None) -> Diagno
         ),
         inputs={
             "bags": [{"path": path, "sha256": digest} for path, digest in observations.inputs],
-            "tests": [{"name": "backbone", "kind": "PhaseResonanceTest", "drive_point": 2, "levels": 5}],
+            "tests": [{"name": "backbone", "kind": "LockedWindows", "drive_point": 2, "levels": 5}],
             "held_out": ["every second level"],
             "withheld": ["microslip"],
             "seed": 0,

@@ -12,16 +12,14 @@ import numpy as np
 from nmt_core.files.whole_file import csv_text
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.residual_map import channel_name, channels_of
-from nmt_diagnose.observations.conditions import (
-    BackboneTable,
-    MeasuredChannel,
-    PhaseResonanceTest,
-    RandomTest,
-    RecordTest,
-    RingDownTest,
-    SteppedSineTest,
-    Test,
-)
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_report.quantity_format import engineering_exponent, power_of_ten, significant
 
@@ -114,22 +112,22 @@ class HarmonicCourse:
     final: FloatArray
 
 
-def drive_label(test: Test) -> str:
+def drive_label(test: Measurement) -> str:
     """What the abscissa of a test is."""
-    if isinstance(test, PhaseResonanceTest):
+    if isinstance(test, LockedWindows):
         return "drive voltage / V" if test.held == "voltage" else "force / N"
-    if isinstance(test, RandomTest | SteppedSineTest):
+    if isinstance(test, RandomResponses | SteppedResponses):
         return "frequency / Hz"
-    if isinstance(test, RecordTest):
+    if isinstance(test, DrivenRecord):
         return "time / s"
-    return f"{test.channel.quantity.name.lower()} amplitude / {test.channel.unit}"
+    return f"{test.channels[0].quantity.name.lower()} amplitude / {test.channels[0].unit}"
 
 
-def level_names(tests: Sequence[Test]) -> list[str]:
+def level_names(tests: Sequence[Measurement]) -> list[str]:
     """Names of stepped sines of the same channels: level and direction of the frequency, a number if need be."""
     names: list[str] = []
     for test in tests:
-        if not isinstance(test, SteppedSineTest):
+        if not isinstance(test, SteppedResponses):
             names.append(test.name)
             continue
         unit = {"force": "N·m" if test.channels[0].turns else "N", "base": "m/s²", "voltage": "V"}
@@ -172,7 +170,7 @@ def courses(observations: Observations, models: Models, test: int, part: Part) -
         which = np.flatnonzero(mine & (rows.channel == channel) & ((rows.harmonic == 1) | (rows.harmonic < 0)))
         if which.size == 0:
             continue
-        along = rows.time_s if isinstance(kind, RecordTest) else rows.level
+        along = rows.time_s if isinstance(kind, DrivenRecord) else rows.level
         which = which[np.argsort(along[which], kind="stable")]
         found.append(_course(observations, models, test, which, part))
     return found
@@ -184,11 +182,11 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
     computed = [values[which] for values in (models.as_given, models.refitted, models.final)]
     channel = int(rows.channel[which[0]])
     own = channels_of(kind)[channel] if channel >= 0 else None
-    if isinstance(kind, RandomTest | SteppedSineTest):
+    if isinstance(kind, RandomResponses | SteppedResponses):
         x = rows.frequency_hz[which]
-    elif isinstance(kind, RecordTest):
+    elif isinstance(kind, DrivenRecord):
         x = rows.time_s[which]
-    elif isinstance(kind, RingDownTest | BackboneTable):
+    elif isinstance(kind, RecordedDecay | BackboneTable):
         x = np.asarray(kind.amplitudes)[rows.level[which]]
     else:
         x = rows.amplitude[which]
@@ -215,7 +213,7 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
     else:
         unit = own.unit if own is not None else ""
         deviation_unit, factor = unit, 1.0
-    joined = not isinstance(kind, RandomTest | SteppedSineTest) or x.size >= _FEW_LINES
+    joined = not isinstance(kind, RandomResponses | SteppedResponses) or x.size >= _FEW_LINES
     exponent = engineering_exponent(measured) if logarithmic or part in (Part.SAMPLE, Part.LINE) else 0
     if exponent:
         unit = f"{power_of_ten(exponent)} {unit}"
@@ -227,13 +225,13 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
     )  # fmt: skip
 
 
-def _magnitude_unit(kind: Test, channel: MeasuredChannel | None) -> str:
+def _magnitude_unit(kind: Measurement, channel: MeasuredChannel | None) -> str:
     if channel is None:
         return ""
     unit, force = channel.unit.replace("s^2", "s²"), "N·m" if channel.turns else "N"
-    if isinstance(kind, RandomTest):
+    if isinstance(kind, RandomResponses):
         return f"{unit} / {'V' if kind.reference == 'voltage' else force}"
-    if isinstance(kind, SteppedSineTest):
+    if isinstance(kind, SteppedResponses):
         return f"{unit} / {({'force': force, 'base': '(m/s²)'}).get(kind.reference, 'V')}"
     return unit
 

@@ -11,7 +11,11 @@ from markupsafe import Markup
 
 from nmt_core.text.number_words import percent, share_with_interval, value_text
 from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Remainder, Verdict
-from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RecordTest, SteppedSineTest, Test
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_report.diagnosis_curves import (
     Course,
@@ -164,9 +168,9 @@ def probability_shares(d: Diagnosis) -> list[tuple[str, str, float, str]]:
 def _level_label(observations: Observations, test: str) -> str:
     """What the columns of a test's residual map are."""
     kind = next((kind for kind in observations.tests if kind.name == test), None)
-    if isinstance(kind, RandomTest | SteppedSineTest):
+    if isinstance(kind, RandomResponses | SteppedResponses):
         return "middle of the band / Hz"
-    return "segment" if kind is None or isinstance(kind, RecordTest) else drive_label(kind)
+    return "segment" if kind is None or isinstance(kind, DrivenRecord) else drive_label(kind)
 
 
 def _verdict(d: Diagnosis) -> tuple[str, str]:
@@ -502,7 +506,7 @@ def _input_tables(d: Diagnosis) -> list[Table]:
     tests = [
         (
             str(test.get("name", "")),
-            _KINDS.get(str(test.get("kind", "")), str(test.get("kind", ""))),
+            str(test.get("kind", "")),
             f"point {test.get('drive_point', '—')}",
             str(test.get("levels", "")),
             str(test.get("observables", "")),
@@ -536,17 +540,6 @@ def _settings(d: Diagnosis) -> list[tuple[str, str]]:
         ("Version", str(inputs.get("version", ""))),
     ]
     return [(name, value) for name, value in facts if value]
-
-
-_KINDS = {
-    "PhaseResonanceTest": "phase resonance, locked levels",
-    "RandomTest": "random, frequency response",
-    "SteppedSineTest": "frequency response at a held amplitude",
-    "RingDownTest": "ring-down",
-    "RecordTest": "record, driven by the measured input",
-    "ImposedMotionTest": "imposed motion, its force predicted",
-    "BackboneTable": "backbone table",
-}
 
 
 def _candidates(d: Diagnosis) -> Table | None:
@@ -615,16 +608,16 @@ def _curves(report: DiagnosisReport) -> list[ReportFigure]:
                 found = [on_one_scale(panel) for panel in panels.values()]
                 result.append(course_figure(f"{key}-{numbers[0]}", title + tail, _BELOW, found, shown, names))
 
-        if isinstance(test, RandomTest | SteppedSineTest):
+        if isinstance(test, RandomResponses | SteppedResponses):
             add("frf", "Frequency responses: magnitude", Part.LOG_MAGNITUDE)
             add("frf-phase", "Frequency responses: phase", Part.PHASE)
-        elif isinstance(test, PhaseResonanceTest):
+        elif isinstance(test, LockedWindows):
             over = drive_label(test).partition(" / ")[0]
             add("frequency", f"Frequency and phase error over the {over}", Part.LOG_FREQUENCY, Part.PHASE_ERROR)
             add("amplitude", f"Amplitudes over the {over}", Part.LOG_MAGNITUDE)
             add("phase", f"Phases to the drive over the {over}", Part.PHASE)
             add("line", "Lines that follow no excitation (mains hum)", Part.LINE)
-        elif isinstance(test, RecordTest):
+        elif isinstance(test, DrivenRecord):
             add("record", "Record", Part.SAMPLE)
         else:
             add("decay", "Frequency and damping over the amplitude", Part.LOG_FREQUENCY, Part.DAMPING)
@@ -634,12 +627,12 @@ def _curves(report: DiagnosisReport) -> list[ReportFigure]:
     return result
 
 
-def _together(tests: tuple[Test, ...]) -> list[list[int]]:
+def _together(tests: tuple[Measurement, ...]) -> list[list[int]]:
     """Numbers of the tests of each figure: frequency responses of the same channels to the same drive are in one."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for number, test in enumerate(tests):
         key: tuple[object, ...] = (number,)
-        if isinstance(test, SteppedSineTest):
+        if isinstance(test, SteppedResponses):
             key = (test.drive_point, frozenset(test.channels), test.reference, test.held, test.phase_known)
         groups.setdefault(key, []).append(number)
     return list(groups.values())

@@ -27,27 +27,24 @@ from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, PHASE_
 from nmt_diagnose.inference.modes_left_out import ModesLeftOut
 from nmt_diagnose.inference.record_errors import record_errors
 from nmt_diagnose.inference.shape_errors import ShapeErrors
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.stepped_responses.predictor import gain_error
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import (
-    BackboneTable,
-    LockedLevel,
-    PhaseResonanceTest,
-    RandomTest,
-    RecordTest,
-    RingDownTest,
-    SteppedSineTest,
-    Test,
-)
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.stepped_sine_predictor import gain_error
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import BeamSection, Rig, SensorSection
 
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
-_COVERED = (PhaseResonanceTest, RandomTest, RingDownTest, SteppedSineTest)
+_COVERED = (LockedWindows, RandomResponses, RecordedDecay, SteppedResponses)
 _IMAGE = "image"
 _OF_A_TEST = ("start ", "settling ", "phase of ")  # as well known as the test's own samples tell them
 # Orders of images that are followed, the nearest first; those beyond them are one constant for each channel.
@@ -109,8 +106,8 @@ def shared_delays(observations: Observations, rig: Rig) -> tuple[SharedDelay, ..
     """Delays of the kinds of sensors that refer to a voltage, or to the input of a record; none of the bench's own."""
     found: dict[Quantity, float] = {}
     for test, chain in zip(observations.tests, observations.chains, strict=False):
-        held = isinstance(test, PhaseResonanceTest | RecordTest)
-        held |= isinstance(test, RandomTest) and test.reference == "voltage"
+        held = isinstance(test, LockedWindows | DrivenRecord)
+        held |= isinstance(test, RandomResponses) and test.reference == "voltage"
         if chain is None or not held:
             continue
         for channel in getattr(test, "channels", ()):
@@ -149,7 +146,7 @@ def _unsettled(observations: Observations) -> dict[str, FloatArray]:
     """Amplitudes of locked windows that had not settled, one error for each level."""
     rows, found = observations.rows, {}
     for number, test in enumerate(observations.tests):
-        if not isinstance(test, PhaseResonanceTest):
+        if not isinstance(test, LockedWindows):
             continue
         for position, level in enumerate(test.levels):
             if any(level.amplitude_leans):
@@ -167,7 +164,7 @@ def _phase_at_lock(observations: Observations, rig: Rig, prediction: Prediction)
     The loop holds the phase that it measures: noise of force and response moves the excitation off phase resonance,
     and frequency, amplitudes and phases of all channels together.
     """
-    if not any(isinstance(test, PhaseResonanceTest) for test in observations.tests):
+    if not any(isinstance(test, LockedWindows) for test in observations.tests):
         return {}
     forward = Forward(observations.tests, observations.rows)
     base = forward.predict(rig, prediction)
@@ -175,16 +172,16 @@ def _phase_at_lock(observations: Observations, rig: Rig, prediction: Prediction)
     slopes = forward.difference(Forward(moved, observations.rows).predict(rig, base).values, base.values) / PHASE_STEP
     rows, found = observations.rows, {}
     for number, test in enumerate(observations.tests):
-        for position, level in enumerate(test.levels if isinstance(test, PhaseResonanceTest) else ()):
+        for position, level in enumerate(test.levels if isinstance(test, LockedWindows) else ()):
             selected = (rows.test == number) & (rows.level == position) & (rows.part != Part.PHASE_ERROR)
             found[f"phase of {test.name} {position}"] = np.where(selected, level.phase_error_std * slopes, 0.0)
     return found
 
 
-def _with_levels(tests: Sequence[Test], change: Callable[[LockedLevel], LockedLevel]) -> tuple[Test, ...]:
+def _with_levels(tests: Sequence[Measurement], change: Callable[[LockedLevel], LockedLevel]) -> tuple[Measurement, ...]:
     """Tests with every locked level changed."""
     return tuple(
-        replace(t, levels=tuple(change(level) for level in t.levels)) if isinstance(t, PhaseResonanceTest) else t
+        replace(t, levels=tuple(change(level) for level in t.levels)) if isinstance(t, LockedWindows) else t
         for t in tests
     )
 
@@ -200,11 +197,11 @@ def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) 
     for number, test in enumerate(observations.tests):
         chain = observations.chains[number] if number < len(observations.chains) else None
         state = prediction.states[number]
-        if not isinstance(test, BackboneTable | SteppedSineTest) or state is None:
+        if not isinstance(test, BackboneTable | SteppedResponses) or state is None:
             continue
-        if chain is None and isinstance(test, SteppedSineTest):
+        if chain is None and isinstance(test, SteppedResponses):
             continue
-        channel = test.channels[0] if isinstance(test, SteppedSineTest) else test.channel
+        channel = test.channels[0] if isinstance(test, SteppedResponses) else test.channel
         gain = TOLERANCES.amplitude_scale if chain is None else chain.of(channel.name).gain
         selected = observations.rows.test == number
         rows = observations.rows.take(selected)
@@ -218,9 +215,9 @@ def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) 
     return np.column_stack([*found.values()]) if found else np.zeros((len(observations.rows), 0))
 
 
-def _larger(test: BackboneTable | SteppedSineTest) -> Test:
+def _larger(test: BackboneTable | SteppedResponses) -> Measurement:
     """The test with its motion a little larger than recorded."""
-    if isinstance(test, SteppedSineTest):
+    if isinstance(test, SteppedResponses):
         return replace(test, scale=test.scale * (1.0 + _GAIN_STEP))
     return replace(test, amplitudes=test.amplitudes * (1.0 + _GAIN_STEP))
 
@@ -250,15 +247,15 @@ class _Builder:
         """Rows over a change of the rig; responses at held amplitudes have columns of their own."""
         forward = self.tests.forward
         moved = forward.difference(forward.predict(rig, self.base).values, self.base.values) / step
-        return np.where(self._of(SteppedSineTest), 0.0, moved)
+        return np.where(self._of(SteppedResponses), 0.0, moved)
 
-    def _of(self, *kinds: type[Test]) -> BoolArray:
+    def _of(self, *kinds: type[Measurement]) -> BoolArray:
         numbers = [number for number, test in enumerate(self.tests.tests) if isinstance(test, kinds)]
         return np.isin(self.rows.test, numbers)
 
     def _on_fundamentals(self, column: FloatArray) -> FloatArray:
         """A column of windows and random tests on magnitudes and phases of fundamentals and lines alone."""
-        fundamentals = np.isin(self.rows.part, FUNDAMENTAL) & self._of(PhaseResonanceTest, RandomTest, RingDownTest)
+        fundamentals = np.isin(self.rows.part, FUNDAMENTAL) & self._of(LockedWindows, RandomResponses, RecordedDecay)
         return np.where(fundamentals, column, 0.0)
 
     def _clock(self) -> dict[str, FloatArray]:
@@ -294,7 +291,7 @@ class _Builder:
         """
         found: dict[str, FloatArray] = {}
         for number, test in enumerate(self.tests.tests):
-            if not isinstance(test, SteppedSineTest):
+            if not isinstance(test, SteppedResponses):
                 continue
             chain = self.tests.measuring_chains[number]
             rows = np.flatnonzero(self.tests.linear_rows(number))
@@ -317,7 +314,7 @@ class _Builder:
         """Delay of each kind of responses over the force that they are divided by, in random tests."""
         found: dict[str, FloatArray] = {}
         for number, test in enumerate(self.tests.tests):
-            if not isinstance(test, RandomTest) or test.reference != "force":
+            if not isinstance(test, RandomResponses) or test.reference != "force":
                 continue
             late = math.sqrt(2.0) * self.tests.measuring_chains[number].shared_delay_s
             for index, channel in enumerate(test.channels):
@@ -333,9 +330,9 @@ class _Builder:
         moved = _with_levels(self.tests.tests, lambda level: replace(level, drive=level.drive * (1.0 + _GAIN_STEP)))
         both = self.tests.moved(moved, self.base) / _GAIN_STEP
         recorded = np.zeros(len(self.rows))
-        commanded = any(isinstance(test, PhaseResonanceTest) and test.commanded for test in self.tests.tests)
+        commanded = any(isinstance(test, LockedWindows) and test.commanded for test in self.tests.tests)
         for number, test in enumerate(self.tests.tests):
-            if isinstance(test, RandomTest) and test.reference == "voltage":
+            if isinstance(test, RandomResponses) and test.reference == "voltage":
                 recorded[(self.rows.test == number) & (self.rows.part == Part.LOG_MAGNITUDE)] = 1.0
         found = {"gain of the drive": size * (both + recorded)}
         return found | ({"gain of the recorded voltage": size * recorded} if commanded else {})
@@ -404,7 +401,7 @@ class _Builder:
         other, turned = values[self.tests.other_part()], self.rows.part == Part.PHASE
         size, angle = np.where(turned, other, values), np.where(turned, values, other)
         result = np.exp(size[selected] + 1j * angle[selected])
-        if isinstance(self.tests.tests[number], PhaseResonanceTest):
+        if isinstance(self.tests.tests[number], LockedWindows):
             result = result / self.rows.amplitude[selected]
         return np.asarray(result)
 
@@ -412,7 +409,7 @@ class _Builder:
         """By how much the phase between force and response truly was off at each locked row, if images were in it."""
         result = np.zeros(len(self.rows))
         for number, test in enumerate(self.tests.tests):
-            if not isinstance(test, PhaseResonanceTest):
+            if not isinstance(test, LockedWindows):
                 continue
             force = next((c.name for c in test.channels if c.quantity is Quantity.FORCE), "")
             sign = (name == test.response_channel) - (name == force)
@@ -448,7 +445,7 @@ class _Builder:
         """
         found = {}
         for number, test in enumerate(self.tests.tests):
-            if isinstance(test, PhaseResonanceTest):
+            if isinstance(test, LockedWindows):
                 selected = self.rows.test == number
                 size = float(np.max(self._image_size[selected & (self.rows.part == Part.PHASE)], initial=0.0))
                 found[f"aim {test.name}"] = math.hypot(math.radians(TOLERANCES.loop_phase_deg), size) * (
@@ -469,12 +466,12 @@ class _Builder:
         """Shift of the resonance from test to test, as temperature makes it; locked windows have none."""
         found = {}
         for number, test in enumerate(self.tests.tests):
-            if isinstance(test, SteppedSineTest | RandomTest):
+            if isinstance(test, SteppedResponses | RandomResponses):
                 shifted = tuple(
                     replace(t, lines_hz=t.lines_hz * (1.0 - _SHIFT_STEP)) if t is test else t for t in self.tests.tests
                 )
                 slope = self.tests.moved(shifted, self.base) / _SHIFT_STEP
-            elif isinstance(test, RingDownTest):
+            elif isinstance(test, RecordedDecay):
                 slope = ((self.rows.test == number) & (self.rows.part == Part.LOG_FREQUENCY)).astype(np.float64)
             else:
                 continue

@@ -11,13 +11,11 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import (
-    MeasuredChannel,
-    PhaseResonanceTest,
-    RandomTest,
-    Test,
-)
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.forward import Forward, Prediction
@@ -66,7 +64,7 @@ class ChainTests:
             if c.quantity is not Quantity.VOLTAGE
         }
         for test in self.tests:
-            if isinstance(test, RandomTest) and test.reference == "force":
+            if isinstance(test, RandomResponses) and test.reference == "force":
                 name = f"f{test.drive_point}"
                 self.channels.setdefault(name, MeasuredChannel(name, Quantity.FORCE, test.drive_point))
 
@@ -81,7 +79,7 @@ class ChainTests:
         states = tuple(prediction.states[number] for number in self.numbers)
         return Prediction(prediction.values[self.selected], prediction.converged[self.selected], (), states)
 
-    def moved(self, tests: tuple[Test, ...], base: Prediction) -> FloatArray:
+    def moved(self, tests: tuple[Measurement, ...], base: Prediction) -> FloatArray:
         """Change of the rows under other conditions; tests that stay the same object are not predicted again."""
         others = [
             number for number, (test, before) in enumerate(zip(tests, self.tests, strict=True)) if test is not before
@@ -103,7 +101,7 @@ class ChainTests:
         """Change of the rows over that of the phase at which each level truly stood."""
         moved = tuple(
             replace(t, levels=tuple(replace(level, phase_error=level.phase_error + PHASE_STEP) for level in t.levels))
-            if isinstance(t, PhaseResonanceTest)
+            if isinstance(t, LockedWindows)
             else t
             for t in self.tests
         )
@@ -179,13 +177,13 @@ class ChainTests:
         return [
             number
             for number, test in enumerate(self.tests)
-            if (isinstance(test, PhaseResonanceTest) and test.held == "voltage")
-            or (isinstance(test, RandomTest) and test.reference == "voltage")
+            if (isinstance(test, LockedWindows) and test.held == "voltage")
+            or (isinstance(test, RandomResponses) and test.reference == "voltage")
         ]
 
     def tested(self) -> float:
         """Frequency at which the phase of a channel is stated: that of the locked windows, Hz."""
-        locked = [number for number, test in enumerate(self.tests) if isinstance(test, PhaseResonanceTest)]
+        locked = [number for number, test in enumerate(self.tests) if isinstance(test, LockedWindows)]
         selected = np.isin(self.rows.test, locked) & (self.rows.frequency_hz > 0.0)
         return float(np.median(self.rows.frequency_hz[selected])) if selected.any() else self.resonance()
 

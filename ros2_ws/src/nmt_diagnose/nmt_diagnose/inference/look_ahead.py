@@ -35,8 +35,11 @@ from nmt_diagnose.inference.diagnosis import HIDDEN, NULL, NextTest
 from nmt_diagnose.inference.explanations import FittedExplanation, Score
 from nmt_diagnose.inference.hidden_effects import Growth, Hidden, hidden_effects
 from nmt_diagnose.inference.search import Search
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import LockedLevel, MeasuredChannel, PhaseResonanceTest, RandomTest, Test
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -134,7 +137,7 @@ def next_levels(
     Raises:
         BenchError: the model has no solution for a level that is left.
     """
-    runs = [test for test in observations.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
+    runs = [test for test in observations.tests if isinstance(test, LockedWindows) and test.held == "voltage"]
     high = max((level.drive for test in runs for level in test.levels if math.isfinite(level.drive)), default=math.nan)
     levels = sorted(level for level in plan if level > 1.001 * high)
     if not levels:
@@ -204,7 +207,7 @@ def other_sensors(
         plan: levels of the run; empty = those measured.
     """
     competing = _competing(comparison, null)
-    runs = [test for test in observations.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
+    runs = [test for test in observations.tests if isinstance(test, LockedWindows) and test.held == "voltage"]
     if len(competing) < 2 or not runs:
         return ()
     drive = runs[0].drive_point
@@ -256,8 +259,8 @@ def noise_over_motion(left: Observations, at_hand: Observations, found: FittedEx
         found: an explanation, which tells the motion.
     """
     test = left.tests[0]
-    runs = [number for number, it in enumerate(at_hand.tests) if isinstance(it, PhaseResonanceTest)]
-    if not isinstance(test, PhaseResonanceTest) or not runs:
+    runs = [number for number, it in enumerate(at_hand.tests) if isinstance(it, LockedWindows)]
+    if not isinstance(test, LockedWindows) or not runs:
         return left
     rows, std = left.rows, left.std.copy()
     try:
@@ -384,13 +387,13 @@ def proposals(rig: Rig, observations: Observations, with_plan: bool = False) -> 
     result = []
     linear, run = _commands(observations)
     frequencies = _frequencies(rig)
-    runs = [test for test in observations.tests if isinstance(test, PhaseResonanceTest) and test.held == "voltage"]
+    runs = [test for test in observations.tests if isinstance(test, LockedWindows) and test.held == "voltage"]
     made = {test.drive_point for test in runs}
     # Of a further mode or drive point the same levels are those of the first.
     like_first = [test for test in runs if test.drive_point == runs[0].drive_point]
     like_first = [it for it in like_first if _modes_of([it], frequencies) == _modes_of(runs[:1], frequencies)]
     drives = sorted({level.drive for test in like_first for level in test.levels if math.isfinite(level.drive)})
-    if not any(isinstance(test, RandomTest) for test in observations.tests):
+    if not any(isinstance(test, RandomResponses) for test in observations.tests):
         text = f"a random test at low level, driven at point {rig.drive_point}"
         seconds = THRESHOLDS.next_test.random_seconds
         result.append(Proposal(text, linear("--out random"), _random(rig, observations, drives), seconds))
@@ -430,13 +433,13 @@ def proposals(rig: Rig, observations: Observations, with_plan: bool = False) -> 
     return result
 
 
-def _modes_of(runs: Sequence[PhaseResonanceTest], frequencies: FloatArray) -> set[int]:
+def _modes_of(runs: Sequence[LockedWindows], frequencies: FloatArray) -> set[int]:
     """Numbers of the modes of the model that are nearest to the locked frequencies of some runs."""
     locked = [level.frequency_hz for test in runs for level in test.levels if level.frequency_hz > 0.0]
     return {int(np.argmin(np.abs(np.log(frequencies / frequency)))) + 1 for frequency in locked}
 
 
-def _seconds_of_a_level(runs: Sequence[PhaseResonanceTest]) -> float:
+def _seconds_of_a_level(runs: Sequence[LockedWindows]) -> float:
     """Bench time from level to level in the tests at hand, s."""
     steps = [
         abs(later.stop_s - before.stop_s)
@@ -472,7 +475,7 @@ def _frequencies(rig: Rig) -> FloatArray:
     return result
 
 
-def _end(runs: Sequence[PhaseResonanceTest]) -> LockedLevel:
+def _end(runs: Sequence[LockedWindows]) -> LockedLevel:
     return max((level for test in runs for level in test.levels), key=lambda level: level.stop_s)
 
 
@@ -489,7 +492,7 @@ def _channels(rig: Rig, point: int) -> tuple[MeasuredChannel, ...]:
 
 
 def _typical(
-    observations: Observations, kind: type[Test] | tuple[type, ...], part: Part, harmonic: int, fraction: float
+    observations: Observations, kind: type[Measurement] | tuple[type, ...], part: Part, harmonic: int, fraction: float
 ) -> float:
     """Median uncertainty of a kind of observable in the tests at hand, near a level given as a fraction of all."""
     selected = np.zeros(len(observations.rows), dtype=bool)
@@ -498,7 +501,7 @@ def _typical(
             selected |= observations.rows.test == number
     selected &= (observations.rows.part == part) & (observations.rows.harmonic == harmonic)
     if not selected.any():
-        return THRESHOLDS.next_test.typical_response_std if kind is RandomTest else _TYPICAL[part]
+        return THRESHOLDS.next_test.typical_response_std if kind is RandomResponses else _TYPICAL[part]
     amplitude = observations.rows.amplitude[selected]
     order = np.argsort(amplitude, kind="stable")
     sigma = observations.sigma[selected][order]
@@ -520,7 +523,7 @@ def _run(
     channels = channels or _channels(rig, point)
     ideal = MeasuredChannel(f"x{point}", Quantity.DISPLACEMENT, point)
     response = next((c for c in channels if c.quantity in MOTIONS and c.point == point), ideal)
-    harmonics = max((t.harmonics for t in observations.tests if isinstance(t, PhaseResonanceTest)), default=3)
+    harmonics = max((t.harmonics for t in observations.tests if isinstance(t, LockedWindows)), default=3)
     start = after.stop_s if after else 0.0
     cycles = after.cycles_before if after else 0.0
     length = 6.0
@@ -540,7 +543,7 @@ def _run(
         fraction = level.index / max(1, len(levels) - 1)
 
         def sigma(part: Part, harmonic: int = -1, fraction: float = fraction) -> float:
-            return _typical(observations, PhaseResonanceTest, part, harmonic, fraction)
+            return _typical(observations, LockedWindows, part, harmonic, fraction)
 
         table.add(Part.LOG_FREQUENCY, 0.0, sigma(Part.LOG_FREQUENCY), 0.0, place)
         table.add(Part.PHASE_ERROR, 0.0, sigma(Part.PHASE_ERROR), 0.0, place)
@@ -550,11 +553,11 @@ def _run(
             for harmonic in range(2, harmonics + 1):
                 table.add(Part.REAL, 0.0, sigma(Part.REAL, harmonic), 0.0, place, number, harmonic)
                 table.add(Part.IMAG, 0.0, sigma(Part.IMAG, harmonic), 0.0, place, number, harmonic)
-    test = PhaseResonanceTest("proposed", (point,), response.name, channels, harmonics, "voltage", levels)
-    return replace(table.observations(test), chains=_chains(observations, PhaseResonanceTest))
+    test = LockedWindows("proposed", (point,), response.name, channels, harmonics, "voltage", levels)
+    return replace(table.observations(test), chains=_chains(observations, LockedWindows))
 
 
-def _chains(observations: Observations, kind: type[Test]) -> tuple[MeasuringChain | None, ...]:
+def _chains(observations: Observations, kind: type[Measurement]) -> tuple[MeasuringChain | None, ...]:
     """Tolerances of a test that has not been made: those of the first of its kind, else of the first test."""
     found = list(zip(observations.tests, observations.chains, strict=False))
     return tuple([chain for test, chain in found if isinstance(test, kind)] or [chain for _, chain in found])[:1]
@@ -574,5 +577,5 @@ def _random(rig: Rig, observations: Observations, drives: Sequence[float]) -> Ob
         for channel in range(len(channels)):
             for part in (Part.LOG_MAGNITUDE, Part.PHASE):
                 table.add(part, 0.0, THRESHOLDS.next_test.typical_response_std, 0.0, place, channel, 1)
-    test = RandomTest("proposed", rig.drive_point, channels, "voltage", lines, 0.1, "none", rms, 0.0, 60.0)
-    return replace(table.observations(test), chains=_chains(observations, RandomTest))
+    test = RandomResponses("proposed", rig.drive_point, channels, "voltage", lines, 0.1, "none", rms, 0.0, 60.0)
+    return replace(table.observations(test), chains=_chains(observations, RandomResponses))

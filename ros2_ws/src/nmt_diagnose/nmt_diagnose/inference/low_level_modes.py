@@ -20,7 +20,7 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.fitting import Data, FitResult
-from nmt_diagnose.observations.conditions import RandomTest
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.lateness import lateness
 from nmt_diagnose.prediction.periodic_kernel import GAIN
@@ -203,16 +203,16 @@ class LowLevelModes:
 
     def __init__(self, observations: Observations, rig: Rig) -> None:
         self.rig = rig
-        self.tests: list[tuple[RandomTest, Modes, np.ndarray]] = []
+        self.tests: list[tuple[RandomResponses, Modes, np.ndarray]] = []
         self.disordered: tuple[str, ...] = ()
         self._lacking: list[tuple[float, str]] = []
         late = lateness(observations, rig)
         for number, test in enumerate(observations.tests):
-            if isinstance(test, RandomTest) and not math.isfinite(test.drive_hold_hz):
+            if isinstance(test, RandomResponses) and not math.isfinite(test.drive_hold_hz):
                 self._add(number, test, observations, late)
 
     def _add(
-        self, number: int, test: RandomTest, observations: Observations, late: dict[tuple[int, int], float]
+        self, number: int, test: RandomResponses, observations: Observations, late: dict[tuple[int, int], float]
     ) -> None:
         """Keep the modes of a test; what delays its channels (s) is no pole and is taken off."""
         rows = observations.rows
@@ -292,7 +292,7 @@ class LowLevelModes:
                 result.append(sentence)
         return tuple(result)
 
-    def modes(self, rig: Rig, test: RandomTest) -> Modes | None:
+    def modes(self, rig: Rig, test: RandomResponses) -> Modes | None:
         """Modes of a rig as a test meets it, local forces at rest; None where it cannot be taken apart."""
         try:
             parts = rig_parts(

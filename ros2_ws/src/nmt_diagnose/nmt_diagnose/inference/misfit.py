@@ -17,7 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
-from nmt_diagnose.observations.conditions import BackboneTable, RandomTest, SteppedSineTest
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -133,7 +135,7 @@ def _series(observations: Observations, which: BoolArray) -> list[IntArray]:
 def _where(observations: Observations) -> FloatArray:
     """Logarithm of level or frequency over the length that a misfit keeps, (m,)."""
     rows = observations.rows
-    lines = [n for n, test in enumerate(observations.tests) if isinstance(test, RandomTest | SteppedSineTest)]
+    lines = [n for n, test in enumerate(observations.tests) if isinstance(test, RandomResponses | SteppedResponses)]
     by_line = np.isin(rows.test, lines)
     with np.errstate(invalid="ignore", divide="ignore"):
         line = np.log(np.maximum(rows.frequency_hz, 1e-300)) / THRESHOLDS.misfit.line_length

@@ -8,7 +8,10 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.inference.chain_tests import FUNDAMENTAL, ChainTests
-from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest, Test
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Prediction
@@ -67,7 +70,7 @@ class ModesLeftOut:
             found += list(columns)
         return found
 
-    def _flexibility(self, test: Test, channel: MeasuredChannel) -> float:
+    def _flexibility(self, test: Measurement, channel: MeasuredChannel) -> float:
         """Displacement at a channel far below the first mode, m over the N of the force.
 
         Over the V of the drive where the test refers to the voltage, or the model has no force at the drive point.
@@ -79,13 +82,13 @@ class ModesLeftOut:
         over = 1.0 if getattr(test, "reference", "") == "voltage" or not np.isfinite(reference) else abs(reference)
         return float(abs(response) / over / (2.0 * np.pi * frequency) ** MOTIONS[channel.quantity])
 
-    def _between(self, test: Test, number: int, selected: IntArray, base: Prediction) -> ComplexArray:
+    def _between(self, test: Measurement, number: int, selected: IntArray, base: Prediction) -> ComplexArray:
         """Responses of rows that a small addition is compared with: measured ones, or between those and the model's.
 
         ln (1 + z) is z / √(1 + z) to the second order: of a linear test the geometric mean of both responses is taken,
         without the delay between them.
         """
-        if isinstance(test, SteppedSineTest):
+        if isinstance(test, SteppedResponses):
             return np.asarray(test.measured[self.rows.level[selected], self.rows.channel[selected]])
         difference = self.forward.difference(self.observations.values[self.selected], base.values)
         apart = self._logarithms(number, selected, difference)
@@ -105,8 +108,8 @@ class ModesLeftOut:
         return np.nan_to_num(found)
 
 
-def _is_over_force(test: Test) -> bool:
+def _is_over_force(test: Measurement) -> bool:
     """Whether observables are responses over a force, or over what held its amplitude."""
-    if isinstance(test, SteppedSineTest):
+    if isinstance(test, SteppedResponses):
         return test.held != "response"
-    return isinstance(test, RandomTest) and test.reference == "force"
+    return isinstance(test, RandomResponses) and test.reference == "force"

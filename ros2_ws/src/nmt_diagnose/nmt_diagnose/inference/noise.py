@@ -22,7 +22,9 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.inference.misfit import least_scale
-from nmt_diagnose.observations.conditions import BackboneTable, PhaseResonanceTest, RandomTest
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -141,7 +143,7 @@ def _rank_of(observations: Observations) -> IntArray:
     rows = observations.rows
     result = np.full(len(rows), -1, dtype=np.int64)
     for number, test in enumerate(observations.tests):
-        if not isinstance(test, BackboneTable | PhaseResonanceTest):
+        if not isinstance(test, BackboneTable | LockedWindows):
             continue
         selected = rows.test == number
         levels, index = np.unique(rows.level[selected], return_inverse=True)
@@ -188,7 +190,7 @@ def _kind(test: object, part: Part, harmonic: int, channel: int) -> str:
         return "converter"
     if part is Part.SAMPLE:
         return f"samples {channel}"
-    if isinstance(test, RandomTest):
+    if isinstance(test, RandomResponses):
         return f"lines of {channels[channel].name}"
     # Phases of all responses of a window are off together where the loop stood elsewhere, that of the force hardly.
     return f"{'phase' if part is Part.PHASE else 'fundamental'}{' of the force' if force else ''}"

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.observations.conditions import ImposedMotionTest, RecordTest
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.driven_record.predictor import RecordPredictor
+from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
+from nmt_diagnose.measurements.imposed_motion.predictor import ImposedMotionPredictor
 from nmt_diagnose.observations.observables import Observations
-from nmt_diagnose.prediction.imposed_motion_predictor import ImposedMotionPredictor
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.record_predictor import RecordPredictor
 from nmt_rig.rig import Rig
 
 
@@ -32,14 +33,14 @@ def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]
     by_sensor: dict[str, list[tuple[float, FloatArray]]] = {}
     chains = (*observations.chains, *[None] * len(observations.tests))
     for number, (test, chain) in enumerate(zip(observations.tests, chains, strict=False)):
-        if not isinstance(test, RecordTest):
+        if not isinstance(test, DrivenRecord):
             continue
         selected = rows.test == number
         part = rows.take(selected)
         part = replace(part, test=np.zeros_like(part.test))
         predictor: RecordPredictor | ImposedMotionPredictor = (
             ImposedMotionPredictor(test, part, settings)
-            if isinstance(test, ImposedMotionTest)
+            if isinstance(test, ImposedMotion)
             else RecordPredictor(test, part, settings)
         )
         zeros = _zeros(test)
@@ -55,7 +56,7 @@ def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]
     return found
 
 
-def _zeros(test: RecordTest) -> dict[str, float]:
+def _zeros(test: DrivenRecord) -> dict[str, float]:
     """Standard deviation of the zero of each channel of a record, by the name of the error."""
     names = (test.input_channel.name, *(channel.name for channel in test.channels))
     return {f"zero of {name} in {test.name}": float(std) for name, std in zip(names, test.zeros, strict=False)}

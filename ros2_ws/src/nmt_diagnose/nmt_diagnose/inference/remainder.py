@@ -10,7 +10,8 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.inference.diagnosis import Gap, Remainder, RemainderPart
 from nmt_diagnose.inference.gap import NOISE, rms
 from nmt_diagnose.inference.residual_map import KINDS, channel_name, unit_of_kind
-from nmt_diagnose.observations.conditions import RandomTest, RecordTest
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -57,9 +58,9 @@ def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: Boo
 def _levels(observations: Observations, number: int, after: FloatArray, selected: IntArray) -> str:
     """The third of a test's levels (or lines) where most of what is left lies; empty where there is none."""
     test = observations.tests[number]
-    if isinstance(test, RecordTest):
+    if isinstance(test, DrivenRecord):
         return ""
-    lines = isinstance(test, RandomTest)
+    lines = isinstance(test, RandomResponses)
     place = observations.rows.frequency_hz[selected] if lines else observations.rows.amplitude[selected]
     steps = np.unique(place)
     if steps.size < THRESHOLDS.verdict.remainder_fewest_levels:

@@ -9,18 +9,16 @@ import numpy as np
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.inference.diagnosis import ResidualGroup
 from nmt_diagnose.inference.gap import rms
-from nmt_diagnose.observations.conditions import (
-    BackboneTable,
-    MeasuredChannel,
-    RandomTest,
-    SteppedSineTest,
-    Test,
-)
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 
-def channels_of(test: Test) -> tuple[MeasuredChannel, ...]:
+def channels_of(test: Measurement) -> tuple[MeasuredChannel, ...]:
     """Channels that the rows of a test refer to."""
     if isinstance(test, BackboneTable):
         return (test.channel,)
@@ -37,7 +35,7 @@ def level_groups(observations: Observations) -> FloatArray:
     groups = observations.rows.level.astype(np.float64)
     for number, test in enumerate(observations.tests):
         selected = observations.rows.test == number
-        if isinstance(test, RandomTest | SteppedSineTest) and selected.any():
+        if isinstance(test, RandomResponses | SteppedResponses) and selected.any():
             groups[selected] = np.floor(
                 observations.rows.level[selected]
                 * THRESHOLDS.verdict.map_bands
@@ -61,7 +59,7 @@ def residual_map(
     for key in np.unique(keys, axis=0):
         selected = np.all(keys == key, axis=1)
         test, level, channel, harmonic = (int(value) for value in key)
-        banded = (harmonic < 0 and channel >= 0) or isinstance(observations.tests[test], SteppedSineTest)
+        banded = (harmonic < 0 and channel >= 0) or isinstance(observations.tests[test], SteppedResponses)
         result.append(
             ResidualGroup(
                 observations.tests[test].name,

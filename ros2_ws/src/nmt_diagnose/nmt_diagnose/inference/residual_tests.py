@@ -15,7 +15,8 @@ from scipy.special import chdtrc, fdtrc, ndtr
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.inference.residual_map import channel_name
-from nmt_diagnose.observations.conditions import PhaseResonanceTest, Test
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -61,7 +62,7 @@ def residual_tests(observations: Observations, residual: FloatArray, used: BoolA
             continue
         squares = float(residual[selected] @ residual[selected])
         found.append(_size(test, squares, int(selected.sum())))
-        if isinstance(test, PhaseResonanceTest):
+        if isinstance(test, LockedWindows):
             found.extend(_over_level(observations, residual, selected, number))
             found.extend(_parity(observations, residual, selected, test.name))
             found.extend(_up_down(observations, residual, selected, test))
@@ -84,7 +85,7 @@ def _chi_square(name: str, where: str, statistic: float, degrees_of_freedom: int
     return ResidualTest(name, where, statistic, degrees_of_freedom, float(chdtrc(degrees_of_freedom, statistic)))
 
 
-def _size(test: Test, squares: float, count: int) -> ResidualTest:
+def _size(test: Measurement, squares: float, count: int) -> ResidualTest:
     """χ² of all rows of a test; where their noise is an estimate, over its degrees of freedom by Fisher's F."""
     name, degrees = "size of the residual", getattr(test, "noise_degrees", math.inf)
     if math.isinf(degrees):
@@ -125,7 +126,7 @@ def _parity(observations: Observations, residual: FloatArray, selected: BoolArra
 
 
 def _up_down(
-    observations: Observations, residual: FloatArray, selected: BoolArray, test: PhaseResonanceTest
+    observations: Observations, residual: FloatArray, selected: BoolArray, test: LockedWindows
 ) -> list[ResidualTest]:
     """Differences between two passages of the same drive level."""
     rows = observations.rows

@@ -176,7 +176,7 @@ def inputs(
         tests.append(
             {
                 "name": test.name,
-                "kind": type(test).__name__,
+                "kind": test.WORDS,
                 "drive_point": test.drive_point,
                 "levels": int(np.unique(observations.rows.level[selected]).size),
                 "observables": int(selected.sum()),

@@ -15,7 +15,7 @@ from nmt_diagnose.inference.candidate_starts import at_zero, strength_parameter
 from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import Data, predicted
 from nmt_diagnose.inference.noise import sigma_of
-from nmt_diagnose.observations.conditions import PhaseResonanceTest
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -363,7 +363,7 @@ def large_lines(observations: Observations, wanted: float) -> BoolArray:
     share = np.full(lines.size, np.inf)
     for number, row in enumerate(lines):
         test = observations.tests[rows.test[row]]
-        fundamentals = test.levels[rows.level[row]].fundamentals if isinstance(test, PhaseResonanceTest) else ()
+        fundamentals = test.levels[rows.level[row]].fundamentals if isinstance(test, LockedWindows) else ()
         if fundamentals and fundamentals[rows.channel[row]] > 0.0:
             share[number] = observations.values[row] / fundamentals[rows.channel[row]]
     large = np.zeros(len(rows), dtype=bool)

@@ -15,14 +15,12 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import (
-    BackboneTable,
-    MeasuredChannel,
-    PhaseResonanceTest,
-    RingDownTest,
-    SteppedSineTest,
-)
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 
 _MOST_NODES = 12
@@ -52,7 +50,7 @@ class HeldLevels:
         chain: tolerances of the measuring chain; None = it measures as the rig file says.
     """
 
-    test: PhaseResonanceTest | RingDownTest | BackboneTable | SteppedSineTest
+    test: LockedWindows | RecordedDecay | BackboneTable | SteppedResponses
     numbers: tuple[int, ...]
     omega: FloatArray
     force: ComplexArray
@@ -92,11 +90,11 @@ def held_levels(observations: Observations, number: int) -> HeldLevels | None:
         number: of the test.
     """
     test = observations.tests[number]
-    if isinstance(test, RingDownTest | BackboneTable):
+    if isinstance(test, RecordedDecay | BackboneTable):
         return _nodes(observations, number, test)
-    if isinstance(test, SteppedSineTest):
+    if isinstance(test, SteppedResponses):
         return _lines(observations, number, test)
-    if not isinstance(test, PhaseResonanceTest) or test.held == "response":
+    if not isinstance(test, LockedWindows) or test.held == "response":
         return None
     rows, here = observations.rows, observations.rows.test == number
     sensors = {c.point: k for k, c in reversed(list(enumerate(test.channels))) if c.quantity is Quantity.FORCE}
@@ -133,11 +131,11 @@ def held_levels(observations: Observations, number: int) -> HeldLevels | None:
     return found.take(order) if order else None
 
 
-def _nodes(observations: Observations, number: int, test: RingDownTest | BackboneTable) -> HeldLevels | None:
+def _nodes(observations: Observations, number: int, test: RecordedDecay | BackboneTable) -> HeldLevels | None:
     """Amplitudes of a decay or a table as levels, spread evenly over the logarithm of the amplitude."""
     if test.channel.quantity not in MOTIONS:
         return None
-    channels = test.channels if isinstance(test, RingDownTest) else (test.channel,)
+    channels = test.channels if isinstance(test, RecordedDecay) else (test.channel,)
     rows, here, count = observations.rows, observations.rows.test == number, len(test.amplitudes)
     found = {part: (np.full(count, np.nan), np.full(count, np.nan)) for part in (Part.LOG_FREQUENCY, Part.DAMPING)}
     for part, (value, std) in found.items():
@@ -172,7 +170,7 @@ def _nodes(observations: Observations, number: int, test: RingDownTest | Backbon
     return levels.take(chosen)
 
 
-def _lines(observations: Observations, number: int, first: SteppedSineTest) -> HeldLevels | None:
+def _lines(observations: Observations, number: int, first: SteppedResponses) -> HeldLevels | None:
     """Lines of all responses to a held force or base over the same channels as levels; None but for the first test."""
     same = [other for other, test in enumerate(observations.tests) if _alike(first, test)]
     same = [other for other in same if np.any(observations.rows.test == other)]
@@ -214,16 +212,16 @@ def _lines(observations: Observations, number: int, first: SteppedSineTest) -> H
     return found.take([int(k) for k in np.argsort(moved, kind="stable")])
 
 
-def _alike(first: SteppedSineTest, test: object) -> bool:
+def _alike(first: SteppedResponses, test: object) -> bool:
     """Whether a test is another response at the same drive and channels as the first, with phases."""
-    if not isinstance(test, SteppedSineTest) or set(test.channels) != set(first.channels):
+    if not isinstance(test, SteppedResponses) or set(test.channels) != set(first.channels):
         return False
     kinds = [(it.drive_point, it.held, it.reference, it.phase_known, it.imposed) for it in (first, test)]
     return kinds[0] == kinds[1] and test.phase_known and not test.imposed
 
 
-def _with_channels_of(first: SteppedSineTest, test: object) -> SteppedSineTest:
-    assert isinstance(test, SteppedSineTest)
+def _with_channels_of(first: SteppedResponses, test: object) -> SteppedResponses:
+    assert isinstance(test, SteppedResponses)
     order = [test.channels.index(channel) for channel in first.channels]
     return replace(test, channels=first.channels, measured=test.measured[:, order])
 

@@ -11,7 +11,7 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.modal_frame import ORDERS, KnownForces
-from nmt_diagnose.observations.conditions import PhaseResonanceTest
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.sidecar.channel_tolerances import ChannelTolerance
 from nmt_rig.rig import Rig
@@ -80,7 +80,7 @@ def nuisance_columns(
             lost = max(limits.mode_damping_std * math.sqrt(zeta * frame.zeta[rows.modes[i]]), limits.least_damping_std)
             add(f"damping between {pair}", 2j * math.sqrt(both) * levels.omega[:, np.newaxis] * mixed, lost)
     typical = np.sqrt(np.mean(rows.shapes**2, axis=0))
-    recorded = levels.test.channels if isinstance(levels.test, PhaseResonanceTest) else ()
+    recorded = levels.test.channels if isinstance(levels.test, LockedWindows) else ()
     points = getattr(levels.test, "drive_points", ())
     sensors = {c.point: c.name for c in reversed(recorded) if c not in levels.channels}
     force_names = [sensors.get(point, "") for point in points]

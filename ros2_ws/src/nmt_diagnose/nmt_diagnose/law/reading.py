@@ -18,7 +18,7 @@ from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, fewest
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.terms import sampled
-from nmt_diagnose.observations.conditions import SteppedSineTest
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -136,7 +136,7 @@ def _stands_alone(rig: Rig, levels: HeldLevels) -> bool:
     """Whether fundamentals alone tell a law: lines of a stepped sine, and levels without a force where no shaker that
     stays attached belongs to them."""
     if levels.ratio is None:
-        return isinstance(levels.test, SteppedSineTest)
+        return isinstance(levels.test, SteppedResponses)
     return rig.exciter is None or rig.exciter.kind == "force"
 
 

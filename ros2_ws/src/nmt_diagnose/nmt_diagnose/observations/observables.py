@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import Test
 from nmt_diagnose.observations.origin import Origin
 
 
@@ -84,7 +84,7 @@ class Observations:
             harmonics); empty = a model may not be off at all.
     """
 
-    tests: tuple[Test, ...]
+    tests: tuple[Measurement, ...]
     rows: Rows
     values: FloatArray
     std: FloatArray
@@ -117,7 +117,7 @@ class Observations:
 
 def joined(parts: Sequence[Observations]) -> Observations:
     """Several sets of observations as one; tests are renumbered."""
-    tests: list[Test] = []
+    tests: list[Measurement] = []
     rows: list[Rows] = []
     for part in parts:
         shifted = {name: getattr(part.rows, name) for name in Rows.__dataclass_fields__}
@@ -166,7 +166,7 @@ class RowTable:
         )
         self._numbers.append((value, std, floor))
 
-    def observations(self, test: Test, notes: Sequence[str] = ()) -> Observations:
+    def observations(self, test: Measurement, notes: Sequence[str] = ()) -> Observations:
         """The rows as observations of one test; rows that are not finite are left out."""
         identity = np.array(self._identity, dtype=np.float64).reshape(-1, 7)
         numbers = np.array(self._numbers, dtype=np.float64).reshape(-1, 3)

@@ -16,23 +16,25 @@ from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import MOTIONS, ROTATION_UNITS, TestKind
 from nmt_diagnose.coverage import NotCoveredError, covers
-from nmt_diagnose.observations.channels.bag_samples import SampleStretch, read_windows
-from nmt_diagnose.observations.channels.measuring_chain import measuring_chain, table_chain
-from nmt_diagnose.observations.channels.plausibility import check_frequency, clipping_notes, out_of_scale, repeats_notes
-from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest, SteppedSineTest
-from nmt_diagnose.observations.kinds.imposed_motion_observations import (
+from nmt_diagnose.measurements.backbone_table.reading import table_observations
+from nmt_diagnose.measurements.backbone_table.unforced import is_unforced, unforced_observations
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.driven_record.reading import record_observations
+from nmt_diagnose.measurements.imposed_motion.reading import (
     Window,
     imposed_motion_observations,
     reason_for_imposed,
 )
-from nmt_diagnose.observations.kinds.phase_resonance_observations import phase_resonance_observations
-from nmt_diagnose.observations.kinds.random_observations import random_observations
-from nmt_diagnose.observations.kinds.record_observations import record_observations
-from nmt_diagnose.observations.kinds.ring_down_observations import ring_down_observations
-from nmt_diagnose.observations.kinds.stepped_sine_observations import is_response, stepped_sine_observations
-from nmt_diagnose.observations.kinds.stepped_table_observations import measured_together
-from nmt_diagnose.observations.kinds.table_observations import table_observations
-from nmt_diagnose.observations.kinds.unforced_observations import is_unforced, unforced_observations
+from nmt_diagnose.measurements.locked_windows.reading import phase_resonance_observations
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.random_responses.reading import random_observations
+from nmt_diagnose.measurements.recorded_decay.reading import ring_down_observations
+from nmt_diagnose.measurements.stepped_responses.reading import is_response, stepped_sine_observations
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+from nmt_diagnose.measurements.stepped_responses.table_reading import measured_together
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch, read_windows
+from nmt_diagnose.observations.channels.measuring_chain import measuring_chain, table_chain
+from nmt_diagnose.observations.channels.plausibility import check_frequency, clipping_notes, out_of_scale, repeats_notes
 from nmt_diagnose.observations.model_view import ModelView, matched
 from nmt_diagnose.observations.noise.floors import repeatability, with_stated_repeatability
 from nmt_diagnose.observations.noise.scatter import with_shared_scatter
@@ -198,7 +200,9 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
         test_name = name if len(tables) == len(numbers) and not usable else f"{name}/{first}{more}"
         reduced = table_observations(test_name, [tables[number] for number in numbers], model, settings)
         chains = tuple(
-            table_chain(test.channels, settings.calibration) if isinstance(test, SteppedSineTest | RandomTest) else None
+            table_chain(test.channels, settings.calibration)
+            if isinstance(test, SteppedResponses | RandomResponses)
+            else None
             for test in reduced.tests
         )
         parts.append(replace(reduced, chains=chains))

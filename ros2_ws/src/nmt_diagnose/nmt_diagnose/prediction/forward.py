@@ -12,38 +12,36 @@ from numpy.typing import NDArray
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.observations.conditions import (
-    BackboneTable,
-    ImposedMotionTest,
-    PhaseResonanceTest,
-    RandomTest,
-    RecordTest,
-    RingDownTest,
-    SteppedSineTest,
-    Test,
-)
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.backbone_table.predictor import BackbonePredictor
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.driven_record.predictor import RecordPredictor
+from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
+from nmt_diagnose.measurements.imposed_motion.predictor import ImposedMotionPredictor
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.locked_windows.predictor import PhaseResonancePredictor
+from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.random_responses.predictor import RandomPredictor
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.recorded_decay.predictor import RingDownPredictor
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.stepped_responses.predictor import SteppedSinePredictor, with_growth
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.prediction.backbone_predictor import BackbonePredictor
-from nmt_diagnose.prediction.imposed_motion_predictor import ImposedMotionPredictor
 from nmt_diagnose.prediction.influence import Source, SourceColumn, random_influence, resonance_influence
 from nmt_diagnose.prediction.parts_cache import PartsCache, joint_setup
-from nmt_diagnose.prediction.phase_resonance_predictor import PhaseResonancePredictor
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.random_predictor import RandomPredictor
-from nmt_diagnose.prediction.record_predictor import RecordPredictor
-from nmt_diagnose.prediction.ring_down_predictor import RingDownPredictor
-from nmt_diagnose.prediction.stepped_sine_predictor import SteppedSinePredictor, with_growth
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, SensorSection
 
 _OF_THE_CHANNEL = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
 _PREDICTORS: dict[type, type] = {
-    PhaseResonanceTest: PhaseResonancePredictor,
-    RandomTest: RandomPredictor,
-    SteppedSineTest: SteppedSinePredictor,
-    RingDownTest: RingDownPredictor,
-    ImposedMotionTest: ImposedMotionPredictor,  # a record, too
-    RecordTest: RecordPredictor,
+    LockedWindows: PhaseResonancePredictor,
+    RandomResponses: RandomPredictor,
+    SteppedResponses: SteppedSinePredictor,
+    RecordedDecay: RingDownPredictor,
+    ImposedMotion: ImposedMotionPredictor,  # a record, too
+    DrivenRecord: RecordPredictor,
     BackboneTable: BackbonePredictor,
 }
 
@@ -77,7 +75,7 @@ class Forward:
         BenchError: a test that the predictor cannot predict.
     """
 
-    def __init__(self, tests: Sequence[Test], rows: Rows, settings: PredictionSettings | None = None) -> None:
+    def __init__(self, tests: Sequence[Measurement], rows: Rows, settings: PredictionSettings | None = None) -> None:
         self.tests = tuple(tests)
         self.rows = rows
         self.settings = PredictionSettings() if settings is None else settings
@@ -87,10 +85,10 @@ class Forward:
             self._twin(test, rows.take(where)) for test, where in zip(self.tests, self._where, strict=True)
         ]
         # Rows that follow no excitation, with the names of their channels.
-        self._steps = self._unexcited(Part.STEP, PhaseResonanceTest)
-        self._limits = self._unexcited(Part.LIMIT, PhaseResonanceTest)
-        self._repeats = self._unexcited(Part.REPEATS, PhaseResonanceTest)
-        self._lines = self._unexcited(Part.LINE, PhaseResonanceTest, RandomTest, RecordTest)
+        self._steps = self._unexcited(Part.STEP, LockedWindows)
+        self._limits = self._unexcited(Part.LIMIT, LockedWindows)
+        self._repeats = self._unexcited(Part.REPEATS, LockedWindows)
+        self._lines = self._unexcited(Part.LINE, LockedWindows, RandomResponses, DrivenRecord)
 
         # Tests with one drive point share one linear model.
         groups: dict[tuple[tuple[int, ...], bool], list[Any]] = {}
@@ -101,14 +99,14 @@ class Forward:
             for predictor in group:
                 predictor.use(shared)
 
-    def _twin(self, test: Test, rows: Rows) -> Any:
+    def _twin(self, test: Measurement, rows: Rows) -> Any:
         for kind, predictor in _PREDICTORS.items():
             if isinstance(test, kind):
                 return predictor(test, rows, self.settings)
         raise BenchError(f"the diagnosis' model cannot predict a test of kind {type(test).__name__}.")
 
     def _unexcited(
-        self, part: Part, *kinds: type[PhaseResonanceTest | RandomTest | RecordTest]
+        self, part: Part, *kinds: type[LockedWindows | RandomResponses | DrivenRecord]
     ) -> list[tuple[int, str]]:
         found = []
         for row in np.flatnonzero(self.rows.part == part):
@@ -300,10 +298,10 @@ class Forward:
         return result
 
 
-def traced(tests: Sequence[Test], prediction: Prediction) -> tuple[Test, ...]:
+def traced(tests: Sequence[Measurement], prediction: Prediction) -> tuple[Measurement, ...]:
     """The tests with the noise of measured amplitudes propagated as a prediction's solutions say."""
     return tuple(
-        with_growth(test, state[0]) if isinstance(test, SteppedSineTest) and state is not None else test
+        with_growth(test, state[0]) if isinstance(test, SteppedResponses) and state is not None else test
         for test, state in zip(tests, prediction.states, strict=True)
     )
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_diagnose.measurements.locked_windows.predictor import PeriodicState, PhaseResonancePredictor
+from nmt_diagnose.measurements.random_responses.predictor import RandomPredictor
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.prediction.parts_cache import PartsCache
-from nmt_diagnose.prediction.phase_resonance_predictor import PeriodicState, PhaseResonancePredictor
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.random_predictor import RandomPredictor
 from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import BeamSection, Rig

@@ -13,22 +13,20 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.observations.conditions import (
-    BackboneTable,
-    ImposedMotionTest,
-    MeasuredChannel,
-    PhaseResonanceTest,
-    RandomTest,
-    RecordTest,
-    RingDownTest,
-    SteppedSineTest,
-    Test,
-)
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.locked_windows.predictor import PhaseResonancePredictor
+from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.prediction.lateness import lateness
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.periodic_kernel import GAIN
-from nmt_diagnose.prediction.phase_resonance_predictor import PhaseResonancePredictor
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -40,7 +38,7 @@ from nmt_rig.rig_model import build_system
 
 def operating_range(
     rig: Rig,
-    tests: Sequence[Test],
+    tests: Sequence[Measurement],
     settings: PredictionSettings | None = None,
     observations: Observations | None = None,
 ) -> OperatingRange:
@@ -76,7 +74,7 @@ def operating_range(
     rotation = dict.fromkeys(points, 0.0)
     for number, test in enumerate(tests):
         motions = _motions(rig, test, (*channels, *probes), settings)
-        if isinstance(test, BackboneTable | RingDownTest) and test.amplitudes.size:
+        if isinstance(test, BackboneTable | RecordedDecay) and test.amplitudes.size:
             motions = _given(rig, test, (*channels, *probes), settings, _frequency(rig, test, number, observations))
         motions = _as_measured(motions, (*channels, *probes), test, number, observations)
         for parts, frequency, drive, amplitudes, unknowns in motions:
@@ -114,11 +112,11 @@ def operating_range(
         moved = force / (omega**2 * drive)
         mass, pair_mass = dict.fromkeys(mass, moved), dict.fromkeys(pair_mass, moved)
         inertia = {point: moved * (drive / max(rotation[point], 1e-300)) ** 2 for point in inertia}
-    start = [test.levels[0].start_s if isinstance(test, PhaseResonanceTest) else getattr(test, "start_s", 0.0)
-             for test in tests if not (isinstance(test, PhaseResonanceTest) and not test.levels)]  # fmt: skip
-    stop = [max((level.stop_s for level in test.levels), default=0.0) if isinstance(test, PhaseResonanceTest)
+    start = [test.levels[0].start_s if isinstance(test, LockedWindows) else getattr(test, "start_s", 0.0)
+             for test in tests if not (isinstance(test, LockedWindows) and not test.levels)]  # fmt: skip
+    stop = [max((level.stop_s for level in test.levels), default=0.0) if isinstance(test, LockedWindows)
             else getattr(test, "stop_s", 0.0) for test in tests]  # fmt: skip
-    cycles = [level.cycles_before for test in tests if isinstance(test, PhaseResonanceTest) for level in test.levels]
+    cycles = [level.cycles_before for test in tests if isinstance(test, LockedWindows) for level in test.levels]
     return OperatingRange(
         omega=omega,
         displacement=displacement,
@@ -146,7 +144,7 @@ def _late(observations: Observations, rig: Rig) -> dict[str, float]:
     found: dict[str, float] = {}
     for (number, channel), delay in lateness(observations, rig).items():
         test = observations.tests[number]
-        assert isinstance(test, RandomTest)
+        assert isinstance(test, RandomResponses)
         name = test.channels[channel].name
         if name not in found or test.reference == "voltage":
             found[name] = delay
@@ -157,19 +155,19 @@ def _clipped_at(observations: Observations) -> dict[str, float]:
     return {name: 1.0 / value for name, value in _of_samples(observations, Part.LIMIT).items() if value > 0.0}
 
 
-def _clipped_records(tests: Sequence[Test]) -> dict[str, float]:
+def _clipped_records(tests: Sequence[Measurement]) -> dict[str, float]:
     """Lowest level at which the samples of each channel of records stay, in its unit."""
     found: dict[str, float] = {}
     for test in tests:
-        for channel, level in zip(test.channels, test.limits, strict=False) if isinstance(test, RecordTest) else ():
+        for channel, level in zip(test.channels, test.limits, strict=False) if isinstance(test, DrivenRecord) else ():
             if level > 0.0:
                 found[channel.name] = min(found.get(channel.name, math.inf), float(level))
     return found
 
 
-def _unclipped(tests: Sequence[Test]) -> frozenset[str]:
+def _unclipped(tests: Sequence[Measurement]) -> frozenset[str]:
     """Channels of records alone whose samples stay at no level: where such a record ends, its signal turned back."""
-    records = [test for test in tests if isinstance(test, RecordTest)]
+    records = [test for test in tests if isinstance(test, DrivenRecord)]
     if len(records) < len(tests):
         return frozenset()
     known = {channel.name for test in records for channel, _ in zip(test.channels, test.limits, strict=False)}
@@ -181,7 +179,7 @@ def _of_samples(observations: Observations, part: Part) -> dict[str, float]:
     rows = observations.rows
     found: dict[str, float] = {}
     for number, test in enumerate(observations.tests):
-        if isinstance(test, PhaseResonanceTest):
+        if isinstance(test, LockedWindows):
             for index, channel in enumerate(test.channels):
                 selected = (rows.test == number) & (rows.channel == index)
                 if selected.any():
@@ -193,29 +191,31 @@ def _of_samples(observations: Observations, part: Part) -> dict[str, float]:
 Motion = tuple[RigParts, float, float, np.ndarray, np.ndarray]
 
 
-def _motions(rig: Rig, test: Test, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings) -> list[Motion]:
+def _motions(
+    rig: Rig, test: Measurement, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings
+) -> list[Motion]:
     """Parts, ω, drive, channel amplitudes and unknowns at the ends of a test."""
-    if isinstance(test, PhaseResonanceTest):
+    if isinstance(test, LockedWindows):
         return _resonant(rig, test, channels, settings)
-    if isinstance(test, SteppedSineTest):
+    if isinstance(test, SteppedResponses):
         return _stepped(rig, test, channels, settings)
-    if isinstance(test, RandomTest):
+    if isinstance(test, RandomResponses):
         return _noise(rig, test.drive_point, channels, settings, 2.0 * np.pi * test.lines_hz, test.drive_rms,
                       test.reference == "force")  # fmt: skip
-    if isinstance(test, ImposedMotionTest):
+    if isinstance(test, ImposedMotion):
         return _imposed(rig, test, channels, settings)
-    if isinstance(test, RecordTest):
+    if isinstance(test, DrivenRecord):
         lines = 2.0 * np.pi * np.geomspace(1e-3, 0.4, 200) * test.sample_rate
         ideal = test.input_channel.quantity == Quantity.FORCE
         return _noise(rig, test.drive_point, channels, settings, lines, float(np.std(test.input)), ideal)
     return []
 
 
-def _imposed_scales(test: Test) -> tuple[float, float] | None:
+def _imposed_scales(test: Measurement) -> tuple[float, float] | None:
     """Displacement (m) and force (N) of an imposed motion, the largest; None of other tests."""
-    if isinstance(test, ImposedMotionTest):
+    if isinstance(test, ImposedMotion):
         return test.size, test.force_n
-    if isinstance(test, SteppedSineTest) and test.imposed and test.reference == "force":
+    if isinstance(test, SteppedResponses) and test.imposed and test.reference == "force":
         order = MOTIONS[test.channels[0].quantity]
         force = float(np.max(test.levels / np.abs(test.measured[:, 0])))
         return float(np.max(test.levels / (2.0 * np.pi * test.lines_hz) ** order)), force
@@ -223,7 +223,7 @@ def _imposed_scales(test: Test) -> tuple[float, float] | None:
 
 
 def _imposed(
-    rig: Rig, test: ImposedMotionTest, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings
+    rig: Rig, test: ImposedMotion, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings
 ) -> list[Motion]:
     """Motion of the drive point at its middle frequency, in the shape that the system linearised at rest has there."""
     probe = next(i for i, c in enumerate(channels) if c.name == f"probe {test.drive_point}")
@@ -235,9 +235,9 @@ def _imposed(
 
 
 def _resonant(
-    rig: Rig, test: PhaseResonanceTest, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings
+    rig: Rig, test: LockedWindows, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings
 ) -> list[Motion]:
-    wider = PhaseResonanceTest(
+    wider = LockedWindows(
         test.name, test.drive_points, test.response_channel,
         (*(c for c in channels), *(c for c in test.channels if c.name not in {k.name for k in channels})),
         test.harmonics, test.held, test.levels,
@@ -308,7 +308,7 @@ def _noise(
 
 
 def _stepped(
-    rig: Rig, test: SteppedSineTest, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings
+    rig: Rig, test: SteppedResponses, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings
 ) -> list[Motion]:
     """Lines of largest and smallest motion, in the shape that the system linearised at rest has at its resonance."""
     lead = test.channels[0]
@@ -331,7 +331,7 @@ def _stepped(
 
 def _given(
     rig: Rig,
-    test: BackboneTable | RingDownTest,
+    test: BackboneTable | RecordedDecay,
     channels: tuple[MeasuredChannel, ...],
     settings: PredictionSettings,
     frequency_hz: float,
@@ -366,9 +366,9 @@ def _resting_response(parts: RigParts, omega: float) -> tuple[np.ndarray, np.nda
     return q, y * parts.channels[:, GAIN]
 
 
-def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, observations: Observations | None) -> float:
+def _frequency(rig: Rig, test: BackboneTable | RecordedDecay, number: int, observations: Observations | None) -> float:
     """Frequency of a test's smallest amplitude, Hz."""
-    if isinstance(test, RingDownTest):
+    if isinstance(test, RecordedDecay):
         return test.frequency_hz
     if observations is not None:
         rows = observations.rows
@@ -381,7 +381,7 @@ def _frequency(rig: Rig, test: BackboneTable | RingDownTest, number: int, observ
 def _as_measured(
     motions: list[Motion],
     channels: tuple[MeasuredChannel, ...],
-    test: Test,
+    test: Measurement,
     number: int,
     observations: Observations | None,
 ) -> list[Motion]:
@@ -407,10 +407,10 @@ def _as_measured(
     return result
 
 
-def _measured_sizes(observations: Observations, test: Test, number: int, drive: float) -> dict[str, float]:
+def _measured_sizes(observations: Observations, test: Measurement, number: int, drive: float) -> dict[str, float]:
     """Amplitude, or rms, of each motion channel of a test: of a phase-resonant one at the level next to a drive."""
     rows, values = observations.rows, observations.values
-    if isinstance(test, BackboneTable | RingDownTest | RecordTest | SteppedSineTest):
+    if isinstance(test, BackboneTable | RecordedDecay | DrivenRecord | SteppedResponses):
         return {}
     sizes: dict[str, float] = {}
     for index, channel in enumerate(test.channels):
@@ -420,10 +420,10 @@ def _measured_sizes(observations: Observations, test: Test, number: int, drive: 
         selected &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)
         if not selected.any():
             continue
-        if isinstance(test, PhaseResonanceTest):
+        if isinstance(test, LockedWindows):
             selected = np.flatnonzero(selected)
             sizes[channel.name] = math.exp(float(values[selected[np.argmin(np.abs(rows.amplitude[selected] - drive))]]))
-        elif int(selected.sum()) == test.lines_hz.size > 1:
+        elif isinstance(test, RandomResponses) and int(selected.sum()) == test.lines_hz.size > 1:
             magnitude = np.empty(test.lines_hz.size)
             magnitude[rows.level[selected]] = np.exp(values[selected])
             weights = np.gradient(test.lines_hz)

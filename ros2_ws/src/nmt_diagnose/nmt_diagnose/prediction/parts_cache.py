@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from nmt_diagnose.effects.rig_edit import with_exciters_at
-from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import (
     RigParts,

@@ -16,7 +16,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.modal_calibration import with_stiffness
 from nmt_diagnose.effects.rig_edit import with_exciters
-from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model, moved_model
 from nmt_diagnose.prediction.local_tables import local_tables
 from nmt_diagnose.prediction.periodic_kernel import (

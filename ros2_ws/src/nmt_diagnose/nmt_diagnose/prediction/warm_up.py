@@ -8,17 +8,14 @@ from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.rig_edit import with_element
-from nmt_diagnose.observations.conditions import (
-    ImposedMotionTest,
-    LockedLevel,
-    MeasuredChannel,
-    PhaseResonanceTest,
-    RandomTest,
-    RecordTest,
-    RingDownTest,
-    SteppedSineTest,
-    Test,
-)
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.model.local_elements.springs import CubicSpringSection
@@ -32,18 +29,18 @@ def warm_up_predictions(rig: Rig) -> None:
     response = MeasuredChannel("x", Quantity.DISPLACEMENT, point)
     both = (force, response)
     level = LockedLevel(0, 0.1, 0.0, 0.0, 22.0, 0.0, 1.0, 0.0, 1)
-    tests: tuple[Test, ...] = (
-        PhaseResonanceTest("locked", (point,), "x", both, 3, "voltage", (level,)),
-        RandomTest("noise", point, both, "voltage", np.array([20.0, 21.0]), 1.0, "none", 0.1, 0.0, 1.0, 1000.0),
-        RingDownTest("decay", point, response, np.array([1e-6]), 22.0),
-        RecordTest(
+    tests: tuple[Measurement, ...] = (
+        LockedWindows("locked", (point,), "x", both, 3, "voltage", (level,)),
+        RandomResponses("noise", point, both, "voltage", np.array([20.0, 21.0]), 1.0, "none", 0.1, 0.0, 1.0, 1000.0),
+        RecordedDecay("decay", point, response, np.array([1e-6]), 22.0),
+        DrivenRecord(
             "record", point, 1000.0, MeasuredChannel("u", Quantity.VOLTAGE, 0), np.ones(8), (response,),
             np.array([0.0, 8.0]),
         ),
-        ImposedMotionTest(
+        ImposedMotion(
             "imposed", point, 1000.0, response, np.ones(8), (force,), np.array([0.0, 8.0]), motion=np.ones((3, 8)),
         ),
-        SteppedSineTest(
+        SteppedResponses(
             "stepped", point, (response,), "force", "force", np.array([20.0]), np.array([0.1]),
             np.array([[1e-4 + 0j]]), np.array([0.01]),
         ),

@@ -10,7 +10,7 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import ROTATION_UNITS
-from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Segment, Signals, needed_topics, read_stretches
 from nmt_record.windows.window_policy import POLICIES, Consequence

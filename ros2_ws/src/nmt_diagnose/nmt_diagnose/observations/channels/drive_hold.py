@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.observations.model_view import ModelView
 
 _IMAGES = (-1, 1, -2, 2, -3, 3, -4, 4)

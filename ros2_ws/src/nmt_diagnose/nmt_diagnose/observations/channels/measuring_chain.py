@@ -14,7 +14,7 @@ from typing import Any
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.tolerances import TOLERANCES
-from nmt_diagnose.observations.conditions import MeasuredChannel
+from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 from nmt_record.exchange.sidecar.channel_tolerances import (
     ChannelTolerance,

@@ -11,8 +11,8 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
+from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.conditions import MeasuredChannel
 from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_signals.channel_faults.clipping import clipping_level

@@ -11,7 +11,9 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_diagnose.observations.conditions import PhaseResonanceTest, RandomTest, RingDownTest
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -153,15 +155,15 @@ def _keys(observations: Observations) -> list[tuple[object, ...]]:
         if rows.channel[index] >= 0:
             channels = getattr(test, "channels", None) or (getattr(test, "channel", None),)
             channel = getattr(channels[rows.channel[index]], "name", "")
-        if isinstance(test, RandomTest):
+        if isinstance(test, RandomResponses):
             place: object = round(float(rows.frequency_hz[index]), 6)
         elif rows.part[index] == Part.LINE:
             place = int(rows.level[index]), round(float(rows.frequency_hz[index]), 6)
-        elif isinstance(test, PhaseResonanceTest | RingDownTest):
+        elif isinstance(test, LockedWindows | RecordedDecay):
             place = int(rows.level[index])
         else:
             place = round(float(rows.time_s[index]), 9)
-        amplitude = float(f"{rows.amplitude[index]:.3g}") if isinstance(test, PhaseResonanceTest) else 0.0
+        amplitude = float(f"{rows.amplitude[index]:.3g}") if isinstance(test, LockedWindows) else 0.0
         kind = int(rows.harmonic[index]), int(rows.part[index])
-        keys.append((type(test).__name__, test.drive_point, place, amplitude, channel, *kind))
+        keys.append((test.WORDS, test.drive_point, place, amplitude, channel, *kind))
     return keys

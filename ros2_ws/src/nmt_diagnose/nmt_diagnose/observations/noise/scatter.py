@@ -22,7 +22,7 @@ from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_diagnose.observations.conditions import SteppedSineTest
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -95,7 +95,7 @@ def with_shared_scatter(observations: Observations) -> Observations:
     """The observations with the noise of sweeps that is estimated from their scatter taken together, by channel."""
     groups: dict[str, list[int]] = {}
     for number, test in enumerate(observations.tests):
-        estimated = isinstance(test, SteppedSineTest) and math.isfinite(test.noise_degrees)
+        estimated = isinstance(test, SteppedResponses) and math.isfinite(test.noise_degrees)
         if estimated and np.any(observations.rows.test == number):
             groups.setdefault(repr((_sweep(test).channels, _sweep(test).reference)), []).append(number)
     tests, std = list(observations.tests), observations.std.copy()
@@ -137,6 +137,6 @@ def shrunk(std: FloatArray, degrees: FloatArray) -> tuple[FloatArray, FloatArray
     return np.exp(mean + share * (log - mean)), np.asarray(0.5 / after)
 
 
-def _sweep(test: object) -> SteppedSineTest:
-    assert isinstance(test, SteppedSineTest)
+def _sweep(test: object) -> SteppedResponses:
+    assert isinstance(test, SteppedResponses)
     return test

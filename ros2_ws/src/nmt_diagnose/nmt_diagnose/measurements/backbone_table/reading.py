@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_diagnose.observations.conditions import BackboneTable, MeasuredChannel, RandomTest
-from nmt_diagnose.observations.kinds.stepped_table_observations import (
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.stepped_responses.table_reading import (
     has_levels,
     spread_lines,
     stepped_table_observations,
@@ -200,7 +202,7 @@ def _responses(
         if table.phase_known:
             rows.add(Part.PHASE, float(np.angle(response[index])), value, floors.frf, place, 0)
     steps = np.diff(np.sort(frequency))
-    test = RandomTest(
+    test = RandomResponses(
         name=name,
         drive_point=view.rig.drive_point,
         channels=(channel,),

@@ -13,9 +13,10 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, VELOCITY_LEAD, TestKind
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import PURE_TONE, LockedLevel, LockedWindows, Terms
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.channels.drive_hold import hold_factor, image_responses
-from nmt_diagnose.observations.conditions import PURE_TONE, LockedLevel, MeasuredChannel, PhaseResonanceTest, Terms
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.floors import Floors
 from nmt_diagnose.observations.noise.scatter import moderated
@@ -428,7 +429,7 @@ def phase_resonance_observations(
         )
         for level, window in zip(levels, kept, strict=True)
     ]
-    test = PhaseResonanceTest(
+    test = LockedWindows(
         name=name,
         drive_points=view.rig.exciter_points,
         response_channel=channels[response.name].name if response and response.name in channels else "",

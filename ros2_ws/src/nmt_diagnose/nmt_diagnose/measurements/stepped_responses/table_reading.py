@@ -12,7 +12,8 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.scatter import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
@@ -218,7 +219,7 @@ def _one(
             rows.add(Part.LOG_MAGNITUDE, math.log(abs(value)), own_std, floor, place, k, 1)
             if phase_known:
                 rows.add(Part.PHASE, float(np.angle(value)), own_std, floor, place, k, 1)
-    test = SteppedSineTest(
+    test = SteppedResponses(
         name=name,
         drive_point=view.rig.drive_point,
         channels=tuple(own[0] for own in measured),

@@ -24,8 +24,9 @@ from scipy.signal import welch
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.tolerances import TOLERANCES
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.conditions import MeasuredChannel, RecordTest
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.input_noise import input_noise, noise_lines, propagated_noise
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
@@ -150,7 +151,7 @@ def _one(
             )  # fmt: skip
     factor = 1 if linear_hold else refinement(stretch.row(recorded[present[0].name]), stretch.sample_rate)
     head = responses[:, :first] - responses.mean(axis=1, keepdims=True)
-    test = RecordTest(
+    test = DrivenRecord(
         name=name,
         drive_point=view.rig.drive_point,
         sample_rate=factor * stretch.sample_rate,

@@ -14,7 +14,8 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_diagnose.observations.conditions import PURE_TONE, MeasuredChannel, PhaseResonanceTest, Terms
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import PURE_TONE, LockedWindows, Terms
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.converter import recorded_harmonics
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
@@ -111,7 +112,7 @@ class PeriodicLevels:
         BenchError: the test lacks what defines its levels.
     """
 
-    def __init__(self, test: PhaseResonanceTest, rows: Rows, settings: PredictionSettings) -> None:
+    def __init__(self, test: LockedWindows, rows: Rows, settings: PredictionSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
         driven = max((len(term) for level in test.levels for term in level.terms), default=1)
         self.basis = FourierBasis.up_to(max(settings.harmonics, test.harmonics, driven))
@@ -540,7 +541,7 @@ class PeriodicLevels:
 class PhaseResonancePredictor(PeriodicLevels):
     """Predicts one test of locked windows; arguments and errors as of `PeriodicLevels`."""
 
-    def __init__(self, test: PhaseResonanceTest, rows: Rows, settings: PredictionSettings) -> None:
+    def __init__(self, test: LockedWindows, rows: Rows, settings: PredictionSettings) -> None:
         super().__init__(test, rows, settings)
         self._parts = _by_part(rows)
         if np.any(rows.harmonic > self.basis.orders[-1]):

@@ -11,9 +11,9 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
+from nmt_diagnose.measurements.backbone_table.reading import table_observations
+from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.conditions import MeasuredChannel
-from nmt_diagnose.observations.kinds.table_observations import table_observations
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings

@@ -16,8 +16,9 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.conditions import MeasuredChannel, RingDownTest
 from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -91,7 +92,7 @@ def ring_down_observations(
     if len(decay.good) < THRESHOLDS.reading.decay_few_nodes or top < _LATE_SHARE * largest:
         # Friction ends a decay within a few periods, however long the recording goes on.
         short = _short_decay(name, stretch, model_channel, channels, view, settings, reason)
-        nodes = [np.asarray(test.amplitudes) for test in short.tests if isinstance(test, RingDownTest)]
+        nodes = [np.asarray(test.amplitudes) for test in short.tests if isinstance(test, RecordedDecay)]
         if nodes and nodes[0].size >= THRESHOLDS.reading.decay_few_nodes and nodes[0].max() > 0.5 * largest:
             return short
     if close := _close_mode(view, decay.good[-1].omega / (2.0 * math.pi)):
@@ -114,7 +115,7 @@ def ring_down_observations(
             table.add(Part.LOG_MAGNITUDE, size, std, floors.decay_shape, place, index, 1)
             table.add(Part.PHASE, cmath.phase(ratio), std, floors.decay_shape, place, index, 1)
     notes += _notes(name, decay)
-    test = RingDownTest(
+    test = RecordedDecay(
         name,
         view.rig.drive_point,
         channels[model_channel.name],
@@ -177,7 +178,7 @@ def _short_decay(
     table = RowTable()
     amplitudes = _add_nodes(table, good, stretch, settings, np.zeros(len(good)))
     note = f"{name}: the decay lasts a few periods only: frequency and damping are those between its turning points."
-    test = RingDownTest(
+    test = RecordedDecay(
         name,
         view.rig.drive_point,
         model_channel,

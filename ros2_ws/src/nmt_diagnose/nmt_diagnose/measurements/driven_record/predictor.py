@@ -18,8 +18,8 @@ from scipy.signal import resample_poly
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import RecordTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.converter import expected_quantised
 from nmt_diagnose.prediction.initial_state import InitialState, at_rest, initial_state
@@ -47,7 +47,7 @@ class RecordPredictor:
         settings: of the predictor.
     """
 
-    def __init__(self, test: RecordTest, rows: Rows, settings: PredictionSettings) -> None:
+    def __init__(self, test: DrivenRecord, rows: Rows, settings: PredictionSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
         self.ideal_force = test.input_channel.quantity == Quantity.FORCE
         self.channels = tuple(test.channels)

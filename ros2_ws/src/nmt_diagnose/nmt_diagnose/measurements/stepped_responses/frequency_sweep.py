@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_diagnose.observations.conditions import SteppedSineTest
+from nmt_diagnose.measurements.stepped_responses.predictor import SteppedSinePredictor
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Rows
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.stepped_sine_predictor import SteppedSinePredictor
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
@@ -41,7 +41,7 @@ class Sweep:
 
 
 def frequency_sweep(
-    rig: Rig, test: SteppedSineTest, largest: float, settings: PredictionSettings | None = None
+    rig: Rig, test: SteppedResponses, largest: float, settings: PredictionSettings | None = None
 ) -> Sweep:
     """The responses that a rig would show in a stepped sine test, on the stable branch that the sweep follows.
 
@@ -75,7 +75,7 @@ def frequency_sweep(
 
 
 def _stable_states(
-    rig: Rig, test: SteppedSineTest, line: int, grid: FloatArray, settings: PredictionSettings
+    rig: Rig, test: SteppedResponses, line: int, grid: FloatArray, settings: PredictionSettings
 ) -> list[tuple[float, complex]]:
     """Amplitude and response of every stable state at a line, smallest first."""
     reference, growth, _ = _courses(rig, test, line, grid, settings)
@@ -95,7 +95,7 @@ def _stable_states(
 
 
 def _courses(
-    rig: Rig, test: SteppedSineTest, line: int, amplitudes: FloatArray, settings: PredictionSettings
+    rig: Rig, test: SteppedResponses, line: int, amplitudes: FloatArray, settings: PredictionSettings
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Reference, its growth and responses over response amplitudes at one frequency, (amplitudes,) each."""
     size = amplitudes.size

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.observations.conditions import RingDownTest
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.decay_kernel import (
     closure,
@@ -40,7 +40,7 @@ class RingDownPredictor:
         settings: of the predictor.
     """
 
-    def __init__(self, test: RingDownTest, rows: Rows, settings: PredictionSettings) -> None:
+    def __init__(self, test: RecordedDecay, rows: Rows, settings: PredictionSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
         self.channels = test.channels
         self.use(Setup(test.drive_points, False, self.channels, FourierBasis.up_to(settings.harmonics)))

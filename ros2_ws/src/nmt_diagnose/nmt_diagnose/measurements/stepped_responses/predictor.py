@@ -20,7 +20,7 @@ Where a strong nonlinearity meets light damping, e turns the phase by more than 
 amplitude holds for. So that is taken about the amplitude that the solution has, as far as it is within the noise.
 
 Where a jump was measured thus says which branch a line belongs to and nothing else: real jumps come early, by any
-disturbance. :mod:`nmt_diagnose.prediction.frequency_sweep` finds where a model itself would jump.
+disturbance. :mod:`nmt_diagnose.measurements.stepped_responses.frequency_sweep` finds where a model itself would jump.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.forced_kernel import solve_lines, step_lines
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
@@ -83,7 +84,7 @@ class SteppedSinePredictor:
         BenchError: an unknown reference, or one that was held in a way the model cannot follow.
     """
 
-    def __init__(self, test: SteppedSineTest, rows: Rows, settings: PredictionSettings) -> None:
+    def __init__(self, test: SteppedResponses, rows: Rows, settings: PredictionSettings) -> None:
         if test.reference not in ("force", "base", "voltage"):
             raise BenchError(f"test {test.name}: reference {test.reference!r} is unknown; use force, base or voltage.")
         if test.held not in (test.reference, "response"):
@@ -109,7 +110,7 @@ class SteppedSinePredictor:
         self._own = np.array(setup.index(self.channels), dtype=np.int64)
 
     @property
-    def levels(self) -> tuple[SteppedSineTest, ...]:
+    def levels(self) -> tuple[SteppedResponses, ...]:
         """One set of lines."""
         return (self.test,)
 
@@ -232,22 +233,22 @@ class SteppedSinePredictor:
             return values[:, self._own[: len(self.test.channels)]] / reference[:, None], reference
 
 
-def force_channel(test: SteppedSineTest) -> MeasuredChannel:
+def force_channel(test: SteppedResponses) -> MeasuredChannel:
     """The force that the responses of a test are divided by."""
     return MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point)
 
 
-def growth_of(test: SteppedSineTest) -> ComplexArray:
+def growth_of(test: SteppedResponses) -> ComplexArray:
     """∂ ln R / ∂ ln s that a test's noise is propagated by, (lines,): 1 of a linear rig."""
     return np.ones(test.lines_hz.size, dtype=np.complex128) if test.growth is None else test.growth
 
 
-def moved_of(test: SteppedSineTest) -> FloatArray:
+def moved_of(test: SteppedResponses) -> FloatArray:
     """ln of the amplitude that a model is given over the measured one, (lines,)."""
     return np.zeros(test.lines_hz.size) if test.moved is None else test.moved
 
 
-def with_growth(test: SteppedSineTest, state: SteppedSineState) -> SteppedSineTest:
+def with_growth(test: SteppedResponses, state: SteppedSineState) -> SteppedResponses:
     """The test with its noise propagated as a solution says; lines without a solution as they were.
 
     An amplitude that is within its noise is moved to where the solution has it.
@@ -282,7 +283,7 @@ def at_measured(log_ratio: ComplexArray, growth: ComplexArray, moved: FloatArray
     return np.asarray(log_ratio + ((1.0 - growth) * moved)[:, None])
 
 
-def gain_error(test: SteppedSineTest, channel: int | None = None, error: complex = 1.0) -> ComplexArray:
+def gain_error(test: SteppedResponses, channel: int | None = None, error: complex = 1.0) -> ComplexArray:
     """Change of ln H that a relative error of a gain makes of the rows, (lines, channels).
 
     Real parts are rows for magnitudes, imaginary ones for phases. The amplitude that the model is given stays as it is:

@@ -23,13 +23,14 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.conditions import ImposedMotionTest, MeasuredChannel
-from nmt_diagnose.observations.kinds.record_observations import (
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.driven_record.reading import (
     refinement,
     spread_samples,
     white_noise,
 )
+from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
+from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -180,7 +181,7 @@ def _one(
     fine = np.arange(factor * stretch.samples) / (factor * rate)
     # Beyond the last sample a spline runs away: it stays.
     fine = np.minimum(fine, (stretch.samples - 1) / rate)
-    test = ImposedMotionTest(
+    test = ImposedMotion(
         name=name,
         drive_point=view.rig.drive_point,
         sample_rate=factor * rate,

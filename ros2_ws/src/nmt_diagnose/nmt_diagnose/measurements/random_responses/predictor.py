@@ -12,7 +12,8 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
-from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.gaussian_motion import forces_in_motion
 from nmt_diagnose.prediction.linear_model import Fractions
@@ -80,7 +81,7 @@ class RandomPredictor:
         BenchError: an unknown window or reference.
     """
 
-    def __init__(self, test: RandomTest, rows: Rows, settings: PredictionSettings) -> None:
+    def __init__(self, test: RandomResponses, rows: Rows, settings: PredictionSettings) -> None:
         if test.window not in ("hann", "none"):
             raise BenchError(f"test {test.name}: window {test.window!r} is unknown; use hann or none.")
         if test.reference not in ("voltage", "force"):

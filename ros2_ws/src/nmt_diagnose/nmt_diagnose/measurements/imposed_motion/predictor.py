@@ -19,14 +19,14 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.measurements.driven_record.predictor import recorded, stepped_model, substeps_of
+from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.conditions import ImposedMotionTest
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.imposed_kernel import MOTIONS_GIVEN, follow
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.record_predictor import recorded, stepped_model, substeps_of
 from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
@@ -43,7 +43,7 @@ class ImposedMotionPredictor:
         settings: of the predictor.
     """
 
-    def __init__(self, test: ImposedMotionTest, rows: Rows, settings: PredictionSettings) -> None:
+    def __init__(self, test: ImposedMotion, rows: Rows, settings: PredictionSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
         self.channels = tuple(test.channels)
         self.use(Setup(test.drive_points, True, self.channels, FourierBasis.up_to(1)))

@@ -16,10 +16,11 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.reading import LockedWindow, analyse_window
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+from nmt_diagnose.measurements.stepped_responses.table_reading import jump_note, jumps_of
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.conditions import MeasuredChannel, SteppedSineTest
-from nmt_diagnose.observations.kinds.phase_resonance_observations import LockedWindow, analyse_window
-from nmt_diagnose.observations.kinds.stepped_table_observations import jump_note, jumps_of
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -148,7 +149,7 @@ def _one(
             response, std = found[key]
             rows.add(Part.LOG_MAGNITUDE, math.log(abs(response[k])), float(std[k]), floor, place, channel, 1)
             rows.add(Part.PHASE, float(np.angle(response[k])), float(std[k]), floor, place, channel, 1)
-    test = SteppedSineTest(
+    test = SteppedResponses(
         name=name,
         drive_point=view.rig.drive_point,
         channels=tuple(channels[key] for key in common),

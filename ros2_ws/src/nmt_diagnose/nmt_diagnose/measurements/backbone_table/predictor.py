@@ -8,10 +8,12 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.observations.conditions import BackboneTable, LockedLevel, MeasuredChannel, PhaseResonanceTest
+from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.locked_windows.predictor import PeriodicLevels, PeriodicState
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.parts_cache import PartsCache
-from nmt_diagnose.prediction.phase_resonance_predictor import PeriodicLevels, PeriodicState
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_rig.rig import Rig, ShakerSection
@@ -38,7 +40,7 @@ class BackbonePredictor(PeriodicLevels):
         probe = MeasuredChannel("motion", Quantity.DISPLACEMENT, test.drive_point, ideal=True)
         force = MeasuredChannel("force", Quantity.FORCE, test.drive_point, ideal=True)
         channels = tuple(dict.fromkeys((test.channel, force, probe)))
-        inner = PhaseResonanceTest(
+        inner = LockedWindows(
             test.name, test.drive_points, probe.name, channels, settings.harmonics, "response", tuple(levels)
         )
         super().__init__(inner, rows, settings)

@@ -10,8 +10,9 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.vocabulary import MOTIONS
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.conditions import MeasuredChannel, RandomTest
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
@@ -117,7 +118,7 @@ def random_observations(
     if not len(table):
         return empty((*notes, f"{name}: the random test is left out: no line is coherent with {reference.name}."))
     start, stop = stretch.start_s + part.start / stretch.sample_rate, stretch.start_s + part.stop / stretch.sample_rate
-    test = RandomTest(
+    test = RandomResponses(
         name=name,
         drive_point=view.rig.drive_point,
         channels=tuple(present),

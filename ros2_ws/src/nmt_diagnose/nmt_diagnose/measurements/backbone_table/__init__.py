@@ -1,0 +1,1 @@
+"""Backbones that someone else has reduced."""

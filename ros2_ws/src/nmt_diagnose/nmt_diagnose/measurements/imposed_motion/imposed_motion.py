@@ -1,0 +1,50 @@
+"""Records of a motion that was imposed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS
+from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+
+
+@dataclass(frozen=True)
+class ImposedMotion(DrivenRecord):
+    """A record whose motion was imposed: the model is moved as measured, and force and further responses follow.
+
+    The input is the recorded motion of the drive point in its unit; the observables keep their means.
+
+    Attributes:
+        motion: displacement, velocity and acceleration of the drive point at the samples of the input, shape (3, n),
+            m, m/s, m/s².
+        gain_std: relative standard uncertainty of the gain of the motion and of each channel.
+        frequency_hz: middle frequency of the motion, rms velocity over rms displacement, Hz.
+        size: half of what the displacement spans, m.
+        force_n: largest measured force, N.
+    """
+
+    WORDS: ClassVar[str] = "imposed motion, its force predicted"
+
+    motion: FloatArray = field(default_factory=lambda: np.zeros((3, 0)))
+    gain_std: float = 0.0
+    frequency_hz: float = math.nan
+    size: float = math.nan
+    force_n: float = math.nan
+
+    def with_zero(self, steps: float) -> FloatArray:
+        """The motion with the zero of its sensor off by so many standard deviations, shape (3, n)."""
+        order = MOTIONS[self.input_channel.quantity]
+        moved = self.motion.copy()
+        time = np.arange(self.input.size) / self.sample_rate
+        for row in range(order + 1):
+            moved[row] += steps * self.zeros[0] * time ** (order - row) / math.factorial(order - row)
+        return moved
+
+    def with_gain(self, steps: float) -> FloatArray:
+        """The motion larger by so many standard deviations of its gain, shape (3, n)."""
+        return self.motion * (1.0 + steps * self.gain_std)

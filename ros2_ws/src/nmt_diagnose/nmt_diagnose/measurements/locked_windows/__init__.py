@@ -1,0 +1,1 @@
+"""Locked windows of phase resonance."""

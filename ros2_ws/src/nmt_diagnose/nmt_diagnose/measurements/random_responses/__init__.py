@@ -1,0 +1,1 @@
+"""Frequency responses of random tests."""

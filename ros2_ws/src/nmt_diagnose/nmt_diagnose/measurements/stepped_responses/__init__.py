@@ -1,0 +1,1 @@
+"""Frequency responses at held amplitudes."""

@@ -1,1 +1,0 @@
-"""Observables of each kind of test, from windows, records and tables."""

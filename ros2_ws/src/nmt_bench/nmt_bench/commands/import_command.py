@@ -11,6 +11,7 @@ from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_bench.commands.shared_options import dated_folder_option, replace_option
 from nmt_core.errors import BenchError
 from nmt_core.options import option, optional_argument
+from nmt_core.vocabulary import TestKind
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -75,7 +76,7 @@ def run(options: ImportOptions) -> int:
     for note in imported.notes:
         console.print(note, style="yellow", soft_wrap=True)
     if imported.channels and imported.linear is None:
-        decays = imported.segments and all(segment.section.kind == "ring_down" for segment in imported.segments)
+        decays = imported.segments and all(segment.section.test is TestKind.RING_DOWN for segment in imported.segments)
         without = "gives frequency and damping of each channel" if decays else "will need --linear FILE"
         console.print(f"No linear modes: './nmt extract' {without}.")
     console.print(f"Results in {options.out}: bag")

@@ -14,7 +14,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import MOTIONS, QUANTITIES
+from nmt_core.vocabulary import MOTIONS, QUANTITIES, TestKind
 from nmt_record.exchange.sidecar.import_sidecar import STEADY_KINDS, ChannelSection, SignalSection
 from nmt_record.exchange.source_table import SourceTable, split_name
 from nmt_record.exchange.unit_table import coordinate_of_unit, plain_unit, quantity_of_unit
@@ -248,8 +248,8 @@ def _check_power(
     force: ImportedChannel, response: ImportedChannel, stretches: Sequence[CheckedStretch], sample_rate: float
 ) -> None:
     for stretch in stretches:
-        steady = stretch.segment.kind in STEADY_KINDS
-        if not steady and stretch.segment.kind not in ("random", "sweep"):
+        steady = stretch.segment.test in STEADY_KINDS
+        if not steady and stretch.segment.test not in (TestKind.RANDOM, TestKind.SWEEP):
             continue
         found = _power_factor(force, response, stretch, sample_rate, steady)
         if found is None:
@@ -296,7 +296,7 @@ def _kinematic_notes(
     channels: Sequence[ImportedChannel], stretches: Sequence[CheckedStretch], sample_rate: float
 ) -> list[str]:
     """Displacement, velocity and acceleration at one point and one frequency are bound by powers of ω."""
-    steady = next((s for s in stretches if s.segment.kind in STEADY_KINDS), None)
+    steady = next((s for s in stretches if s.segment.test in STEADY_KINDS), None)
     if steady is None:
         return []
     notes = []
@@ -325,7 +325,7 @@ def _damping_notes(
     linear: LinearDescription,
 ) -> list[str]:
     """Force and response at the lowest level give a damping ratio; units off by 1000 put it off by as much."""
-    levels = [s for s in stretches if s.segment.kind == "phase_resonance"]
+    levels = [s for s in stretches if s.segment.test is TestKind.PHASE_RESONANCE]
     forces = [c for c in channels if c.quantity is Quantity.FORCE and c.point in (0, linear.drive_point)]
     drives = [c for c in channels if c.quantity in MOTIONS and c.point == linear.drive_point]
     if not levels or not forces or not drives:

@@ -78,11 +78,6 @@ class ImportedSegment:
     stop_sample: int
     window: tuple[int, int] | None
 
-    @property
-    def test(self) -> TestKind:
-        """Kind of test."""
-        return TestKind[self.section.kind.upper()]
-
 
 @dataclass(eq=False)
 class ImportedRun:
@@ -348,7 +343,7 @@ def _check_continuity(run: ImportedRun, table: SourceTable, clock: Clock, stretc
         run.notes.append(f"Outside of the windows {what}.")
     for section, name, first, stop in stretches:
         signals = [channel.data[first:stop] for channel in run.channels]
-        if section.kind not in STEADY_KINDS or not all(np.isfinite(signal).all() for signal in signals):
+        if section.test not in STEADY_KINDS or not all(np.isfinite(signal).all() for signal in signals):
             continue  # windows with missing samples are rejected anyway
         jump = phase_jump(signals, run.sample_rate)
         if jump is not None:
@@ -415,9 +410,9 @@ def _segments(run: ImportedRun, clock: Clock, document: YamlDocument) -> list[Im
         window: tuple[int, int] | None = None
         if section.window is not None:
             window = sample(section.window[0]), sample(section.window[1])
-        elif section.kind == "ring_down" and section.switch_off is not None:
+        elif section.test is TestKind.RING_DOWN and section.switch_off is not None:
             window = sample(section.switch_off), stop
-        elif section.kind not in STEADY_KINDS:
+        elif section.test not in STEADY_KINDS:
             window = first, stop
         if window is not None and window[1] - window[0] < 2:
             raise BenchError(f"{place}: the window of {name} holds fewer than two samples; correct its times.")
@@ -545,7 +540,7 @@ def _level(run: ImportedRun, segment: ImportedSegment) -> LevelCommand:
         frequency_hz=section.frequency_hz or 0.0,
         window_periods=section.periods,
         timeout=0.0,
-        test=segment.test,
+        test=section.test,
         band_low_hz=low,
         band_high_hz=high,
         rate_hz_s=section.rate_hz_s or 0.0,
@@ -562,7 +557,7 @@ def _lock(run: ImportedRun, segment: ImportedSegment) -> LockEvent:
         sample = round(section.lock_time * run.sample_rate)
     frequency = section.frequency_hz
     if frequency is None:
-        frequency = 0.0 if section.kind in ("random", "record") else math.nan
+        frequency = 0.0 if section.test in (TestKind.RANDOM, TestKind.RECORD) else math.nan
     return LockEvent(
         level_index=segment.index,
         level=math.nan if section.level is None else section.level,
@@ -573,7 +568,7 @@ def _lock(run: ImportedRun, segment: ImportedSegment) -> LockEvent:
         window_first_sample=window[0],
         window_samples=window[1] - window[0],
         window_periods=section.periods,
-        test=segment.test,
+        test=section.test,
         time_ns=round(sample / run.sample_rate * 1e9),
     )
 

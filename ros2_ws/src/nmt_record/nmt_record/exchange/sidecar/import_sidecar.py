@@ -18,6 +18,7 @@ from nmt_core.files.validation_sentence import validation_sentence
 from nmt_core.files.yaml_document import YamlDocument, read_document
 from nmt_core.kinds import KINDS
 from nmt_core.messages.blocks import Quantity
+from nmt_core.vocabulary import TestKind
 from nmt_record.exchange.unit_table import measured_quantity, si_unit
 
 Positive = Annotated[float, Field(gt=0)]
@@ -30,13 +31,13 @@ if TYPE_CHECKING:
     SignalKind = str
 else:
     SignalKind = Literal[tuple(number.label for number in KINDS)]
-EXPORTED_KINDS = ("self_excited", "secondary_resonance")
+EXPORTED_KINDS = (TestKind.SELF_EXCITED, TestKind.SECONDARY_RESONANCE)
 """Kinds whose windows mean something only with the lock events that an export has beside them."""
 TableKind = Literal["backbone", "frf"]
 TABLE_KINDS = ("backbone", "frf")
-HELD_KINDS = ("record", "stepped_sine")
+HELD_KINDS = (TestKind.RECORD, TestKind.STEPPED_SINE)
 """Kinds of which the sidecar may say whether force or motion was given."""
-STEADY_KINDS = ("phase_resonance", "stepped_sine")
+STEADY_KINDS = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE)
 
 
 class _Section(BaseModel):
@@ -149,6 +150,11 @@ class SignalSection(_Section):
     lock_time: float | None = None
     phase_error: float | None = None
     held: Literal["force", "response"] | None = None
+
+    @property
+    def test(self) -> TestKind:
+        """Kind of test."""
+        return TestKind[self.kind.upper()]
 
 
 class TableSection(_Section):
@@ -380,7 +386,7 @@ def check_sidecar(sidecar: Sidecar, document: YamlDocument) -> None:
                 f"not overlap."
             )
         _check_segment(segment, name, place)
-        if segment.kind in EXPORTED_KINDS and sidecar.locks is None:
+        if segment.test in EXPORTED_KINDS and sidecar.locks is None:
             raise BenchError(
                 f"{place}: {name} needs the lock events of './nmt export' (locks: locks.csv), which say what each "
                 "window is; import a recording of another bench as kind: record."
@@ -422,7 +428,7 @@ def _check_channels(sidecar: Sidecar, document: YamlDocument) -> None:
 
 
 def _check_segment(segment: SignalSection, name: str, place: str) -> None:
-    needs_window = segment.kind in STEADY_KINDS
+    needs_window = segment.test in STEADY_KINDS
     if needs_window and segment.locked and segment.window is None:
         raise BenchError(
             f"{place}: {name} needs window: [begin, end], its steady part in s, or locked: false if it never became "
@@ -438,14 +444,14 @@ def _check_segment(segment: SignalSection, name: str, place: str) -> None:
                 f"{segment.stop:g} s."
             )
     if (
-        segment.kind == "ring_down"
+        segment.test is TestKind.RING_DOWN
         and segment.switch_off is not None
         and not segment.start <= segment.switch_off < segment.stop
     ):
         raise BenchError(f"{place}: switch_off {segment.switch_off:g} s of {name} is not within the segment.")
     if segment.band_hz is not None and not 0.0 <= segment.band_hz[0] < segment.band_hz[1]:
         raise BenchError(f"{place}: band_hz of {name} must be two ascending frequencies, got {segment.band_hz}.")
-    if segment.held is not None and segment.kind not in HELD_KINDS:
+    if segment.held is not None and segment.test not in HELD_KINDS:
         raise BenchError(
             f"{place}: held says what was given in a record or a stepped_sine, but {name} is neither; leave held out."
         )

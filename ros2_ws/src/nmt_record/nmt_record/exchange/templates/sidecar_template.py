@@ -13,7 +13,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import QUANTITIES
+from nmt_core.vocabulary import QUANTITIES, TestKind
 from nmt_record.exchange.arrays import uff
 from nmt_record.exchange.clocks.column_clock import (
     Clock,
@@ -264,12 +264,12 @@ def _segment_line(channels: Sequence[tuple[str, FloatArray]], start: float, rows
     if rate:
         stop = start + rows / rate
         if hit:
-            kind, start = "ring_down", start + hit / rate
-        elif kind == "ring_down":
+            kind, start = TestKind.RING_DOWN, start + hit / rate
+        elif kind is TestKind.RING_DOWN:
             stop = min(stop, start + max(_moving(values) for _, values in channels) / rate)
         begin, until = _time_text(start, rate), _time_text(stop, rate)
     why = "; what follows the hit. With the hit it is a record of force and response" if hit else ""
-    return f"  - {{kind: {kind}, start: {begin}, stop: {until}}}   # guessed{why}"
+    return f"  - {{kind: {kind.label}, start: {begin}, stop: {until}}}   # guessed{why}"
 
 
 def _is_empty(table: SourceTable, index: int) -> bool:
@@ -338,7 +338,7 @@ def _time_text(value: float, rate: float) -> str:
 def _end_of_hit(channels: Sequence[tuple[str, FloatArray]]) -> int:
     """Samples until a force that is there for a moment only is over; 0 where there is none, or no response."""
     forces = [values for quantity, values in channels if quantity == "force"]
-    if len(forces) != 1 or _kind([pair for pair in channels if pair[0] != "force"]) != "ring_down":
+    if len(forces) != 1 or _kind([pair for pair in channels if pair[0] != "force"]) is not TestKind.RING_DOWN:
         return 0
     values = np.abs(forces[0] - np.nanmedian(forces[0]))
     noise = 1.4826 * float(np.nanmedian(values))
@@ -407,13 +407,13 @@ def _guess(table: SourceTable, index: int) -> _Guess:
     return _Guess(coordinate_of_unit(unit) or known, unit, point if placed else 0)
 
 
-def _kind(channels: Sequence[tuple[str, FloatArray]]) -> str:
+def _kind(channels: Sequence[tuple[str, FloatArray]]) -> TestKind:
     """A decay if there are responses only and the last fifth is smaller than the first."""
     if any(quantity in ("force", "voltage", "current") for quantity, _ in channels) or not channels:
-        return "record"
+        return TestKind.RECORD
     fifth = max(1, channels[0][1].size // 5)
     sizes = [(np.nanstd(values[:fifth]), np.nanstd(values[-fifth:])) for _, values in channels]
-    return "ring_down" if all(last < _DECAYED * first for first, last in sizes) else "record"
+    return TestKind.RING_DOWN if all(last < _DECAYED * first for first, last in sizes) else TestKind.RECORD
 
 
 def no_sidecar(path: Path) -> BenchError:

@@ -10,7 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
@@ -95,8 +95,12 @@ def test_claims_are_weighed_before_memory_is_taken(tmp_path: Path) -> None:
     header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
     bomb = zlib.compress(bytes(2**22), 9)
     (tmp_path / "bomb.mat").write_bytes(header + struct.pack("<II", 15, len(bomb)) + bomb)
-    with pytest.raises(BenchError, match="more than the"):
+    with pytest.raises(BenchError, match="cut off or damaged"):
         read_mat(tmp_path / "bomb.mat", "data file", largest=2**20)
+    for content in ({"x": np.zeros(2**19)}, {"s": {"x": np.zeros(2**19)}}, {"x": {"y": np.zeros(2**23, dtype="u1")}}):
+        savemat(tmp_path / "bomb.mat", content, do_compression=True)
+        with pytest.raises(BenchError, match="more than the"):
+            read_mat(tmp_path / "bomb.mat", "data file", largest=2**20)
     # A matrix of 2³¹ − 1 squared numbers in forty bytes.
     body = struct.pack("<IIII", 6, 8, 6, 0) + struct.pack("<IIii", 5, 8, 2**31 - 1, 2**31 - 1)
     body += struct.pack("<IHH", 1 << 16 | 1, 0x78, 0)[:8] + struct.pack("<II", 9, 0)
@@ -130,17 +134,31 @@ def test_only_regular_files_of_the_kind_are_opened(tmp_path: Path) -> None:
             read_mat(tmp_path / name, "data file")
 
 
+@settings(max_examples=8)
 @given(st.integers(0, 10**6), st.integers(0, 255), st.booleans())
 def test_a_file_with_any_byte_changed_or_cut_is_read_or_refused(place: int, value: int, cut: bool) -> None:
-    data = bytearray(_EXAMPLE)
-    data[place % len(data)] = value
     path = _FOLDER / "changed.mat"
-    path.write_bytes(bytes(data[: place % len(data)] if cut else data))
+    path.write_bytes(_changed(place, value, cut))
     try:
         found = read_mat(path, "data file")
     except BenchError:
         return
     assert all(array.nbytes <= 2**20 for array in found.values())
+
+
+@pytest.mark.parametrize("place", [648, 728, 784, 897])
+def test_a_file_that_kills_its_reader_is_damaged(place: int) -> None:
+    """scipy's reader ends at these changes with a segmentation fault."""
+    path = _FOLDER / "changed.mat"
+    path.write_bytes(_changed(place, 255, False))
+    with pytest.raises(BenchError, match="cut off or damaged"):
+        read_mat(path, "data file")
+
+
+def _changed(place: int, value: int, cut: bool) -> bytes:
+    data = bytearray(_EXAMPLE)
+    data[place % len(data)] = value
+    return bytes(data[: place % len(data)] if cut else data)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -16,6 +16,7 @@ setup(
         "numba>=0.59",
         "numpy>=1.26",
         "PyYAML>=6.0",
+        "scipy>=1.11",
     ],
     extras_require={"test": ["pytest"]},
     zip_safe=False,

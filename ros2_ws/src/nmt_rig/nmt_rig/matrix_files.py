@@ -10,7 +10,7 @@ import numpy as np
 from scipy import io, sparse
 
 from nmt_core.errors import BenchError
-from nmt_core.files.mat_file import is_hdf5, read_mat
+from nmt_core.files.mat_file import read_mat
 from nmt_rig.file_errors import BadFileError
 
 _NAMES = {
@@ -89,17 +89,9 @@ def _npz(path: Path) -> dict[str, Any]:
 def _mat(path: Path) -> dict[str, Any]:
     """Full and sparse matrices of a MATLAB file; of version 7.3 the full ones."""
     try:
-        # Weighed before scipy, which also reads sparse matrices, takes memory for what the file claims.
-        content: dict[str, Any] = read_mat(path, "matrix file")
-        with open(path, "rb") as file:
-            if is_hdf5(file.read(520)):
-                return content
-        content = io.loadmat(path)
+        return read_mat(path, "matrix file")
     except BenchError as error:
         raise BadFileError(str(error).rstrip(".")) from error
-    except (ValueError, TypeError, NotImplementedError) as error:
-        raise BadFileError(f"it is not a MATLAB file ({error})") from error
-    return {name: value for name, value in content.items() if not name.startswith("__")}
 
 
 def _taken(content: dict[str, Any], name: str) -> Any:

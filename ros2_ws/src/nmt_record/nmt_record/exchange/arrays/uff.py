@@ -7,7 +7,8 @@ rate like 51200 Hz does not survive in it; whoever needs it exactly writes it el
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,8 @@ FUNCTION_NAMES = {
 """Function types by number, as far as vibration tests have them."""
 
 _NUMBERS_OF_A_LINE = 6  # at most
+_RUN_TOGETHER = re.compile(rb"(E[-+]\d+)(?=[-+])")
+"""A number whose exponent the sign of the next one follows: both fill their columns."""
 
 GENERAL, DISPLACEMENT, VELOCITY, ACCELERATION, FORCE, TIME, FREQUENCY = 1, 8, 11, 12, 13, 17, 18
 """Specific data types."""
@@ -252,7 +255,7 @@ def _read_function(dataset: Dataset, name: str) -> UffFunction:
     table = (
         _binary_values(dataset, value_type, count, even, columns, where)
         if dataset.binary
-        else _ascii_values(dataset.payload, value_type, count, even, columns, where)
+        else _ascii_values(dataset.payload, count, columns, where)
     )
     ordinate = table[:, columns - 2] + 1j * table[:, columns - 1] if value_type >= 5 else table[:, columns - 1]
     return UffFunction(
@@ -288,26 +291,21 @@ def _binary_values(dataset: Dataset, value_type: int, count: int, even: int, col
             f"{where} has byte order {order} and number format {form}; IEEE numbers (format 2) are needed."
         )
     sign = "<" if order == 1 else ">"
-    double = value_type in (4, 6)
-    size = 8 if double else 4
-    width = len(dataset.payload) // count
-    abscissa = width - size * (columns - (0 if even else 1))
-    kinds = [] if even else [("x", f"{sign}f{abscissa}")]
-    kinds += [(f"y{i}", f"{sign}f{size}") for i in range(columns - (0 if even else 1))]
+    size = 8 if value_type in (4, 6) else 4
+    ordinates = columns - (0 if even else 1)
+    kinds = [] if even else [("x", f"{sign}f{len(dataset.payload) // count - size * ordinates}")]
+    kinds += [(f"y{i}", f"{sign}f{size}") for i in range(ordinates)]
     packed = np.frombuffer(dataset.payload, dtype=np.dtype(kinds), count=count)
     return np.column_stack([packed[name].astype(np.float64) for name in packed.dtype.names or ()])
 
 
-def _ascii_values(payload: bytes, value_type: int, count: int, even: int, columns: int, where: str) -> FloatArray:
-    text = payload.replace(b"D", b"E").replace(b"d", b"e")
+def _ascii_values(payload: bytes, count: int, columns: int, where: str) -> FloatArray:
+    words = _RUN_TOGETHER.sub(rb"\1 ", payload.replace(b"D", b"E").replace(b"d", b"E").replace(b"e", b"E")).split()
     total = count * columns
     try:
-        values = np.array(text.split(), dtype=np.float64)
+        values = np.array(words, dtype=np.float64)
     except ValueError:
-        values = np.empty(0)
-    if not total <= values.shape[0] < total + _NUMBERS_OF_A_LINE:
-        # Numbers that fill their columns run into each other: cut by the widths of the format.
-        values = np.array(list(_by_width(text, value_type, even, columns, where)), dtype=np.float64)
+        raise BenchError(f"{where} has words in the place of numbers; the file is damaged.") from None
     if total < values.shape[0] < total + _NUMBERS_OF_A_LINE and not values[total:].any():
         values = values[:total]  # zeros that fill the last line
     if values.shape[0] != total:
@@ -315,20 +313,3 @@ def _ascii_values(payload: bytes, value_type: int, count: int, even: int, column
             f"{where} holds {values.shape[0]} numbers instead of {total}; it is cut off or damaged, export it again."
         )
     return values.reshape(count, columns)
-
-
-def _by_width(text: bytes, value_type: int, even: int, columns: int, where: str) -> Iterator[float]:
-    wide = 20 if value_type in (4, 6) else 13
-    widths = [wide] * (4 if wide == 20 else 6) if even else ([13] + [wide] * (columns - 1)) * (6 // columns)
-    for line in text.decode("ascii", "replace").splitlines():
-        at = 0
-        for width in widths:
-            cell = line[at : at + width].strip()
-            at += width
-            if not cell:
-                break
-            try:
-                value = float(cell)
-            except ValueError:
-                raise BenchError(f"{where} has '{cell[:20]}' in the place of a number; the file is damaged.") from None
-            yield value

@@ -1,4 +1,7 @@
-"""Units of recorded data and their factors to SI."""
+"""Units of recorded data and their factors to SI.
+
+The list is closed: in a heading, g is an acceleration, and (point) or (count) are no units.
+"""
 
 from __future__ import annotations
 
@@ -14,46 +17,44 @@ from nmt_core.vocabulary import MOTIONS
 STANDARD_GRAVITY = 9.80665
 """m/s², by definition (CGPM 1901)."""
 
-_POUND = 0.45359237
 _INCH = 0.0254
+_POUND_FORCE = 0.45359237 * STANDARD_GRAVITY
+_DEGREE = math.pi / 180.0
+_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12, "da": 10.0}
+
+
+def _multiples(unit: str, prefixes: str, size: float = 1.0) -> dict[str, float]:
+    return {prefix + unit: _PREFIXES[prefix] * size for prefix in ("", *prefixes.split())}
+
 
 _FACTORS: dict[Quantity, dict[str, float]] = {
     Quantity.FORCE: {
-        "N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "daN": 10.0, "dyn": 1e-5,
-        "kgf": STANDARD_GRAVITY, "kp": STANDARD_GRAVITY, "gf": 1e-3 * STANDARD_GRAVITY,
-        "N*m": 1.0, "mN*m": 1e-3,
-        "lbf": _POUND * STANDARD_GRAVITY, "ozf": _POUND * STANDARD_GRAVITY / 16.0,
+        **_multiples("N", "k M m u da"), "dyn": 1e-5, "kgf": STANDARD_GRAVITY, "kp": STANDARD_GRAVITY,
+        "gf": 1e-3 * STANDARD_GRAVITY, **_multiples("N*m", "m"),
+        "lbf": _POUND_FORCE, "ozf": _POUND_FORCE / 16.0,
     },
     Quantity.ACCELERATION: {
-        "m/s^2": 1.0, "mm/s^2": 1e-3, "cm/s^2": 1e-2, "um/s^2": 1e-6, "km/s^2": 1e3, "Gal": 1e-2,
-        "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "ug": 1e-6 * STANDARD_GRAVITY,
+        **_multiples("m/s^2", "m c u k"), "Gal": 1e-2, **_multiples("g", "m u", STANDARD_GRAVITY),
         "in/s^2": _INCH, "ft/s^2": 12.0 * _INCH,
     },
-    Quantity.VELOCITY: {
-        "m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "um/s": 1e-6, "nm/s": 1e-9, "km/h": 1.0 / 3.6,
-        "in/s": _INCH, "ft/s": 12.0 * _INCH,
-    },
+    Quantity.VELOCITY: {**_multiples("m/s", "m c u n"), "km/h": 1.0 / 3.6, "in/s": _INCH, "ft/s": 12.0 * _INCH},
     Quantity.DISPLACEMENT: {
-        "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12,
-        "in": _INCH, "mil": 1e-3 * _INCH, "ft": 12.0 * _INCH,
+        **_multiples("m", "c m u n p"), "in": _INCH, "mil": 1e-3 * _INCH, "ft": 12.0 * _INCH,
     },
-    Quantity.VOLTAGE: {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},
-    Quantity.CURRENT: {"A": 1.0, "mA": 1e-3, "uA": 1e-6, "kA": 1e3},
+    Quantity.VOLTAGE: _multiples("V", "m u k"),
+    Quantity.CURRENT: _multiples("A", "m u k"),
 }  # fmt: skip
-
-_DEGREE = math.pi / 180.0
 _TORQUES = {
-    "N*m": 1.0, "kN*m": 1e3, "mN*m": 1e-3, "uN*m": 1e-6, "N*cm": 1e-2, "N*mm": 1e-3,
-    "kgf*m": STANDARD_GRAVITY, "kgf*cm": 1e-2 * STANDARD_GRAVITY,
-    "lbf*ft": _POUND * STANDARD_GRAVITY * 12.0 * _INCH, "lbf*in": _POUND * STANDARD_GRAVITY * _INCH,
+    **_multiples("N*m", "k m u"), "N*cm": 1e-2, "N*mm": 1e-3, "kgf*m": STANDARD_GRAVITY,
+    "kgf*cm": 1e-2 * STANDARD_GRAVITY, "lbf*ft": _POUND_FORCE * 12.0 * _INCH, "lbf*in": _POUND_FORCE * _INCH,
 }  # fmt: skip
 _TORQUES |= {unit.replace("*", ""): value for unit, value in _TORQUES.items()}
 _COORDINATES = {
-    "angle": (Quantity.DISPLACEMENT, "rad", {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": _DEGREE}),
-    "angular_velocity": (Quantity.VELOCITY, "rad/s", {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE}),
+    "angle": (Quantity.DISPLACEMENT, "rad", {**_multiples("rad", "m u"), "deg": _DEGREE}),
+    "angular_velocity": (Quantity.VELOCITY, "rad/s", {**_multiples("rad/s", "m"), "deg/s": _DEGREE}),
     "angular_acceleration": (Quantity.ACCELERATION, "rad/s^2", {"rad/s^2": 1.0, "deg/s^2": _DEGREE}),
     "torque": (Quantity.FORCE, "N*m", _TORQUES),
-    "strain": (Quantity.DISPLACEMENT, "1", {"m/m": 1.0, "mm/m": 1e-3, "um/m": 1e-6, "strain": 1.0, "ustrain": 1e-6}),
+    "strain": (Quantity.DISPLACEMENT, "1", {**_multiples("m/m", "m u"), **_multiples("strain", "u")}),
 }
 """Coordinates of a model that are no lengths: in its equations they stand where a motion does, a torque where a force.
 """
@@ -63,11 +64,11 @@ for _motion, _, _units in (_COORDINATES[name] for name in _COORDINATES if name !
     _FACTORS[_motion] |= {unit: factor for unit, factor in _units.items() if not unit.endswith("rad/s")}
 
 _OTHER = {
-    "frequency": {"Hz": 1.0, "kHz": 1e3, "mHz": 1e-3, "rad/s": 1.0 / (2.0 * math.pi), "rpm": 1.0 / 60.0},
+    "frequency": {**_multiples("Hz", "k m"), "rad/s": 1.0 / (2.0 * math.pi), "rpm": 1.0 / 60.0},
     "ratio": {"1": 1.0, "%": 1e-2},
-    "phase": {"rad": 1.0, "deg": math.pi / 180.0, "cycles": 2.0 * math.pi},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0},
-    "modal amplitude": {"m*sqrt(kg)": 1.0, "mm*sqrt(kg)": 1e-3, "um*sqrt(kg)": 1e-6},
+    "phase": {"rad": 1.0, "deg": _DEGREE, "cycles": 2.0 * math.pi},
+    "time": {**_multiples("s", "m u n"), "min": 60.0, "h": 3600.0, "d": 86400.0},
+    "modal amplitude": _multiples("m*sqrt(kg)", "m u"),
 }
 
 TIME_UNITS = tuple(_OTHER["time"])
@@ -247,13 +248,13 @@ def is_known_unit(text: str) -> bool:
     plain = plain_unit(text)
     if not plain or plain == "1":
         return False
-    known = (
-        quantity_of_unit(plain) is not Quantity.UNKNOWN
-        or coordinate_of_unit(plain)
+    return (
+        is_channel_unit(plain)
         or plain == "%"
         or decibels(text) is not None
+        or any(plain in units for units in _OTHER.values())
+        or is_quotient(plain)
     )
-    return bool(known or any(plain in units for units in _OTHER.values()) or _quotient(plain) is not None)
 
 
 def is_channel_unit(unit: str) -> bool:
@@ -287,39 +288,27 @@ def response_unit(unit: str, where: str) -> tuple[Quantity, float]:
     return quantity, _FACTORS[quantity][plain_unit(unit)]
 
 
-def response_per_force(unit: str, where: str) -> tuple[Quantity, float]:
-    """Response quantity and factor to SI of the unit of a frequency response such as ``m/s^2/N`` or ``g/N``.
-
-    Raises:
-        BenchError: not a response divided by a force.
-    """
-    found = _quotient(unit)
-    if found is None or found[2] != "force":
-        given = f"'{unit.strip()}' is not" if unit.strip() else "it is missing"
-        raise BenchError(f"{where}: the unit must be a response per force, such as m/N or m/s^2/N or g/N; {given}.")
-    return found[:2]
-
-
 REFERENCE_UNITS = {"force": "N", "base": "m/s^2", "voltage": "V"}
 """What frequency responses may be divided by, and its SI unit."""
 
 
-def response_over_reference(unit: str, where: str) -> tuple[Quantity, float, str]:
+def response_over_reference(unit: str, where: str, force_only: bool = False) -> tuple[Quantity, float, str]:
     """Response quantity, factor to SI and reference of the unit of a frequency response.
 
     ``m/s^2/N`` and ``g/N`` are over a force, ``g/g``, ``m/(m/s^2)`` and ``m/s^2/g`` over the acceleration of a base,
     ``m/s^2/V`` over a voltage; ``1`` is a motion over that of the base, whichever.
 
     Raises:
-        BenchError: not a response over one of these.
+        BenchError: not a response over one of these, or over another than a force where only that will do.
     """
     found = _quotient(unit)
-    if found is not None:
+    if found is not None and (found[2] == "force" or not force_only):
         return found
     given = f"'{unit.strip()}' is not" if unit.strip() else "it is missing"
+    others = ", per acceleration of the base, such as g/g or m/(m/s^2), or per voltage, such as m/s^2/V"
     raise BenchError(
-        f"{where}: the unit must be a response per force, such as m/N or m/s^2/N or g/N, per acceleration of the base, "
-        f"such as g/g or m/(m/s^2), or per voltage, such as m/s^2/V; {given}."
+        f"{where}: the unit must be a response per force, such as m/N or m/s^2/N or g/N{'' if force_only else others}; "
+        f"{given}."
     )
 
 

@@ -17,7 +17,7 @@ from nmt_record.exchange.unit_table import (
     other_factor,
     plain_unit,
     quantity_of_unit,
-    response_per_force,
+    response_over_reference,
     unit_size,
 )
 
@@ -55,7 +55,7 @@ def response_values(
         BenchError: no unit, one that contradicts the file, no response over a force, or values that are not finite.
     """
     unit = _unit(section, function, where)
-    quantity, factor = response_per_force(unit, where)
+    quantity, factor, _ = response_over_reference(unit, where, force_only=True)
     quantity_of_axis = uff.QUANTITIES.get(function.ordinate_axis.data_type)
     if quantity_of_axis in MOTIONS and quantity_of_axis is not quantity:
         raise BenchError(f"{where} holds {quantity_of_axis.name.lower()} per force, but the sidecar says {unit}.")

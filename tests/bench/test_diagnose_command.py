@@ -14,10 +14,11 @@ import pytest
 from diagnose.observation_bags import altered, record, rig_with_noise, with_data
 
 from nmt_bench.cli import build_parser, main
+from nmt_bench.commands.requested_test import command_text
 from nmt_core.messages.blocks import Quantity, SampleBlock
 from nmt_core.messages.records import LockEvent
+from nmt_diagnose.ahead.proposals import proposals
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.look_ahead import proposals
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import find_rig, load_rig
@@ -131,8 +132,8 @@ def test_a_next_test_runs_the_recorded_rig_and_keeps_the_answer(
     (tmp_path / "rig.yaml").write_text(real, encoding="utf-8")
     levels = record(tmp_path / "bag", load_rig(tmp_path / "rig.yaml"), run={"device": "simulated rig"})
     found = proposals(load_rig("beam"), read_observations([levels], load_rig("beam")))
-    command = next(item.command for item in found if "--exciter 5" in item.command)
-    words = shlex.split(command)
+    request = next(item.request for item in found if item.request.exciters == (5,))
+    words = shlex.split(command_text(request))
     assert words[0] == "./nmt"
     asked = build_parser("run").parse_args(words[1:])
     next_bag = tmp_path / "point5"

@@ -22,6 +22,7 @@ from nmt_bench.page.server import PageServer
 from nmt_bench.page.task_answers import TaskAnswers
 from nmt_bench.page.task_feed import task_page
 from nmt_bench.page.task_view import TaskView
+from nmt_core.kinds.request import TestRequest
 from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord, Turn
 
 
@@ -142,7 +143,7 @@ def test_a_question_of_an_investigation_reaches_its_page_and_comes_back(
     lines: list[str] = []
     console = SimpleNamespace(print=lambda text, **more: lines.append(text))
     bench = _Bench(InvestigateOptions(model="beam", out=tmp_path), SimpleNamespace(), 1, console)  # type: ignore[arg-type]
-    asked = AskedTest("03_levels", ("run", "beam"), "the same levels on mode 2", "tells a from b", seconds=12.0)
+    asked = AskedTest("03_levels", TestRequest(rig="beam"), "the same levels on mode 2", "tells a from b", seconds=12.0)
     turn = Turn(2, 60.0, 9.0, "effect", {"gap": 0.7, "none": 0.3}, "which")
     with task_page(True, "Investigation of beam", console, asks=True) as bench._feed, open(os.devnull) as nothing:
         bench._answers = TaskAnswers(bench._feed.answers)

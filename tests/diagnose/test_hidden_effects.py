@@ -11,13 +11,15 @@ import pytest
 from diagnose.linear_problem import FunctionModel, observations_of
 from diagnose.predicted_observations import chain, observations_of_model, real
 
+from nmt_core.kinds.request import TestRequest
+from nmt_diagnose.ahead import ahead
+from nmt_diagnose.ahead.ahead import Ahead
+from nmt_diagnose.ahead.expected_rows import expected as expected_rows
+from nmt_diagnose.ahead.hidden_effects import Growth, Hidden, chances
+from nmt_diagnose.ahead.proposals import compared
 from nmt_diagnose.effects.library import candidates
-from nmt_diagnose.inference import ahead
-from nmt_diagnose.inference.ahead import Ahead
 from nmt_diagnose.inference.chain import Chain
 from nmt_diagnose.inference.diagnose import free_parameters, model_alone
-from nmt_diagnose.inference.hidden_effects import Growth, Hidden, chances
-from nmt_diagnose.inference.look_ahead import _run
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.search import Search
 from nmt_diagnose.observations.observables import Part
@@ -145,7 +147,8 @@ def test_what_is_small_matters_from_the_level_where_draws_of_its_strength_do() -
     search = Search(data, model, parameters, [it for it in known if it.label.startswith("cubic_stiffness@2")])
     found = search.singles(null, search.scores(null))[0]
     fitted, position = found.fit, found.fit.theta.size - 1
-    left = _run(model, observations, 1, [0.4, 0.6, 0.8, 1.6], observations.rows.frequency_hz[0])
+    asked = TestRequest(levels=(0.4, 0.6, 0.8, 1.6))
+    left = compared(expected_rows(asked, model, observations), asked)
     wanted = {"frequency": 2e-3, "damping": 9.0, "response": 9.0, "harmonics": 9.0}
     alone = Ahead(null.fit, data.chain_names, left)
     growth = Growth(found, 0.9, left, alone, wanted)

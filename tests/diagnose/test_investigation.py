@@ -12,17 +12,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nmt_bench.commands.requested_test import command_text, command_words
 from nmt_core.errors import BenchError
+from nmt_core.kinds.request import TestRequest
+from nmt_diagnose.ahead.apart import expected_information
+from nmt_diagnose.ahead.hidden_effects import Hidden
 from nmt_diagnose.inference.diagnosis import HIDDEN, NextTest, Ranked, Share, Verdict
-from nmt_diagnose.inference.hidden_effects import Hidden
-from nmt_diagnose.inference.look_ahead import expected_information
+from nmt_diagnose.investigation.answers import answers_of
 from nmt_diagnose.investigation.investigation import (
     NO,
     STOP,
     YES,
     Investigation,
     InvestigationSettings,
-    answers_of,
     proposed,
 )
 from nmt_diagnose.investigation.investigation_record import (
@@ -35,7 +37,10 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_report.investigation_report import investigation_page, shown_answers
 
 PLAN = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-SETTINGS = InvestigationSettings(levels=PLAN, periods=20, random_s=10.0, options=("--set", "seed=2"))
+SETTINGS = InvestigationSettings(levels=PLAN, periods=20, random_s=10.0)
+POINT_4 = TestRequest(rig="real.yaml", levels=(0.1, 0.2), exciters=(4,), name="x")
+POINT_5 = replace(POINT_4, exciters=(5,))
+MODE_2 = replace(POINT_4, exciters=(), changes=(("test.mode", 2),))
 
 
 def named(effect: str, p: float, equivalents: tuple[str, ...] = ()) -> Ranked:
@@ -64,8 +69,13 @@ SURE = diagnosis(Verdict.EFFECT, {"cubic_stiffness@2": 0.99, "quintic_stiffness@
 NOTHING = diagnosis(Verdict.NONE, {"none": 0.97, "unknown": 0.03})
 
 
-def ahead(text: str, words: str, sigma: float, seconds: float, nats: float) -> NextTest:
-    return NextTest(text, f"./nmt {words} --out x", ("cubic_stiffness", "quintic_stiffness"), sigma, seconds, nats)
+def ahead(text: str, request: TestRequest, sigma: float, seconds: float, nats: float) -> NextTest:
+    pair = ("cubic_stiffness", "quintic_stiffness")
+    return NextTest(text, command_text(request), pair, sigma, seconds, nats, request=request)
+
+
+def asked_levels(test: AskedTest) -> str:
+    return ",".join(f"{level:g}" for level in test.request.levels)
 
 
 @dataclass
@@ -80,7 +90,7 @@ class Bench:
     empty: tuple[str, ...] = ()
 
     def measure(self, test: AskedTest) -> float:
-        if any(word in self.empty for word in test.words):
+        if asked_levels(test) in self.empty:
             raise EmptyTestError("no level locked", self.seconds)
         if len(self.made) + 1 == self.fails_at:
             self.fails_at = 0
@@ -108,24 +118,24 @@ def test_a_linear_test_and_the_lowest_levels_come_first(tmp_path: Path) -> None:
     bench = Bench([SURE])
     record = investigated(tmp_path, bench)
     linear, levels = bench.made
-    assert linear.words == ("linear", "real.yaml", "--duration", "10", "--set", "seed=2")
-    assert levels.words[:4] == ("run", "real.yaml", "--levels", "0.1,0.2")
-    assert levels.words[4:6] == ("--periods", "20")
-    assert levels.words[levels.words.index("--linear") + 1] == str(tmp_path / "01_linear" / "linear.json")
+    assert command_words(linear.request) == ("linear", "real.yaml", "--duration", "10")
+    words = command_words(levels.request)
+    assert words[:4] == ("run", "real.yaml", "--levels", "0.1,0.2")
+    assert words[4:6] == ("--periods", "20")
+    assert words[6:] == ("--linear", str(tmp_path / "01_linear" / "linear.json"))
     assert (record.ended, record.conclusion) == ("named", "which: effect")
     assert record.bench_s == 60.0
     assert bench.thought == [("01_linear", "02_levels")]
 
 
 def test_the_test_that_tells_most_for_its_time_is_made(tmp_path: Path) -> None:
-    slow = ahead("slow", "run real.yaml --exciter 4 --levels 0.1:0.2:2", 40.0, 200.0, 0.6)
-    quick = ahead("quick", "run real.yaml --exciter 5 --levels 0.1:0.2:2", 5.0, 20.0, 0.5)
+    slow = ahead("slow", POINT_4, 40.0, 200.0, 0.6)
+    quick = ahead("quick", POINT_5, 5.0, 20.0, 0.5)
     bench = Bench([diagnosis(Verdict.EFFECT, OPEN.probabilities, [slow, quick]), SURE])
     record = investigated(tmp_path, bench)
     third = record.measured[2]
     assert (third.text, third.expected) == ("quick", 0.5)
-    assert "--out" not in third.words
-    assert "--linear" not in third.words  # another drive point
+    assert third.request == replace(POINT_5, periods=20)  # no linear test of another drive point
     before, after = (sum(-p * math.log(p) for p in pair) for pair in ((0.6, 0.4), (0.99, 0.01)))
     assert third.received == pytest.approx(before - after)
     assert record.ended == "named"
@@ -164,7 +174,7 @@ def test_what_shows_and_does_not_matter_is_no_gap(tmp_path: Path) -> None:
 def test_no_gap_is_said_at_the_end_of_the_plan_only(tmp_path: Path) -> None:
     bench = Bench([NOTHING])
     record = investigated(tmp_path, bench)
-    levels = [test.words[3] for test in bench.made if test.words[0] == "run"]
+    levels = [asked_levels(test) for test in bench.made if not test.is_random]
     assert levels == ["0.1,0.2", "0.3,0.4", "0.5,0.6"]
     assert record.ended == "no_gap"
 
@@ -175,7 +185,7 @@ def test_what_no_test_sets_apart_is_said(tmp_path: Path) -> None:
     record = investigated(tmp_path, bench)
     assert record.ended == "not_told_apart"
     assert "cubic stiffness or clearance cannot be told" in record.conclusion
-    assert max(float(test.words[3].split(",")[-1]) for test in bench.made[1:]) == PLAN[-1]
+    assert max(test.request.top for test in bench.made[1:]) == PLAN[-1]
 
 
 def test_what_predicts_the_same_and_is_improbable_needs_no_test(tmp_path: Path) -> None:
@@ -207,7 +217,7 @@ def test_what_explains_a_part_is_not_set_against_itself_with_more(tmp_path: Path
     """Where something unnamed acts beside it, that is the end; levels that are left may still show a law."""
     pair = ("microslip", "microslip + two_sided_gap")
     levels = NextTest("more", "", pair, 0.0, 20.0, 0.0, levels=PLAN[2:4], plan_sigma=0.0)
-    moved = ahead("moved", "run real.yaml --exciter 4 --levels 0.1:0.2:2", 99.0, 20.0, 1e-9)
+    moved = ahead("moved", POINT_4, 99.0, 20.0, 1e-9)
     partly = diagnosis(Verdict.EFFECT, {"unknown": 1.0, "microslip@joint": 0.0}, [moved], levels=levels)
     partly.adequate = False
     record = investigated(tmp_path, Bench([partly]))
@@ -222,20 +232,18 @@ def test_as_many_levels_are_made_as_the_diagnosis_asks_for(tmp_path: Path) -> No
     )  # fmt: skip
     small = diagnosis(Verdict.NONE, {"none": 0.84, "cubic_stiffness@2": 0.16}, levels=levels)
     record = investigated(tmp_path, Bench([small, SURE]))
-    assert record.measured[2].words[3] == "0.3,0.4,0.5,0.6"
+    assert asked_levels(record.measured[2]) == "0.3,0.4,0.5,0.6"
     assert "cubic stiffness, too small to matter so far, grows to what matters, 90 %" in record.measured[2].why
 
 
 def test_an_exciter_that_nobody_moves_stays(tmp_path: Path) -> None:
     """On hardware without a person: the other test is made, and what moving would tell is said."""
-    moved = ahead(
-        "the same levels with the exciter at point 4", "run r.yaml --exciter 4 --levels 0.1:0.2:2", 40.0, 20.0, 0.6
-    )
-    mode = ahead("mode 2", "run r.yaml --set test.mode=2 --levels 0.1:0.2:2", 5.0, 20.0, 0.1)
+    moved = ahead("the same levels with the exciter at point 4", POINT_4, 40.0, 20.0, 0.6)
+    mode = ahead("mode 2", MODE_2, 5.0, 20.0, 0.1)
     bench = Bench([diagnosis(Verdict.EFFECT, OPEN.probabilities, [moved, mode])])
     record = investigated(tmp_path, bench, replace(SETTINGS, fixed_exciter=True))
     assert "mode 2" in [test.text for test in bench.made]
-    assert all("--exciter" not in test.words for test in bench.made)
+    assert all(not test.request.exciters for test in bench.made)
     assert record.ended == "not_told_apart"
     assert "the exciter at point 4 would, by 40: with --ask the exciter is moved" in record.conclusion
 
@@ -250,8 +258,8 @@ def test_no_test_is_begun_that_goes_beyond_the_budget(budget: float, tmp_path: P
 
 
 def test_a_person_declines_or_stops(tmp_path: Path) -> None:
-    one = ahead("one", "run real.yaml --exciter 4 --levels 0.1:0.2:2", 40.0, 20.0, 0.6)
-    other = ahead("other", "run real.yaml --exciter 5 --levels 0.1:0.2:2", 40.0, 20.0, 0.5)
+    one = ahead("one", POINT_4, 40.0, 20.0, 0.6)
+    other = ahead("other", POINT_5, 40.0, 20.0, 0.5)
     bench = Bench([diagnosis(Verdict.EFFECT, OPEN.probabilities, [one, other]), SURE])
     first, second = tmp_path / "a", tmp_path / "b"
     first.mkdir()
@@ -272,7 +280,7 @@ def test_a_failed_test_is_repeated_and_nothing_is_lost(tmp_path: Path) -> None:
     assert kept is not None
     assert [test.state for test in kept.tests] == ["measured", "measured", "failed"]
     record = investigated(tmp_path, bench, record=kept)
-    assert [test.words[3] for test in record.measured[1:]] == ["0.1,0.2"]
+    assert [asked_levels(test) for test in record.measured[1:]] == ["0.1,0.2"]
     assert len(bench.made) == 2
     assert record.ended == "named"
 
@@ -281,7 +289,7 @@ def test_a_test_that_locks_nothing_is_not_asked_again(tmp_path: Path) -> None:
     """It counts as made: by its bench time, and levels go on above it, in the same call and in the next one."""
     bench = Bench([NOTHING], empty=("0.1,0.2", "0.5,0.6"))
     record = investigated(tmp_path, bench)
-    states = [(test.words[3], test.state) for test in record.tests[1:]]
+    states = [(asked_levels(test), test.state) for test in record.tests[1:]]
     assert states == [("0.1,0.2", "empty"), ("0.3,0.4", "measured"), ("0.5,0.6", "empty")]
     assert record.bench_s == 4 * bench.seconds
     assert record.ended == "no_gap"
@@ -289,7 +297,7 @@ def test_a_test_that_locks_nothing_is_not_asked_again(tmp_path: Path) -> None:
     kept = replace(record, tests=record.tests[:2], turns=(), ended="", conclusion="")
     again = Bench([NOTHING], empty=("0.5,0.6",))
     investigated(tmp_path, again, record=kept)
-    assert [test.words[3] for test in again.made] == ["0.3,0.4"]
+    assert [asked_levels(test) for test in again.made] == ["0.3,0.4"]
 
 
 def test_a_rig_that_never_locks_is_said(tmp_path: Path) -> None:
@@ -308,15 +316,15 @@ def test_a_test_that_was_cut_short_is_asked_for_again(tmp_path: Path) -> None:
     kept = replace(whole, tests=(*whole.tests[:2], cut), turns=whole.turns[:1], ended="", conclusion="")
     again = Bench([NOTHING])
     record = investigated(tmp_path, again, record=kept)
-    assert [test.words[3] for test in again.made] == ["0.3,0.4", "0.5,0.6"]
+    assert [asked_levels(test) for test in again.made] == ["0.3,0.4", "0.5,0.6"]
     assert record.tests[2].state == "failed"
     assert len({test.name for test in record.tests}) == len(record.tests)
 
 
 def test_no_level_above_one_that_was_declined_is_proposed(tmp_path: Path) -> None:
     bench = Bench([NOTHING])
-    record = investigated(tmp_path, bench, agree=lambda test: NO if "0.3,0.4" in test.words else YES)
-    assert [test.words[3] for test in bench.made[1:]] == ["0.1,0.2"]
+    record = investigated(tmp_path, bench, agree=lambda test: NO if asked_levels(test) == "0.3,0.4" else YES)
+    assert [asked_levels(test) for test in bench.made[1:]] == ["0.1,0.2"]
     assert record.ended == "stopped"
     assert "declined" in record.conclusion
 
@@ -333,8 +341,8 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 
 def test_recordings_get_the_next_test_as_a_command(tmp_path: Path) -> None:
-    slow = ahead("slow", "run real.yaml --exciter 4 --levels 0.1:0.2:2", 40.0, 200.0, 0.6)
-    quick = ahead("quick", "run real.yaml --exciter 5 --levels 0.1:0.2:2", 5.0, 20.0, 0.5)
+    slow = ahead("slow", POINT_4, 40.0, 200.0, 0.6)
+    quick = ahead("quick", POINT_5, 5.0, 20.0, 0.5)
     given = InvestigationRecord("beam", bags=("a", "b"))
     record = proposed(given, lambda names: (diagnosis(Verdict.EFFECT, OPEN.probabilities, [slow, quick]), 1.0))
     assert [test.text for test in record.tests] == ["quick", "slow"]
@@ -343,7 +351,7 @@ def test_recordings_get_the_next_test_as_a_command(tmp_path: Path) -> None:
 
 
 def test_the_page_shows_what_was_believed_and_asked(tmp_path: Path) -> None:
-    quick = ahead("quick & dirty", "run real.yaml --exciter 5 --levels 0.1:0.2:2", 5.0, 20.0, 0.5)
+    quick = ahead("quick & dirty", POINT_5, 5.0, 20.0, 0.5)
     bench = Bench([diagnosis(Verdict.EFFECT, OPEN.probabilities, [quick]), SURE])
     record = investigated(tmp_path, bench)
     page = investigation_page(record)

@@ -12,15 +12,20 @@ from diagnose.linear_problem import FunctionModel, observations_of
 from diagnose.predicted_observations import DRIVES, observations_of_model
 from diagnose.predicted_tests import chain
 
+from nmt_core.kinds.request import TestRequest
+from nmt_diagnose.ahead import ahead
+from nmt_diagnose.ahead import next_tests as looking
+from nmt_diagnose.ahead.expected_rows import expected as expected_rows
+from nmt_diagnose.ahead.motion_noise import noise_over_motion
+from nmt_diagnose.ahead.next_tests import next_tests, other_sensors
+from nmt_diagnose.ahead.proposals import Proposal, proposals
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import candidates, effect_named
 from nmt_diagnose.effects.location import Location
-from nmt_diagnose.inference import ahead, look_ahead
 from nmt_diagnose.inference.chain import Chain
 from nmt_diagnose.inference.comparison import Comparison, EquivalentClass
 from nmt_diagnose.inference.diagnose import free_parameters, model_alone
 from nmt_diagnose.inference.explanations import FittedExplanation
-from nmt_diagnose.inference.look_ahead import Proposal, next_tests, noise_over_motion, other_sensors
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.search import Search
 from nmt_diagnose.observations.observables import Part
@@ -79,7 +84,7 @@ def future(monkeypatch: pytest.MonkeyPatch) -> dict[str, np.ndarray]:
             return columns[parametrisation.names[0]][:, None]
 
     monkeypatch.setattr(ahead, "Forward", Future)
-    monkeypatch.setattr(look_ahead, "noise_over_motion", lambda left, *_: left)
+    monkeypatch.setattr(looking, "noise_over_motion", lambda left, *_: left)
     monkeypatch.setattr(ahead, "linear_chain", lambda *_: Chain((), np.zeros((6, 0)), np.zeros(0, dtype=bool)))
     return columns
 
@@ -89,7 +94,7 @@ def competing() -> tuple[FittedExplanation, FittedExplanation]:
 
 
 def proposal() -> Proposal:
-    return Proposal("a test", "./nmt run", observations_of(np.zeros(6), SIGMA))
+    return Proposal("a test", TestRequest(), observations_of(np.zeros(6), SIGMA))
 
 
 def expected(future: dict[str, np.ndarray], a: FittedExplanation, b: FittedExplanation) -> float:
@@ -106,7 +111,7 @@ def test_the_expected_distance_is_that_of_dense_algebra(
     a, b = competing()
     least = min(expected(future, a, b), expected(future, b, a))
     assert least > 3.0
-    monkeypatch.setattr(look_ahead, "proposals", lambda *_: [proposal()])
+    monkeypatch.setattr(looking, "proposals", lambda *_: [proposal()])
     (found,) = next_tests(RIG, MEASURED, a, compared(((a,), 0.6), ((b,), 0.3)))
     assert found.expected_sigma == pytest.approx(least, rel=1e-6)
     assert found.separates == ("cubic_stiffness", "air_drag")
@@ -123,14 +128,17 @@ def test_noise_is_over_the_motion_of_the_test_to_come() -> None:
     std = np.where(amplitudes, noise * np.exp(-measured.values), measured.std)
     measured = replace(measured, std=std, floor=np.zeros_like(std))
     found: Any = SimpleNamespace(fit=SimpleNamespace(theta=None, parametrisation=SimpleNamespace(rig=lambda _: model)))
-    frequency = float(measured.rows.frequency_hz[amplitudes][0])
-    weak = look_ahead._run(model, measured, 1, [min(DRIVES) / 100.0], frequency)
-    strong = look_ahead._run(model, measured, 1, [2.0 * max(DRIVES)], frequency)
+    weak, strong = (
+        expected_rows(TestRequest(levels=(level,)), model, measured)
+        for level in (min(DRIVES) / 100.0, 2.0 * max(DRIVES))
+    )
     for left in (weak, strong):
         row = np.flatnonzero(left.rows.part == Part.LOG_MAGNITUDE)
         predicted = Forward(left.tests, left.rows).predict(model).values[row]
         after = noise_over_motion(left, measured, found)
-        expected = np.maximum(left.std[row], noise * np.exp(-predicted))
+        # A window of as many periods is the shorter the higher the frequency.
+        shorter = np.sqrt(left.rows.frequency_hz[row] / measured.rows.frequency_hz[amplitudes][0])
+        expected = np.maximum(left.std[row], shorter * noise * np.exp(-predicted))
         assert after.std[row] == pytest.approx(expected, rel=1e-6)
         assert np.all(after.std[row] > 2.0 * left.std[row]) == (left is weak)
         alone = left.rows.channel < 0
@@ -142,7 +150,7 @@ def test_a_test_that_cannot_tell_is_not_proposed(
 ) -> None:
     a, b = competing()
     future[DRAG.label] = future[CUBIC.label] * a.fit.theta[0] / b.fit.theta[0]
-    monkeypatch.setattr(look_ahead, "proposals", lambda *_: [proposal()])
+    monkeypatch.setattr(looking, "proposals", lambda *_: [proposal()])
     assert next_tests(RIG, MEASURED, a, compared(((a, b), 0.9))) == ()
 
 
@@ -154,7 +162,7 @@ def test_an_investigation_is_offered_tests_that_tell_little(
     cubic = future[CUBIC.label] * a.fit.theta[0]
     across = future[DRAG.label] - cubic * (cubic @ future[DRAG.label]) / (cubic @ cubic)
     across /= np.linalg.norm(across)
-    monkeypatch.setattr(look_ahead, "proposals", lambda *_: [proposal()])
+    monkeypatch.setattr(looking, "proposals", lambda *_: [proposal()])
     edges = THRESHOLDS.next_test.least_asked_sigmas, THRESHOLDS.next_test.least_sigmas
     for sigmas, offered in ((0.5 * edges[0], 0), (0.5 * (edges[0] + edges[1]), 1)):
         future[DRAG.label] = (cubic + sigmas * SIGMA * across) / b.fit.theta[0]
@@ -166,7 +174,7 @@ def test_one_sure_explanation_needs_no_further_test(monkeypatch: pytest.MonkeyPa
     def never(*_: Any) -> Any:
         raise AssertionError("nothing is left to distinguish")
 
-    monkeypatch.setattr(look_ahead, "proposals", never)
+    monkeypatch.setattr(looking, "proposals", never)
     a, b = competing()
     assert next_tests(RIG, MEASURED, a, compared(((a,), 0.97), ((b,), 0.01))) == ()
     assert next_tests(RIG, MEASURED, a, compared()) == ()
@@ -205,3 +213,20 @@ def test_sensors_that_would_tell_apart_what_no_level_does(
     assert would in tests
     if "added" in truth:
         assert tests == [would]
+
+
+@pytest.mark.parametrize("masses", [3, 1])
+def test_a_body_that_nothing_holds_is_asked_for_at_its_elastic_modes(masses: int) -> None:
+    """Its rigid-body mode is at 0 Hz; a single free mass swings in no mode, and nothing of it is foretold."""
+    links = {"springs_n_m": [15000.0, 20000.0][: masses - 1], "dampers_ns_m": [5.0, 5.0][: masses - 1]}
+    structure = {"kind": "chain", "masses_kg": [0.5, 0.3, 0.2][:masses], **links}
+    values = {**chain().model_dump(), "structure": structure, "local_elements": []}
+    values["sensors"] = [it for it in values["sensors"] if it["point"] in ("drive", *range(1, masses + 1))]
+    free = validate_rig(RigDocument("free", values, {}))
+    measured = observations_of_model(chain(), random=False, drives=DRIVES[:2])
+    found = proposals(free, measured)
+    assert bool(found) == (masses > 1)
+    for proposal in found:
+        frequency = proposal.observations.rows.frequency_hz
+        assert frequency.min() > 1.0
+        assert np.all(np.isfinite(frequency))

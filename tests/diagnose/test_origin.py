@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from diagnose.observation_bags import record, rig_with_noise
 
+from nmt_bench.commands.requested_test import command_text
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.look_ahead import proposals
+from nmt_diagnose.ahead.proposals import proposals
 from nmt_diagnose.observations.origin import Origin, origin_of, refuse_own_recordings, same_rig, strangers
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_record.bag.bag_reader import Bag
@@ -100,9 +101,10 @@ def test_commands_run_the_recorded_rig_as_it_was_recorded(levels: Path) -> None:
     found = proposals(beam, observations)
     assert len(found) > 4
     for proposal in found:
-        assert f"'{levels / 'rig.yaml'}'" in proposal.command
-        assert proposal.command.startswith(("./nmt run ", "./nmt linear "))
-        assert ("--periods 40" in proposal.command) == proposal.command.startswith("./nmt run ")
+        command = command_text(proposal.request)
+        assert f"'{levels / 'rig.yaml'}'" in command
+        assert command.startswith(("./nmt run ", "./nmt linear "))
+        assert ("--periods 40" in command) == command.startswith("./nmt run ")
     with pytest.raises(BenchError, match="simulated from the model itself"):
         refuse_own_recordings(REAL, [(str(levels), observations.origins[0])])
 
@@ -112,5 +114,5 @@ def test_of_data_measured_elsewhere_there_is_no_command(tmp_path: Path) -> None:
     found = read_observations(
         [record(tmp_path / "bag", REAL, levels=(0.3, 0.6), periods=20, run=run)], load_rig("beam")
     )
-    assert {proposal.command for proposal in proposals(load_rig("beam"), found)} == {""}
+    assert {command_text(proposal.request) for proposal in proposals(load_rig("beam"), found)} == {""}
     assert all(proposal.text for proposal in proposals(load_rig("beam"), found))

@@ -16,12 +16,12 @@ from diagnose.test_warnings import GAP, best
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.ahead.apart import competing
 from nmt_diagnose.effects.sensor_effects import _late
 from nmt_diagnose.inference.comparison import Comparison, EquivalentClass
 from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.inference.explanations import Score
 from nmt_diagnose.inference.held_out import splits
-from nmt_diagnose.inference.look_ahead import _competing
 from nmt_diagnose.inference.low_level_modes import Modes, disorder, modes_that_lack
 from nmt_diagnose.inference.misfit import misfit_of
 from nmt_diagnose.inference.search import Search
@@ -122,7 +122,7 @@ def crossed(likeness: float) -> int:
 def competitors(second: float = 0.0, none: float = 0.0) -> int:
     first = EquivalentClass((best(),), 0.9)
     classes = (first, EquivalentClass((best(),), second)) if second else (first,)
-    return len(_competing(Comparison(none, 0.0, classes, {}, 0.0, {}), best()))
+    return len(competing(Comparison(none, 0.0, classes, {}, 0.0, {}), best()))
 
 
 def chosen(cosine: float) -> int:

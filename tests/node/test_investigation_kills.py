@@ -19,6 +19,8 @@ from node.kill_trials import MARK, marked
 
 from nmt_bench.commands.investigate_command import measure
 from nmt_core.errors import BenchError
+from nmt_core.kinds import RandomTest
+from nmt_core.kinds.request import TestRequest
 from nmt_diagnose.inference.diagnosis import Ranked, Share, Verdict
 from nmt_diagnose.investigation.investigation import Investigation, InvestigationSettings
 from nmt_diagnose.investigation.investigation_record import (
@@ -31,14 +33,15 @@ from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES
 
 RIG = "joint_resonator"
-LINEAR = AskedTest("01_linear", ("linear", RIG), "a random test", "", seconds=10.0, state="measured")
+LINEAR = AskedTest(
+    "01_linear", TestRequest(kind=RandomTest(), rig=RIG), "a random test", "", seconds=10.0, state="measured"
+)
 _LONGEST = 240.0  # s of wall time until a bag has begun
 
 
 def levels_alone(test: AskedTest, out: Path) -> float:
     """Levels without the file of a linear test, which counts as made."""
-    position = test.words.index("--linear")
-    return measure(replace(test, words=test.words[:position] + test.words[position + 2 :]), out)
+    return measure(replace(test, request=replace(test.request, linear="")), out)
 
 
 def sure(_: Any) -> tuple[Any, float]:
@@ -114,7 +117,8 @@ def test_a_killed_node_costs_its_test_only(node: str, tmp_path: Path, monkeypatc
 
 
 def test_a_test_that_locks_nothing_has_not_failed(tmp_path: Path) -> None:
-    hasty = AskedTest("01_levels", ("run", RIG, "--levels", "0.3", "--timeout", "0.3", "--periods", "20"), "levels", "")
+    asked = TestRequest(rig=RIG, levels=(0.3,), periods=20, changes=(("test.lock_timeout_s", 0.3),))
+    hasty = AskedTest("01_levels", asked, "levels", "")
     with pytest.raises(EmptyTestError, match="No level of test 01_levels locked") as nothing:
         measure(hasty, tmp_path)
     result = json.loads((tmp_path / "01_levels" / "run.json").read_text())["result"]

@@ -27,7 +27,7 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import csv_text, write_result, write_whole
 from nmt_diagnose.inference.diagnosis import HIDDEN
-from nmt_diagnose.investigation.investigation import entropy_of
+from nmt_diagnose.investigation.answers import entropy_of
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_plant.devices.simulated_rig import guard_settings
 from nmt_record.bag.bag_reader import Bag

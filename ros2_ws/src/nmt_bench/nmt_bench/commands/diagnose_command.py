@@ -95,6 +95,7 @@ def run(options: DiagnoseOptions) -> int:
         os.environ.setdefault(variable, "1")
 
     from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.requested_test import command_text
     from nmt_bench.page.task_feed import task_page
     from nmt_diagnose.effects.library import effect_named
     from nmt_diagnose.inference.diagnose import diagnose_bags
@@ -126,6 +127,7 @@ def run(options: DiagnoseOptions) -> int:
             allow_own_model=options.allow_own_model,
             calibration=calibration,
             matters=_matters(options.matters),
+            command=command_text,
         )
         outcome = diagnose_bags(rig, options.real, options.floor, settings, progress.update)
         progress.update("writing the report")

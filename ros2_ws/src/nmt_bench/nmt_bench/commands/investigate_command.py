@@ -15,13 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nmt_bench.command_parser import EXIT_DONE, EXIT_INTERRUPTED, EXIT_PARTLY
+from nmt_bench.commands.requested_test import command_text, command_words
 from nmt_bench.commands.shared_options import dated_folder_option, device_option, jobs_option, latency_option
 from nmt_bench.commands.worker_count import worker_count
 from nmt_bench.orchestration.interrupts import terminate_as_interrupt
 from nmt_core.errors import BenchError
+from nmt_core.kinds import RandomTest
 from nmt_core.options import argument, option
 
 if TYPE_CHECKING:
+    from nmt_core.kinds.request import TestRequest
     from nmt_diagnose.inference.diagnosis import Diagnosis
     from nmt_diagnose.investigation.investigation import InvestigationSettings
     from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord
@@ -147,16 +150,12 @@ def _settings(options: InvestigateOptions, rig: Rig) -> InvestigationSettings:
     from nmt_diagnose.investigation.investigation import InvestigationSettings
     from nmt_sequencer.level_plan import parse_levels
 
-    words = [word for change in options.set for word in ("--set", change)]
-    words += ["--device", options.device] if options.device else []
     return InvestigationSettings(
         until=options.until,
         budget_s=math.inf if options.budget is None else options.budget,
         levels=tuple(sorted(set(parse_levels(options.levels or rig.test.levels)))),
         periods=options.periods,
         random_s=options.random,
-        options=tuple(words),
-        run_options=("--latency-blocks", str(options.latency_blocks)) if options.latency_blocks else (),
         fixed_exciter=not options.ask and (rig.device is not None or options.device not in ("", "simulated")),
     )
 
@@ -204,8 +203,9 @@ class _Bench:
         with task_page(self._options.page, title, self._console, asks=True) as self._feed:
             self._answers = TaskAnswers(self._feed.answers)
             found = Investigation(
-                record, settings, self._options.out, self._measure, self._think, agree, self._say, self._tell_page
-            )
+                record, settings, self._options.out, self._measure, self._think, agree, self._command, self._say,
+                self._tell_page,
+            )  # fmt: skip
             self._tell_page(record)
             try:
                 return found.run()
@@ -239,7 +239,18 @@ class _Bench:
         return record
 
     def _measure(self, test: AskedTest) -> float:
-        return measure(test, self._options.out, self._options.seed, self._say)
+        return measure(test, self._options.out, self._options.seed, self._say, self._bench_words(test.request))
+
+    def _bench_words(self, request: TestRequest) -> tuple[str, ...]:
+        """Options that say on what bench every test is made."""
+        options = self._options
+        words = [word for change in options.set for word in ("--set", change)]
+        words += ["--device", options.device] if options.device else []
+        latency = options.latency_blocks and not isinstance(request.kind, RandomTest)
+        return (*words, *(("--latency-blocks", str(options.latency_blocks)) if latency else ()))
+
+    def _command(self, request: TestRequest) -> str:
+        return f"./nmt {shlex.join((*command_words(request), *self._bench_words(request)))}"
 
     def _think(self, names: Sequence[str]) -> tuple[Diagnosis, float]:
         from nmt_diagnose.inference.diagnose import diagnose_bags
@@ -248,14 +259,18 @@ class _Bench:
         bags = [self._options.out / name for name in names] or list(self._options.real)
         began = _processor_time()
         settings = DiagnosisSettings(
-            jobs=self._jobs, plan=self._plan, calibration=self._calibration, put_off_detectable=True
+            jobs=self._jobs,
+            plan=self._plan,
+            calibration=self._calibration,
+            put_off_detectable=True,
+            command=command_text,
         )
         self._outcome = diagnose_bags(self._model, bags, settings=settings, memory=self._memory)
         return self._outcome.diagnosis, _processor_time() - began
 
     def _agree(self, test: AskedTest) -> str:
         seconds = f", {test.seconds:.0f} s" if math.isfinite(test.seconds) else ""
-        self._console.print(f"{test.text}{seconds}: {test.why}.\n  ./nmt {shlex.join(test.words)}", soft_wrap=True)
+        self._console.print(f"{test.text}{seconds}: {test.why}.\n  {test.command}", soft_wrap=True)
         self._feed.tell(question=f"{test.text}{seconds}: {test.why}.")
         answer = self._answers.wait("Run it? yes, no (another one) or stop: ")
         self._feed.tell(question="")
@@ -300,11 +315,17 @@ class _Bench:
         if record.ended == "proposed":
             for test in record.tests:
                 if test.state == "asked":
-                    self._console.print(f"./nmt {shlex.join(test.words)}", soft_wrap=True)
+                    self._console.print(test.command or f"{test.text}, on the rig", soft_wrap=True)
         self._console.print(f"Report: {(self._options.out / 'report.html').resolve()}", soft_wrap=True)
 
 
-def measure(test: AskedTest, out: Path, seed: int = 0, say: Callable[[str], None] = lambda _: None) -> float:
+def measure(
+    test: AskedTest,
+    out: Path,
+    seed: int = 0,
+    say: Callable[[str], None] = lambda _: None,
+    options: Sequence[str] = (),
+) -> float:
     """Run the command of a test in a process of its own; its bench time, s.
 
     Args:
@@ -312,6 +333,7 @@ def measure(test: AskedTest, out: Path, seed: int = 0, say: Callable[[str], None
         out: gets the folder, and the log beside it.
         seed: of the rig's noise, to which the number of the test is added.
         say: called with a sentence.
+        options: further words, of the bench that does it.
 
     Raises:
         EmptyTestError: it was carried out, and no level of it locked.
@@ -321,8 +343,8 @@ def measure(test: AskedTest, out: Path, seed: int = 0, say: Callable[[str], None
 
     folder, log = out / test.name, out / f"{test.name}.log"
     number = int(test.name.split("_")[0])
-    words = [*test.words, "--out", str(folder), "--quiet", "--seed", str(seed + number)]
-    words += ["--reference", "none", *(() if test.words[0] == "linear" else ("--no-report",))]
+    words = [*command_words(test.request), *options, "--out", str(folder), "--quiet", "--seed", str(seed + number)]
+    words += ["--reference", "none", *(() if test.is_random else ("--no-report",))]
     with log.open("w", encoding="utf-8") as file:
         process = subprocess.Popen(
             [sys.executable, "-m", "nmt_bench", *words], stdin=subprocess.DEVNULL, stdout=file, stderr=file,

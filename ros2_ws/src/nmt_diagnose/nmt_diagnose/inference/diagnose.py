@@ -12,6 +12,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_diagnose.ahead.next_tests import next_levels, next_tests, other_sensors
 from nmt_diagnose.effects.calibration import CalibrationParameter, calibration_parameters, mode_dampings
 from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.effects.library import library
@@ -46,7 +47,6 @@ from nmt_diagnose.inference.gap import ClosedShare, closed, no_worse_than_silenc
 from nmt_diagnose.inference.held_out import Split, named_tests, splits
 from nmt_diagnose.inference.law_sentences import law_sentences
 from nmt_diagnose.inference.law_starts import law_of, with_laws
-from nmt_diagnose.inference.look_ahead import next_levels, next_tests, other_sensors
 from nmt_diagnose.inference.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.memory import Memory
 from nmt_diagnose.inference.progress import Progress
@@ -641,13 +641,16 @@ def _diagnosed(
     calibration = calibration_rows(best)
     proposed_tests: tuple[NextTest, ...] = ()
     if settings.look_ahead and nearest is not None:
-        proposed_tests = next_tests(rig, scaled, null, comparison, bool(settings.plan), data.chain_names)
+        proposed_tests = next_tests(
+            rig, scaled, null, comparison, bool(settings.plan), data.chain_names, settings.command
+        )
     levels = None
     if settings.look_ahead and settings.plan:
         gap_is_there = verdict in (Verdict.EFFECT, Verdict.UNKNOWN)
         levels = next_levels(
-            rig, scaled, null, comparison, settings.plan, findings.search, findings.scores, gap_is_there
-        )
+            rig, scaled, null, comparison, settings.plan, findings.search, findings.scores, gap_is_there,
+            settings.command,
+        )  # fmt: skip
     left = (*proposed_tests, *(() if levels is None or levels.tells_little else (levels,)))
     sensors: tuple[NextTest, ...] = ()
     if settings.look_ahead and settings.plan and verdict is Verdict.EFFECT and not left:

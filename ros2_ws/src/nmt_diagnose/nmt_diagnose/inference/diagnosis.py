@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.files.whole_file import write_whole
+from nmt_core.kinds.request import TestRequest
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -194,6 +195,7 @@ class NextTest:
             something else shows.
         levels: of the plan, where the test goes on with it.
         plan_sigma: by how many standard deviations all levels of the plan that are left tell the explanations apart.
+        request: the test as a value; no part of ``diagnosis.json``.
     """
 
     test: str
@@ -206,6 +208,7 @@ class NextTest:
     grows: str = ""
     levels: tuple[float, ...] = ()
     plan_sigma: float = math.nan
+    request: TestRequest | None = None
 
     @property
     def tells_little(self) -> bool:
@@ -293,6 +296,8 @@ class Diagnosis:
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""
         result: dict[str, Any] = {"format": FORMAT, **_plain(asdict(self))}
+        for test in (*result["next_test"], *result["other_sensors"], result["next_levels"] or {}):
+            test.pop("request", None)
         return result
 
     def write(self, path: Path) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from nmt_core.kinds.request import TestRequest
 from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 
 MATTERS: dict[str, float] = {"frequency": 5e-4, "damping": 0.02, "response": 0.02, "harmonics": 1e-3}
@@ -28,6 +29,7 @@ class DiagnosisSettings:
         allow_own_model: take recordings that the model itself made for a real side, too.
         calibration: sheet of the measuring chain of the real side; None = what its bags say.
         plan: levels of the real rig's plan, which no proposed test goes beyond; empty = up to twice those measured.
+        command: writes the command of a proposed test; empty where none does it.
         matters: smallest relative size of a gap that matters, by kind of observable (frequency, damping, response,
             harmonics); a kind that is left out matters at any size.
     """
@@ -41,4 +43,5 @@ class DiagnosisSettings:
     allow_own_model: bool = False
     calibration: CalibrationSheet | None = None
     plan: tuple[float, ...] = ()
+    command: Callable[[TestRequest], str] = lambda _: ""
     matters: Mapping[str, float] = field(default_factory=lambda: dict(MATTERS))

@@ -6,18 +6,17 @@ Nothing here runs a node or fits a model: measuring, diagnosing and asking are h
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from scipy.special import entr
-
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.diagnosis import HIDDEN, NULL, UNKNOWN, Diagnosis, NextTest, Verdict
+from nmt_core.kinds import RandomTest
+from nmt_core.kinds.request import TestRequest
+from nmt_diagnose.inference.diagnosis import HIDDEN, Diagnosis, NextTest, Verdict
+from nmt_diagnose.investigation.answers import answers_of, entropy_of, reason, worth
 from nmt_diagnose.investigation.investigation_record import AskedTest, EmptyTestError, InvestigationRecord, Turn
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_sequencer.level_plan import parse_levels
 
 YES, NO, STOP = "yes", "no", "stop"
 
@@ -32,8 +31,6 @@ class InvestigationSettings:
         levels: plan of the real rig, V, from low to high; no test goes beyond it.
         periods: whole periods of a window.
         random_s: length of each record of the linear test, s.
-        options: further words for each test (``--device`` and the like).
-        run_options: further words for each test at levels.
         fixed_exciter: the exciter stays where it is: that of hardware is moved by people.
     """
 
@@ -42,8 +39,6 @@ class InvestigationSettings:
     levels: tuple[float, ...] = ()
     periods: int = 50
     random_s: float = 20.0
-    options: tuple[str, ...] = ()
-    run_options: tuple[str, ...] = ()
     fixed_exciter: bool = False
 
 
@@ -64,6 +59,7 @@ class Investigation:
         settings: how it goes about.
         folder: where tests and record are kept.
         measure, think, agree: do the work.
+        command: writes the command of a test for the record; empty where none does it.
         tell: called with a sentence as it goes on.
         changed: called with the record whenever it has grown.
     """
@@ -76,6 +72,7 @@ class Investigation:
         measure: Measure,
         think: Think,
         agree: Agree = lambda _: YES,
+        command: Callable[[TestRequest], str] = lambda _: "",
         tell: Callable[[str], None] = lambda _: None,
         changed: Callable[[InvestigationRecord], None] = lambda _: None,
     ) -> None:
@@ -83,6 +80,7 @@ class Investigation:
         tests = [replace(test, state="failed", seconds=0.0) if test.state == "asked" else test for test in record.tests]
         self.record, self.settings, self.folder = replace(record, tests=tuple(tests)), settings, folder
         self._measure, self._think, self._agree, self._tell, self._changed = measure, think, agree, tell, changed
+        self._command = command
         self.diagnosis: Diagnosis | None = None
 
     def run(self) -> InvestigationRecord:
@@ -120,54 +118,56 @@ class Investigation:
     def _name(self, what: str) -> str:
         return f"{len(self.record.tests) + 1:02d}_{what}"
 
+    def _asking(self, what: str, request: TestRequest, text: str, why: str, seconds: float) -> AskedTest:
+        return AskedTest(self._name(what), request, text, why, seconds=seconds, command=self._command(request))
+
     def _first_test(self) -> AskedTest | None:
         """The linear test, then the lowest levels of the plan; None once both are measured."""
-        commands = [test.words[0] for test in self.record.measured]
-        rig, options = self.record.real, self.settings.options
-        if "linear" not in commands:
-            length = f"{self.settings.random_s:g}"
-            return AskedTest(
-                self._name("linear"), ("linear", rig, "--duration", length, *options), "a random test at low level",
-                "the linear modes, and what is wrong with sensors and mass", seconds=2.05 * self.settings.random_s,
-            )  # fmt: skip
-        if "run" not in commands:
-            tried = max((max(_levels(test.words)) for test in self.record.made if _levels(test.words)), default=0.0)
-            lowest = [level for level in self.settings.levels if level > 1.001 * tried]
-            lowest = lowest[: max(2, math.ceil(len(self.settings.levels) / 3))]
+        linear = [test.is_random for test in self.record.measured]
+        rig, settings = self.record.real, self.settings
+        if True not in linear:
+            request = TestRequest(kind=RandomTest(duration=settings.random_s), rig=rig)
+            why = "the linear modes, and what is wrong with sensors and mass"
+            return self._asking("linear", request, "a random test at low level", why, 2.05 * settings.random_s)
+        if False not in linear:
+            tried = self._highest_level()
+            lowest = [level for level in settings.levels if level > 1.001 * tried]
+            lowest = lowest[: max(2, math.ceil(len(settings.levels) / 3))]
             if lowest:
                 text, why = "the lowest levels of the plan", "how frequency and damping begin to move"
                 return self._levels_test(lowest, text if tried == 0.0 else "the next levels of the plan", why)
             self._end("stopped", "No level of the plan locked: see the logs of the tests for why.")
         return None
 
+    def _highest_level(self) -> float:
+        """Of the tests at levels that were made; 0 where there is none."""
+        return max((test.request.top for test in self.record.made if not test.is_random), default=0.0)
+
     def _levels_test(self, levels: Sequence[float], text: str, why: str) -> AskedTest:
-        words = ("run", self.record.real, "--levels", ",".join(f"{level:.6g}" for level in levels))
-        return AskedTest(
-            self._name("levels"), self._complete(words), f"{text}, up to {max(levels):.3g} V", why,
-            seconds=self._seconds_of_levels(len(levels)),
-        )  # fmt: skip
+        request = self._complete(TestRequest(rig=self.record.real, levels=tuple(levels)))
+        seconds = self._seconds_of_levels(len(levels))
+        return self._asking("levels", request, f"{text}, up to {request.top:.3g} V", why, seconds)
 
     def _seconds_of_levels(self, count: int) -> float:
         """Bench time of so many levels as those before took it; NaN before any."""
-        times = [(test.seconds, _level_count(test.words)) for test in self.record.measured if test.words[0] == "run"]
+        times = [(it.seconds, max(1, len(it.request.levels))) for it in self.record.measured if not it.is_random]
         return count * sum(s for s, _ in times) / max(1, sum(n for _, n in times)) if times else math.nan
 
-    def _complete(self, words: Sequence[str]) -> tuple[str, ...]:
-        """A command of a run with what every run here has."""
-        found, linear = list(words), next((t.name for t in self.record.measured if t.words[0] == "linear"), "")
-        if "--periods" not in found:
-            found += ["--periods", str(self.settings.periods)]
+    def _complete(self, request: TestRequest) -> TestRequest:
+        """A test at levels with what every one here has."""
+        linear = next((test.name for test in self.record.measured if test.is_random), "")
+        request = replace(request, periods=request.periods or self.settings.periods)
         # A linear test belongs to its exciter and mode.
-        if linear and "--exciter" not in found and "--set" not in found:
-            found += ["--linear", str(self.folder / linear / "linear.json")]
-        return (*found, *self.settings.options, *self.settings.run_options)
+        if linear and not request.exciters and not request.changes:
+            request = replace(request, linear=str(self.folder / linear / "linear.json"))
+        return request
 
     def _next_levels(self) -> AskedTest | None:
         """The next levels of the plan above what was measured; None at its end, and above levels that were declined.
 
         None, too, where rivals are left that all of them would not set apart.
         """
-        if any(test.state == "declined" and _levels(test.words) for test in self.record.tests):
+        if any(test.state == "declined" and not test.is_random for test in self.record.tests):
             return None
         found = None
         if self.diagnosis is not None:
@@ -175,7 +175,7 @@ class Investigation:
             explained = self.diagnosis.verdict is Verdict.EFFECT and self.diagnosis.adequate
             if explained and found is not None and found.tells_little:
                 return None
-        top = max((max(_levels(test.words)) for test in self.record.made if _levels(test.words)), default=0.0)
+        top = self._highest_level()
         more = [level for level in self.settings.levels if level > 1.001 * top]
         third = more[: max(1, math.ceil(len(self.settings.levels) / 3))]
         expected = [] if found is None else [level for level in more if level in found.levels]
@@ -196,7 +196,7 @@ class Investigation:
         elif HIDDEN in ahead.separates:
             why = f"what is too weak to show so far, {100.0 * ahead.hidden:.0f} %"
         else:
-            why = _why(ahead)
+            why = reason(ahead)
         return replace(
             test, why=why, separates=ahead.separates, expected_sigma=ahead.expected_sigma, expected=ahead.information
         )
@@ -209,24 +209,29 @@ class Investigation:
         levels = self._next_levels()
         if levels is not None and levels.expected >= least:
             proposed.append(levels)
-        known = {test.words for test in self.record.tests if test.state != "failed"}
-        proposed = [test for test in proposed if test.words not in known and self._affordable(test)]
+        known = [test.request for test in self.record.tests if test.state != "failed"]
+        proposed = [test for test in proposed if test.request not in known and self._affordable(test)]
         if proposed:
-            return max(proposed, key=lambda test: _worth(test))
+            return max(proposed, key=worth)
         return levels if levels is not None and self._affordable(levels) else None
 
     def _possible(self) -> list[NextTest]:
         """Proposed tests that have a command and need nobody at the rig."""
         assert self.diagnosis is not None
         fixed = self.settings.fixed_exciter
-        return [it for it in self.diagnosis.next_test if it.command and not (fixed and "--exciter" in it.command)]
+        return [
+            it
+            for it in self.diagnosis.next_test
+            if it.command and it.request is not None and not (fixed and it.request.exciters)
+        ]
 
     def _asked(self, item: NextTest) -> AskedTest:
-        words = _without_out(shlex.split(item.command)[1:])
-        words = self._complete(words) if words[0] == "run" else (*words, *self.settings.options)
+        assert item.request is not None
+        random = isinstance(item.request.kind, RandomTest)
+        request = item.request if random else self._complete(item.request)
         return AskedTest(
-            self._name(words[0] if words[0] != "run" else "levels"), words, item.test, _why(item), item.separates,
-            item.expected_sigma, item.information, seconds=item.seconds,
+            self._name("linear" if random else "levels"), request, item.test, reason(item), item.separates,
+            item.expected_sigma, item.information, seconds=item.seconds, command=self._command(request),
         )  # fmt: skip
 
     def _affordable(self, test: AskedTest) -> bool:
@@ -239,7 +244,7 @@ class Investigation:
             return
         if answer == NO:
             self._keep(replace(test, state="declined"))
-            if test.words[0] == "linear" or not self.record.turns:
+            if test.is_random or not self.record.turns:
                 self._end("stopped", "Without its first two tests nothing can be told.")
             return
         self._tell(f"test {len(self.record.made) + 1}: {test.text} ({test.why})")
@@ -339,72 +344,6 @@ class Investigation:
         self._written()
 
 
-def answers_of(diagnosis: Diagnosis) -> dict[str, float]:
-    """Probability of ``none``, ``unknown`` and of each set of effects wherever they act, the most probable first.
-
-    Where there is no gap, ``none`` is that no test of the plan would show one, and ``too_weak_so_far`` that one of
-    those that are left would.
-    """
-    found: dict[str, float] = {}
-    no_gap = diagnosis.verdict in (Verdict.NONE, Verdict.CALIBRATION)
-    hidden = diagnosis.next_levels.hidden if no_gap and diagnosis.next_levels is not None else 0.0
-    for label, p in diagnosis.probabilities.items():
-        label = NULL if no_gap and label == UNKNOWN else label
-        name = " + ".join(sorted(part.split("@")[0].strip() for part in label.split(" + ")))
-        found[name] = found.get(name, 0.0) + p
-    if hidden > 0.0:
-        found = {name: (1.0 - hidden) * p for name, p in found.items()} | {HIDDEN: hidden * sum(found.values())}
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
-
-
-def entropy_of(answers: Mapping[str, float], names: Sequence[str], verdict: str) -> float:
-    """Entropy of a question, nats.
-
-    Args:
-        answers: probability of each.
-        names: the first two of them are set against each other. Where the question is whether the plan shows a gap,
-            what is too weak so far is set against all else while there is none, and no gap once there is one.
-        verdict: of the diagnosis.
-    """
-    first, second = (max(0.0, answers.get(name, 0.0)) for name in names[:2])
-    if HIDDEN in names:
-        alone = HIDDEN if verdict in (Verdict.NONE.value, Verdict.CALIBRATION.value) else NULL
-        first = max(0.0, answers.get(alone, 0.0))
-        second = sum(p for name, p in answers.items() if name != alone)
-    total = first + second
-    return float(entr(first / total) + entr(second / total)) if total > 0.0 else 0.0
-
-
-def _worth(test: AskedTest) -> tuple[float, float]:
-    """Expected information for each second of bench time; where that is not known, the standard deviations."""
-    rate = test.expected / test.seconds if test.seconds > 0.0 and math.isfinite(test.expected) else 0.0
-    return rate, test.expected_sigma
-
-
-def _why(item: NextTest) -> str:
-    apart = " from ".join(name.replace("_", " ") for name in item.separates[:2])
-    return f"tells {apart} by {item.expected_sigma:.0f} standard deviations"
-
-
-def _without_out(words: Sequence[str]) -> tuple[str, ...]:
-    found = list(words)
-    if "--out" in found:
-        position = found.index("--out")
-        del found[position : position + 2]
-    return tuple(found)
-
-
-def _levels(words: Sequence[str]) -> list[float]:
-    """Levels that a command names; none where it is no run or leaves them to the rig."""
-    if words[0] != "run" or "--levels" not in words:
-        return []
-    return list(parse_levels(words[words.index("--levels") + 1]))
-
-
-def _level_count(words: Sequence[str]) -> int:
-    return max(1, len(_levels(words)))
-
-
 def proposed(record: InvestigationRecord, think: Think) -> InvestigationRecord:
     """The record after a diagnosis of recordings that were given, with the tests that it proposes.
 
@@ -416,14 +355,13 @@ def proposed(record: InvestigationRecord, think: Think) -> InvestigationRecord:
     answers = answers_of(diagnosis)
     text = diagnosis.sentences[1] if len(diagnosis.sentences) > 1 else ""
     turn = Turn(len(record.bags), record.bench_s, seconds, diagnosis.verdict.value, answers, text)
-    tests = []
-    for number, item in enumerate(diagnosis.next_test, 1):
-        tests.append(
-            AskedTest(
-                f"{number:02d}_proposal", tuple(shlex.split(item.command)[1:]), item.test, _why(item), item.separates,
-                item.expected_sigma, item.information, seconds=item.seconds,
-            )
-        )  # fmt: skip
-    tests.sort(key=_worth, reverse=True)
+    tests = [
+        AskedTest(
+            f"{number:02d}_proposal", item.request or TestRequest(), item.test, reason(item), item.separates,
+            item.expected_sigma, item.information, seconds=item.seconds, command=item.command,
+        )
+        for number, item in enumerate(diagnosis.next_test, 1)
+    ]  # fmt: skip
+    tests.sort(key=worth, reverse=True)
     ended = "proposed" if tests else {"effect": "named", "unknown": "unknown"}.get(diagnosis.verdict.value, "no_gap")
     return replace(record, tests=tuple(tests), turns=(*record.turns, turn), ended=ended, conclusion=text)

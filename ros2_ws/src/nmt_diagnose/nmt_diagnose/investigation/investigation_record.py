@@ -12,8 +12,10 @@ from typing import Any
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import write_whole
+from nmt_core.kinds import RandomTest
+from nmt_core.kinds.request import TestRequest
 
-FORMAT = "nmt investigation 1"
+FORMAT = "nmt investigation 2"
 RECORD_FILE = "investigate.json"
 
 
@@ -36,7 +38,7 @@ class AskedTest:
 
     Attributes:
         name: of its folder.
-        words: its command after ``./nmt``, without ``--out``.
+        request: the test as a value.
         text: what is done, for people.
         why: what it is expected to show.
         separates: answers that it is to tell apart; empty where it only goes on with the plan.
@@ -44,11 +46,12 @@ class AskedTest:
         expected: fall of their entropy that is expected, nats; NaN where none is computed.
         received: what the entropy of these answers fell by, nats; negative where it rose.
         seconds: bench time, s; the expected one until it is measured.
+        command: what carries it out, for people; empty where no command does.
         state: ``asked``, ``measured``, ``empty`` (no level of it locked), ``declined`` or ``failed``.
     """
 
     name: str
-    words: tuple[str, ...]
+    request: TestRequest
     text: str
     why: str
     separates: tuple[str, ...] = ()
@@ -56,7 +59,13 @@ class AskedTest:
     expected: float = math.nan
     received: float = math.nan
     seconds: float = math.nan
+    command: str = ""
     state: str = "asked"
+
+    @property
+    def is_random(self) -> bool:
+        """Whether it is the test that tells the linear modes."""
+        return isinstance(self.request.kind, RandomTest)
 
 
 @dataclass(frozen=True)
@@ -131,7 +140,10 @@ class InvestigationRecord:
 
     def write(self, folder: Path) -> None:
         """Write ``investigate.json`` whole; what is not finite becomes null."""
-        write_whole(folder / RECORD_FILE, json.dumps(_finite(asdict(self)), indent=2, ensure_ascii=False) + "\n")
+        values = asdict(self)
+        for test, of_test in zip(self.tests, values["tests"], strict=True):
+            of_test["request"] = test.request.to_mapping()
+        write_whole(folder / RECORD_FILE, json.dumps(_finite(values), indent=2, ensure_ascii=False) + "\n")
 
 
 def read_record(folder: Path) -> InvestigationRecord | None:
@@ -151,7 +163,7 @@ def read_record(folder: Path) -> InvestigationRecord | None:
         turns = tuple(Turn(**turn) for turn in values["turns"])
         lists = {key: tuple(values[key]) for key in ("changes", "bags")}
         return InvestigationRecord(**{**values, **lists, "tests": tests, "turns": turns})
-    except (KeyError, TypeError, ValueError) as error:
+    except (BenchError, KeyError, TypeError, ValueError) as error:
         raise BenchError(
             f"{path} is no record of an investigation that can be gone on with ({error}); give another folder with "
             "--out."
@@ -159,12 +171,12 @@ def read_record(folder: Path) -> InvestigationRecord | None:
 
 
 _NUMBERS = ("expected_sigma", "expected", "received", "seconds")
-_LISTS = ("words", "separates")
 
 
 def _read(test: Mapping[str, Any]) -> dict[str, Any]:
     numbers = {key: _number(test[key]) for key in _NUMBERS}
-    return {**test, **numbers, **{key: tuple(test[key]) for key in _LISTS}}
+    request = TestRequest.from_mapping(test["request"])
+    return {**test, **numbers, "separates": tuple(test["separates"]), "request": request}
 
 
 def _number(value: float | None) -> float:

@@ -19,7 +19,7 @@ from scipy.special import entr, ndtr
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
-from nmt_diagnose.inference.ahead import Ahead
+from nmt_diagnose.ahead.ahead import Ahead
 from nmt_diagnose.inference.candidate_starts import at_strength, strength_position
 from nmt_diagnose.inference.explanations import FittedExplanation, Score
 from nmt_diagnose.inference.search import Search

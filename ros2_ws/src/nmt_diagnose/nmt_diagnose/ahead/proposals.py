@@ -1,0 +1,158 @@
+"""Tests that a rig allows and that have not been made, as values."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nmt_core import kinds
+from nmt_core.errors import BenchError
+from nmt_core.kinds.request import TestRequest
+from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.ahead.expected_rows import drive_point_of, expected, model_frequencies, voltage_runs
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.rig import Rig
+
+_HIGHER_LEVELS = 6
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A test that could be made.
+
+    Attributes:
+        text: what to do.
+        request: the same as a value.
+        observations: its observables with expected uncertainties; values are not set.
+        seconds: bench time that it takes, as the tests at hand took it.
+    """
+
+    text: str
+    request: TestRequest
+    observations: Observations
+    seconds: float = math.nan
+
+
+class Proposals:
+    """What can be asked for beside the tests at hand: of the rig that was recorded, as it was recorded.
+
+    The model is not what is to be measured.
+
+    Args:
+        rig: the model.
+        observations: what has been measured.
+    """
+
+    def __init__(self, rig: Rig, observations: Observations) -> None:
+        self.rig, self.observations = rig, observations
+        self.runs = voltage_runs(observations)
+        origins = observations.origins
+        self._file = origins[0].rig_file if origins and all(origin.rig_file for origin in origins) else ""
+        self._periods = next((origin.periods for origin in origins if origin.periods), 0)
+
+    @property
+    def drives(self) -> tuple[float, ...]:
+        """Levels of the first mode and drive point at hand, V, rising; of further ones the same levels are these."""
+        if not self.runs:
+            return ()
+        frequencies, first = model_frequencies(self.rig), self.runs[0]
+        like = [run for run in self.runs if run.drive_point == first.drive_point]
+        like = [run for run in like if _modes_of([run], frequencies) == _modes_of([first], frequencies)]
+        return tuple(sorted({level.drive for run in like for level in run.levels if math.isfinite(level.drive)}))
+
+    @property
+    def seconds_of_a_level(self) -> float:
+        """Bench time from level to level in the tests at hand, s."""
+        steps = [
+            abs(later.stop_s - before.stop_s)
+            for run in self.runs
+            for before, later in itertools.pairwise(sorted(run.levels, key=lambda level: level.stop_s))
+        ]
+        first = [level.stop_s - level.start_s for run in self.runs for level in run.levels]
+        return float(np.median(steps or first or [math.nan]))
+
+    def request(self, name: str, **settings: Any) -> TestRequest:
+        """A test of the recorded rig, with windows as they were recorded."""
+        kind = settings.setdefault("kind", kinds.PhaseResonanceTest())
+        settings.setdefault("periods", 0 if kind.window_s or kind.is_noise else self._periods)
+        return TestRequest(name=name, rig=self._file, **settings)
+
+    def all(self, with_plan: bool = False) -> list[Proposal]:
+        """The tests that the rig allows and that have not been made.
+
+        Args:
+            with_plan: levels go on by a plan, see `next_levels`; else up to twice those measured.
+        """
+        found = [self._random(), *(self._levels(with_plan) if self.runs else ())]
+        return [it for it in found if it is not None]
+
+    def proposal(self, text: str, request: TestRequest, seconds: float) -> Proposal | None:
+        """A test with its rows; None where the rig cannot be tested so, or what it would show is not foretold."""
+        try:
+            request.check(float(self.rig.sample_rate_hz))
+            rows = expected(request, self.rig, self.observations)
+        except BenchError:
+            return None
+        return Proposal(text, request, compared(rows, request), seconds)
+
+    def _random(self) -> Proposal | None:
+        if any(isinstance(test, RandomResponses) for test in self.observations.tests):
+            return None
+        request = self.request("random", kind=kinds.RandomTest())
+        point = drive_point_of(request, self.rig, self.observations)
+        text = f"a random test at low level, driven at point {point}"
+        return self.proposal(text, request, THRESHOLDS.next_test.random_seconds)
+
+    def _levels(self, with_plan: bool) -> list[Proposal | None]:
+        """Locked levels elsewhere, of another mode, downwards, and beyond those at hand."""
+        drives, each = self.drives, self.seconds_of_a_level
+        frequencies, mode = model_frequencies(self.rig), self.rig.test.mode
+        made, locked = {run.drive_point for run in self.runs}, _modes_of(self.runs, frequencies)
+        same = each * len(drives)
+        result = []
+        for point in self.rig.structure.points:
+            if point not in made:
+                request = self.request(f"point{point}", levels=drives, exciters=(point,))
+                result.append(self.proposal(f"the same levels with the exciter at point {point}", request, same))
+        others = (n for n in range(mode + 1, frequencies.size + 1) if n not in locked and frequencies[n - 1] > 0.0)
+        if other := next(others, 0):
+            request = self.request(f"mode{other}", levels=drives, changes=(("test.mode", other),))
+            result.append(self.proposal(f"the same levels on mode {other}", request, same))
+        if all(level.direction >= 0 for run in self.runs for level in run.levels):
+            request = self.request("both", levels=drives, direction="both")
+            result.append(self.proposal("the same levels downwards, after going up", request, 2.0 * same))
+        limit, high = self.rig.limits.voltage_v, 2.0 * drives[-1]
+        if not with_plan and (limit is None or high <= limit):
+            more = tuple(map(float, np.geomspace(drives[-1], high, _HIGHER_LEVELS)))
+            text = f"higher levels, up to {high:.3g} V (mind what the specimen bears)"
+            result.append(self.proposal(text, self.request("high", levels=more), each * len(more)))
+        return result
+
+
+def proposals(rig: Rig, observations: Observations, with_plan: bool = False) -> list[Proposal]:
+    """Tests that a rig allows and that have not been made; arguments as for `Proposals`."""
+    return Proposals(rig, observations).all(with_plan)
+
+
+def compared(rows: Observations, request: TestRequest) -> Observations:
+    """Rows by which a test is judged: of levels that are repeated downwards those on the way down."""
+    taken = rows.rows.harmonic != 0
+    if request.direction == "both":
+        taken &= rows.rows.level >= len(request.levels) - 1
+    return rows.take(taken)
+
+
+def _modes_of(runs: Sequence[LockedWindows], frequencies: FloatArray) -> set[int]:
+    """Numbers of the modes of the model that are nearest to the locked frequencies of some runs."""
+    locked = [level.frequency_hz for test in runs for level in test.levels if level.frequency_hz > 0.0]
+    numbers = np.flatnonzero(frequencies > 0.0)
+    ratios = [np.abs(np.log(frequencies[numbers] / frequency)) for frequency in locked if numbers.size]
+    return {int(numbers[np.argmin(ratio)]) + 1 for ratio in ratios}

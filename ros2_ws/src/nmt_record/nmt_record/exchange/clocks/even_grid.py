@@ -199,8 +199,8 @@ def _by_rate(time: FloatArray, first: int, stop: int) -> list[slice]:
     return [*_by_rate(time, first, first + knee), *_by_rate(time, first + knee, stop)]
 
 
-def usual_step(time: FloatArray) -> float:
-    """Usual step of ascending times, s: the middle one, or, where they come in bursts, that over many."""
+def usual_step(time: FloatArray | IntArray) -> float:
+    """Usual step of ascending times, in their unit: the middle one, or, where they come in bursts, that over many."""
     steps = np.diff(time)
     lag = min(32, max(1, time.size // 4))
     median, lagged = float(np.median(steps)), float(np.median(time[lag:] - time[:-lag])) / lag

@@ -10,11 +10,12 @@ import itertools
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_record.exchange.clocks.even_grid import usual_step
 
 _TIME_FIELD = re.compile(r"time|stamp|clock|tick|micros|millis|usec|nsec|(^|_)t(_|$)|(^|_)(sec|secs|ms|us|ns)$", re.I)
 _SURELY_TIME = re.compile(r"time|stamp|clock", re.I)
@@ -54,18 +55,19 @@ class ClockChoice:
 
 @dataclass
 class JudgedClock:
-    """Times of the messages of one recording.
+    """Times of the messages of one recording by one clock.
 
     Attributes:
         words: what the times are.
         rows: messages that have a usable time, in the order of these.
         time: of each, ns; continued over jumps by the log times.
         breaks: positions in ``rows`` at which a clock was set anew.
+        notes: sentences.
+        usable: share of the messages.
         lead: by how much log times are later than the clock, s; NaN where they do not tell.
         lead_scatter: s.
         std: relative standard uncertainty of the rate by what the other clock says.
         used_field: name of the field that is the clock; empty = none.
-        notes: sentences.
         question: sentence and key of the sidecar; None = it is clear.
     """
 
@@ -73,24 +75,13 @@ class JudgedClock:
     rows: IntArray
     time: IntArray
     breaks: list[int] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    usable: float = 1.0
     lead: float = math.nan
     lead_scatter: float = math.nan
     std: float = 0.0
     used_field: str = ""
-    notes: list[str] = field(default_factory=list)
     question: tuple[str, str] | None = None
-
-
-@dataclass
-class _Cleaned:
-    """One clock without the stamps that cannot be right."""
-
-    words: str
-    rows: IntArray
-    time: IntArray
-    breaks: list[int]
-    notes: list[str]
-    usable: float
 
 
 def judged_clock(
@@ -106,64 +97,58 @@ def judged_clock(
         choice: what the owner says.
     """
     log = _cleaned(name, "log times", logged, strict=False)
-    candidates: list[_Cleaned] = []
     notes: list[str] = []
+
+    def asked(sentence: str, key: str = "clock") -> JudgedClock:
+        return replace(log, notes=notes, question=(sentence, key))
+
+    header = None
     if stamps is not None and stamps.any():
         header = _cleaned(name, "header stamps", stamps, strict=True)
         _split_at_jumps(name, header, logged)
-        if header.usable >= _USABLE:
-            candidates.append(header)
-        else:
-            doubled = _doubled(name, stamps, logged)
-            if doubled and not choice.clock and not choice.field:
-                return JudgedClock(
-                    "log times", log.rows, log.time, log.breaks, notes=notes, question=(doubled, "clock")
-                )
+        if header.usable < _USABLE:
+            is_open = not choice.clock and not choice.field
+            doubled = _doubled(name, stamps, logged) if is_open else ""
+            if doubled:
+                return asked(doubled)
             notes.append(
                 f"{stamps.size - header.rows.size} of {stamps.size} header stamps of {name} repeat, go back or are "
                 "zero; the log times are its clock."
             )
-            if header.rows.size >= _LONG_RUN:
-                question = _contradiction(name, header, logged)
-                if question is not None and not choice.clock and not choice.field:
-                    return JudgedClock("log times", log.rows, log.time, log.breaks, notes=notes, question=question)
+            contradiction = _contradiction(name, header, logged) if is_open and header.rows.size >= _LONG_RUN else ""
+            if contradiction:
+                return asked(contradiction)
+            header = None
     counted, doubt = _counting_fields(name, fields, logged, choice)
-    by_field = {one.words: one for one in counted}
     if choice.field:
         chosen = next((one for one in counted if one.words == f"field {choice.field}"), None)
-        if chosen is None:
-            sentence = doubt or f"Field {choice.field} of {name} does not rise as a clock does; say 'clock: log'."
-            return JudgedClock("log times", log.rows, log.time, log.breaks, notes=notes,
-                               question=(sentence, "time_unit" if doubt else "clock"))  # fmt: skip
-        return _finished(name, chosen, logged, notes, choice.field)
+        if chosen is not None:
+            return _finished(name, chosen, logged, notes)
+        if doubt:
+            return asked(doubt, "time_unit")
+        return asked(f"Field {choice.field} of {name} does not rise as a clock does; say 'clock: log'.")
+    if choice.clock == "header" and header is None:
+        return asked(f"{name} has no header stamps that could be its clock; leave 'clock: header' out.")
     if choice.clock in ("header", "log"):
-        chosen = candidates[0] if choice.clock == "header" and candidates else log
-        if choice.clock == "header" and not candidates:
-            sentence = f"{name} has no header stamps that could be its clock; leave 'clock: header' out."
-            return JudgedClock("log times", log.rows, log.time, log.breaks, notes=notes, question=(sentence, "clock"))
-        return _finished(name, chosen, logged, notes, "")
-    if candidates:
-        agreeing = [one for one in counted if _ratio(one, candidates[0], logged)[2]]
-        question = _contradiction(name, candidates[0], logged)
-        kept = candidates[0]
-        for one in agreeing:
-            if _scatter(one) < _SMOOTHER_CLOCK * _scatter(kept):
-                notes.append(f"{one.words[:1].upper()}{one.words[1:]} of {name} is evener than its header stamps.")
-                kept = one
-    elif counted:
-        kept = min(counted, key=_scatter)
+        return _finished(name, header if header is not None and choice.clock == "header" else log, logged, notes)
+    kept, question = log, doubt
+    if header is not None or counted:
+        kept = header if header is not None else min(counted, key=_scatter)
         question = _contradiction(name, kept, logged)
-    else:
-        kept = log
-        question = (doubt, "clock") if doubt else None
-    used = kept.words.removeprefix("field ") if kept.words in by_field else ""
-    result = _finished(name, kept, logged, notes, used)
-    result.question = question
+    for one in counted:
+        if header is None or not _ratio(one, header, logged)[2]:
+            continue
+        if _scatter(one) < _SMOOTHER_CLOCK * _scatter(kept):
+            notes.append(f"{one.words[:1].upper()}{one.words[1:]} of {name} is evener than its header stamps.")
+            kept = one
+    result = _finished(name, kept, logged, notes)
+    result.question = (question, "clock") if question else None
     return result
 
 
-def _finished(name: str, kept: _Cleaned, logged: IntArray, notes: list[str], used: str) -> JudgedClock:
-    result = JudgedClock(kept.words, kept.rows, kept.time, kept.breaks, used_field=used, notes=[*notes, *kept.notes])
+def _finished(name: str, kept: JudgedClock, logged: IntArray, notes: list[str]) -> JudgedClock:
+    used = kept.words.removeprefix("field ") if kept.words.startswith("field ") else ""
+    result = replace(kept, used_field=used, notes=[*notes, *kept.notes])
     if kept.words == "log times":
         result.lead = result.lead_scatter = 0.0
         return result
@@ -184,7 +169,7 @@ def _finished(name: str, kept: _Cleaned, logged: IntArray, notes: list[str], use
     return result
 
 
-def _cleaned(name: str, words: str, times: IntArray, strict: bool) -> _Cleaned:
+def _cleaned(name: str, words: str, times: IntArray, strict: bool) -> JudgedClock:
     """Times that rise, in order, without single ones that cannot be right.
 
     Args:
@@ -217,7 +202,7 @@ def _cleaned(name: str, words: str, times: IntArray, strict: bool) -> _Cleaned:
     if late:
         notes.append(f"{late} messages of {name} are not in the order of their {words}; they were sorted.")
     every = np.concatenate(rows) if rows else np.zeros(0, dtype=np.int64)
-    return _Cleaned(words, every, times[every], breaks, notes, every.size / max(times.size, 1))
+    return JudgedClock(words, every, times[every], breaks, notes, every.size / max(times.size, 1))
 
 
 def _set_back(values: IntArray) -> int:
@@ -288,7 +273,7 @@ def _distances(placed: IntArray) -> FloatArray:
     return np.asarray(np.minimum(before, after) / typical)
 
 
-def _split_at_jumps(name: str, clock: _Cleaned, received: IntArray) -> None:
+def _split_at_jumps(name: str, clock: JudgedClock, received: IntArray) -> None:
     """Gaps of a clock that the log times do not have are jumps of the clock."""
     logged, steps = received[clock.rows], np.diff(clock.time)
     if steps.size < 2 * _BESIDE or not np.ptp(logged):
@@ -311,7 +296,7 @@ def _split_at_jumps(name: str, clock: _Cleaned, received: IntArray) -> None:
     clock.breaks.sort()
 
 
-def _seconds(clock: _Cleaned, position: int) -> str:
+def _seconds(clock: JudgedClock, position: int) -> str:
     return f"{1e-9 * float(clock.time[position] - clock.time[0]):.6g} s"
 
 
@@ -333,7 +318,7 @@ def _continued(clock: JudgedClock, logged: IntArray | None) -> None:
         clock.time[place:] += shift
 
 
-def _ratio_of(clock: _Cleaned, logged: IntArray) -> tuple[float, float, bool]:
+def _ratio_of(clock: JudgedClock, logged: IntArray) -> tuple[float, float, bool]:
     """Seconds of the log times in a second of a clock, their standard uncertainty, and whether they agree."""
     edges = [0, *clock.breaks, clock.rows.size]
     top = bottom = scatter = 0.0
@@ -362,12 +347,12 @@ def _ratio_of(clock: _Cleaned, logged: IntArray) -> tuple[float, float, bool]:
     return ratio, std, abs(ratio - 1.0) < max(_SAME_RATE, _CERTAIN * std)
 
 
-def _ratio(one: _Cleaned, other: _Cleaned, logged: IntArray) -> tuple[float, float, bool]:
+def _ratio(one: JudgedClock, other: JudgedClock, logged: IntArray) -> tuple[float, float, bool]:
     """As :func:`_ratio_of`, of two clocks of the same messages."""
     times = np.zeros(logged.size, dtype=np.int64)
     times[other.rows] = other.time
     both = np.isin(one.rows, other.rows)
-    reduced = _Cleaned(one.words, one.rows[both], one.time[both], [], [], one.usable)
+    reduced = JudgedClock(one.words, one.rows[both], one.time[both])
     return _ratio_of(reduced, times)
 
 
@@ -377,7 +362,7 @@ def _doubled(name: str, stamps: IntArray, logged: IntArray) -> str:
     different = np.unique(known)
     if different.size > _USABLE * known.size or different.size < _LONG_RUN or not np.ptp(logged):
         return ""
-    by_stamps, by_log = (1e9 / _typical_step(times) for times in (different, logged))
+    by_stamps, by_log = (1e9 / _step_ns(times) for times in (different, logged))
     return (
         f"{known.size - different.size} of {stamps.size} header stamps of {name} are those of another message: by them "
         f"it has {by_stamps:.6g} Hz, by its log times {by_log:.6g} Hz (stamps that are rounded, "
@@ -385,46 +370,37 @@ def _doubled(name: str, stamps: IntArray, logged: IntArray) -> str:
     )
 
 
-def _contradiction(name: str, clock: _Cleaned, logged: IntArray) -> tuple[str, str] | None:
-    """A question where a clock does not run as the log times do."""
+def _contradiction(name: str, clock: JudgedClock, logged: IntArray) -> str:
+    """A question where a clock does not run as the log times do; empty where it does."""
     ratio, _, agrees = _ratio_of(clock, logged)
     if agrees:
-        return None
-    rate = _rate(clock)
+        return ""
+    rate = 1e9 / _step_ns(clock.time)
     is_field = clock.words.startswith("field ")
     keys = f"'time: {_path(name, clock.words.removeprefix('field '))}'" if is_field else "'clock: header'"
-    sentence = (
+    return (
         f"By its {clock.words} {name} has {rate:.6g} Hz, by its log times {rate / ratio:.6g} Hz (simulated time, a "
         f"replay, or a clock that is off). Which is it? Say {keys} or 'clock: log'."
     )
-    return sentence, "clock"
 
 
-def _rate(clock: _Cleaned) -> float:
-    return 1e9 / _typical_step(clock.time)
+def _step_ns(times: IntArray) -> float:
+    return max(usual_step(times), 1.0)
 
 
-def _typical_step(time: IntArray) -> float:
-    """Usual step of ascending times, ns: also of those that come in bursts."""
-    steps = np.diff(time)
-    lag = min(32, max(1, time.size // 4))
-    median, lagged = float(np.median(steps)), float(np.median(time[lag:] - time[:-lag])) / lag
-    return median if abs(median - lagged) < 0.4 * lagged else max(lagged, 1.0)
-
-
-def _scatter(clock: _Cleaned) -> float:
+def _scatter(clock: JudgedClock) -> float:
     """Usual distance of steps from the usual step, relative."""
     if clock.time.size < 4:
         return math.inf
-    step = _typical_step(clock.time)
+    step = _step_ns(clock.time)
     return float(np.median(np.abs(np.diff(clock.time) - step))) / step + 1e-6
 
 
 def _counting_fields(
     name: str, fields: Mapping[str, FloatArray], logged: IntArray, choice: ClockChoice
-) -> tuple[list[_Cleaned], str]:
+) -> tuple[list[JudgedClock], str]:
     """Fields that count time, as clocks; and a sentence on one that seems to but in a unit of its own."""
-    found: list[_Cleaned] = []
+    found: list[JudgedClock] = []
     doubt = ""
     for label, values in fields.items():
         last = label.rpartition(".")[2]
@@ -441,7 +417,7 @@ def _counting_fields(
             if label == choice.field or (_SURELY_TIME.search(last) and not doubt and _is_even(steps)):
                 doubt = (
                     f"Field {label} of {name} rises by {float(np.median(steps)):.6g} from message to message, which is "
-                    f"no unit of time by the log times (one message in {1e-9 * _typical_step(logged):.6g} s). Is it "
+                    f"no unit of time by the log times (one message in {1e-9 * _step_ns(logged):.6g} s). Is it "
                     f"the clock? Say 'clock: log', or 'time: {_path(name, label)}' with 'time_unit: …'."
                 )
             continue

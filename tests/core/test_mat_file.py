@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import struct
+import subprocess
+import sys
 import zlib
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from nmt_core.errors import BenchError
+from nmt_core.files import mat_child
 from nmt_core.files.mat_file import read_mat
 
 DRAW = np.random.default_rng(3)
@@ -107,6 +110,15 @@ def test_claims_are_weighed_before_memory_is_taken(tmp_path: Path) -> None:
     (tmp_path / "claim.mat").write_bytes(header + struct.pack("<II", 14, len(body)) + body)
     with pytest.raises(BenchError):
         read_mat(tmp_path / "claim.mat", "data file")
+
+
+def test_a_process_with_limits_of_its_own_reads(tmp_path: Path) -> None:
+    savemat(tmp_path / "run.mat", CONTENT)
+    words = ["bash", "-c", 'ulimit -v 4000000 -t 60; exec "$0" "$1" 1048576 120', sys.executable, mat_child.__file__]
+    with (tmp_path / "run.mat").open("rb") as file:
+        read = subprocess.run(words, stdin=file, capture_output=True)
+    assert read.returncode == 0, read.stderr
+    assert read.stdout.startswith(b"PK")
 
 
 def test_nesting_has_an_end(tmp_path: Path) -> None:

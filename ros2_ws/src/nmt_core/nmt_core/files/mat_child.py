@@ -93,8 +93,9 @@ def limit(largest: int, seconds: int) -> None:
     """Let this process take no more than its arrays twice, and no more time."""
     with open("/proc/self/statm") as file:
         taken = int(file.read().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (taken + 2 * largest + 2**28,) * 2)
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds,) * 2)
+    for kind, most in ((resource.RLIMIT_AS, taken + 2 * largest + 2**28), (resource.RLIMIT_CPU, seconds)):
+        _, hard = resource.getrlimit(kind)
+        resource.setrlimit(kind, (most if hard == resource.RLIM_INFINITY else min(most, hard),) * 2)
 
 
 if __name__ == "__main__":

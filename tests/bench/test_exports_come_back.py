@@ -26,7 +26,7 @@ from nmt_record.windows.segments import read_signals, segments
 from nmt_session import Session, plan_test
 
 RESONANCE: dict[str, Any] = {"test": "secondary_resonance", "control": "force", "window_periods": 10}
-RANDOM: dict[str, Any] = {"test": "random", "duration": 3.5, "band_hz": (20.0, 600.0)}
+RANDOM: dict[str, Any] = {"test": "random", "duration": 5.5, "band_hz": (20.0, 600.0)}
 TESTS: dict[str, tuple[str, list[float], dict[str, Any]]] = {
     "phase resonance": ("joint_resonator", [0.5, 2.0], {"window_periods": 10}),
     "two exciters": ("frame", [1.0, 4.0], {"window_periods": 10}),

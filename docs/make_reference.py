@@ -712,6 +712,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a page is stale")
     options = parser.parse_args(arguments)
+    if importlib.util.find_spec("nmt_bench") is None:
+        sys.stderr.write("The packages of the bench are not known to this Python; run the command in ./nmt shell.\n")
+        return 2
     without_ros = importlib.util.find_spec("rclpy") is None
     if without_ros:
         sys.stderr.write("Without ROS 2 the tables of node parameters stay as they are.\n")

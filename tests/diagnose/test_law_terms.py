@@ -13,7 +13,8 @@ from nmt_diagnose.law.convex import ConvexFit
 from nmt_diagnose.law.law_elements import element_of
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.reading import LawTerm, LocalLaw
-from nmt_diagnose.law.terms import LEFT_SHARE, SAMPLES, Term, harmonics
+from nmt_diagnose.law.terms import SAMPLES, Term, harmonics
+from nmt_rig.model.local_elements.attachments import LEFT_SHARE
 
 OMEGA, A = 100.0, 1e-3
 TURN = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
@@ -127,32 +128,6 @@ def test_the_score_is_that_of_fits_without_the_level() -> None:
         theta = np.linalg.lstsq(matrix, np.append(target[others].ravel(), np.zeros(3)), rcond=None)[0]
         total += float(np.sum((target[out] - both[out] @ theta) ** 2))
     assert found.score == pytest.approx(math.sqrt(total / 36.0), rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("term", "x", "v"),
-    [
-        (LawTerm("power", (3.0,), 2e8, 0.0, "N/m^3"), 1e-3, 0.0),
-        (LawTerm("gap", (4e-4,), 5e3, 0.0, "N/m"), 1e-3, 0.0),
-        (LawTerm("stop", (4e-4, 1.0), 5e3, 0.0, "N/m"), 1e-3, 0.0),
-        (LawTerm("speed", (3.0,), 2.0, 0.0, "N"), 0.0, 0.3),
-        (LawTerm("friction", (0.01,), 0.2, 0.0, "N"), 0.0, 0.02),
-        (LawTerm("amplitude", (2.0,), 5e6, 0.0, "N s/m^3"), 1e-3, 0.3),
-    ],
-)
-def test_a_written_element_has_the_force_of_its_term(term: LawTerm, x: float, v: float) -> None:
-    law = LocalLaw(3, 0, "", (term,), 2e-3, (), ())
-    section = element_of(term, law)
-    assert section is not None
-    assert section.valid_to_m == 2e-3
-    element = section.element(np.ones(1), *section.own_values())
-    own = Term(term.kind, *term.parameters).force(np.array([x]), np.array([v]))[0] * term.coefficient
-    if hasattr(element, "frozen"):
-        branch = element.next_branch(*element.values, 0, x, v, 0.0)
-        written = element.frozen(*element.values, branch, x, v, 0.0)[0]
-    else:
-        written = element.response(*element.values, x, v)[0]
-    assert written == pytest.approx(own, rel=1e-9)
 
 
 def test_a_slider_is_written_as_a_jenkins_element() -> None:

@@ -103,7 +103,7 @@ def sections() -> list[type[ElementSection]]:
     while waiting:
         section = waiting.pop()
         waiting += section.__subclasses__()
-        if "kind" in section.model_fields and section.harmonic_balance:
+        if "kind" in section.model_fields and not section.without_harmonic_balance:
             found.append(section)
     return found
 

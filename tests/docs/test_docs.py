@@ -124,6 +124,14 @@ def test_generated_tables_are_up_to_date(page: Path) -> None:
     assert fresh == text, f"{page.name} is stale: run python docs/make_reference.py"
 
 
+def test_outside_the_shell_the_generator_says_where_to_run_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(make_reference.importlib.util, "find_spec", lambda name: None)
+    assert make_reference.main(["--check"]) == 2
+    assert capsys.readouterr().err.count("./nmt shell") == 1
+
+
 def test_every_message_section_node_and_command_has_its_table() -> None:
     from nmt_core.threshold import thresholds_of
     from nmt_diagnose.effects.library import library

@@ -31,8 +31,7 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.inference.diagnose import observed
 from nmt_diagnose.inference.law_starts import law_of
 from nmt_diagnose.law.held_levels import held_levels
-from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw
-from nmt_diagnose.law.terms import Term
+from nmt_diagnose.law.reading import LawReading, LocalLaw
 from nmt_rig.rig import load_rig
 
 _CLEAR = 10.0  # standard deviations of a harmonic from which a law must be read
@@ -121,7 +120,7 @@ def _loop_error(laws: Sequence[LocalLaw], truth: dict[str, Any], before: int) ->
                 return math.inf
             force, moved = (np.array([complex(*z) for z in place[name]]) for name in ("force", "displacement"))
             x, v = np.array(loop.displacement), np.array(loop.velocity)
-            read = sum(t.coefficient * _term(t).force(x, v) for law in mine for t in law.terms)
+            read = sum(t.coefficient * t.of_unit_strength.force(x, v) for law in mine for t in law.terms)
             series, x = np.fft.rfft(read) / x.size, np.fft.rfft(x)
             orders = np.arange(force.size)
             shift = np.angle(x[1]) - np.angle(moved[1])
@@ -129,12 +128,6 @@ def _loop_error(laws: Sequence[LocalLaw], truth: dict[str, Any], before: int) ->
             miss += float(np.sum(np.abs(2.0 * series[orders] - turned)[1:] ** 2))
             total += float(np.sum(np.abs(turned[1:]) ** 2))
     return math.sqrt(miss / total) if total > 0.0 else math.nan
-
-
-def _term(term: LawTerm) -> Term:
-    """The formula of a term; a parameter of zero is not stated."""
-    given = term.parameters if term.kind not in ("stop", "stop damping") else (0.0, *term.parameters)[-2:]
-    return Term(term.kind, *given)
 
 
 def is_right(line: dict[str, Any]) -> bool:

@@ -69,9 +69,13 @@ def test_a_law_that_is_not_stated_is_not_drawn(found: LawReading | None) -> None
     assert 'id="law-0"' not in page(found)
 
 
+def as_read(kind: str, parameters: tuple[float, ...]) -> str:
+    return formula(LawTerm(kind, parameters, 1.0, 0.0, "").of_unit_strength)
+
+
 def test_formulas_name_side_and_size() -> None:
-    assert formula("stop", (2e-4, -1.0)) == "spring where x < −0.2 mm"
-    assert formula("stop", (1.0,)) == "spring where x > 0 mm"
-    assert formula("slider", (5e-5,)) == "spring that slips at 0.05 mm"
-    assert formula("speed", (1.5,)) == "|v|¹·⁵ sgn v"
-    assert formula("weakening friction", (1e-3, 0.05)) == "tanh(v / 0.001 m/s) exp(−(v / 0.05 m/s)²)"
+    assert as_read("stop", (2e-4, -1.0)) == "spring where x < −0.2 mm"
+    assert as_read("stop", (1.0,)) == "spring where x > 0 mm"
+    assert as_read("slider", (5e-5,)) == "spring that slips at 0.05 mm"
+    assert as_read("speed", (1.5,)) == "|v|¹·⁵ sgn v"
+    assert as_read("weakening friction", (1e-3, 0.05)) == "tanh(v / 0.001 m/s) exp(−(v / 0.05 m/s)²)"

@@ -1,18 +1,22 @@
 """What a rig may really have beyond its model: each a change of the rig file, with where and how strongly.
 
-The names are those of the library of effects and, after them, of effects that no library has. Nothing else is shared
-with the library: places, sizes and keys are chosen here.
+The names are those of the library of effects and, after them, of effects that no library has. What one local element
+does stands with the element, its size in a blind case too; places and all else are chosen here.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.rig_edits import Edit
+from nmt_core.key_units import unit_of_key
+from nmt_rig.model.element_uses import ElementEffect
+from nmt_rig.model.local_elements import SECTIONS
+from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.model.local_elements.friction import JenkinsSection
 from nmt_rig.rig import BeamSection, ChainSection, Rig, SensorSection, ShakerSection
 
@@ -293,10 +297,6 @@ def _element(at: At, kind: str, **keys: Any) -> tuple[Edit, ...]:
     return (Edit(("local_elements",), section, "append"),)
 
 
-def _one_key(kind: str, key: str) -> Edits:
-    return lambda at, value: _element(at, kind, **{key: value})
-
-
 def _set(*path: str, value_of: Callable[[float], float] = lambda value: value) -> Edits:
     """One key of the rig file."""
     return lambda at, value: (Edit(path, value_of(value)),)
@@ -344,10 +344,6 @@ def _late_group(at: At, value: float) -> tuple[Edit, ...]:
         for index, sensor in enumerate(at.rig.sensors)
         if sensor.quantity == at.spot.option
     )
-
-
-def _stop(kind: str) -> Edits:
-    return lambda at, value: _element(at, kind, stiffness_n_m=value, gap_m=at.reach)
 
 
 def _friction(at: At, value: float) -> tuple[Edit, ...]:
@@ -497,10 +493,6 @@ def _named(name: str, value_of: Callable[[float], float] = lambda value: value) 
     return lambda at, value: {name: value_of(value)}
 
 
-def _stop_figures(at: At, value: float) -> dict[str, float]:
-    return {"k": value, "gap": at.reach}
-
-
 def _friction_figures(at: At, value: float) -> dict[str, float]:
     turning = at.spot.option == "rotation"
     size = at.operating.rotation[at.spot.point] if turning else at.size
@@ -511,31 +503,54 @@ _ANY = (*RESPONSES, "force")
 _GAPS = (0.35, 0.75)
 _CONTACTS = _sites((0.1, 0.4))
 
+
+def _of_element(section: type[ElementSection], effect: ElementEffect) -> InjectedEffect:
+    """A truth that is one local element; its shapes are shares of the motion."""
+    strength, *shapes = effect.parameters
+    keys = effect.parameters
+
+    def figures(at: At, value: float) -> dict[str, float]:
+        return {strength: value, **dict.fromkeys(shapes, at.reach)}
+
+    return InjectedEffect(
+        effect.name, "structure", unit_of_key(keys[strength]), _sites(_GAPS if shapes else (0.0,)),
+        lambda at, value: _element(
+            at, section.kind_name(), **{keys[name]: own for name, own in figures(at, value).items()}
+        ),
+        lambda at: effect.strength(effect.drawn_share * at.stiffness, at.size, at.omega), figures, signed=effect.signed,
+    )  # fmt: skip
+
+
+_STRUCTURAL_DAMPING = InjectedEffect(
+    "structural_damping", "structure", "1", _everywhere, _set("structure", "loss_factor"), _constant(0.003),
+    _named("eta"), largest=0.1,
+)  # fmt: skip
+_ADDED_MASS = InjectedEffect(
+    "added_mass", "structure", "kg", _points,
+    lambda at, value: (Edit(("structure", "added_masses"), {"point": at.spot.point, "mass_kg": value}, "append"),),
+    _mass_guess, _named("m"),
+)  # fmt: skip
+_MORE: dict[str, Callable[[InjectedEffect], tuple[InjectedEffect, ...]]] = {
+    "air_drag": lambda drag: (replace(drag, spots=_points, bound=_largest_drag),),
+    "power_law_damping": lambda damper: (
+        replace(damper, unit="N", spots=_sites(), changes=_power_law, estimated=lambda at, value: {"p": _EXPONENT}),
+        _STRUCTURAL_DAMPING,
+    ),
+    "viscous_damping": lambda damper: (damper, _ADDED_MASS),
+}
+"""What a truth is beyond its element; and, beside those that they are like, truths that are none."""
+
+
+def _of_elements() -> Iterator[InjectedEffect]:
+    """Truths of the structure."""
+    for section in SECTIONS:
+        if section.effect is not None:
+            truth = _of_element(section, section.effect)
+            yield from _MORE[truth.name](truth) if truth.name in _MORE else (truth,)
+
+
 KNOWN: tuple[InjectedEffect, ...] = (
-    InjectedEffect("cubic_stiffness", "structure", "N/m³", _sites(), _one_key("cubic_spring", "stiffness_n_m3"),
-          _elastic(0.01, 3), _named("k"), signed=True),
-    InjectedEffect("quintic_stiffness", "structure", "N/m⁵", _sites(), _one_key("quintic_spring", "stiffness_n_m5"),
-          _elastic(0.01, 5), _named("k"), signed=True),
-    InjectedEffect("quadratic_stiffness", "structure", "N/m²", _sites(), _one_key("quadratic_spring", "stiffness_n_m2"),
-          _elastic(0.01, 2), _named("k"), signed=True),
-    InjectedEffect("air_drag", "structure", "N s²/m²", _points, _one_key("quadratic_drag", "drag_ns2_m2"),
-          _viscous(0.002, 2), _named("c2"), bound=_largest_drag),
-    InjectedEffect("amplitude_damping", "structure", "N s/m³", _sites(), _one_key("amplitude_damper", "damping_ns_m3"),
-          lambda at: 0.005 * at.stiffness / (at.omega * at.size**2), _named("c")),
-    InjectedEffect("power_law_damping", "structure", "N", _sites(), _power_law,
-          lambda at: 0.002 * at.stiffness * at.size, lambda at, value: {"p": _EXPONENT}),
-    InjectedEffect("structural_damping", "structure", "1", _everywhere, _set("structure", "loss_factor"),
-          _constant(0.003), _named("eta"), largest=0.1),
-    InjectedEffect("viscous_damping", "structure", "N s/m", _sites(), _one_key("linear_damper", "damping_ns_m"),
-          _viscous(0.002, 1), _named("c")),
-    InjectedEffect("added_mass", "structure", "kg", _points,
-          lambda at, value: (
-              Edit(("structure", "added_masses"), {"point": at.spot.point, "mass_kg": value}, "append"),
-          ), _mass_guess, _named("m")),
-    InjectedEffect("one_sided_stop", "structure", "N/m", _sites(_GAPS), _stop("unilateral_stop"), _elastic(0.05, 1),
-          _stop_figures),
-    InjectedEffect("two_sided_gap", "structure", "N/m", _sites(_GAPS), _stop("two_sided_gap"), _elastic(0.05, 1),
-          _stop_figures),
+    *_of_elements(),
     InjectedEffect("clamp_compliance", "boundary", "rad/(N m) or m/N", _clamp, _compliance, _compliance_guess,
           _named("k", lambda value: 1.0 / value)),
     InjectedEffect("clamp_friction", "boundary", "N/m or N m/rad", _clamp_friction, _friction,

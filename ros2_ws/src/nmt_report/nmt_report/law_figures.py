@@ -123,7 +123,7 @@ def law_table(reading: LawReading) -> Table:
     for law in reading.laws:
         for number, term in enumerate(law.terms):
             place = _where(law) if number == 0 else ""
-            kind = formula(term.kind, term.parameters)
+            kind = formula(term.of_unit_strength)
             strength = value_text(term.coefficient, term.std, _raised(term.unit))
             rows.append(Row((place, law.family if number == 0 else "", kind, strength)))
     head = (

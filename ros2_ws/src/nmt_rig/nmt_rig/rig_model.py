@@ -166,11 +166,11 @@ def refuse_beyond_harmonic_balance(rig: Rig, with_exciter: bool) -> None:
     """
     for index, section in enumerate(rig.local_elements):
         if with_exciter:
-            covered = section.harmonic_balance or (
+            covered = not section.without_harmonic_balance or (
                 isinstance(section, AttachmentSection) and section.in_forced_response
             )
         else:
-            covered = section.harmonic_balance or section.side == "exciter"
+            covered = not section.without_harmonic_balance or section.side == "exciter"
         if not covered:
             _refuse(rig, f"local_elements.{index} ({section.kind})")
     for name, value in rig.drift.model_dump().items():

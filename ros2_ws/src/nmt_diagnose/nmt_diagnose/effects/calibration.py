@@ -115,7 +115,7 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
             add(path, "structure")
     for index, element in enumerate(rig.local_elements):
         place: LocationKind = "exciter" if element.side == "exciter" else "joint" if element.friction else "structure"
-        for key in element.own_keys() if element.harmonic_balance else ():
+        for key in () if element.without_harmonic_balance else element.own_keys():
             if key not in element.not_calibrated:
                 add(("local_elements", index, key), place)
     if isinstance(rig.exciter, ShakerSection):

@@ -17,18 +17,13 @@ OPTION = "<option>"
 """In a path: the option of the site."""
 
 
-def kind_of(section: type[ElementSection]) -> str:
-    """Kind of a local element, as rig files write it."""
-    return str(section.model_fields["kind"].annotation.__args__[0])  # type: ignore[union-attr]
-
-
 def with_local(rig: Rig, section: type[ElementSection], site: Site, **settings: object) -> Rig:
     """The rig with one more local element at a site; ``settings`` are keys of its section."""
     if site.other_point:
         settings["other_point"] = site.other_point
     if site.option == "rotation":
         settings["rotation"] = True
-    element = section.model_construct(kind=kind_of(section), point=site.point, **settings)  # type: ignore[arg-type]
+    element = section.model_construct(kind=section.kind_name(), point=site.point, **settings)  # type: ignore[arg-type]
     return with_element(rig, element)  # type: ignore[arg-type]
 
 

@@ -123,19 +123,15 @@ def _size(term: LawTerm, reach: float) -> float:
 
 
 def _of_term(term: LawTerm) -> list[tuple[str, Mapping[str, float]]]:
-    c, first = term.coefficient, term.parameters[0]
-    if term.kind == "power":
-        names = {2.0: "quadratic_stiffness", 3.0: "cubic_stiffness", 5.0: "quintic_stiffness"}
-        return [(names[first], {"k": c})]
-    if term.kind == "gap":
-        return [("two_sided_gap", {"k": c, "gap": first})]
-    if term.kind == "stop" and term.parameters[-1] > 0.0:
-        return [("one_sided_stop", {"k": c, "gap": first})]
-    if term.kind == "speed" and first == 2.0:
-        return [("air_drag", {"c2": c})]
-    if term.kind == "amplitude":
-        return [("amplitude_damping", {"c": c})]
-    return []
+    """The effect of a term's element, with its keys for parameters."""
+    unit = term.of_unit_strength
+    if unit.form.effect is not None:
+        found = unit.form.effect(term.coefficient, unit.first)
+        return [] if found is None else [found]
+    if unit.section is None or unit.section.effect is None or unit.second < 0.0:
+        return []
+    effect, keys = unit.section.effect, unit.values(term.coefficient)
+    return [(effect.name, {name: keys[key] for name, key in effect.parameters.items()})]
 
 
 def parameters_at(candidate: Candidate, values: Mapping[str, float]) -> FloatArray | None:

@@ -9,6 +9,8 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.model.element_uses import LawForm
+from nmt_rig.model.local_elements import SECTIONS
 
 
 @dataclass(frozen=True)
@@ -42,29 +44,27 @@ def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
     slips, fine = a * np.geomspace(0.01, most, 14), a * np.geomspace(0.005, most, 32)
     # Where a contact is hardly reached its force hangs on the last percent of the clearance.
     free = 1.0 - np.geomspace(0.02, 0.95, 24)[::-1]
-    creep = s * np.geomspace(1e-3, 0.3, 6)
+    falls = s * np.array([0.03, 0.08, 0.2, 0.5])
 
     def powers(*exponents: int) -> list[Block]:
         return [Block("polynomial", tuple(Term("power", float(n)) for n in exponents))]
 
-    found = {
-        "quadratic": powers(2), "cubic": powers(3), "quintic": powers(5), "quadratic and cubic": powers(2, 3),
-        "cubic and quintic": powers(3, 5), "polynomial": powers(2, 3, 5),
+    forms = [(section.kind_name(), form) for section in SECTIONS for form in section.law]
+    found = {f"{form.kind} of {kind}": _alone(form, a, s) for kind, form in forms}
+    found |= {
+        "quadratic and cubic": powers(2, 3), "cubic and quintic": powers(3, 5), "polynomial": powers(2, 3, 5),
         "gap": [Block("gap", (Term("gap", g), Term("gap damping", g)), (1,)) for g in a * free],
         "slider": [Block("slider", (Term("slider", slip),), (1,)) for slip in fine],
         "sliders": [Block("sliders", tuple(Term("slider", slip) for slip in slips))],
-        "drag": [Block("drag", (Term("speed", n),)) for n in (1.5, 2.0, 3.0)],
-        "amplitude damping": [Block("amplitude damping", (Term("amplitude", 2.0),))],
-        "friction": [Block("friction", (Term("friction", w),), (1,)) for w in creep],
         "weakening friction": [
             Block("weakening friction", (Term("friction", w), Term("weakening friction", w, fall)), (2,))
-            for w in creep[:4]
-            for fall in s * np.array([0.03, 0.08, 0.2, 0.5])
+            for w in s * np.array(Term("friction").form.starts[:4])
+            for fall in falls
         ],
         "weakening bristle": [
             Block("weakening bristle", (Term("bristle", slip), Term("weakening bristle", slip, fall)), (1, 2))
             for slip in a * np.geomspace(0.01, 0.3, 5)
-            for fall in s * np.array([0.03, 0.08, 0.2, 0.5])
+            for fall in falls
         ],
         "pinched sliders": [
             Block(
@@ -75,12 +75,19 @@ def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
                 ),
             )
         ],
-        "brake": [Block("brake", (Term("brake", w),), (1,)) for w in s * np.geomspace(0.05, 1.0, 8)],
     }  # fmt: skip
     for side, name in ((1.0, "stop above"), (-1.0, "stop below")):
         ends = float((side * x).max()) * np.append(0.0, free)
         found[name] = [Block(name, (Term("stop", g, side), Term("stop damping", g, side)), (1,)) for g in ends]
-    return found
+    return {name: family for name, family in found.items() if family}
+
+
+def _alone(form: LawForm, a: float, s: float) -> list[Block]:
+    """Blocks of one term, by largest displacement and speed; none of what is only tried beside others."""
+    if form.exponent or "{power}" in form.formula:
+        return [Block(form.family, (Term(form.kind, n),)) for n in form.starts or (form.exponent,)]
+    sizes = (s if form.by_speed else a) * np.array(form.starts)
+    return [Block(form.family, (Term(form.kind, size),), (1,)) for size in sizes]
 
 
 def moved(block: Block, number: int, factor: float) -> Block:

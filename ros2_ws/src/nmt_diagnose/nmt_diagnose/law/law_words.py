@@ -8,15 +8,6 @@ from collections.abc import Sequence
 from nmt_core.text.number_words import significant
 from nmt_diagnose.law.terms import Term
 
-_PLAIN = {
-    "gap": "clearance", "gap damping": "clearance", "slider": "friction of a slider behind a spring",
-    "speed": "damping that grows with speed", "amplitude": "damping that grows with amplitude",
-    "friction": "dry friction", "weakening friction": "dry friction that weakens with speed",
-    "brake": "damping that falls with speed", "slack slider": "friction with pinched loops",
-    "weakening bristle": "dry friction that weakens with speed",
-}  # fmt: skip
-
-
 _SMALL_SHARE = 0.05
 """Force of a slider over the largest, of weakening bristles over all, below which it says nothing of the family."""
 _SLACK_SHARE = 0.2
@@ -28,11 +19,12 @@ _ONE_RATIO = 1.6
 
 def family(terms: Sequence[tuple[Term, float]]) -> str:
     """Family of the terms of one law with their coefficients, in words."""
-    kinds = {term.kind for term, _ in terms}
+    words = {term.kind: term.form.words or term.form.family for term, _ in terms}
+    kinds = set(words)
     if kinds == {"power"}:
         return _polynomial(terms)
     if kinds & {"stop", "stop damping"}:
-        return "stop on one side"
+        return Term("stop").form.words
     sliders = [(term.first, _sliding_force(term, value)) for term, value in terms if term.kind in _SLIDERS]
     if sliders:
         by_kind = {
@@ -41,13 +33,11 @@ def family(terms: Sequence[tuple[Term, float]]) -> str:
         total = sum(by_kind.values())
         for kind, share in (("slack slider", _SLACK_SHARE), ("weakening bristle", _SMALL_SHARE)):
             if by_kind.get(kind, 0.0) > share * total:
-                return _PLAIN[kind]
+                return words[kind]
         most = max(force for _, force in sliders)
         large = [slip for slip, force in sliders if force > _SMALL_SHARE * most]
-        return "friction of many sliders" if max(large) > _ONE_RATIO * min(large) else _PLAIN["slider"]
-    if "weakening friction" in kinds:
-        return _PLAIN["weakening friction"]
-    return _PLAIN[next(iter(sorted(kinds)))]
+        return "friction of many sliders" if max(large) > _ONE_RATIO * min(large) else Term("slider").form.words
+    return words["weakening friction" if "weakening friction" in kinds else min(kinds)]
 
 
 def _sliding_force(term: Term, coefficient: float) -> float:
@@ -67,26 +57,14 @@ def _polynomial(terms: Sequence[tuple[Term, float]]) -> str:
     return f"{name}, asymmetric spring" if even else f"{name} spring"
 
 
-def formula(kind: str, parameters: Sequence[float]) -> str:
+def formula(term: Term) -> str:
     """Force of a term for a unit strength, as it is read: displacement x, velocity v."""
-    first = parameters[0] if parameters else 0.0
-    power = "" if first == 1.0 else raised(f"{first:g}")
-    if kind in ("stop", "stop damping"):
-        gap, side = (first, parameters[-1]) if len(parameters) > 1 else (0.0, first)
-        beyond = f"x {'>' if side > 0.0 else '<'} {significant(math.copysign(1e3 * gap, side), 3)} mm"
-        return f"spring where {beyond}" if kind == "stop" else f"damper where {beyond}"
-    size = significant(1e3 * first, 3)
-    last = significant(parameters[-1] if parameters else 0.0, 2)
-    return {
-        "power": f"x{power}", "gap": f"spring where |x| > {size} mm", "gap damping": f"damper where |x| > {size} mm",
-        "slider": f"spring that slips at {size} mm", "speed": f"|v|{power} sgn v", "amplitude": f"|x|{power} v",
-        "friction": f"tanh(v / {significant(first, 2)} m/s)",
-        "weakening friction": f"tanh(v / {significant(first, 2)} m/s) exp(−(v / {last} m/s)²)",
-        "slack slider": f"spring that slips at {size} mm, slack up to {last} of it",
-        "bristle": f"bristles that slide at {size} mm",
-        "weakening bristle": f"bristles that slide at {size} mm exp(−(v / {last} m/s)²)",
-        "brake": f"v / (1 + (v / {significant(first, 2)} m/s)²)",
-    }[kind]  # fmt: skip
+    first, side = term.first, -1.0 if term.second < 0.0 else 1.0
+    gap = significant(math.copysign(1e3 * first, side), 3)
+    return term.form.formula.format(
+        power="" if first == 1.0 else raised(f"{first:g}"), mm=significant(1e3 * first, 3), size=significant(first, 2),
+        last=significant(term.second, 2), beyond=f"x {'>' if side > 0.0 else '<'} {gap} mm",
+    )  # fmt: skip
 
 
 def raised(number: str) -> str:

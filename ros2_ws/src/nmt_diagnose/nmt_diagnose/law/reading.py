@@ -17,7 +17,7 @@ from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, fewest
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.modal_frame import ModalFrame
-from nmt_diagnose.law.terms import sampled
+from nmt_diagnose.law.terms import Term, sampled
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -43,6 +43,12 @@ class LawTerm:
     coefficient: float
     std: float
     unit: str
+
+    @property
+    def of_unit_strength(self) -> Term:
+        """The formula; a stop whose gap is zero states its side only."""
+        stop = self.kind in ("stop", "stop damping")
+        return Term(self.kind, *((0.0, *self.parameters)[-2:] if stop else self.parameters))
 
 
 @dataclass(frozen=True)
@@ -291,8 +297,7 @@ def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Ca
 
 def _forms(terms: Sequence[tuple[Any, ...]]) -> set[tuple[str, float]]:
     """Formulas of terms without what a search moves: exponents stay."""
-    exponents = ("power", "speed", "amplitude")
-    return {(term.kind, term.first if term.kind in exponents else 0.0) for term, *_ in terms}
+    return {(term.kind, term.first if "{power}" in term.form.formula else 0.0) for term, *_ in terms}
 
 
 def nearly_as_well(score: float, best: float) -> bool:

@@ -3,17 +3,48 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from nmt_core.key_units import unit_of_key
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_diagnose.law.modal_frame import ORDERS
+from nmt_rig.model.element_uses import LawForm
+from nmt_rig.model.local_elements import SECTIONS
+from nmt_rig.model.local_elements.attachments import LuGre
+from nmt_rig.model.local_elements.element import ElementSection
 
-LEFT_SHARE = 0.01
-"""Of the force of weakening bristles that high speeds leave; without it they would not hold on to anything there."""
 SAMPLES = 512
 """A period's samples: forces with corners have aliases below 1e-4 of their size in the orders that are kept."""
+_ALONG = np.ones(1)
+_POWERS = {ord(raised): f"^{plain}" for plain, raised in enumerate("⁰¹²³⁴⁵⁶⁷⁸⁹")}
+
+# Terms that stand beside those of elements and that no element has.
+_BESIDE = (
+    LawForm(
+        "gap damping", "gap", "damper where |x| > {mm} mm", words="clearance", unit="N s/m",
+        force=lambda x, v, gap, _: np.where(np.abs(x) > gap, v, 0.0), unwritten="damping in contact",
+    ),
+    LawForm(
+        "stop damping", "stop", "damper where {beyond}", words="stop on one side", unit="N s/m",
+        force=lambda x, v, gap, side: np.where(np.sign(side) * x > gap, v, 0.0), unwritten="damping in contact",
+    ),
+    # The spring before the slider has a slack of a share of its slip displacement: loops narrow about no force.
+    LawForm(
+        "slack slider", "slider", "spring that slips at {mm} mm, slack up to {last} of it", unit="N/m",
+        force=lambda x, v, slip, slack: _behind_slack(slider_force(x, slip), slack * slip),
+        words="friction with pinched loops", unwritten="the part of the friction with slack",
+    ),
+    LawForm(
+        "weakening friction", "friction", "tanh(v / {size} m/s) exp(−(v / {last} m/s)²)", unit="N",
+        force=lambda x, v, speed, fall: np.tanh(v / speed) * np.exp(-((v / fall) ** 2)),
+        words="dry friction that weakens with speed", unwritten="the part of the friction that weakens with speed",
+    ),
+)  # fmt: skip
+_OF_ELEMENTS = [(form, section) for section in SECTIONS for form in section.law]
+_FORMS: tuple[tuple[LawForm, type[ElementSection] | None], ...] = (*((form, None) for form in _BESIDE), *_OF_ELEMENTS)
 
 
 @dataclass(frozen=True)
@@ -21,9 +52,8 @@ class Term:
     """One term of a law; its force is a coefficient times :func:`force`.
 
     Attributes:
-        kind: of the formula.
-        first, second: its parameters, see :func:`force`.
-        signed: whether its coefficient may be negative.
+        kind: of its form, see :class:`nmt_rig.model.element_uses.LawForm`.
+        first, second: its numbers.
     """
 
     kind: str
@@ -31,62 +61,75 @@ class Term:
     second: float = 0.0
 
     @property
+    def form(self) -> LawForm:
+        """What the term is, as the element says that has its force.
+
+        Raises:
+            ValueError: there is no such term.
+        """
+        return _form(self.kind, self.first)[0]
+
+    @property
+    def section(self) -> type[ElementSection] | None:
+        """Section of the element that has its force; None where no element has it."""
+        return _form(self.kind, self.first)[1]
+
+    @property
     def signed(self) -> bool:
         """Polynomials of the displacement may soften; all else is passive by coefficients that are not negative."""
-        return self.kind == "power"
+        return self.form.signed
 
     @property
     def unit(self) -> str:
         """Unit of the coefficient."""
-        return _UNITS[self.kind] if self.kind in _UNITS else _power_unit(self)
+        if self.section is None or self.form.unit:
+            return self.form.unit.format(exponent=f"{self.first:g}")
+        return unit_of_key(self.section.own_keys()[0]).translate(_POWERS)
+
+    def values(self, strength: float) -> dict[str, float]:
+        """Own keys of the element's section at a strength; a stop of the other side has the same."""
+        form, section = _form(self.kind, self.first)
+        if section is None or form.values is None:
+            return {}
+        return dict(zip(section.own_keys(), form.values(strength, self.first, self.second), strict=True))
 
     def force(self, x: FloatArray, v: FloatArray) -> FloatArray:
         """Force (…, SAMPLES) of a unit coefficient along one period of displacement (m) and velocity (m/s)."""
-        a, b = self.first, self.second
-        if self.kind == "power":
-            return np.asarray(x**a)
-        if self.kind == "gap":
-            return np.asarray(x - np.clip(x, -a, a))
-        if self.kind == "gap damping":
-            return np.asarray(np.where(np.abs(x) > a, v, 0.0))
-        if self.kind == "stop":
-            return np.asarray(np.sign(b) * np.maximum(np.sign(b) * x - a, 0.0))
-        if self.kind == "stop damping":
-            return np.asarray(np.where(np.sign(b) * x > a, v, 0.0))
-        if self.kind == "slider":
-            return slider_force(x, a)
-        if self.kind == "slack slider":
-            # The spring before the slider has a slack of a share of its slip displacement: loops narrow about no force.
-            behind = slider_force(x, a)
-            return np.asarray(behind - np.clip(behind, -b * a, b * a))
-        if self.kind == "bristle":
-            return bristle_force(x, np.full_like(x, a))
-        if self.kind == "weakening bristle":
-            return bristle_force(x, a * (LEFT_SHARE + (1.0 - LEFT_SHARE) * np.exp(-((v / b) ** 2))))
-        if self.kind == "speed":
-            return np.asarray(np.abs(v) ** a * np.sign(v))
-        if self.kind == "amplitude":
-            return np.asarray(np.abs(x) ** a * v)
-        if self.kind == "friction":
-            return np.asarray(np.tanh(v / a))
-        if self.kind == "weakening friction":
-            return np.asarray(np.tanh(v / a) * np.exp(-((v / b) ** 2)))
-        if self.kind == "brake":
-            return np.asarray(v / (1.0 + (v / a) ** 2))
-        raise ValueError(f"there is no term of kind {self.kind}")
+        if self.form.force is not None:
+            return np.asarray(self.form.force(x, v, self.first, self.second))
+        assert self.section is not None
+        element = self.section.element(_ALONG, *self.values(1.0).values())
+        # A stop of the other side is the same one along the other direction.
+        side = -1.0 if self.kind == "stop" and self.second < 0.0 else 1.0
+        return side * force_of(element, side * x, side * v)
 
 
-_UNITS = {
-    "gap": "N/m", "stop": "N/m", "gap damping": "N s/m", "stop damping": "N s/m", "slider": "N/m", "friction": "N",
-    "weakening friction": "N", "brake": "N s/m", "slack slider": "N/m", "bristle": "N/m", "weakening bristle": "N/m",
-}  # fmt: skip
+def _form(kind: str, first: float) -> tuple[LawForm, type[ElementSection] | None]:
+    """Form of a term and the section of the element that has its force."""
+    for form, section in _FORMS:
+        if form.kind == kind and form.exponent in (0.0, first):
+            return form, section
+    raise ValueError(f"there is no term of kind {kind} with {first:g}")
 
 
-def _power_unit(term: Term) -> str:
-    power = f"{term.first:g}"
-    if term.kind == "power":
-        return f"N/m^{power}"
-    return f"N (s/m)^{power}" if term.kind == "speed" else f"N s/m^{term.first + 1.0:g}"
+def force_of(element: Any, x: FloatArray, v: FloatArray) -> FloatArray:
+    """Force of an element along one period of displacement (m) and velocity (m/s), on its closed loop, (…, n).
+
+    Args:
+        element: sliders, contacts, bristles, or a ``response`` that takes arrays.
+    """
+    if isinstance(element, LuGre):
+        return element.bristle_stiffness * bristle_force(x, element.sliding_force(v) / element.bristle_stiffness)
+    if element.sliders:
+        return np.asarray(sum(k * slider_force(x, slip / k) for k, slip in element.sliders))
+    if element.contacts:
+        return np.asarray(sum(side * k * np.maximum(side * x - gap, 0.0) for k, gap, side in element.contacts))
+    return np.asarray(element.response(*element.values, x, v)[0])
+
+
+def _behind_slack(force: FloatArray, slack: float) -> FloatArray:
+    """What of a force a spring with a slack hands on."""
+    return np.asarray(force - np.clip(force, -slack, slack))
 
 
 def slider_force(x: FloatArray, slip: float) -> FloatArray:

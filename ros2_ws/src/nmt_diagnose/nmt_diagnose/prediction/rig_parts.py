@@ -349,7 +349,7 @@ def _local_elements(rig: Rig, structure: Structure, size: int, seconds: float, c
     outside: dict[str, list[LocalElement]] = {}
     linear: list[tuple[LocalElement, bool]] = []
     for section in rig.local_elements:
-        if not section.harmonic_balance:
+        if section.without_harmonic_balance:
             raise BenchError(
                 f"the diagnosis' model does not cover local element {section.kind}; leave it out of the model."
             )

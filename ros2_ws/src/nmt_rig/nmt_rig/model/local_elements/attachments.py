@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from nmt_rig.model.couplings import BOUC_WEN, LUGRE, Coupling, coupling_parameters
+from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements.contacts import BacklashDamper
 from nmt_rig.model.local_elements.element import ElementSection, LocalElement
 from nmt_rig.model.local_elements.springs import QuadraticSpring
@@ -73,7 +74,9 @@ class Attachment(ABC):
 class AttachmentSection(ElementSection):
     """Base of the sections of attachments; they stand on the side of the structure."""
 
-    harmonic_balance: ClassVar = False
+    without_harmonic_balance: ClassVar = "it has unknowns of its own"
+    without_effect: ClassVar = "harmonic balance does not cover it"
+    without_law: ClassVar = "its force depends on unknowns of its own"
     in_forced_response: ClassVar[bool] = False  # whether harmonic balance covers it together with the exciter
 
     def elements(self, structure: Structure) -> tuple[LocalElement, ...]:
@@ -145,6 +148,7 @@ class BoucWenSection(AttachmentSection):
     post_yield_ratio: Annotated[float, Field(ge=0, le=1)] = 0.0
     shape: Annotated[float, Field(ge=0, le=1)] = 0.5
     element: ClassVar = BoucWen
+    without_law: ClassVar = "sliders and bristles have its loops"
 
 
 @dataclass(frozen=True)
@@ -178,6 +182,11 @@ class LuGre(Attachment):
         )
         return (Coupling(LUGRE, np.array([-self.bristle_damping, 1.0]), *_velocity_and_state(), parameters),)
 
+    def sliding_force(self, v: Array) -> Array:
+        """s(v), the bristles' force while they slide at a speed (m/s), N."""
+        falling = (self.static_force - self.coulomb_force) * np.exp(-((v / self.stribeck_velocity) ** 2))
+        return np.asarray(self.coulomb_force + falling)
+
     @property
     def resting_stiffness(self) -> float:
         """σ₀, N/m."""
@@ -187,6 +196,15 @@ class LuGre(Attachment):
     def resting_damping(self) -> float:
         """σ₁ + σ₂, N s/m."""
         return self.bristle_damping + self.viscous_damping
+
+
+LEFT_SHARE = 0.01
+"""Of the force of weakening bristles that high speeds leave; without it they would not hold on to anything there."""
+
+
+def _bristles(c: float, reach: float, fall: float) -> tuple[float, ...]:
+    """Bristles of stiffness c that slide at a deflection, which weakens over a speed where one is stated."""
+    return c, 0.0, 0.0, c * reach * (LEFT_SHARE if fall else 1.0), c * reach, fall or 1.0
 
 
 class LuGreSection(AttachmentSection):
@@ -209,6 +227,16 @@ class LuGreSection(AttachmentSection):
     static_force_n: Positive
     stribeck_velocity_m_s: Positive
     element: ClassVar = LuGre
+    without_law: ClassVar = ""
+    law: ClassVar = (
+        LawForm(
+            "bristle", "bristle", "bristles that slide at {mm} mm", _bristles, "friction of a slider behind a spring"
+        ),
+        LawForm(
+            "weakening bristle", "weakening bristle", "bristles that slide at {mm} mm exp(−(v / {last} m/s)²)",
+            _bristles, "dry friction that weakens with speed",
+        ),
+    )  # fmt: skip
 
     @model_validator(mode="after")
     def _static_is_larger(self) -> LuGreSection:
@@ -287,6 +315,7 @@ class FractionalDamperSection(AttachmentSection):
     low_hz: Positive = 0.1
     high_hz: Positive = 10_000.0
     element: ClassVar = FractionalDamper
+    without_law: ClassVar = "a linear force is an error of the modes"
     in_forced_response: ClassVar = True
 
     @model_validator(mode="after")

@@ -5,8 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from nmt_rig.model.element_uses import ElementEffect, LawForm
 from nmt_rig.model.local_elements.element import ElementSection, LocalElement, Response
 from nmt_rig.rig_section import NotNegative, Positive
+
+
+def _effect(name: str, equation: str) -> ElementEffect:
+    """A stop that is not reached does nothing: it begins at several gaps."""
+    return ElementEffect(
+        name, equation, "Kerschen et al., Mech. Syst. Signal Process. 20 (2006) 505",
+        {"k": "stiffness_n_m", "gap": "gap_m"}, lambda k, a, w: k, 0.1, 0.05, starts=(0.1, 0.3, 0.5, 0.7, 0.9),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -59,6 +68,8 @@ class UnilateralStopSection(ElementSection):
     stiffness_n_m: Positive
     gap_m: float
     element: ClassVar = UnilateralStop
+    effect: ClassVar = _effect("one_sided_stop", "k max(x − g, 0)")
+    law: ClassVar = (LawForm("stop", "stop", "spring where {beyond}", lambda c, gap, _: (c, gap), "stop on one side"),)
 
 
 @dataclass(frozen=True)
@@ -95,6 +106,8 @@ class TwoSidedGapSection(ElementSection):
     stiffness_n_m: Positive
     gap_m: NotNegative
     element: ClassVar = TwoSidedGap
+    effect: ClassVar = _effect("two_sided_gap", "k (x ∓ g) beyond ±g")
+    law: ClassVar = (LawForm("gap", "gap", "spring where |x| > {mm} mm", lambda c, gap, _: (c, gap), "clearance"),)
 
 
 @dataclass(frozen=True)
@@ -141,7 +154,9 @@ class BacklashDamperSection(ElementSection):
     damping_ns_m2: NotNegative
     gap_m: NotNegative
     element: ClassVar = BacklashDamper
-    harmonic_balance: ClassVar = False
+    without_harmonic_balance: ClassVar = "its contacts are neither smooth nor linear"
+    without_effect: ClassVar = "harmonic balance does not cover it"
+    without_law: ClassVar = "two_sided_gap with a damper in contact stands for it"
 
 
 AnyContact = UnilateralStopSection | TwoSidedGapSection | BacklashDamperSection

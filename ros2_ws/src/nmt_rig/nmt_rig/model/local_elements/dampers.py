@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
+from nmt_rig.model.element_uses import ElementEffect, LawForm
 from nmt_rig.model.local_elements.element import ElementSection, LocalElement, Response
 from nmt_rig.rig_section import NotNegative, Positive
 
@@ -34,6 +36,11 @@ class LinearDamperSection(ElementSection):
     kind: Literal["linear_damper"]
     damping_ns_m: float
     element: ClassVar = LinearDamper
+    effect: ClassVar = ElementEffect(
+        "viscous_damping", "c v", "linear damper", {"c": "damping_ns_m"}, lambda k, a, w: k / w, 0.005, 0.002,
+        equivalents={"structural_damping": "several modes in a random test"},
+    )  # fmt: skip
+    without_law: ClassVar = "a linear force is an error of the modes"
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,13 @@ class QuadraticDragSection(ElementSection):
     kind: Literal["quadratic_drag"]
     drag_ns2_m2: float
     element: ClassVar = QuadraticDrag
+    effect: ClassVar = ElementEffect(
+        "air_drag", "c₂ v |v|, |c₂| ≤ ½ ρ C_d A",
+        "Baker, Woolam and Young, Int. J. Mech. Sci. 9 (1967) 743; Keulegan and Carpenter, "
+        "J. Res. Natl. Bur. Stand. 60 (1958) 423",
+        {"c2": "drag_ns2_m2"}, lambda k, a, w: k / (w**2 * a), 0.005, 0.002,
+    )  # fmt: skip
+    without_law: ClassVar = "the term of power_law_damper has its exponent, too"
 
 
 @dataclass(frozen=True)
@@ -88,6 +102,16 @@ class AmplitudeDamperSection(ElementSection):
     kind: Literal["amplitude_damper"]
     damping_ns_m3: float
     element: ClassVar = AmplitudeDamper
+    effect: ClassVar = ElementEffect(
+        "amplitude_damping", "c x² v", "Zaitsev et al., Nonlinear Dyn. 67 (2012) 859", {"c": "damping_ns_m3"},
+        lambda k, a, w: k / (w * a**2), 0.02, 0.005,
+    )  # fmt: skip
+    law: ClassVar = (
+        LawForm(
+            "amplitude", "amplitude damping", "|x|{power} v", lambda c, *_: (c,), "damping that grows with amplitude",
+            exponent=2.0,
+        ),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -125,6 +149,8 @@ class PolynomialDamperSection(ElementSection):
     damping_ns_m3: float = 0.0
     damping_ns_m5: float = 0.0
     element: ClassVar = PolynomialDamper
+    without_effect: ClassVar = "a sum: viscous_damping and amplitude_damping are its parts"
+    without_law: ClassVar = "a sum: amplitude_damper has its term"
 
 
 @dataclass(frozen=True)
@@ -166,6 +192,18 @@ class PowerLawDamperSection(ElementSection):
     exponent: Annotated[float, Field(ge=1, le=10)]
     element: ClassVar = PowerLawDamper
     not_calibrated: ClassVar = ("exponent",)
+    effect: ClassVar = ElementEffect(
+        "power_law_damping", "F (|v|/v₀)ᵖ sgn v, p = 1 + excess, v₀ the largest speed",
+        "Ruzicka and Derby, Influence of Damping in Vibration Isolation (1971)",
+        {"force": "coefficient_n_sp_mp", "excess": "exponent"}, lambda k, a, w: k * a, 0.005, 0.002, starts=(0.5, 2.0),
+    )  # fmt: skip
+    law: ClassVar = (
+        LawForm(
+            "speed", "drag", "|v|{power} sgn v", lambda c, p, _: (c, p), "damping that grows with speed",
+            "N (s/m)^{exponent}", starts=(1.5, 2.0, 3.0),
+            effect=lambda c, p: ("air_drag", {"c2": c}) if p == 2.0 else None,
+        ),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -196,14 +234,21 @@ class EddyBrakeSection(ElementSection):
     damping_ns_m: NotNegative
     critical_velocity_m_s: Positive
     element: ClassVar = EddyBrake
-    harmonic_balance: ClassVar = False
+    without_harmonic_balance: ClassVar = "how many samples it needs depends on its critical velocity"
+    without_effect: ClassVar = "harmonic balance does not cover it"
+    law: ClassVar = (
+        LawForm(
+            "brake", "brake", "v / (1 + (v / {size} m/s)²)", lambda c, v, _: (c, v), "damping that falls with speed",
+            by_speed=True, starts=tuple(np.geomspace(0.05, 1.0, 8)),
+        ),
+    )  # fmt: skip
 
 
 AnyDamper = (
-    LinearDamperSection
-    | QuadraticDragSection
+    QuadraticDragSection
     | AmplitudeDamperSection
     | PolynomialDamperSection
     | PowerLawDamperSection
     | EddyBrakeSection
+    | LinearDamperSection
 )

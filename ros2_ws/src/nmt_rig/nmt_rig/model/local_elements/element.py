@@ -27,6 +27,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from nmt_rig.model.element_uses import ElementEffect, LawForm
 from nmt_rig.model.structure import Array, Structure
 from nmt_rig.rig_section import Name, Point, Positive, Section
 
@@ -158,8 +159,18 @@ class ElementSection(Section):
 
     element: ClassVar[Any] = None  # class that is made of the section's own keys, in their order
     friction: ClassVar[bool] = False
-    harmonic_balance: ClassVar[bool] = True  # whether it covers the element
+    effect: ClassVar[ElementEffect | None] = None
+    law: ClassVar[tuple[LawForm, ...]] = ()
+    # Why the element is left out; a registry test asks for it.
+    without_harmonic_balance: ClassVar[str] = ""
+    without_effect: ClassVar[str] = ""
+    without_law: ClassVar[str] = ""
     not_calibrated: ClassVar[tuple[str, ...]] = ()  # own keys that the diagnosis takes as given
+
+    @classmethod
+    def kind_name(cls) -> str:
+        """Kind of the element, as rig files write it."""
+        return str(cls.model_fields["kind"].annotation.__args__[0])  # type: ignore[union-attr]
 
     @classmethod
     def own_keys(cls) -> list[str]:

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements.element import ElementSection, LocalElement, Response
 from nmt_rig.rig_section import Positive
 
@@ -87,6 +88,15 @@ class JenkinsSection(ElementSection):
     slip_force_n: Positive
     element: ClassVar = Jenkins
     friction: ClassVar = True
+    without_effect: ClassVar = (
+        "clamp_friction and second_friction_contact of boundary_effects.py, with models without it"
+    )
+    law: ClassVar = (
+        LawForm(
+            "slider", "slider", "spring that slips at {mm} mm", lambda c, slip, _: (c, c * slip),
+            "friction of a slider behind a spring",
+        ),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -118,6 +128,13 @@ class TanhFrictionSection(ElementSection):
     reference_velocity_m_s: Positive
     element: ClassVar = TanhFriction
     friction: ClassVar = True
+    without_effect: ClassVar = "second_friction_contact: a slider behind a stiff spring"
+    law: ClassVar = (
+        LawForm(
+            "friction", "friction", "tanh(v / {size} m/s)", lambda c, v, _: (c, v), "dry friction", by_speed=True,
+            starts=tuple(np.geomspace(1e-3, 0.3, 6)),
+        ),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -174,6 +191,8 @@ class StribeckBeltSection(ElementSection):
     decay_velocity_m_s: Positive
     belt_velocity_m_s: Positive
     element: ClassVar = StribeckBelt
+    without_effect: ClassVar = "a belt is part of a rig: nobody overlooks it"
+    without_law: ClassVar = "it feeds the motion: no strength that is not negative makes it"
 
 
 AnyFriction = JenkinsSection | TanhFrictionSection | StribeckBeltSection

@@ -50,6 +50,8 @@ class IwanSection(ElementSection):
     partition: Partition = "stiffness"
     remaining_stiffness_n_m: NotNegative = 0.0
     friction: ClassVar = True
+    without_effect: ClassVar = "microslip of boundary_effects.py, in place of a slider or of a spring of the model"
+    without_law: ClassVar = "sliders side by side have its force"
     not_calibrated: ClassVar = ("sliders", "partition")
 
     @property

@@ -5,7 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from nmt_rig.model.element_uses import ElementEffect, LawForm
 from nmt_rig.model.local_elements.element import ElementSection, LocalElement, Response
+
+_RAISED = str.maketrans("23456789", "²³⁴⁵⁶⁷⁸⁹")
+
+
+def spring_effect(name: str, power: int, share: float, drawn_share: float, even: float = 0.0) -> ElementEffect:
+    """The effect of a spring whose force is a power of the displacement, with the key ``stiffness_n_m<power>``."""
+    return ElementEffect(
+        name, f"k x{power}".translate(_RAISED), "Nayfeh and Mook, Nonlinear Oscillations (1979)",
+        {"k": f"stiffness_n_m{power}"}, lambda k, a, w: k / a ** (power - 1), share, drawn_share,
+        signed=True, even=even,
+    )  # fmt: skip
+
+
+def power_term(power: int) -> tuple[LawForm]:
+    """The term of a law of such a spring."""
+    return (LawForm("power", "polynomial", "x{power}", lambda c, *_: (c,), exponent=float(power), signed=True),)
 
 
 @dataclass(frozen=True)
@@ -31,6 +48,8 @@ class LinearSpringSection(ElementSection):
     kind: Literal["linear_spring"]
     stiffness_n_m: float
     element: ClassVar = LinearSpring
+    without_effect: ClassVar = "stiffness of the model itself, which is fitted with it"
+    without_law: ClassVar = "a linear force is an error of the modes"
 
 
 @dataclass(frozen=True)
@@ -56,6 +75,8 @@ class QuadraticSpringSection(ElementSection):
     kind: Literal["quadratic_spring"]
     stiffness_n_m2: float
     element: ClassVar = QuadraticSpring
+    effect: ClassVar = spring_effect("quadratic_stiffness", 2, 0.05, 0.01, even=4.0)
+    law: ClassVar = power_term(2)
 
 
 @dataclass(frozen=True)
@@ -81,6 +102,8 @@ class CubicSpringSection(ElementSection):
     kind: Literal["cubic_spring"]
     stiffness_n_m3: float
     element: ClassVar = CubicSpring
+    effect: ClassVar = spring_effect("cubic_stiffness", 3, 0.02, 0.01)
+    law: ClassVar = power_term(3)
 
 
 @dataclass(frozen=True)
@@ -107,6 +130,8 @@ class QuinticSpringSection(ElementSection):
     kind: Literal["quintic_spring"]
     stiffness_n_m5: float
     element: ClassVar = QuinticSpring
+    effect: ClassVar = spring_effect("quintic_stiffness", 5, 0.02, 0.01)
+    law: ClassVar = power_term(5)
 
 
-AnySpring = LinearSpringSection | QuadraticSpringSection | CubicSpringSection | QuinticSpringSection
+AnySpring = LinearSpringSection | CubicSpringSection | QuinticSpringSection | QuadraticSpringSection

@@ -18,7 +18,7 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.location import Location
 from nmt_diagnose.inference.chain import SharedDelay, linear_chain
-from nmt_diagnose.inference.comparison import Hypotheses, SourceEvidence, imitates
+from nmt_diagnose.inference.comparison import Hypotheses, SourceEvidence, laws
 from nmt_diagnose.inference.diagnose import _from_credible, diagnose_observations, free_parameters, model_alone
 from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
@@ -386,11 +386,9 @@ def test_two_laws_that_explain_everything_may_imitate_a_third() -> None:
         assert found is not None
         return search.again(found)
 
-    laws = beside(1 - search.candidates.index(single.candidates[0]))
-    assert imitates(laws)
-    assert not imitates(single)
-    assert not imitates(beside(2))
-    compared = Hypotheses(data, null, [laws], search.candidates, [], []).compared()
+    two = beside(1 - search.candidates.index(single.candidates[0]))
+    assert [laws(found) for found in (two, single, beside(2))] == [2, 1, 1]
+    compared = Hypotheses(data, null, [two], search.candidates, [], []).compared()
     assert compared.classes[0].objections == (IMITATION,)
     assert compared.classes[0].probability == pytest.approx(0.05 / 0.15, rel=1e-3)
     assert compared.unknown == pytest.approx(0.1 / 0.15, rel=1e-3)

@@ -19,7 +19,6 @@ from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.effects.location import Cause, Explanation, Location
 from nmt_diagnose.effects.structure_effects import _excess, largest_air_drag
 from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, SourceEvidence
-from nmt_diagnose.inference.diagnose import _verdict
 from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Share, Verdict
 from nmt_diagnose.inference.fitting import Data, FitResult
 from nmt_diagnose.inference.gap import ClosedShare, _share
@@ -30,6 +29,8 @@ from nmt_diagnose.inference.search import _spread_of
 from nmt_diagnose.inference.sentences import _where, sentences
 from nmt_diagnose.inference.size import Objection, _band
 from nmt_diagnose.inference.warnings import beyond_physical_limits
+from nmt_diagnose.ledger.row import Facts
+from nmt_diagnose.ledger.rules import verdict_of
 from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.prediction.converter import recorded_harmonics
 from nmt_diagnose.prediction.lateness import delay_of
@@ -85,7 +86,8 @@ def verdict(
     leader = EquivalentClass((explanation(effects),), 0.9, 0.9, left)
     comparison = Comparison(0.05, 0.05, (leader,), {}, log_odds, {})
     share = ClosedShare(3.0, 1.0, 1.0, value, 0.9, 1.0, gain)
-    return _verdict(comparison, leader, share, False)
+    alone = Facts(log_odds=log_odds, left_without=0.0)
+    return verdict_of(alone, leader.facts(share, max(comparison.unknown, comparison.none)))
 
 
 def fitted(theta: float = 0.0, chain: float = 0.0) -> Any:
@@ -100,7 +102,9 @@ def fitted(theta: float = 0.0, chain: float = 0.0) -> Any:
 def explanation(count: int) -> Any:
     """Effects without limits, each at the only place of the only effect of a library."""
     candidate = SimpleNamespace(effect=SimpleNamespace(name="a"), site=SimpleNamespace(location=SOURCE, limits={}))
-    fit = SimpleNamespace(parametrisation=SimpleNamespace(values=lambda theta, index: {}), theta=np.zeros(0))
+    fit = SimpleNamespace(
+        parametrisation=SimpleNamespace(values=lambda theta, index: {}, calibration=()), theta=np.zeros(0)
+    )
     return SimpleNamespace(candidates=(candidate,) * count, stated=tuple(range(count)), fit=fit)
 
 
@@ -108,7 +112,7 @@ def prior(count: int) -> float:
     """Prior probability of an explanation by so many effects."""
     found = explanation(count)
     everything = Hypotheses(None, None, [], [found.candidates[0]], [], [])  # type: ignore[arg-type]
-    return math.exp(everything._prior(found))
+    return math.exp(everything.prior(found))
 
 
 def compared() -> Comparison:
@@ -134,7 +138,7 @@ def place_odds(size: float) -> float:
 
     here = at(one, 0.0)
     everything = Hypotheses(None, at(Explanation(), size), [here], [], [], [], [(at(other, 0.0), 16.0)])  # type: ignore[arg-type]
-    everything.__dict__["_prior"] = lambda found: 0.0
+    everything.__dict__["prior"] = lambda found: 0.0
     (_, p), (_, q) = everything._placed(("a",))
     return q / p
 

@@ -22,10 +22,11 @@ from nmt_diagnose.inference.size import (
     leaves_something,
     left_over,
     needed,
-    relieves,
+    relief,
     strained,
     tension,
 )
+from nmt_diagnose.ledger.rules import OF_EFFECTS, pass_all
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.operating_range import operating_range
@@ -163,9 +164,10 @@ def test_errors_that_share_a_reason_count_together() -> None:
     begins = tuple(f"start {k} of a record" for k in range(4))
     record = replace(search.data, chain_names=(*begins, *search.data.chain_names[4:]))
     assert tension(record, strained_by(null, 2.0)) == 0.0
-    assert relieves(search.data, free, strained_by(null, 1.01 * edge), wanted)
-    assert not relieves(search.data, free, strained_by(null, 0.99 * edge), wanted)
-    assert not relieves(search.data, free, strained_by(null, 1.01 * edge), dict.fromkeys(wanted, 1e9))
+    assert pass_all(OF_EFFECTS, relief(search.data, free, strained_by(null, 1.01 * edge), wanted))
+    assert not pass_all(OF_EFFECTS, relief(search.data, free, strained_by(null, 0.99 * edge), wanted))
+    small = relief(search.data, free, strained_by(null, 1.01 * edge), dict.fromkeys(wanted, 1e9))
+    assert not pass_all(OF_EFFECTS, small)
 
 
 def test_a_rival_is_fitted_again_from_the_parameters_of_the_leader() -> None:

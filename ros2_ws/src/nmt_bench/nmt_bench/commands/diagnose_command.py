@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nmt_bench.command_parser import EXIT_DONE
 from nmt_bench.commands.output_folder import OutputFolder, check_output
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
     from nmt_bench.page.task_feed import TaskFeed
     from nmt_diagnose.inference.diagnosis import Diagnosis
+
+
+DIAGNOSIS = "diagnosis.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +75,12 @@ class DiagnoseOptions:
         "(0.02) or harmonics over the fundamental (0.001); may be repeated",
         metavar="KIND=SIZE",
     )
+    why: tuple[str, ...] = option(
+        (),
+        "say why an explanation, such as cubic_stiffness@3, is stated or not, with the rule that decided; where a "
+        "diagnosis stands in --out it is asked and nothing is computed; may be repeated",
+        metavar="EFFECT@PLACE",
+    )
     jobs: int | None = jobs_option()
     quiet: bool = option(False, "no progress display")
     page: bool = task_page_option()
@@ -86,6 +95,8 @@ def run(options: DiagnoseOptions) -> int:
     Raises:
         BenchError: the rig, a bag or an option is refused.
     """
+    if options.why and not options.force and (options.out / DIAGNOSIS).is_file():
+        return _asked_again(options)
     check_output(options.out, options.force)
     if options.seed < 0:
         raise BenchError(f"--seed must not be negative, got {options.seed}.")
@@ -135,12 +146,45 @@ def run(options: DiagnoseOptions) -> int:
             remark = write_diagnosis(outcome, folder, options.model, options.set, options.floor)
         page.tell(outcome=f"Diagnosed. {outcome.diagnosis.sentences[0] if outcome.diagnosis.sentences else ''}")
     show(outcome.diagnosis, console)
+    show_why(outcome.diagnosis.to_mapping(), options.why, console)
     if remark:
         console.print(remark, style="yellow", soft_wrap=True)
     new = "" if remark else f" New rig file: {options.out / 'model.yaml'}"
     console.print(f"Diagnosed in {time.monotonic() - started:.0f} s.{new}", soft_wrap=True)
     console.print(f"Report: {(options.out / 'report.html').resolve()}", soft_wrap=True)
     return EXIT_DONE
+
+
+def _asked_again(options: DiagnoseOptions) -> int:
+    """Answer ``--why`` from a diagnosis that stands in the folder."""
+    import json
+
+    from nmt_bench.commands.console import make_console
+
+    path, console = options.out / DIAGNOSIS, make_console()
+    try:
+        written = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BenchError(f"{path} cannot be read: {error}.") from error
+    if not isinstance(written, dict) or "ledger" not in written:
+        raise BenchError(f"{path} has no ledger: it is of an earlier version; --force diagnoses again.")
+    console.print(f"Of the diagnosis in {options.out}, which stands; --force diagnoses again.", soft_wrap=True)
+    show_why(written, options.why, console)
+    return EXIT_DONE
+
+
+def show_why(written: Mapping[str, Any], words: Sequence[str], console: Console) -> None:
+    """Print why explanations are stated or not, of a diagnosis as ``diagnosis.json`` has it."""
+    from rich.text import Text
+
+    from nmt_diagnose.ledger.why import why
+
+    for word in words:
+        first, *others = why(written["ledger"], word)
+        console.print()
+        console.print(Text(first, style="bold"), soft_wrap=True)
+        for line in others:
+            console.print(Text(line), soft_wrap=not console.is_terminal)
 
 
 def _matters(words: Sequence[str]) -> dict[str, float]:

@@ -24,10 +24,12 @@ from nmt_diagnose.inference.size import (
     leaves_something,
     left_over,
     matters,
-    relieves,
+    relief,
 )
 from nmt_diagnose.inference.sources import SourceLocation, places
 from nmt_diagnose.inference.warnings import beyond_physical_limits
+from nmt_diagnose.ledger.row import Facts
+from nmt_diagnose.ledger.rules import OF_EFFECTS, SINGLE, pass_all
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _DIGITS = 6
@@ -77,6 +79,27 @@ class EquivalentClass:
     def adequate(self) -> bool:
         """Whether what the most probable leaves is noise, or smaller than what matters."""
         return not self.objections
+
+    def facts(self, share: ClosedShare | None, rival: float) -> Facts:
+        """What the rules of a verdict ask of it.
+
+        Args:
+            share: of the gap on data held out that it closes; None where that was not judged.
+            rival: largest probability of another answer.
+        """
+        named = share is not None and math.isfinite(share.value)
+        return Facts(
+            worse=-share.gain if share is not None and share.value < 0.0 else math.nan,
+            left=max((it.over for it in self.objections if it.kind), default=0.0),
+            pull=max((it.size for it in self.objections if it.group and not it.kind), default=0.0),
+            parameters=len(self.head.fit.parametrisation.calibration),
+            laws=laws(self.head) if IMITATION in self.objections else 1,
+            probability=self.probability,
+            rival=rival,
+            among_library=self.given_library,
+            closed=share.value if share is not None and named else 0.0,
+            effects=len(self.head.stated),
+        )
 
 
 @dataclass(frozen=True)
@@ -233,13 +256,13 @@ def misfit(found: FittedExplanation, weights: FloatArray) -> float:
     return left + float(pulls @ pulls) + float(fitted.errors.chain @ fitted.errors.chain)
 
 
-def imitates(found: FittedExplanation) -> bool:
-    """Whether an explanation is two laws of the structure, which together take the shape of a third.
+def laws(found: FittedExplanation) -> int:
+    """Laws of the structure that an explanation consists of; 1 where something else acts, too.
 
     Recordings that two laws explain are explained as well by one that the library lacks.
     """
     kinds = [location.kind for location in found.explanation.locations]
-    return len(kinds) > 1 and all(kind in ("structure", "joint", "boundary") for kind in kinds)
+    return len(kinds) if all(kind in ("structure", "joint", "boundary") for kind in kinds) else 1
 
 
 class Hypotheses:
@@ -274,7 +297,7 @@ class Hypotheses:
             spots.setdefault(candidate.effect.name, set()).add(candidate.site.location)
         self._spots = {name: len(locations) for name, locations in spots.items()}
 
-    def _prior(self, found: FittedExplanation) -> float:
+    def prior(self, found: FittedExplanation) -> float:
         """ln of the prior of an explanation: effects are alike, and so are the places of one."""
         each = sum(
             -math.log(len(self._spots)) - math.log(self._spots[found.candidates[k].effect.name]) for k in found.stated
@@ -303,15 +326,15 @@ class Hypotheses:
         bent, chance = self._implausible(found)
         if bent:
             total += math.log(max(chance, 1e-300) / THRESHOLDS.comparison.incredible_probability)
-        if imitates(found):
+        if not SINGLE(Facts(laws=laws(found))).passed:
             two, unnamed = THRESHOLDS.comparison.prior_two_effects, THRESHOLDS.comparison.prior_unnamed
             total += math.log(two / (two + unnamed))
         return total
 
-    def _against(self, found: FittedExplanation) -> tuple[Objection, ...]:
+    def objections(self, found: FittedExplanation) -> tuple[Objection, ...]:
         """What speaks against an explanation as the whole of the gap."""
         left = (*left_over(self.data, found, self.data.observations.matters), *self._implausible(found)[0])
-        return left or ((IMITATION,) if imitates(found) else ())
+        return left or (() if SINGLE(Facts(laws=laws(found))).passed else (IMITATION,))
 
     def _implausible(self, found: FittedExplanation) -> tuple[tuple[Objection, ...], float]:
         key = id(found.fit)
@@ -337,7 +360,7 @@ class Hypotheses:
         return max(self.stated, key=self._weight, default=None)
 
     def _weight(self, found: FittedExplanation) -> float:
-        return self._evidence(found) + self._prior(found)
+        return self._evidence(found) + self.prior(found)
 
     @property
     def small(self) -> FittedExplanation | None:
@@ -451,7 +474,7 @@ class Hypotheses:
             return [(leader, 1.0)]
         change = self.null.fit.errors.residual - leader.fit.errors.residual
         variance = 1.0 + THRESHOLDS.comparison.place_form_std**2 * float(change @ (weights * change))
-        logs = np.array([self._prior(it) - 0.5 * excess[key] / variance for key, it in best.items()])
+        logs = np.array([self.prior(it) - 0.5 * excess[key] / variance for key, it in best.items()])
         shares = np.exp(logs - logs.max())
         return list(zip(best.values(), (shares / shares.sum()).tolist(), strict=True))
 
@@ -482,7 +505,7 @@ class Hypotheses:
                 if not any(set(o.effects) < set(member.effects) for _, _, o in equivalent)
             ]
             weight, library_share = sum(w for w, _, _ in equivalent), sum(g for _, g, _ in equivalent)
-            against, head = self._against(members[0]), members[0]
+            against, head = self.objections(members[0]), members[0]
             at = {found.explanation.place: share for found, share in self._placed(head.effects)}
             result.append(EquivalentClass(tuple(members), weight, library_share, against, at))
         return tuple(
@@ -492,7 +515,7 @@ class Hypotheses:
     def _head(self, same: Sequence[FittedExplanation]) -> FittedExplanation:
         """The most probable of explanations by the same effects; without small effects where that leaves nothing."""
         first = same[0]
-        plain = [it for it in same if it.explanation == first.explanation and not it.small and not self._against(it)]
+        plain = [it for it in same if it.explanation == first.explanation and not it.small and not self.objections(it)]
         return plain[0] if first.small and plain else first
 
     def _alike(self, one: FittedExplanation, other: FittedExplanation) -> bool:
@@ -505,7 +528,9 @@ class Hypotheses:
             return False
         fewer, more = sorted((one, other), key=lambda it: len(it.stated))
         wanted = self.data.observations.matters
-        return not (set(fewer.effects) < set(more.effects) and relieves(self.data, more, fewer, wanted))
+        return not (
+            set(fewer.effects) < set(more.effects) and pass_all(OF_EFFECTS, relief(self.data, more, fewer, wanted))
+        )
 
 
 def _shares(found: FittedExplanation) -> list[tuple[Location, float]]:

@@ -22,7 +22,6 @@ from nmt_diagnose.inference.candidate_starts import at_strength
 from nmt_diagnose.inference.chain import SharedDelay, shared_delays
 from nmt_diagnose.inference.comparison import (
     Comparison,
-    EquivalentClass,
     Hypotheses,
     by_plain_effect,
     misfit,
@@ -31,7 +30,7 @@ from nmt_diagnose.inference.comparison import (
 from nmt_diagnose.inference.credible_answers import credible_answers
 from nmt_diagnose.inference.diagnosis import DetectableEffect, Diagnosis, Gap, NextTest, Value, Verdict
 from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.explanations import FittedExplanation, Score, best_of, leaves_noise_only
+from nmt_diagnose.inference.explanations import FittedExplanation, LeftOut, Score, best_of, leaves_noise_only
 from nmt_diagnose.inference.fitting import (
     ChainErrors,
     Data,
@@ -67,15 +66,18 @@ from nmt_diagnose.inference.size import (
     change_size,
     large_lines,
     leaves_something,
-    matters,
     measured_size,
     needed,
+    over,
     relief_that_counts,
     stands_out,
 )
 from nmt_diagnose.inference.warnings import warned, without_observables
 from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.law.reading import LawReading
+from nmt_diagnose.ledger.ledger import Decided, ledger_of
+from nmt_diagnose.ledger.row import Facts
+from nmt_diagnose.ledger.rules import verdict_of
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
@@ -123,21 +125,6 @@ _NO_BETTER = 0.9
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """An explanation that was fitted and does not compete.
-
-    Attributes:
-        found: the explanation.
-        beside: the model alone, fitted to the same.
-        filter: what took it out.
-    """
-
-    found: FittedExplanation
-    beside: FittedExplanation
-    filter: str
-
-
-@dataclass(frozen=True)
 class Standing:
     """How far the search has come.
 
@@ -166,12 +153,14 @@ class Findings:
         as_given: prediction of the model as given.
         null: the model alone.
         named: explanations by one and two effects, the best first.
+        hypotheses: the competition.
         comparison: probabilities.
         sources: what something unnamed at each place would explain beside the model alone.
         inadequate: what the model has to be corrected for before effects can be told.
         doubtful: modes that the model may lack, of which nothing is left that matters.
         left_out: explanations that were fitted and do not compete.
         law: of the local force that the model lacks, read from held levels; None where that was not looked for.
+        scanned: scores of all candidates on top of the model alone; empty where nothing was looked for.
         scores: computes those of the candidates on top of the best explanation, of the model alone where there is no
             gap.
     """
@@ -181,12 +170,14 @@ class Findings:
     as_given: Prediction
     null: FittedExplanation
     named: tuple[FittedExplanation, ...]
+    hypotheses: Hypotheses
     comparison: Comparison
     sources: dict[str, float]
     inadequate: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     law: LawReading | None = None
+    scanned: tuple[Score, ...] = ()
     scores: Callable[[], tuple[Score, ...]] = tuple
 
 
@@ -275,6 +266,7 @@ def find(
         return max((score.relief for score in scores()), default=0.0) > relief_that_counts(search.data, null)
 
     gap = leaves_something(data, null, settings.matters, loop=True) or relieved()
+    settled = False
     if gap:
         begun, passed = list[FittedExplanation](), frozenset[Explanation]()
         if memory is not None:
@@ -284,7 +276,6 @@ def find(
         else:
             law = None if beyond_effects else law_of(rig, observations.take(fitted))
             begun = with_laws(search, null, law)
-        settled = False
         if passed and memory is not None and memory.searched:
             # What leaves noise only of a large gap needs no candidate that was not fitted when it was found.
             far = THRESHOLDS.search.far_behind_log_evidence
@@ -309,7 +300,8 @@ def find(
     beside = sources(data, null, len(parameters))
     best_named = Hypotheses(data, null, named, candidates, beside, []).best
     behind = sources(data, best_named, len(parameters)) if best_named is not None else []
-    comparison = Hypotheses(data, null, named, candidates, beside, behind, standing.elsewhere).compared()
+    hypotheses = Hypotheses(data, null, named, candidates, beside, behind, standing.elsewhere)
+    comparison = hypotheses.compared()
     explained: dict[str, float] = {}
     for source in beside:
         explained[source.location.kind] = max(explained.get(source.location.kind, 0.0), source.explained)
@@ -326,9 +318,9 @@ def find(
         memory.keep(named, [it.found for it in standing.left_out], gap)
     lacking = modes.lacking(data, best.fit)
     return Findings(
-        data, search, as_given, null, tuple(named), comparison, explained, (*modes.disordered, *lacking),
+        data, search, as_given, null, tuple(named), hypotheses, comparison, explained, (*modes.disordered, *lacking),
         tuple(sentence for sentence in modes.sentences if sentence not in lacking), standing.left_out, law,
-        beside_best,
+        () if settled else tuple(scores()), beside_best,
     )  # fmt: skip
 
 
@@ -384,6 +376,7 @@ def _about_best(
     before = standing.search
     data = about(rig, observations, named[0].fit, before.data.used)
     search = Search(data, rig, before.parameters, before.candidates, before.tell)
+    search.lost |= before.lost
     near, far = search.in_reach(named)
     elsewhere = _lags(near, far)
     # What two effects do together is judged beside what one of them does.
@@ -392,7 +385,7 @@ def _about_best(
     # An effect that does nothing may have led the model's own parameters on to their optimum.
     null = search.from_parameters_of(near[0], search.again(standing.null))
     more, far = search.other_laws(near[0], far)
-    left_out = [LeftOut(explanation, standing.null, FAR_BEHIND) for explanation in far]
+    left_out = _left_out(standing.null, far, named, near)
     named = [*near, *more]
     # A second effect that says nothing may have led the first on to its optimum.
     named = best_of([*named, *search.pruned(named)])
@@ -407,13 +400,26 @@ def _competing(standing: Standing, found: Sequence[FittedExplanation]) -> Standi
     near, far = search.in_reach(named)
     done = set(map(id, standing.named))
     near = [it if id(it) in done else search.again(it) for it in near]
-    left_out = [LeftOut(explanation, standing.null, FAR_BEHIND) for explanation in far]
+    left_out = _left_out(standing.null, far, named, near)
     return replace(
         standing,
         named=tuple(best_of([*near, *search.pruned(near)])),
         left_out=(*standing.left_out, *left_out),
         elsewhere=(*standing.elsewhere, *_lags(near, far)),
     )
+
+
+def _left_out(
+    null: FittedExplanation,
+    far: Sequence[FittedExplanation],
+    found: Sequence[FittedExplanation],
+    kept: Sequence[object],
+) -> list[LeftOut]:
+    """Explanations that do not compete, with how far they lie behind the best of those that were found."""
+    first, most = found[0].fit.log_evidence, math.inf
+    if len(kept) >= THRESHOLDS.search.finalists:
+        most = first - found[THRESHOLDS.search.finalists - 1].fit.log_evidence
+    return [LeftOut(it, null, first - it.fit.log_evidence, most) for it in far]
 
 
 def _lags(near: Sequence[FittedExplanation], far: Sequence[FittedExplanation]) -> list[tuple[FittedExplanation, float]]:
@@ -595,14 +601,9 @@ def _diagnosed(
     comparison = by_plain_effect(comparison, shares)
     leader = comparison.classes[0] if comparison.classes else None
     share = None if leader is None else shares[leader.head.explanation]
-    verdict = Verdict.UNKNOWN
-    if not findings.inadequate:
-        verdict = _verdict(
-            comparison,
-            leader,
-            share,
-            _is_recalibrated(findings, as_given_errors, settings),
-        )
+    alone = _alone(findings, as_given_errors, settings)
+    rival = max(comparison.unknown, comparison.none)
+    verdict = verdict_of(alone, None if leader is None else leader.facts(share, rival))
     named = leader if verdict is Verdict.EFFECT else None
     adequate = verdict is not Verdict.UNKNOWN and (named is None or named.adequate)
     # What nothing in the library explains is told with the part that it does explain.
@@ -697,7 +698,7 @@ def _diagnosed(
         residual_tests=tuple(test.to_mapping() for test in residual_tests(scaled, after, rows)),
         candidates=(
             *(candidate_row(explanation_fit, null, data) for explanation_fit in (null, *findings.named)),
-            *(candidate_row(it.found, it.beside, data, it.filter) for it in findings.left_out),
+            *(candidate_row(it.found, it.beside, data, FAR_BEHIND) for it in findings.left_out),
         ),
         features={
             "feature:log_odds": comparison.log_odds,
@@ -714,6 +715,20 @@ def _diagnosed(
         next_levels=levels,
         other_sensors=sensors,
         answers=credible_answers(verdict, adequate, ranking, comparison.by_label),
+        ledger=ledger_of(
+            Decided(
+                findings.search,
+                null,
+                findings.named,
+                findings.left_out,
+                findings.hypotheses,
+                comparison,
+                shares,
+                alone,
+                verdict,
+                findings.scanned,
+            )
+        ),
     )
     model = rig if verdict is Verdict.NONE else _rig_of(best, len(calibration))
     if verdict is Verdict.UNKNOWN and law is not None and law.is_stated:
@@ -750,55 +765,20 @@ def _rig_of(found: FittedExplanation, model_parameters: int) -> Rig:
     return found.fit.parametrisation.rig(theta)
 
 
-def _is_recalibrated(findings: Findings, as_given_errors: ChainErrors, settings: DiagnosisSettings) -> bool:
-    """Whether re-fitting the model's own parameters closed a gap that is there and matters."""
+def _alone(findings: Findings, as_given_errors: ChainErrors, settings: DiagnosisSettings) -> Facts:
+    """What the rules ask of the model alone: whether there is a gap, and what re-fitting its own parameters does."""
     data, null = findings.data, findings.null
-    if as_given_errors.cost - null.fit.cost < THRESHOLDS.verdict.recalibration_cost_fall:
-        return False
+    fall = (as_given_errors.cost - null.fit.cost) / THRESHOLDS.verdict.recalibration_cost_fall
+    facts = Facts(log_odds=findings.comparison.log_odds, modes=len(findings.inadequate), left_without=fall)
+    if fall < 1.0:
+        return facts
     count = sum(not isinstance(parameter, SharedDelay) for parameter in null.fit.parametrisation.calibration)
     try:
         values = data.forward.predict(_rig_of(null, count), null.fit.prediction).values
     except BenchError:
-        return True
-    return matters(change_size(data, data.forward.difference(values, findings.as_given.values)), settings.matters)
-
-
-def _verdict(
-    comparison: Comparison,
-    leader: EquivalentClass | None,
-    share: ClosedShare | None,
-    moved: bool,
-) -> Verdict:
-    """Verdict.
-
-    Args:
-        comparison: of all explanations.
-        leader: the most probable class of named ones.
-        share: of the gap that it closes on held-out data.
-        moved: re-fitting the model's own parameters closed a gap.
-    """
-    if comparison.log_odds < THRESHOLDS.verdict.alarm_log_odds:
-        return Verdict.CALIBRATION if moved else Verdict.NONE
-    if leader is None or (
-        share is not None and share.value < 0.0 and share.gain < -THRESHOLDS.verdict.worse_prediction_sigmas
-    ):
-        return Verdict.UNKNOWN
-    if leader.adequate and leader.probability >= max(comparison.unknown, comparison.none):
-        return Verdict.EFFECT
-    # Something unnamed lies behind; a law without a rival that closes most of the gap is named all the same. Two laws
-    # together can imitate a third.
-    least = (
-        THRESHOLDS.verdict.partial_closed_share,
-        THRESHOLDS.verdict.partial_closed_share_of_two,
-    )[min(len(leader.head.stated), 2) - 1]
-    most = share is not None and math.isfinite(share.value) and share.value >= least
-    # A model that has to become another beside it says that something else acts.
-    pulled = max((it.size for it in leader.objections if it.group and not it.kind), default=0.0)
-    established = (
-        leader.given_library >= THRESHOLDS.verdict.cause_probability
-        and pulled < THRESHOLDS.verdict.partial_pulled_sigmas
-    )
-    return Verdict.EFFECT if most and established else Verdict.UNKNOWN
+        return replace(facts, change=math.inf)
+    size = change_size(data, data.forward.difference(values, findings.as_given.values))
+    return replace(facts, change=over(size, settings.matters))
 
 
 def _closed(findings: Findings, refits: HeldOut, best: FittedExplanation, seed: int) -> ClosedShare:

@@ -13,6 +13,7 @@ from typing import Any
 from nmt_core.files.whole_file import write_whole
 from nmt_core.kinds.request import TestRequest
 from nmt_diagnose.law.reading import LawReading
+from nmt_diagnose.ledger.row import Ledger
 from nmt_diagnose.thresholds import THRESHOLDS
 
 FORMAT = "nmt diagnosis 1"
@@ -268,6 +269,7 @@ class Diagnosis:
     partial one then. ``law`` is the local force that held levels lack, where no effect of the library explains them.
     ``next_levels`` are those of the plan that was given, ``other_sensors`` those that would tell apart what no test
     that is left does. ``answers`` are the fewest that hold the truth with a probability of 95 %.
+    ``ledger`` has each explanation that was fitted, and the rules that state it or not.
     """
 
     verdict: Verdict
@@ -292,6 +294,7 @@ class Diagnosis:
     next_levels: NextTest | None = None
     other_sensors: tuple[NextTest, ...] = ()
     answers: tuple[Answer, ...] = ()
+    ledger: Ledger = field(default_factory=Ledger)
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +13,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Explanation
 from nmt_diagnose.inference.fitting import Data, FitResult
+from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.thresholds import THRESHOLDS
 
 
@@ -23,11 +25,13 @@ class FittedExplanation:
         candidates: its effects at their places; none for the model alone.
         fit: the fit.
         small: numbers of those candidates without which what is left would not matter: nothing is said of them.
+        beside: what candidates do beside simpler explanations, as rules ask for it, by number.
     """
 
     candidates: tuple[Candidate, ...]
     fit: FitResult
     small: frozenset[int] = frozenset()
+    beside: Mapping[int, Facts] = field(default_factory=dict)
 
     @cached_property
     def fitted(self) -> Explanation:
@@ -61,6 +65,23 @@ class FittedExplanation:
         """Strength of the weakest effect that it needs, of all where it needs none; 0 without effects."""
         members = self.stated or range(len(self.candidates))
         return min((self.strength(member) for member in members), default=0.0)
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An explanation that was fitted and does not compete.
+
+    Attributes:
+        found: the explanation.
+        beside: the model alone, fitted to the same.
+        behind: ln evidence that it lies behind the best.
+        behind_most: that the last one lies behind that competes, where as many compete as may; else infinite.
+    """
+
+    found: FittedExplanation
+    beside: FittedExplanation
+    behind: float
+    behind_most: float = math.inf
 
 
 @dataclass(frozen=True)

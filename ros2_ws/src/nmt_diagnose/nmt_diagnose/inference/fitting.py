@@ -323,6 +323,7 @@ class FitResult:
         log_evidence: ln ∫ likelihood · prior, without constants of the rows.
         promised: fall of the cost that one more step promises; 0 where no step along it lowers the cost, however short.
         exact: whether ``jacobian`` is of θ and not of the way there.
+        start: name of the start that led there.
     """
 
     parametrisation: Parametrisation
@@ -335,6 +336,7 @@ class FitResult:
     log_evidence: float
     promised: float
     exact: bool
+    start: str = ""
 
     @property
     def std(self) -> FloatArray:

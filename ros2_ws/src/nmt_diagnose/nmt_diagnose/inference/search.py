@@ -16,7 +16,7 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate
-from nmt_diagnose.effects.location import Explanation
+from nmt_diagnose.effects.location import Cause, Explanation
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.candidate_starts import (
     at_strength,
@@ -49,6 +49,9 @@ class Search:
         parameters: of the model, delays of the chain among them.
         candidates: effects at their places.
         tell: called with a sentence as the work goes on.
+
+    Attributes:
+        lost: causes of which a fit on top of the model alone was begun and came to nothing.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class Search:
     ) -> None:
         self.data, self.rig, self.tell = data, rig, tell
         self.parameters, self.candidates = tuple(parameters), tuple(candidates)
+        self.lost: set[Cause] = set()
 
     def parametrisation(self, candidates: Sequence[Candidate] = (), spreads: Sequence[float] = ()) -> Parametrisation:
         """Parameters of the model and of some effects."""
@@ -224,6 +228,8 @@ class Search:
                 continue
         # Worse than without it: the fit has lost its way.
         if best is None or best.cost > base.fit.cost + lost:
+            if not base.candidates:
+                self.lost.add(candidate.cause)
             return None
         return FittedExplanation((*base.candidates, candidate), best)
 

@@ -15,6 +15,8 @@ from nmt_diagnose.inference.candidate_starts import at_zero, strength_parameter
 from nmt_diagnose.inference.explanations import FittedExplanation
 from nmt_diagnose.inference.fitting import Data, predicted
 from nmt_diagnose.inference.noise import sigma_of
+from nmt_diagnose.ledger.row import Facts
+from nmt_diagnose.ledger.rules import LEFT, MATTERS, NEEDED, OF_EFFECTS, pass_all
 from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -74,11 +76,13 @@ class Objection:
         group: test and kind of row; name of the parameter; empty of an imitation.
         kind: kind of what matters; empty of a parameter and an imitation.
         size: relative, what noise makes taken off; of a parameter standard deviations of its prior.
+        over: size over what matters.
     """
 
     group: str
     kind: str
     size: float
+    over: float = math.inf
 
     @property
     def sentence(self) -> str:
@@ -101,9 +105,19 @@ def left_over(
 ) -> tuple[Objection, ...]:
     """What an explanation leaves that is more than noise and matters, the largest beside what matters first.
 
-    A group counts where its scale is larger than its prior allows (Fisher's F, Bonferroni) and where what is left
-    beyond the noise of its rows, at some level or tenth of the lines, is as large as what matters. Where a loop truly
-    stood is an input of the model: it speaks against its controller and nothing else.
+    Arguments as of :func:`left_sizes`.
+    """
+    return tuple(left for left in left_sizes(data, found, wanted, loop) if not LEFT(Facts(left=left.over)).passed)
+
+
+def left_sizes(
+    data: Data, found: FittedExplanation, wanted: Mapping[str, float], loop: bool = False
+) -> tuple[Objection, ...]:
+    """What an explanation leaves that is more than noise, the largest beside what matters first.
+
+    A group counts where its scale is larger than its prior allows (Fisher's F, Bonferroni). Its size is that of what is
+    left beyond the noise of its rows at some level or tenth of the lines. Where a loop truly stood is an input of the
+    model: it speaks against its controller and nothing else.
 
     Args:
         data: what was fitted.
@@ -132,16 +146,20 @@ def left_over(
         if np.any(rows.part[selected] == Part.SAMPLE):
             sizes = sizes / max(float(np.sqrt(np.mean(data.observations.values[selected] ** 2))), 1e-300)
         size = float(sizes.max())
-        if size > 0.0 and size >= wanted.get(kind, 0.0):
-            result.append(Objection(groups.names[number], kind, size))
+        if size > 0.0:
+            result.append(Objection(groups.names[number], kind, size, _over(size, wanted.get(kind, 0.0))))
     return tuple(sorted(result, key=lambda left: -left.size / max(wanted.get(left.kind, 0.0), 1e-300)))
 
 
-def left_without_size(data: Data, found: FittedExplanation) -> bool:
-    """Whether lines of the mains, steps, limits or lost samples are left that stand out."""
+def largest_left(data: Data, found: FittedExplanation, wanted: Mapping[str, float], loop: bool = False) -> float:
+    """Largest that an explanation leaves beyond noise, over what matters; arguments as of :func:`left_sizes`.
+
+    Lines of the mains, steps, limits and lost samples count over what stands out.
+    """
     sized = np.isin(data.observations.rows.part, [part for parts in _KINDS.values() for part in parts])
-    left = np.abs(data.residual(found.fit.prediction.values, found.fit.errors.chain)[data.used & ~sized])
-    return bool(left.max(initial=0.0) > THRESHOLDS.verdict.visible_sigmas)
+    other = np.abs(data.residual(found.fit.prediction.values, found.fit.errors.chain)[data.used & ~sized])
+    stands_out = float(other.max(initial=0.0)) / THRESHOLDS.verdict.visible_sigmas
+    return max([stands_out, *(left.over for left in left_sizes(data, found, wanted, loop))])
 
 
 def implausible_parameters(data: Data, found: FittedExplanation) -> tuple[tuple[Objection, ...], float]:
@@ -166,7 +184,7 @@ def implausible_parameters(data: Data, found: FittedExplanation) -> tuple[tuple[
     there = predicted(data, found.fit.parametrisation, credible, found.fit.prediction)
     if there is not None:
         change = data.forward.difference(found.fit.prediction.values, there.values)
-        if not _matters(data, change, data.observations.matters):
+        if not matters(change_size(data, change), data.observations.matters):
             return (), 1.0
     return (Objection(parameters[worst].name, "", float(theta[worst])),), chance
 
@@ -182,52 +200,56 @@ def needed(
         simpler: fits that may have some of its effects only, the model alone among them.
         wanted: what matters, by kind.
     """
-    found = replace(found, small=_ordinary(data, found))
-    causes = set(found.fitted.causes)
+    causes, small, facts = set(found.fitted.causes), set(found.small), _beyond_ordinary(data, found)
+    small |= {number for number, of_effect in facts.items() if not NEEDED(of_effect).passed}
     parts = [less for less in simpler if set(less.fitted.causes) < causes]
     for less in sorted(parts, key=lambda part: (len(part.candidates), -part.fit.log_evidence)):
-        if not worth(data, found, less, wanted):
-            kept = less.fitted.causes
-            small = (k for k, candidate in enumerate(found.candidates) if candidate.cause not in kept)
-            return replace(found, small=found.small | frozenset(small))
-    return found
+        beside = beside_simpler(data, found, less, wanted)
+        added = {k for k, candidate in enumerate(found.candidates) if candidate.cause not in less.fitted.causes}
+        if not pass_all(OF_EFFECTS, beside):
+            small |= added
+            facts |= dict.fromkeys(added, beside)
+            break
+        facts |= dict.fromkeys(added - facts.keys(), beside)
+    return replace(found, small=frozenset(small), beside=facts)
 
 
-def _ordinary(data: Data, found: FittedExplanation) -> frozenset[int]:
-    """Effects that are no larger than in an ordinary measuring chain."""
+def _beyond_ordinary(data: Data, found: FittedExplanation) -> dict[int, Facts]:
+    """How much larger effects are than in an ordinary measuring chain, of those that every chain has; by number."""
+    result: dict[int, Facts] = {}
     if not data.tolerances.any():
-        return found.small
-    within = set(found.small)
+        return result
     for number, candidate in enumerate(found.candidates):
         if candidate.effect.ordinary > 0.0:
             values = found.fit.parametrisation.values(found.fit.theta, number)
             largest = THRESHOLDS.comparison.credible_sigmas * candidate.effect.ordinary
-            if abs(values[strength_parameter(candidate).name]) <= largest:
-                within.add(number)
-    return frozenset(within)
+            result[number] = Facts(left_without=abs(values[strength_parameter(candidate).name]) / largest)
+    return result
 
 
-def worth(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:
-    """Whether an explanation with more effects than another is needed beside it.
+def beside_simpler(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> Facts:
+    """What the effects do that an explanation has more than another, as rules ask for it.
 
-    It is where the other leaves more than noise that matters and its predictions differ by what matters, or where the
-    other is that near only by parameters or a measuring chain that nobody believes and this one is not.
+    The other leaves more than noise that matters, and their predictions differ; or it is that near only by parameters
+    or a measuring chain that nobody believes.
     """
     added = [candidate for candidate in more.candidates if candidate.cause not in less.fitted.causes]
     loop = any(candidate.site.location.kind == "controller" for candidate in added)
-    if left_over(data, less, wanted, loop) or left_without_size(data, less):
-        return _apart(data, more, less, wanted)
-    return relieves(data, more, less, wanted)
+    left = largest_left(data, less, wanted, loop)
+    if left >= 1.0:
+        change = data.forward.difference(more.fit.errors.values, less.fit.errors.values)
+        return Facts(left_without=left, change=over(change_size(data, change), wanted))
+    relieved = relief(data, more, less, wanted)
+    return replace(relieved, left_without=max(left, relieved.left_without))
 
 
-def relieves(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:
-    """Whether model and measuring chain return to what is believed of them by effects that matter.
+def relief(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> Facts:
+    """By how much model and measuring chain return to what is believed of them by effects, and whether these matter.
 
     Errors of 3 standard deviations that share one reason are credible one by one and not together.
     """
-    if tension(data, less) - tension(data, more) <= relief_that_counts(data, less):
-        return False
-    return matters(measured_size(data, more), wanted)
+    fall = (tension(data, less) - tension(data, more)) / relief_that_counts(data, less)
+    return Facts(left_without=fall, change=math.nan if fall < 1.0 else over(measured_size(data, more), wanted))
 
 
 def tension(data: Data, found: FittedExplanation) -> float:
@@ -253,7 +275,7 @@ def leaves_something(data: Data, found: FittedExplanation, wanted: Mapping[str, 
 
     Arguments as of :func:`left_over`.
     """
-    if left_over(data, found, wanted, loop) or left_without_size(data, found):
+    if largest_left(data, found, wanted, loop) >= 1.0:
         return True
     return strained(data, found, wanted) < THRESHOLDS.comparison.incredible_probability
 
@@ -267,19 +289,10 @@ def strained(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) 
     farthest = max(
         [
             float(parameters.max(initial=0.0)),
-            *(abs(float(chain[j])) for j in far if _matters(data, moved[:, j], wanted)),
+            *(abs(float(chain[j])) for j in far if matters(change_size(data, moved[:, j]), wanted)),
         ]
     )
     return min(1.0, (parameters.size + chain.size) * 2.0 * float(ndtr(-farthest)))
-
-
-def _matters(data: Data, change: FloatArray, wanted: Mapping[str, float]) -> bool:
-    return matters(change_size(data, change), wanted)
-
-
-def _apart(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> bool:
-    """Whether the predictions of two fits differ by what matters."""
-    return _matters(data, data.forward.difference(more.fit.errors.values, less.fit.errors.values), wanted)
 
 
 def change_size(data: Data, change: FloatArray) -> Size:
@@ -348,7 +361,18 @@ def _band(level: np.ndarray, test: np.ndarray) -> np.ndarray:
 
 def matters(size: Size, wanted: Mapping[str, float]) -> bool:
     """Whether any kind of observable changes by as much as matters; what has no size always does."""
-    return size.other or any(value >= wanted.get(kind, 0.0) for kind, value in size.values.items())
+    return MATTERS(Facts(change=over(size, wanted))).passed
+
+
+def over(size: Size, wanted: Mapping[str, float]) -> float:
+    """Largest change of any kind of observable over what matters of it."""
+    if size.other:
+        return math.inf
+    return max((_over(value, wanted.get(kind, 0.0)) for kind, value in size.values.items()), default=0.0)
+
+
+def _over(size: float, wanted: float) -> float:
+    return size / wanted if wanted > 0.0 else math.inf
 
 
 def large_lines(observations: Observations, wanted: float) -> BoolArray:

@@ -9,6 +9,7 @@ import pytest
 
 from nmt_diagnose.measurements.locked_windows import predictor as locked_windows
 from nmt_diagnose.measurements.random_responses import predictor as random_responses
+from nmt_diagnose.measurements.recorded_decay import predictor as recorded_decay
 from nmt_diagnose.measurements.stepped_responses import predictor as stepped_responses
 from nmt_diagnose.prediction import record_kernel
 from nmt_diagnose.prediction.warm_up import warm_up_predictions
@@ -17,17 +18,22 @@ from nmt_rig.rig import load_rig
 # The kernels that the modules of the prediction call; what those call in turn compiles with them.
 KERNELS = [
     (locked_windows, "newton"),
-    (locked_windows, "residuals"),
+    (locked_windows, "advance"),
     (random_responses, "linear_responses"),
     (random_responses, "windowed"),
     (stepped_responses, "solve_lines"),
-    (stepped_responses, "step_lines"),
+    (stepped_responses, "advance"),
+    (recorded_decay, "newton"),
+    (recorded_decay, "stepped"),
+    (recorded_decay, "observed_ratios"),
     (record_kernel, "_step_all"),
     (record_kernel, "_step_one"),
 ]
 
 
-@pytest.mark.parametrize(("module", "name"), KERNELS, ids=[name for _, name in KERNELS])
+@pytest.mark.parametrize(
+    ("module", "name"), KERNELS, ids=[f"{module.__name__.rpartition('.')[2]}.{name}" for module, name in KERNELS]
+)
 def test_the_warm_up_uses_a_kernel(module: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     kernel: Callable[..., Any] = getattr(module, name)
     calls = []

@@ -23,9 +23,9 @@ from nmt_diagnose.inference.fitting import Data, FitResult
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.lateness import lateness
-from nmt_diagnose.prediction.periodic_kernel import GAIN
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import rig_parts
+from nmt_diagnose.prediction.rig_tables import GAIN
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig

@@ -13,11 +13,12 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_diagnose.measurements.locked_windows.predictor import PeriodicState, PhaseResonancePredictor
+from nmt_diagnose.measurements.locked_windows.predictor import PhaseResonancePredictor
 from nmt_diagnose.measurements.random_responses.predictor import RandomPredictor
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.prediction.parts_cache import PartsCache
+from nmt_diagnose.prediction.periodic_state import PeriodicState
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -134,7 +135,8 @@ def resonance_influence(
             continue
         parts = predictor.parts(rig, cache, level)
         z = predictor.carried(parts, level, state)
-        _, jacobian, channels, slopes = predictor.linearised(parts, level, z)
+        at = predictor.linearised(parts, level, z)
+        channels = at.channels
         force = abs(channels[predictor.force_row, 1])
         vectors = np.zeros((parts.system.size, 0))
         if source.kind not in ("force_sensor", "response_sensor"):
@@ -155,8 +157,8 @@ def resonance_influence(
                     force,
                     channels,
                 ):
-                    step = -np.linalg.solve(jacobian, residual)
-                    channels_there = channels + direct + slopes @ step
+                    step = -np.linalg.solve(at.jacobian, residual)
+                    channels_there = channels + direct + at.slopes @ step
                     moved.append((position, PeriodicState(z + step, parts.keys, state.drive, channels_there)))
                     part: Literal["re", "im"] = "re" if turn == 1.0 else "im"
                     names.append(SourceColumn(predictor.test.name, "level", position, order, part, vector))

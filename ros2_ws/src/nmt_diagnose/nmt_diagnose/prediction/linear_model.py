@@ -119,8 +119,9 @@ class LinearModel:
 
     def at(self, s: complex) -> tuple[ComplexArray, ComplexArray]:
         """T (o, p) and dT/ds at s."""
-        result: tuple[ComplexArray, ComplexArray] = transfer_at(s, self.tables, self.inputs.shape[1])
-        return result
+        transfer, slope = np.zeros((2, 1, *self.feedthrough.shape), dtype=np.complex128)
+        add_response(s, self.tables, 0, *self.feedthrough.shape, transfer, slope)
+        return transfer[0], slope[0]
 
     def partial_fractions(self, rows: NDArray[np.int64]) -> Fractions:
         """Some outputs as partial fractions; entries are those of (rows, p), row by row."""
@@ -174,34 +175,33 @@ def real_fractions(
 
 
 @njit(cache=True)
-def transfer_at(s: complex, model: LinearTables, columns: int) -> tuple[ComplexArray, ComplexArray]:
-    """Compiled body of ``LinearModel.at``; right in the first ``columns`` columns only."""
-    poles, displacement, velocity, acceleration, inputs, feedthrough = model
-    transfer = feedthrough.copy()
-    slope = np.zeros(feedthrough.shape, dtype=np.complex128)
-    for k in range(poles.shape[0]):
-        inverse = 1.0 / (s - poles[k])
-        for o in range(transfer.shape[0]):
-            row = (displacement[o, k] + s * (velocity[o, k] + s * acceleration[o, k])) * inverse
-            change = (velocity[o, k] + 2.0 * s * acceleration[o, k] - row) * inverse
-            for p in range(columns):
-                transfer[o, p] += row * inputs[k, p]
-                slope[o, p] += change * inputs[k, p]
-    return transfer, slope
+def add_response(
+    s: complex, model: LinearTables, place: int, outputs: int, columns: int, transfer: ComplexArray, slope: ComplexArray
+) -> None:
+    """Add T (o, p) at s to ``transfer[place]`` and dT/ds to ``slope[place]`` where that has room.
 
-
-@njit(cache=True)
-def response_at(s: complex, model: LinearTables, outputs: int, columns: int) -> ComplexArray:
-    """T at s as by ``transfer_at``, without its derivative; the first ``outputs`` rows, and right in ``columns``."""
+    Args:
+        s: complex frequency.
+        model: the linear part.
+        place: row of (·, o, p) to add to.
+        outputs, columns: numbers of outputs and inputs that are wanted, the first ones.
+        transfer, slope: (·, o, p).
+    """
     poles, displacement, velocity, acceleration, inputs, feedthrough = model
-    transfer = feedthrough[:outputs].copy()
+    sloped = slope.shape[0] > 0
+    for o in range(outputs):
+        for p in range(columns):
+            transfer[place, o, p] += feedthrough[o, p]
     for k in range(poles.shape[0]):
         inverse = 1.0 / (s - poles[k])
         for o in range(outputs):
             row = (displacement[o, k] + s * (velocity[o, k] + s * acceleration[o, k])) * inverse
             for p in range(columns):
-                transfer[o, p] += row * inputs[k, p]
-    return transfer
+                transfer[place, o, p] += row * inputs[k, p]
+            if sloped:
+                change = (velocity[o, k] + 2.0 * s * acceleration[o, k] - row) * inverse
+                for p in range(columns):
+                    slope[place, o, p] += change * inputs[k, p]
 
 
 def linear_model(

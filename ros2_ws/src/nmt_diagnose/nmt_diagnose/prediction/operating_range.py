@@ -26,9 +26,9 @@ from nmt_diagnose.measurements.stepped_responses.stepped_responses import Steppe
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.prediction.lateness import lateness
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
-from nmt_diagnose.prediction.periodic_kernel import GAIN
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent
+from nmt_diagnose.prediction.rig_tables import GAIN
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.fourier_basis import FourierBasis

@@ -1,190 +1,110 @@
-"""Compiled residual of the phase-resonant harmonic balance, with its Jacobian, and the channels it predicts.
+"""Compiled harmonic balance of a rig with its Jacobian: one residual, closed in one of three ways.
 
-Unknowns are z = [w (r · size), ω, ln a]: real Fourier coefficients of the local coordinates, frequency, and the
-amplitude of the drive. For every order n
+Unknowns are z = [w (r · size), x, y]: real Fourier coefficients of the local coordinates, and two more. Order n moves
+with s_n = i n ω − κ ω (the mean with 0), and for every order
 
-    w_n + T_n^{wg} g_n(w) − T_n^{wu} u_n = 0,
+    w_n + T^{wg}(s_n) g_n(w) − T^{wu}(s_n) u_n a = 0,
 
-closed by the phase between measured force and response at lock and by one amplitude that is given.
+where u_n is what a unit of the drive a makes of the inputs. Two rows close it; which ones is data, see `Closing`:
+
+========== =========== ======================================================================================
+``kind``   x, y        given
+========== =========== ======================================================================================
+``LOCKED`` ω, ln a     phase between two channels, and the amplitude of the drive or of a channel
+``DRIVEN`` Re a, Im a  frequency, and the complex amplitude of the drive or of a channel
+``FREE``   ω, κ        amplitude of a channel; the drive that holds it has to vanish
+========== =========== ======================================================================================
+
+With a response given a driven motion is as mild as a linear one: no folds, because a curve of force over response has
+none. Within one period a slowly decaying motion is a copy of the one before times exp(−κ 2π); the drive that holds its
+amplitude vanishes at the pole of the linear system and, with local forces, at its continuation over amplitude.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
-from nmt_diagnose.prediction.linear_model import LinearTables, response_at, transfer_at
-from nmt_rig.model.aft import LocalTables, forces_alone, local_forces
+from nmt_diagnose.prediction.linear_model import add_response
+from nmt_diagnose.prediction.rig_tables import Forces, RigTables, any_nonlinear, harmonic_forces, sensor_gain
 
-# Columns of the table of sensor chains, see `rig_parts.channel_table`.
-GAIN, DELAY, LOW_PASS, HIGH_PASS = 0, 1, 2, 3
-# Places of G b₁ and G b₂ in the force factor.
-FACTOR_LINEAR, FACTOR_QUADRATIC = 1, 2
-# Position of the fundamental: the first order is 0.
+# Position of the fundamental, and of its first coefficient: the first order is 0.
 FUNDAMENTAL = 1
-# What is given besides the phase: ln of the drive's amplitude, or ln of the fundamental of one channel.
+# Ways to close the balance.
+LOCKED, DRIVEN, FREE = 0, 1, 2
+# What has the given amplitude, where it is no channel: the drive.
 DRIVE_HELD = -1
+# Columns of what is given for a level, see :func:`target_rows`.
+AMPLITUDE, PHASE, OMEGA, WEIGHT = 0, 1, 2, 3
+
+_HALVINGS = 8
 
 
-class RigTables(NamedTuple):
-    """What the kernels know of a rig, see `RigParts.kernel_tables`.
-
-    Attributes:
-        model: the linear part.
-        channels: sensor chains of the channels (c, 4).
-        factor: G, G b₁, G b₂.
-        local: the local elements and their basis.
-    """
-
-    model: LinearTables
-    channels: FloatArray
-    factor: FloatArray
-    local: LocalTables
-
-
-class Control(NamedTuple):
-    """What a level holds.
+class Closing(NamedTuple):
+    """The rows that close the balance.
 
     Attributes:
-        held_channel: ``DRIVE_HELD``, or the channel whose fundamental has the given amplitude.
+        kind: ``LOCKED``, ``DRIVEN`` or ``FREE``.
+        held: ``DRIVE_HELD``, or the channel whose fundamental has the given amplitude.
         force, response: channels whose phase was controlled.
         power: order of time derivative from that response to a velocity (1, 0, −1).
     """
 
-    held_channel: int
-    force: int
-    response: int
-    power: int
+    kind: int
+    held: int
+    force: int = 0
+    response: int = 0
+    power: int = 0
 
 
-@njit(cache=True)
-def sensor_gain(s: complex, chain: FloatArray) -> tuple[complex, complex]:
-    """Complex gain of a sensor's chain (4,) at s = iω, and its derivative with respect to s."""
-    gain, delay, low_pass, high_pass = chain[GAIN], chain[DELAY], chain[LOW_PASS], chain[HIGH_PASS]
-    low = 1.0 / (1.0 + s * low_pass)
-    value = gain * np.exp(-s * delay) * low
-    slope = value * (-delay - low_pass * low)
-    if high_pass > 0.0:
-        high = s / (s + high_pass)
-        slope = slope * high + value * high_pass / (s + high_pass) ** 2
-        value = value * high
-    return value, slope
+class Limits(NamedTuple):
+    """How Newton's method goes.
 
-
-@njit(cache=True)
-def channel_gains(s: complex, channels: FloatArray) -> ComplexArray:
-    """Complex gains (c,) of the sensors' chains (c, 4) at s."""
-    result = np.empty(channels.shape[0], dtype=np.complex128)
-    for k in range(channels.shape[0]):
-        result[k] = sensor_gain(s, channels[k])[0]
-    return result
-
-
-@njit(cache=True)
-def factor_forces(
-    coil: FloatArray,
-    current: FloatArray,
-    omega: float,
-    factor: FloatArray,
-    values: FloatArray,
-    slopes: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Forces of the position-dependent part of the force factor, G(x) − G = G b₁ x + G b₂ x².
-
-    Returns:
-        coefficients of −(G(x) − G) i on the coil and of (G(x) − G) ẋ in the circuit (2, size), their derivatives with
-        respect to coil displacement and current (2, size, 2 · size), and to ω (2, size).
+    Attributes:
+        iterations: at most.
+        tolerance: of the last step, relative to the solution.
+        largest_step: of ln ω and of κ; a longer one is shortened.
     """
-    linear, quadratic = factor[FACTOR_LINEAR], factor[FACTOR_QUADRATIC]
-    size = coil.size
-    samples = values.shape[0]
-    force = np.zeros((2, size))
-    derivative = np.zeros((2, size, 2 * size))
-    by_frequency = np.zeros((2, size))
-    for j in range(samples):
-        x = 0.0
-        i = 0.0
-        dx = 0.0
-        for a in range(size):
-            x += values[j, a] * coil[a]
-            i += values[j, a] * current[a]
-            dx += slopes[j, a] * coil[a]
-        change = linear * x + quadratic * x * x
-        change_slope = linear + 2.0 * quadratic * x
-        for a in range(size):
-            weight = (2.0 if a > 0 else 1.0) * values[j, a] / samples
-            force[0, a] -= weight * change * i
-            force[1, a] += weight * change * omega * dx
-            by_frequency[1, a] += weight * change * dx
-            for b in range(size):
-                derivative[0, a, b] -= weight * change_slope * i * values[j, b]
-                derivative[0, a, size + b] -= weight * change * values[j, b]
-                derivative[1, a, b] += weight * omega * (change_slope * dx * values[j, b] + change * slopes[j, b])
-    return force, derivative, by_frequency
+
+    iterations: int
+    tolerance: float
+    largest_step: float = 0.05
 
 
-@njit(cache=True)
-def harmonic_forces(
-    displacement: FloatArray, omega: float, factor: FloatArray, tables: LocalTables
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Forces of all local coordinates: local elements first, then the nonlinear force factor if there is one.
+class Transfers(NamedTuple):
+    """T of the linear part at every order.
 
-    Args:
-        displacement: (r, size) real Fourier coefficients of the coordinates.
-        omega: rad/s.
-        factor: G, G b₁, G b₂.
-        tables: the local elements and their basis.
-
-    Returns:
-        Coefficients (r, size), and their derivatives by all coefficients (r, size, r · size) and by ω (r, size).
+    Attributes:
+        acting: orders (n_orders,) that the drive or local forces act at: at others nothing responds, and T is 0.
+        values: (n_orders, r + c, r + exciters): of all outputs where the channels are wanted, else of coordinates; of
+            exciters where they drive.
+        slopes: derivatives by s; empty = not wanted.
     """
-    r, size = displacement.shape
-    elements = tables.jenkins_start.size - 1
-    g = np.zeros((r, size))
-    dg = np.zeros((r, size, r * size))
-    g_omega = np.zeros((r, size))
-    force, derivative, by_frequency = local_forces(displacement[:elements], omega, tables)
-    for i in range(elements):
-        g[i] = force[i]
-        g_omega[i] = by_frequency[i]
-        for a in range(size):
-            for b in range(size):
-                dg[i, a, i * size + b] = derivative[i, a, b]
-    if r > elements:
-        pair, pair_derivative, pair_frequency = factor_forces(
-            displacement[r - 2], displacement[r - 1], omega, factor, tables.values, tables.slopes
-        )
-        for i in range(2):
-            g[r - 2 + i] = pair[i]
-            g_omega[r - 2 + i] = pair_frequency[i]
-            for a in range(size):
-                for b in range(2 * size):
-                    dg[r - 2 + i, a, (r - 2) * size + b] = pair_derivative[i, a, b]
-    return g, dg, g_omega
+
+    acting: np.ndarray
+    values: ComplexArray
+    slopes: ComplexArray
 
 
-@njit(cache=True)
-def local_amounts(displacement: FloatArray, omega: float, factor: FloatArray, tables: LocalTables) -> FloatArray:
-    """The coefficients (r, size) of :func:`harmonic_forces` without their derivatives."""
-    r, size = displacement.shape
-    elements = tables.jenkins_start.size - 1
-    g = np.empty((r, size))
-    g[:elements] = forces_alone(displacement[:elements], omega, tables)
-    if r > elements:
-        g[elements:] = factor_forces(
-            displacement[r - 2], displacement[r - 1], omega, factor, tables.values, tables.slopes
-        )[0]
-    return g
+class Balance(NamedTuple):
+    """The balance at some unknowns.
 
+    Attributes:
+        residual: (nz,).
+        jacobian: (nz, nz); empty = not wanted.
+        channels: fundamentals (c, 1) after the sensors, of ``LOCKED`` all orders (c, n_orders).
+        slopes: their derivatives by the unknowns, (c, ·, nz).
+        forces: coefficients of the local forces (r, size).
+    """
 
-@njit(cache=True)
-def any_nonlinear(factor: FloatArray, tables: LocalTables) -> bool:
-    """Whether any force of the local coordinates is there at all: those that are linear are not among them."""
-    elements = tables.jenkins.shape[0] + tables.contacts.shape[0] + tables.kinds.size
-    return bool(elements > 0 or factor[FACTOR_LINEAR] != 0.0 or factor[FACTOR_QUADRATIC] != 0.0)
+    residual: FloatArray
+    jacobian: FloatArray
+    channels: ComplexArray
+    slopes: ComplexArray
+    forces: FloatArray
 
 
 @njit(cache=True, forceinline=True)
@@ -247,226 +167,506 @@ def set_jacobian(jacobian: FloatArray, row: int, column: ComplexArray, order: in
         jacobian[row + 1, row + 1] += 1.0
 
 
+def target_rows(amplitude: Any, phase: float = 0.0, omega: Any = 0.0) -> FloatArray:
+    """What is given for a level, (4,), or for several, (levels, 4): amplitude, phase in rad, ω in rad/s."""
+    result = np.zeros((*np.shape(amplitude), WEIGHT + 1))
+    result[..., AMPLITUDE], result[..., PHASE], result[..., OMEGA] = amplitude, phase, omega
+    return result
+
+
+@njit(cache=True, forceinline=True)
+def motion_of(z: FloatArray, closing: Closing, targets: FloatArray) -> tuple[float, float]:
+    """Angular frequency ω, rad/s, and decay κ."""
+    if closing.kind == DRIVEN:
+        return targets[OMEGA], 0.0
+    return z[z.size - 2], z[z.size - 1] if closing.kind == FREE else 0.0
+
+
+@njit(cache=True, forceinline=True)
+def rates(order: int, omega: float, decay: float, kind: int) -> tuple[complex, complex, complex]:
+    """s of one order, and its derivatives by the last two unknowns."""
+    by_omega = 1j * order - (decay if order > 0 else 0.0)
+    if kind == DRIVEN:
+        return by_omega * omega, 0j, 0j
+    return by_omega * omega, by_omega, complex(-omega if kind == FREE and order > 0 else 0.0)
+
+
+@njit(cache=True)
+def forces_of(z: FloatArray, closing: Closing, targets: FloatArray, rig: RigTables, sloped: bool) -> Forces:
+    """Local forces at some unknowns."""
+    size = rig.local.offsets[-1] + 2
+    displacement = z[: z.size - 2].copy().reshape((z.size - 2) // size, size)
+    found: Forces = harmonic_forces(displacement, motion_of(z, closing, targets)[0], rig.factor, rig.local, sloped)
+    return found
+
+
+@njit(cache=True)
+def transfers(
+    z: FloatArray, closing: Closing, targets: FloatArray, drive: ComplexArray, acting: np.ndarray, rig: RigTables,
+    sloped: bool,
+) -> Transfers:  # fmt: skip
+    """T at every order that acts; arguments as of `Transfers` and :func:`balance`."""
+    model, orders = rig.model, rig.local.orders
+    omega, decay = motion_of(z, closing, targets)
+    outputs, columns = model.feedthrough.shape
+    r = columns - drive.shape[1]
+    values = np.zeros((orders.size, outputs, columns), dtype=np.complex128)
+    slopes = np.zeros((orders.size if sloped else 0, outputs, columns), dtype=np.complex128)
+    for n in range(orders.size):
+        if acting[n]:
+            s, _, _ = rates(orders[n], omega, decay, closing.kind)
+            every = closing.kind == LOCKED or n == FUNDAMENTAL
+            # Most orders are not driven, and the response to the drive is not wanted.
+            add_response(s, model, n, outputs if every else r, columns if np.any(drive[n]) else r, values, slopes)
+    return Transfers(acting, values, slopes)
+
+
+@njit(cache=True)
+def acting_orders(drive: ComplexArray, g: FloatArray, rig: RigTables, varying: bool) -> np.ndarray:
+    """Orders (n_orders,) that the drive or local forces g (r, size) act at, or may act at where the forces vary."""
+    offsets = rig.local.offsets
+    result = np.full(offsets.size, varying and any_nonlinear(rig.factor, rig.local))
+    for n in range(offsets.size):
+        result[n] |= np.any(drive[n]) or np.any(g[:, offsets[n]]) or (n > 0 and np.any(g[:, offsets[n] + 1]))
+    return result
+
+
+@njit(cache=True)
+def amplitude_of_drive(
+    z: FloatArray, g: FloatArray, closing: Closing, targets: FloatArray, drive: ComplexArray, t: Transfers
+) -> complex:
+    """The amplitude a; of a free motion what would hold the amplitude of the channel."""
+    last, r = z.size - 1, g.shape[0]
+    if closing.kind == LOCKED:
+        return complex(np.exp(z[last]))
+    if closing.kind == DRIVEN:
+        return complex(z[last - 1], z[last])
+    values, row = t.values[FUNDAMENTAL], r + closing.held
+    alone = output_of(values, row, 0j, g, FUNDAMENTAL, FUNDAMENTAL)
+    return complex((targets[AMPLITUDE] - alone) / driven_by(values, row, r, drive[FUNDAMENTAL]))
+
+
+@njit(cache=True, forceinline=True)
+def set_slopes(
+    column: ComplexArray, o: int, n: int, order: int, a: complex, a_slopes: ComplexArray, by: tuple[complex, complex],
+    forces: Forces, drive: ComplexArray, t: Transfers,
+) -> None:  # fmt: skip
+    """Slopes (nz,) of output o at one order for those of the amplitude of the drive.
+
+    Args:
+        by: derivatives of s by the last two unknowns; they are 0 where the frequency is given.
+    """
+    r, size = forces.amounts.shape
+    local, offset = r * size, max(0, 2 * order - 1)
+    column[:] = 0.0
+    unit = driven_by(t.values[n], o, r, drive[n])
+    if unit != 0.0:
+        for b in range(column.size):
+            column[b] = unit * a_slopes[b]
+    if t.slopes.shape[0] > 0:
+        by_s = output_of(t.slopes[n], o, driven_by(t.slopes[n], o, r, drive[n]) * a, forces.amounts, offset, order)
+        column[local] += by[0] * by_s
+        column[local + 1] += by[1] * by_s
+        for j in range(r):
+            column[local] -= t.values[n, o, j] * phasor(forces.by_omega, j, offset, order)
+    add_force_slopes(column, t.values[n], o, forces.slopes, offset, order)
+
+
+@njit(cache=True)
+def drive_slopes(
+    a: complex, forces: Forces, closing: Closing, by: tuple[complex, complex], drive: ComplexArray, t: Transfers
+) -> ComplexArray:
+    """Derivatives (nz,) of :func:`amplitude_of_drive` by the unknowns."""
+    r, size = forces.amounts.shape
+    local = r * size
+    result = np.zeros(local + 2, dtype=np.complex128)
+    if closing.kind == LOCKED:
+        result[local + 1] = a
+    elif closing.kind == DRIVEN:
+        result[local], result[local + 1] = 1.0, 1j
+    else:
+        # The held output stays as it is.
+        row, still = r + closing.held, np.zeros(local + 2, dtype=np.complex128)
+        set_slopes(result, row, FUNDAMENTAL, FUNDAMENTAL, a, still, by, forces, drive, t)
+        result /= -driven_by(t.values[FUNDAMENTAL], row, r, drive[FUNDAMENTAL])
+    return result
+
+
 @njit(cache=True)
 def close(
-    measured: ComplexArray, drive_log: float, control: Control, given_log: float, phase: float
+    a: complex, channels: ComplexArray, drive_log: float, closing: Closing, targets: FloatArray
 ) -> tuple[float, float]:
-    """What phase (rad) and given amplitude (ln) are off by, for channels (c, n_orders)."""
-    held_channel = control.held_channel
-    product = measured[control.force, FUNDAMENTAL] * np.conj(measured[control.response, FUNDAMENTAL])
+    """What the two closing rows are off by, for channels (c, ·).
+
+    Args:
+        a: amplitude of the drive.
+        drive_log: ln of it where it is locked.
+    """
+    if closing.kind == FREE:
+        vanishing = a * targets[WEIGHT]
+        return vanishing.real, vanishing.imag
+    if closing.kind == DRIVEN:
+        off = (a if closing.held == DRIVE_HELD else channels[closing.held, 0]) - targets[AMPLITUDE]
+        return off.real, off.imag
+    product = channels[closing.force, FUNDAMENTAL] * np.conj(channels[closing.response, FUNDAMENTAL])
     # velocity = (iω)^power response: a quarter turn per derivative.
-    angle = np.angle(product) - 0.5 * np.pi * control.power - phase
+    angle = np.angle(product) - 0.5 * np.pi * closing.power - targets[PHASE]
     angle -= 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
-    log_amplitude = drive_log if held_channel == DRIVE_HELD else np.log(np.abs(measured[held_channel, FUNDAMENTAL]))
-    return angle, log_amplitude - given_log
+    log = drive_log if closing.held == DRIVE_HELD else np.log(np.abs(channels[closing.held, FUNDAMENTAL]))
+    return angle, log - np.log(targets[AMPLITUDE])
 
 
 @njit(cache=True)
-def close_slopes(measured: ComplexArray, slopes: ComplexArray, control: Control, jacobian: FloatArray) -> None:
-    """Slopes of :func:`close`, the last two rows of a Jacobian, by those of the channels (c, n_orders, nz)."""
-    held_channel, force, response = control.held_channel, control.force, control.response
-    nz = jacobian.shape[0]
-    last = nz - 1
-    for b in range(nz):
-        jacobian[last - 1, b] = (
-            slopes[force, FUNDAMENTAL, b] / measured[force, FUNDAMENTAL]
-            - slopes[response, FUNDAMENTAL, b] / measured[response, FUNDAMENTAL]
-        ).imag
-    if held_channel == DRIVE_HELD:
-        jacobian[last, last] = 1.0
-    else:
-        for b in range(nz):
-            jacobian[last, b] = (slopes[held_channel, FUNDAMENTAL, b] / measured[held_channel, FUNDAMENTAL]).real
+def close_slopes(
+    a_slopes: ComplexArray, channels: ComplexArray, slopes: ComplexArray, closing: Closing, targets: FloatArray,
+    jacobian: FloatArray,
+) -> None:  # fmt: skip
+    """Slopes of :func:`close`, the last two rows of a Jacobian, by those of the drive (nz,) and channels (c, ·, nz)."""
+    held, force, response = closing.held, closing.force, closing.response
+    last = jacobian.shape[0] - 1
+    for b in range(last + 1):
+        if closing.kind == LOCKED:
+            jacobian[last - 1, b] = (
+                slopes[force, FUNDAMENTAL, b] / channels[force, FUNDAMENTAL]
+                - slopes[response, FUNDAMENTAL, b] / channels[response, FUNDAMENTAL]
+            ).imag
+            if held == DRIVE_HELD:
+                jacobian[last, b] = 1.0 if b == last else 0.0
+            else:
+                jacobian[last, b] = (slopes[held, FUNDAMENTAL, b] / channels[held, FUNDAMENTAL]).real
+        else:
+            row = slopes[held, 0, b] if closing.kind == DRIVEN and held != DRIVE_HELD else a_slopes[b]
+            if closing.kind == FREE:
+                row *= targets[WEIGHT]
+            jacobian[last - 1, b], jacobian[last, b] = row.real, row.imag
+
+
+@njit(cache=True)
+def balance(
+    z: FloatArray, forces: Forces, closing: Closing, targets: FloatArray, drive: ComplexArray, t: Transfers,
+    rig: RigTables,
+) -> Balance:  # fmt: skip
+    """The balance for known local forces and transfers.
+
+    Args:
+        z: unknowns (nz,).
+        forces: of the coordinates; with slopes where the Jacobian is wanted.
+        closing, targets: what closes it, and the numbers given for it.
+        drive: (n_orders, exciters) harmonics of the inputs for a unit of the drive.
+        t: with slopes where the Jacobian is wanted and the frequency is not given.
+        rig: the rig.
+    """
+    g, orders, offsets = forces.amounts, rig.local.orders, rig.local.offsets
+    (r, size), c, sloped = g.shape, rig.channels.shape[0], forces.slopes.size > 0
+    local, last = r * size, r * size + 1
+    omega, decay = motion_of(z, closing, targets)
+    residual, jacobian = np.zeros(z.size), np.zeros((z.size, z.size) if sloped else (0, 0))
+    spread = orders.size if closing.kind == LOCKED else 1
+    channels = np.zeros((c, spread), dtype=np.complex128)
+    slopes = np.zeros((c, spread, z.size if sloped else 0), dtype=np.complex128)
+    column, a_slopes = np.zeros(z.size, dtype=np.complex128), np.zeros(0, dtype=np.complex128)
+    a = amplitude_of_drive(z, g, closing, targets, drive, t)
+    if sloped:
+        _, by_x, by_y = rates(FUNDAMENTAL, omega, decay, closing.kind)
+        a_slopes = drive_slopes(a, forces, closing, (by_x, by_y), drive, t)
+    for n in range(orders.size):
+        order, offset = orders[n], offsets[n]
+        s, by_x, by_y = rates(order, omega, decay, closing.kind)
+        if not t.acting[n]:
+            for o in range(r):
+                set_residual(residual, z, o * size + offset, 0j, order)
+                if sloped:
+                    for row in range(o * size + offset, o * size + offset + (2 if order > 0 else 1)):
+                        jacobian[row, row] = 1.0
+            continue
+        # The Jacobian of a free motion needs no channels.
+        every = closing.kind == LOCKED or (n == FUNDAMENTAL and not (sloped and closing.kind == FREE))
+        for o in range(r + c if every else r):
+            value = output_of(t.values[n], o, driven_by(t.values[n], o, r, drive[n]) * a, g, offset, order)
+            if sloped:
+                set_slopes(column, o, n, order, a, a_slopes, (by_x, by_y), forces, drive, t)
+            if o < r:
+                set_residual(residual, z, o * size + offset, value, order)
+                if sloped:
+                    set_jacobian(jacobian, o * size + offset, column, order)
+                continue
+            gain, gain_slope = sensor_gain(s, rig.channels[o - r])
+            place = n if closing.kind == LOCKED else 0
+            channels[o - r, place] = gain * value
+            if sloped:
+                slopes[o - r, place] = gain * column
+                slopes[o - r, place, local] += by_x * gain_slope * value
+                slopes[o - r, place, last] += by_y * gain_slope * value
+    residual[local], residual[last] = close(a, channels, z[last], closing, targets)
+    if sloped:
+        close_slopes(a_slopes, channels, slopes, closing, targets, jacobian)
+    return Balance(residual, jacobian, channels, slopes, g)
 
 
 @njit(cache=True)
 def evaluate(
-    z: FloatArray,
-    control: Control,
-    given_log: float,
-    phase: float,
-    drive: ComplexArray,
-    rig: RigTables,
-) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
-    """Residual (nz,), Jacobian (nz, nz), channels (c, n_orders) after their sensors, and their derivatives
-    (c, n_orders, nz).
+    z: FloatArray, closing: Closing, targets: FloatArray, drive: ComplexArray, rig: RigTables, sloped: bool
+) -> Balance:
+    """The balance at some unknowns, with its Jacobian if wanted; arguments as of :func:`balance`."""
+    forces = forces_of(z, closing, targets, rig, sloped)
+    acting = acting_orders(drive, forces.amounts, rig, sloped)
+    t = transfers(z, closing, targets, drive, acting, rig, sloped and closing.kind != DRIVEN)
+    found: Balance = balance(z, forces, closing, targets, drive, t, rig)
+    return found
 
-    Args:
-        z: unknowns; the first order must be 0.
-        control: what is held.
-        given_log: ln of the given amplitude.
-        phase: measured arg F₁ − arg(velocity₁), rad.
-        drive: (n_orders, exciters) harmonics of the inputs for unit drive amplitude.
-    """
-    model, channels, factor, tables = rig
-    orders, offsets = tables.orders, tables.offsets
-    count = orders.size
-    exciters = drive.shape[1]
-    r = model.inputs.shape[1] - exciters
-    c = channels.shape[0]
-    size = offsets[count - 1] + 2
-    local = r * size
-    nz = local + 2
-    omega = z[local]
-    amplitude = np.exp(z[local + 1])
 
-    displacement = z[:local].copy().reshape(r, size)
-    g, dg, g_omega = harmonic_forces(displacement, omega, factor, tables)
-    linear = not any_nonlinear(factor, tables)
-    residual = np.zeros(nz)
-    jacobian = np.zeros((nz, nz))
-    measured = np.zeros((c, count), dtype=np.complex128)
-    slopes = np.zeros((c, count, nz), dtype=np.complex128)
-    column = np.zeros(nz, dtype=np.complex128)
-    for n in range(count):
-        order = orders[n]
-        offset = offsets[n]
-        s = 1j * order * omega
-        u = amplitude * drive[n]
-        quiet = not np.any(u)
-        if linear and quiet:
-            # Nothing acts at this order, and nothing responds.
-            for o in range(r):
-                for row in range(o * size + offset, o * size + offset + (2 if order > 0 else 1)):
-                    residual[row] = z[row]
-                    jacobian[row, row] = 1.0
-            continue
-        # Most orders are not driven, and the response to the drive is not wanted.
-        transfer, transfer_slope = transfer_at(s, model, r if quiet else r + exciters)
-        for o in range(r + c):
-            driven = driven_by(transfer, o, r, u)
-            value = output_of(transfer, o, driven, g, offset, order)
-            column[:] = 0.0
-            column[local] = driven_by(transfer_slope, o, r, u) * 1j * order
-            column[local + 1] = driven
-            for j in range(r):
-                amount, faster = phasor(g, j, offset, order), phasor(g_omega, j, offset, order)
-                column[local] -= 1j * order * transfer_slope[o, j] * amount + transfer[o, j] * faster
-            add_force_slopes(column, transfer, o, dg, offset, order)
-            if o < r:
-                set_residual(residual, z, o * size + offset, value, order)
-                set_jacobian(jacobian, o * size + offset, column, order)
-            else:
-                k = o - r
-                gain, gain_slope = sensor_gain(s, channels[k])
-                measured[k, n] = gain * value
-                for b in range(nz):
-                    slopes[k, n, b] = gain * column[b]
-                slopes[k, n, local] += 1j * order * gain_slope * value
+@njit(cache=True)
+def channels_of(
+    z: FloatArray, closing: Closing, targets: FloatArray, drive: ComplexArray, rig: RigTables
+) -> ComplexArray:
+    """Channels (levels, c, ·) of several levels; arguments as of :func:`stepped`."""
+    spread = drive.shape[0] if closing.kind == LOCKED else 1
+    result = np.empty((z.shape[0], rig.channels.shape[0], spread), dtype=np.complex128)
+    for level in range(z.shape[0]):
+        result[level] = evaluate(z[level], closing, targets[level], drive, rig, False).channels
+    return result
 
-    residual[local], residual[local + 1] = close(measured, z[local + 1], control, given_log, phase)
-    close_slopes(measured, slopes, control, jacobian)
-    return residual, jacobian, measured, slopes
+
+@njit(cache=True)
+def scales(z: FloatArray, closing: Closing, targets: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
+    """Size of the unknowns (nz,), of which a coordinate has ``size``, and one over that of the residuals."""
+    scale = np.ones(z.size)
+    local = z.size - 2
+    for first in range(0, local, size):
+        largest = np.max(np.abs(z[first : first + size]))
+        if largest > 0.0:
+            scale[first : first + size] = largest
+    weights = 1.0 / scale
+    if closing.kind == DRIVEN:
+        amplitude = np.hypot(z[local], z[local + 1])
+        scale[local:] = amplitude if amplitude > 0.0 else 1.0
+        weights[local:] = 1.0 / max(abs(targets[AMPLITUDE]), 1e-300)
+    else:
+        scale[local] = z[local]
+    return scale, weights
+
+
+@njit(cache=True)
+def scaled(matrix: FloatArray, rows: FloatArray, columns: FloatArray) -> FloatArray:
+    """A matrix with its rows and columns multiplied."""
+    result = np.empty(matrix.shape)
+    for i in range(rows.size):
+        for j in range(columns.size):
+            result[i, j] = matrix[i, j] * rows[i] * columns[j]
+    return result
+
+
+@njit(cache=True)
+def inverted(jacobian: FloatArray, scale: FloatArray, weights: FloatArray) -> FloatArray:
+    """Inverse (nz, nz) of a Jacobian for the :func:`scales` of its columns and rows."""
+    found: FloatArray = scaled(np.linalg.inv(scaled(jacobian, weights, scale)), scale, weights)
+    return found
+
+
+@njit(cache=True)
+def scaled_solve(jacobian: FloatArray, right: FloatArray, scale: FloatArray, weights: FloatArray) -> FloatArray:
+    """Jacobian⁻¹ right (nz,) likewise."""
+    return np.linalg.solve(scaled(jacobian, weights, scale), right * weights) * scale
+
+
+@njit(cache=True)
+def at_pole(z: FloatArray, closing: Closing, targets: FloatArray, rig: RigTables) -> bool:
+    """Whether a free motion is a pole of the linear system to the last bit, where T is infinite."""
+    if closing.kind != FREE:
+        return False
+    omega, decay = motion_of(z, closing, targets)
+    s, _, _ = rates(FUNDAMENTAL, omega, decay, closing.kind)
+    return bool(np.any(rig.model.poles == s))
 
 
 @njit(cache=True)
 def newton(
-    z: FloatArray,
-    scale: FloatArray,
-    iterations: int,
-    tolerance: float,
-    control: Control,
-    given_log: float,
-    phase: float,
-    drive: ComplexArray,
-    rig: RigTables,
-) -> tuple[bool, FloatArray, FloatArray, ComplexArray, ComplexArray]:
-    """Damped Newton iteration from z.
-
-    Args:
-        scale: (nz,) size of the unknowns; the residuals have the same, the phase 1.
+    z: FloatArray, closing: Closing, targets: FloatArray, drive: ComplexArray, rig: RigTables, limits: Limits
+) -> tuple[bool, FloatArray, Balance]:
+    """Damped Newton iteration from z; arguments as of :func:`balance`.
 
     Returns:
-        converged, z, Jacobian, channels and their derivatives at z.
+        Whether it converged, z, and the balance there; of a free motion at the last but one.
     """
-    z = z.copy()
-    nz = z.size
-    local = nz - 2
-    weights = 1.0 / scale
-    weights[local:] = 1.0
-    residual, jacobian, measured, slopes = evaluate(z, control, given_log, phase, drive, rig)
-    error = np.linalg.norm(residual * weights)
-    for _ in range(iterations):
+    z, local, first = z.copy(), z.size - 2, z[z.size - 2]
+    scale, weights = scales(z, closing, targets, rig.local.offsets[-1] + 2)
+    forces, fixed = forces_of(z, closing, targets, rig, True), closing.kind == DRIVEN
+    acting = acting_orders(drive, forces.amounts, rig, True)
+    t = transfers(z, closing, targets, drive, acting, rig, not fixed)
+    here = balance(z, forces, closing, targets, drive, t, rig)
+    error = np.linalg.norm(here.residual * weights)
+    for _ in range(limits.iterations):
         if not np.isfinite(error):
-            return False, z, jacobian, measured, slopes
-        system = np.empty((nz, nz))
-        for i in range(nz):
-            for j in range(nz):
-                system[i, j] = jacobian[i, j] * weights[i] * scale[j]
-        step = np.linalg.solve(system, -residual * weights) * scale
-        fraction = 1.0
-        # A step of the frequency beyond a few percent leaves the resonance.
-        largest = abs(step[local]) / z[local]
-        if largest > 0.05:
-            fraction = 0.05 / largest
-        length = np.linalg.norm(step / scale)
-        done = False
-        for _ in range(8):
+            break
+        step = scaled_solve(here.jacobian, -here.residual, scale, weights)
+        length, fraction = np.linalg.norm(step / scale), 1.0
+        if not fixed:
+            # A longer step leaves the resonance.
+            moved = abs(step[local]) / z[local]
+            if closing.kind == FREE:
+                moved = max(moved, abs(step[local + 1]))
+            if moved > limits.largest_step:
+                fraction = limits.largest_step / moved
+        accepted = False
+        for _ in range(_HALVINGS):
             trial = z + fraction * step
-            residual, jacobian, measured, slopes = evaluate(trial, control, given_log, phase, drive, rig)
-            after = np.linalg.norm(residual * weights)
-            if after < error * (1.0 - 0.1 * fraction) or after < 1e-10 or length < tolerance:
-                done = True
+            if closing.kind == FREE:
+                if not 0.5 * first < trial[local] < 2.0 * first:
+                    return False, trial, here
+                if moved < limits.tolerance or at_pole(trial, closing, targets, rig):
+                    return True, trial, here
+            if not fixed:
+                t = transfers(trial, closing, targets, drive, acting, rig, True)
+            here = balance(trial, forces_of(trial, closing, targets, rig, True), closing, targets, drive, t, rig)
+            after = np.linalg.norm(here.residual * weights)
+            # A free motion's steps are short enough as they are.
+            accepted = bool(
+                closing.kind == FREE or after < error * (1.0 - 0.1 * fraction) or after < 1e-10
+                or length < limits.tolerance
+            )  # fmt: skip
+            if accepted:
                 break
             fraction *= 0.5
         # Where no shorter step is better, the shortest is taken all the same: it may cross a kink.
         z, error = trial, after
-        if done and fraction == 1.0 and length < tolerance * (1.0 + np.linalg.norm(z / scale)):
-            return True, z, jacobian, measured, slopes
-        if done and error < 1e-12:
-            return True, z, jacobian, measured, slopes
-    return False, z, jacobian, measured, slopes
+        near = fraction == 1.0 and length < limits.tolerance * (1.0 + np.linalg.norm(z / scale))
+        if accepted and closing.kind != FREE and (near or error < 1e-12):
+            return True, z, here
+    return False, z, here
 
 
 @njit(cache=True)
-def residuals(
-    z: FloatArray,
-    control: Control,
-    given_log: FloatArray,
-    phase: FloatArray,
-    drive: ComplexArray,
-    rig: RigTables,
-) -> tuple[FloatArray, ComplexArray]:
-    """Residuals (levels, nz) and channels (levels, c, n_orders) of several levels of one rig, without derivatives.
+def resting_response(
+    s: complex, stiffness: FloatArray, damping: FloatArray, drive: ComplexArray, rig: RigTables
+) -> tuple[ComplexArray, ComplexArray]:
+    """Coordinates (r,) and channels (c,) before their sensors of the system linearised at rest, per unit of the drive.
 
-    The arguments are those of ``evaluate``; ``z``, ``given_log``, ``phase`` and ``drive`` have an entry for each level.
+    Args:
+        s: complex frequency.
+        stiffness, damping: (r,) tangents of the local forces.
+        drive: (exciters,) inputs for a unit of the drive.
+        rig: the rig.
     """
-    model, channels, factor, tables = rig
-    orders, offsets = tables.orders, tables.offsets
-    count = orders.size
-    exciters = drive.shape[2]
-    r = model.inputs.shape[1] - exciters
-    c = channels.shape[0]
-    size = offsets[count - 1] + 2
-    local = r * size
-    levels = z.shape[0]
-    residual = np.zeros((levels, local + 2))
-    measured = np.zeros((levels, c, count), dtype=np.complex128)
+    outputs, columns = rig.model.feedthrough.shape
+    r = columns - drive.size
+    every, none = np.zeros((1, outputs, columns), dtype=np.complex128), np.zeros((0, 0, 0), dtype=np.complex128)
+    add_response(s, rig.model, 0, outputs, columns, every, none)
+    values = every[0]
+    tangent = stiffness + s * damping
+    closed, driven = np.empty((r, r), dtype=np.complex128), np.empty(outputs, dtype=np.complex128)
+    for i in range(r):
+        for j in range(r):
+            closed[i, j] = values[i, j] * tangent[j]
+        closed[i, i] += 1.0
+    for o in range(outputs):
+        driven[o] = driven_by(values, o, r, drive)
+    w: ComplexArray = np.linalg.solve(closed, driven[:r].copy()).astype(np.complex128)
+    for o in range(r, outputs):
+        for j in range(r):
+            driven[o] -= values[o, j] * (tangent[j] * w[j])
+    return w, driven[r:].copy()
+
+
+@njit(cache=True)
+def stepped(
+    z: FloatArray, closing: Closing, targets: FloatArray, drive: ComplexArray, rig: RigTables
+) -> tuple[FloatArray, ComplexArray]:
+    """Unknowns (levels, nz) and channels (levels, c, ·) after one Newton step of each level with its own Jacobian.
+
+    Args:
+        z: unknowns (levels, nz).
+        closing, drive, rig: as of :func:`balance`.
+        targets: of each level (levels, 4).
+    """
+    moved = np.empty(z.shape)
+    spread = drive.shape[0] if closing.kind == LOCKED else 1
+    channels = np.empty((z.shape[0], rig.channels.shape[0], spread), dtype=np.complex128)
+    for level in range(z.shape[0]):
+        at = evaluate(z[level], closing, targets[level], drive, rig, True)
+        scale, weights = scales(z[level], closing, targets[level], rig.local.offsets[-1] + 2)
+        step = scaled_solve(at.jacobian, -at.residual, scale, weights)
+        moved[level], channels[level] = z[level] + step, followed(at.channels, at.slopes, step)
+    return moved, channels
+
+
+@njit(cache=True)
+def followed(channels: ComplexArray, slopes: ComplexArray, step: FloatArray) -> ComplexArray:
+    """Channels (c, ·) after a step (nz,) by their slopes (c, ·, nz)."""
+    result = channels.copy()
+    for c in range(slopes.shape[0]):
+        for n in range(slopes.shape[1]):
+            for b in range(step.size):
+                result[c, n] += slopes[c, n, b] * step[b]
+    return result
+
+
+@njit(cache=True)
+def carried(
+    z: FloatArray, positions: np.ndarray, kept: np.ndarray, fresh: np.ndarray, closing: Closing, targets: FloatArray,
+    drive: ComplexArray, rig: RigTables,
+) -> FloatArray:  # fmt: skip
+    """Unknowns of another rig on the coordinates of this one; new coordinates move as the others make them.
+
+    Args:
+        z: unknowns of the other rig.
+        positions, kept: of the unknowns that both have, in those of this rig and of the other.
+        fresh: positions of the rest of this rig's.
+        closing, targets, drive, rig: as of :func:`balance`.
+    """
+    here = np.zeros(positions.size + fresh.size)
+    for k in range(positions.size):
+        here[positions[k]] = z[kept[k]]
+    if fresh.size > 0:
+        residual = evaluate(here, closing, targets, drive, rig, False).residual
+        for k in fresh:
+            here[k] = -residual[k]
+    return here
+
+
+@njit(cache=True)
+def advance(
+    z: FloatArray, forces: FloatArray, shared: tuple[np.ndarray, np.ndarray, np.ndarray], inverses: FloatArray,
+    slopes: ComplexArray, closing: Closing, targets: FloatArray, drives: ComplexArray, rig: RigTables,
+) -> tuple[FloatArray, ComplexArray]:  # fmt: skip
+    """One Newton step to the solutions of a slightly different rig with the Jacobians of the solved one.
+
+    By the implicit function theorem the change is right to first order. Coordinates that the solved rig lacks have
+    forces of the order of the change: to first order they move as the others make them, and what their forces do is in
+    the residuals of the others.
+
+    Args:
+        z, inverses, slopes: solutions of the neighbouring rig (levels, …).
+        forces: (levels, r, size) its local forces where elements and frequencies are the same; without levels
+            otherwise.
+        shared: positions of the unknowns that both rigs have in those of this one and of the solved one, and positions
+            of the others in those of this one.
+        closing, rig: as of :func:`balance`.
+        targets, drives: of each level, (levels, 4) and (levels, n_orders, exciters); of one drive it is that of all.
+
+    Returns:
+        z (levels, nz) and channels (levels, c, ·).
+    """
+    positions, kept, fresh = shared
+    levels, nz = z.shape[0], positions.size + fresh.size
+    moved = np.full((levels, nz), np.nan)
+    channels = np.full((levels, slopes.shape[1], slopes.shape[2]), np.nan + 0j)
     for level in range(levels):
-        unknowns, left = z[level], residual[level]
-        omega = unknowns[local]
-        amplitude = np.exp(unknowns[local + 1])
-        displacement = unknowns[:local].copy().reshape(r, size)
-        g = local_amounts(displacement, omega, factor, tables)
-        for n in range(count):
-            order = orders[n]
-            offset = offsets[n]
-            s = 1j * order * omega
-            u = amplitude * drive[level, n]
-            quiet = not np.any(u)
-            if quiet and not np.any(g[:, offset]) and (order == 0 or not np.any(g[:, offset + 1])):
-                # Nothing acts at this order, and nothing responds.
-                for o in range(r):
-                    set_residual(left, unknowns, o * size + offset, 0j, order)
-                continue
-            transfer = response_at(s, model, r + c, r if quiet else r + exciters)
-            for o in range(r + c):
-                value = output_of(transfer, o, driven_by(transfer, o, r, u), g, offset, order)
-                if o < r:
-                    set_residual(left, unknowns, o * size + offset, value, order)
-                else:
-                    measured[level, o - r, n] = sensor_gain(s, channels[o - r])[0] * value
-        left[local], left[local + 1] = close(
-            measured[level], unknowns[local + 1], control, given_log[level], phase[level]
-        )
-    return residual, measured
+        if not np.isfinite(z[level, 0]):
+            continue
+        row, drive = targets[level], drives[min(level, drives.shape[0] - 1)]
+        here = carried(z[level], positions, kept, fresh, closing, row, drive, rig)
+        if forces.shape[0] > 0:
+            g = Forces(forces[level], np.zeros((0, 0, 0)), np.zeros((0, 0)))
+        else:
+            g = forces_of(here, closing, row, rig, False)
+        acting = acting_orders(drive, g.amounts, rig, False)
+        at = balance(here, g, closing, row, drive, transfers(here, closing, row, drive, acting, rig, False), rig)
+        known = np.zeros(z.shape[1])
+        for k in range(positions.size):
+            known[kept[k]] = at.residual[positions[k]]
+        step = -inverses[level] @ known
+        for k in range(positions.size):
+            here[positions[k]] += step[kept[k]]
+        moved[level] = here
+        channels[level] = followed(at.channels, slopes[level], step)
+    return moved, channels

@@ -8,7 +8,7 @@ import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import loop_step, njit
-from nmt_diagnose.prediction.periodic_kernel import FACTOR_LINEAR, FACTOR_QUADRATIC
+from nmt_diagnose.prediction.rig_tables import FACTOR_LINEAR, FACTOR_QUADRATIC
 from nmt_rig.model.aft import ElementTables, LocalTables
 from nmt_rig.model.element_kernels import response
 from nmt_rig.model.local_elements.element import (

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
@@ -19,7 +18,8 @@ from nmt_diagnose.effects.rig_edit import with_exciters
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model, moved_model
 from nmt_diagnose.prediction.local_tables import local_tables
-from nmt_diagnose.prediction.periodic_kernel import (
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.rig_tables import (
     DELAY,
     FACTOR_LINEAR,
     FACTOR_QUADRATIC,
@@ -28,7 +28,6 @@ from nmt_diagnose.prediction.periodic_kernel import (
     LOW_PASS,
     RigTables,
 )
-from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.assembly import (
     ElectromechanicalSystem,
@@ -126,14 +125,11 @@ class RigParts:
         return RigTables(self.linear.tables, self.channels, self.force_factor, self.tables)
 
     @cached_property
-    def decay_tables(self) -> RigTables:
-        """The same with the first exciter alone as an input: further ones hang on at zero volts."""
-        inputs = self.coordinates + 1
-        if self.linear.inputs.shape[1] == inputs:
-            return self.kernel_tables
-        tables = self.linear.tables
-        alone = {"inputs": tables.inputs[:, :inputs].copy(), "feedthrough": tables.feedthrough[:, :inputs].copy()}
-        return self.kernel_tables._replace(model=tables._replace(**alone))
+    def first_input(self) -> ComplexArray:
+        """Harmonics (n_orders, m) of the inputs where the first exciter's is a sine of amplitude one."""
+        result = np.zeros((self.basis.orders.size, self.saturation.size), dtype=np.complex128)
+        result[self.basis.fundamental, 0] = 1.0
+        return result
 
     @cached_property
     def resting(self) -> tuple[FloatArray, FloatArray]:
@@ -151,31 +147,6 @@ class RigParts:
                 stiffness[i] += at_rest[1]
                 damping[i] += at_rest[2]
         return stiffness, damping
-
-
-def shared_unknowns(
-    before: Sequence[str], keys: Sequence[str], size: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None:
-    """Unknowns, coordinate by coordinate and then two, that a rig shares with one that was solved before.
-
-    Args:
-        before, keys: coordinates of the solved rig and of the other.
-        size: unknowns of a coordinate.
-
-    Returns:
-        Their positions in those of the other rig and of the solved one, and positions of the rest of the other's; None
-        where a coordinate with a force is missing.
-    """
-    if tuple(before) == tuple(keys):
-        every = np.arange(len(keys) * size + 2)
-        return every, every, every[:0]
-    if any(key not in keys and key != IDLE for key in before):
-        return None
-    pairs = [(list(keys).index(key), j) for j, key in enumerate(before) if key in keys]
-    block, ends = np.arange(size), np.arange(2)
-    shared_positions = np.concatenate([*(i * size + block for i, _ in pairs), len(keys) * size + ends])
-    kept = np.concatenate([*(j * size + block for _, j in pairs), len(before) * size + ends])
-    return shared_positions, kept, np.setdiff1d(np.arange(len(keys) * size + 2), shared_positions)
 
 
 def sliding(parts: RigParts) -> tuple[FloatArray, FloatArray]:

@@ -11,9 +11,10 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
-from nmt_diagnose.measurements.locked_windows.predictor import PeriodicLevels, PeriodicState
+from nmt_diagnose.measurements.locked_windows.predictor import PeriodicLevels
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.parts_cache import PartsCache
+from nmt_diagnose.prediction.periodic_state import PeriodicState
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_rig.rig import Rig, ShakerSection

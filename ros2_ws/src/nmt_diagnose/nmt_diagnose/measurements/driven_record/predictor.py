@@ -25,10 +25,10 @@ from nmt_diagnose.prediction.converter import expected_quantised
 from nmt_diagnose.prediction.initial_state import InitialState, at_rest, initial_state
 from nmt_diagnose.prediction.linear_model import LinearModel
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
-from nmt_diagnose.prediction.periodic_kernel import DELAY, GAIN
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.record_kernel import SteppedModel, step_through
 from nmt_diagnose.prediction.rig_parts import RigParts
+from nmt_diagnose.prediction.rig_tables import DELAY, GAIN
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 

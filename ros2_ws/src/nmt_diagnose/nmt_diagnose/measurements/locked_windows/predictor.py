@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,44 +21,31 @@ from nmt_diagnose.prediction.converter import recorded_harmonics
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.periodic_kernel import (
     DRIVE_HELD,
-    Control,
-    channel_gains,
+    LOCKED,
+    Balance,
+    Closing,
+    Limits,
+    advance,
+    carried,
     evaluate,
-    local_amounts,
+    inverted,
     newton,
-    residuals,
-    sensor_gain,
+    resting_response,
+    scales,
+    stepped,
+    target_rows,
 )
+from nmt_diagnose.prediction.periodic_state import PeriodicState, has_coordinates, shared_unknowns
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.rig_parts import RigParts, exciter_of, resting_tangent, shared_unknowns
+from nmt_diagnose.prediction.rig_parts import RigParts, exciter_of
+from nmt_diagnose.prediction.rig_tables import channel_gains, harmonic_forces, sensor_gain
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
 # The fundamental of the measured force is given.
 FORCE_HELD = -2
-
-
-@dataclass(frozen=True)
-class PeriodicState:
-    """Solution of one level.
-
-    Attributes:
-        z: unknowns of the kernel.
-        keys: identity of the coordinates in z.
-        drive: commanded amplitude, V (N where the force is held).
-        channels: harmonics (c, n_orders) before the converter.
-    """
-
-    z: FloatArray
-    keys: tuple[str, ...]
-    drive: float
-    channels: ComplexArray
-
-    @property
-    def omega(self) -> float:
-        """True angular frequency, rad/s."""
-        return float(self.z[-2])
+_UNKNOWN_FORCES = np.zeros((0, 0, 0))
 
 
 @dataclass(frozen=True)
@@ -244,14 +231,12 @@ class PeriodicLevels:
         return None
 
     def _arguments(self, parts: RigParts, level: LevelProblem, amplitude: float) -> tuple[Any, ...]:
-        """Arguments of the kernel from ``control`` on."""
-        drive = self._drive(parts, level, amplitude)
-        held_channel = {DRIVE_HELD: DRIVE_HELD, FORCE_HELD: self._force}
-        measured_row = (
-            held_channel[level.held_channel] if level.held_channel in held_channel else self._own[level.held_channel]
+        """Arguments of the kernel behind the unknowns."""
+        held = {DRIVE_HELD: DRIVE_HELD, FORCE_HELD: self._force}.get(level.held_channel)
+        closing = Closing(
+            LOCKED, self._own[level.held_channel] if held is None else held, self._force, self._response, self.power
         )
-        control = Control(measured_row, self._force, self._response, self.power)
-        return control, math.log(amplitude), level.phase, drive, parts.kernel_tables
+        return closing, target_rows(amplitude, level.phase), self._drive(parts, level, amplitude), parts.kernel_tables
 
     def _drive(self, parts: RigParts, level: LevelProblem, amplitude: float) -> ComplexArray:
         """Harmonics (n_orders, exciters) of the inputs per unit of the drive."""
@@ -259,15 +244,9 @@ class PeriodicLevels:
         return unit_drive(parts, amplitude if level.held_channel == DRIVE_HELD else 0.0, self.ideal_force, level.terms)
 
     def _newton(self, parts: RigParts, level: LevelProblem, amplitude: float, z: FloatArray) -> PeriodicState | None:
-        scale = self._scale(parts, z)
+        limits = Limits(self.settings.iterations, self.settings.tolerance)
         try:
-            done, solved, jacobian, channels, _ = newton(
-                z,
-                scale,
-                self.settings.iterations,
-                self.settings.tolerance,
-                *self._arguments(parts, level, amplitude),
-            )
+            done, solved, at = newton(z, *self._arguments(parts, level, amplitude), limits)
         except (np.linalg.LinAlgError, ZeroDivisionError):
             return None
         # A frequency far from what was measured is another resonance.
@@ -281,19 +260,9 @@ class PeriodicLevels:
             and math.log(low / reached) < 1.5 * THRESHOLDS.prediction.resonance_search_share
         ):
             return None
-        if phase_slope(jacobian) <= 0.0:
+        if phase_slope(at.jacobian) <= 0.0:
             return None
-        return PeriodicState(solved, parts.keys, amplitude, channels)
-
-    def _scale(self, parts: RigParts, z: FloatArray) -> FloatArray:
-        size = self.basis.size
-        scale = np.ones_like(z)
-        for i in range(parts.coordinates):
-            block = slice(i * size, (i + 1) * size)
-            largest = float(np.max(np.abs(z[block])))
-            scale[block] = largest if largest > 0.0 else 1.0
-        scale[-2] = z[-2]
-        return scale
+        return PeriodicState(solved, parts.keys, amplitude, at.channels)
 
     def linear_start(self, parts: RigParts, level: LevelProblem, amplitude: float) -> FloatArray:
         """Unknowns of the system linearised at rest, at its phase resonance nearest to the measured frequency.
@@ -340,14 +309,9 @@ class PeriodicLevels:
         self, parts: RigParts, level: LevelProblem, omega: float, drive: ComplexArray
     ) -> tuple[ComplexArray, float, ComplexArray]:
         """Local displacements (r,) of the linearised system, angle of the phase condition (rad), channels (c,)."""
-        r = parts.coordinates
         s = 1j * omega
-        transfer, _ = parts.linear.at(s)
-        tangent = resting_tangent(parts, s)
-        closed = np.eye(r) + transfer[:r, :r] * tangent
-        w = np.asarray(np.linalg.solve(closed, _driven(transfer[:r, r:], drive)), dtype=np.complex128)
-        gains = channel_gains(s, parts.channels)
-        channels = gains * (_driven(transfer[r:, r:], drive) - transfer[r:, :r] @ (tangent * w))
+        w, outputs = resting_response(s, *parts.resting, drive, parts.kernel_tables)
+        channels = channel_gains(s, parts.channels) * outputs
         turn = np.exp(-1j * (0.5 * np.pi * self.power + level.phase))
         return w, float(np.angle(channels[self._force] * np.conj(channels[self._response]) * turn)), channels
 
@@ -355,7 +319,8 @@ class PeriodicLevels:
         """Forces g of all coordinates (r, n_orders)."""
         r, size = parts.coordinates, self.basis.size
         w = state.z[:-2].reshape(r, size)
-        return self.basis.to_complex(local_amounts(w, state.omega, parts.force_factor, parts.tables))
+        forces = harmonic_forces(w, state.omega, parts.force_factor, parts.tables, False)
+        return self.basis.to_complex(forces.amounts)
 
     @property
     def force_row(self) -> int:
@@ -379,14 +344,9 @@ class PeriodicLevels:
         """Change of the phase condition by a relative change of one channel's fundamental."""
         return float((complex(relative)).imag) * ((row == self._force) - (row == self._response))
 
-    def linearised(
-        self, parts: RigParts, level: LevelProblem, z: FloatArray
-    ) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
-        """Residual, Jacobian, channels and their derivatives at z."""
-        result: tuple[FloatArray, FloatArray, ComplexArray, ComplexArray] = evaluate(
-            z, *self._arguments(parts, level, level.amplitude)
-        )
-        return result
+    def linearised(self, parts: RigParts, level: LevelProblem, z: FloatArray) -> Balance:
+        """The balance at z with its Jacobian."""
+        return cast(Balance, evaluate(z, *self._arguments(parts, level, level.amplitude), True))
 
     def fundamental_unknowns(
         self, parts: RigParts, states: Sequence[PeriodicState]
@@ -414,20 +374,8 @@ class PeriodicLevels:
         """A solution's unknowns on the coordinates of ``parts``; new coordinates move as the others make them."""
         if state.keys == parts.keys:
             return state.z.copy()
-        size = self.basis.size
-        z = np.zeros(parts.coordinates * size + 2)
-        z[-2:] = state.z[-2:]
-        fresh = []
-        for i, key in enumerate(parts.keys):
-            if key in state.keys:
-                j = state.keys.index(key)
-                z[i * size : (i + 1) * size] = state.z[j * size : (j + 1) * size]
-            else:
-                fresh.append(i)
-        residual = evaluate(z, *self._arguments(parts, level, state.drive))[0]
-        for i in fresh:
-            z[i * size : (i + 1) * size] = -residual[i * size : (i + 1) * size]
-        return z
+        shared = shared_unknowns(state.keys, parts.keys, self.basis.size)
+        return cast(FloatArray, carried(state.z, *shared, *self._arguments(parts, level, state.drive)))
 
     def scaled(
         self, parts: RigParts, level: LevelProblem, state: PeriodicState, amplitude: float | None = None
@@ -451,10 +399,9 @@ class PeriodicLevels:
                 continue
             parts = self.parts(rig, cache, level)
             z = self.carried(parts, level, state)
-            residual, jacobian, channels, slopes = evaluate(z, *self._arguments(parts, level, level.amplitude))
-            scale = self._scale(parts, z)
-            step = scale * np.linalg.solve(jacobian * scale, -residual)
-            result.append(PeriodicState(z + step, parts.keys, state.drive, channels + slopes @ step))
+            closing, targets, *how = self._arguments(parts, level, level.amplitude)
+            moved, channels = stepped(z[None], closing, targets[None], *how)
+            result.append(PeriodicState(moved[0], parts.keys, state.drive, channels[0]))
         return result
 
     def tangent(self, rig: Rig, cache: PartsCache, states: tuple[PeriodicState | None, ...]) -> Tangent | None:
@@ -468,13 +415,13 @@ class PeriodicLevels:
             keys |= {state.keys, parts.keys}
             if len(keys) > 1:
                 return None
-            _, jacobian, _, slope = self.linearised(parts, level, state.z)
-            scale = self._scale(parts, state.z)
+            at = self.linearised(parts, level, state.z)
+            closing, targets, *_ = self._arguments(parts, level, level.amplitude)
             try:
-                inverse.append(scale[:, None] * np.linalg.inv(jacobian * scale))
+                inverse.append(inverted(at.jacobian, *scales(state.z, closing, targets, self.basis.size)))
             except np.linalg.LinAlgError:
                 return None
-            slopes.append(slope)
+            slopes.append(at.slopes)
         return Tangent(states, solved, np.array(inverse), np.array(slopes)) if solved else None
 
     def advanced(self, rig: Rig, cache: PartsCache, tangent: Tangent) -> list[PeriodicState | None] | None:
@@ -492,49 +439,17 @@ class PeriodicLevels:
             solved = [tangent.solved[number] for number in numbers]
             states = [state for state in (tangent.states[position] for position in solved) if state is not None]
             levels = self._held(parts, [self.levels[position] for position in solved], states)
-            z, shared_positions, kept = self._transferred(parts, levels, states)
-            if kept is None:
+            if not has_coordinates(states[0].keys, parts.keys):
                 return None
-            residual, measured = self._residuals(parts, levels, z)
-            known = np.zeros((len(numbers), tangent.inverse.shape[1]))
-            known[:, kept] = residual[:, shared_positions]
-            steps = -np.einsum("lab,lb->la", tangent.inverse[numbers], known)
-            channels = measured + np.einsum("lcnb,lb->lcn", tangent.slopes[numbers], steps)
-            z[:, shared_positions] += steps[:, kept]
+            each = [self._arguments(parts, level, level.amplitude) for level in levels]
+            moved, channels = advance(
+                np.array([state.z for state in states]), _UNKNOWN_FORCES,
+                shared_unknowns(states[0].keys, parts.keys, self.basis.size), tangent.inverse[numbers],
+                tangent.slopes[numbers], each[0][0], np.array([targets for _, targets, *_ in each]),
+                np.array([drive for *_, drive, _ in each]), parts.kernel_tables,
+            )  # fmt: skip
             for k, (position, state) in enumerate(zip(solved, states, strict=True)):
-                result[position] = PeriodicState(z[k], parts.keys, state.drive, channels[k])
-        return result
-
-    def _transferred(
-        self, parts: RigParts, levels: list[LevelProblem], states: list[PeriodicState]
-    ) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64] | None]:
-        """Unknowns of several levels on the coordinates of ``parts``, and which of them are which of the states'.
-
-        Returns:
-            (levels, nz), positions in it and in the states' unknowns of those that both have; None for the latter
-            where a coordinate with a force is missing.
-        """
-        old, size = states[0].keys, self.basis.size
-        before = np.array([state.z for state in states])
-        every = np.arange(before.shape[1])
-        if old == parts.keys:
-            return before, every, every
-        z = np.zeros((len(states), parts.coordinates * size + 2))
-        shared = shared_unknowns(old, parts.keys, size)
-        if shared is None:
-            return z, every, None
-        shared_positions, kept, fresh = shared
-        z[:, shared_positions] = before[:, kept]
-        z[:, fresh] = -self._residuals(parts, levels, z)[0][:, fresh]
-        return z, shared_positions, kept
-
-    def _residuals(self, parts: RigParts, levels: list[LevelProblem], z: FloatArray) -> tuple[FloatArray, ComplexArray]:
-        """Residuals (levels, nz) and channels (levels, c, n_orders) of several levels of one rig."""
-        control, *_, tables = self._arguments(parts, levels[0], levels[0].amplitude)
-        logs = np.array([math.log(level.amplitude) for level in levels])
-        phases = np.array([level.phase for level in levels])
-        drives = np.array([self._drive(parts, level, level.amplitude) for level in levels])
-        result: tuple[FloatArray, ComplexArray] = residuals(z, control, logs, phases, drives, tables)
+                result[position] = PeriodicState(moved[k], parts.keys, state.drive, channels[k])
         return result
 
 
@@ -607,12 +522,6 @@ def on_orders(terms: tuple[complex, ...], basis: FourierBasis) -> ComplexArray:
     return result
 
 
-def _driven(transfer: ComplexArray, drive: ComplexArray) -> ComplexArray:
-    """What inputs (exciters,) make of outputs, (outputs,), for their transfer (outputs, exciters)."""
-    result: ComplexArray = (transfer * drive).sum(axis=1)
-    return result
-
-
 def _by_part(rows: Rows) -> dict[int, tuple[NDArray[np.int64], ...]]:
     """Positions, levels, channels and orders of the rows of each part that this test has."""
     result: dict[int, tuple[NDArray[np.int64], ...]] = {}
@@ -649,7 +558,7 @@ def unit_drive(parts: RigParts, amplitude: float, ideal_force: bool, terms: Term
         terms: orders 1, 2, … of the drive of each exciter over the fundamental of the first.
     """
     basis = parts.basis
-    result: ComplexArray = np.array([on_orders(each, basis) for each in terms]).T
+    result = np.stack([on_orders(each, basis) for each in terms], axis=1)
     if ideal_force:
         return result
     for exciter, saturation in enumerate(parts.saturation):

@@ -18,9 +18,9 @@ from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.gaussian_motion import forces_in_motion
 from nmt_diagnose.prediction.linear_model import Fractions
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
-from nmt_diagnose.prediction.periodic_kernel import DELAY, GAIN, HIGH_PASS, LOW_PASS, sensor_gain
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import RigParts
+from nmt_diagnose.prediction.rig_tables import DELAY, GAIN, HIGH_PASS, LOW_PASS, sensor_gain
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 

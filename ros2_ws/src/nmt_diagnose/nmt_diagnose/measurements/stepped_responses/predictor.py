@@ -35,10 +35,12 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.prediction.forced_kernel import solve_lines, step_lines
+from nmt_diagnose.prediction.driven_lines import solve_lines
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_diagnose.prediction.periodic_kernel import DRIVEN, Closing, Limits, advance, target_rows
+from nmt_diagnose.prediction.periodic_state import has_coordinates, shared_unknowns
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.rig_parts import RigParts, shared_unknowns, sliding
+from nmt_diagnose.prediction.rig_parts import RigParts, sliding
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -140,16 +142,13 @@ class SteppedSinePredictor:
             first = np.where(known[:, None], before.z, 0.0)
         else:
             known, first = np.zeros(lines, dtype=bool), np.zeros((lines, size))
-        good, z, forces, inverses, values, slopes = solve_lines(
-            first, known, *self._given(parts), *parts.resting, parts.kernel_tables,
-            self.settings.iterations, self.settings.tolerance,
-        )  # fmt: skip
+        asked = self._closing, self._targets(parts)
+        how = parts.first_input, parts.kernel_tables, Limits(self.settings.iterations, self.settings.tolerance)
+        good, z, forces, inverses, values, slopes = solve_lines(first, known, *asked, *parts.resting, *how)
         if not good.all() and parts.tables.elements.jenkins.size:
             # Far beyond the slip of a stiff contact nothing leads there from rest.
-            other, *found = solve_lines(
-                np.zeros_like(first), np.zeros(lines, dtype=bool), *self._given(parts), *sliding(parts),
-                parts.kernel_tables, self.settings.iterations, self.settings.tolerance,
-            )  # fmt: skip
+            unknown = np.zeros_like(known)
+            other, *found = solve_lines(np.zeros_like(first), unknown, *asked, *sliding(parts), *how)
             taken = other & ~good
             for kept, more in zip((z, forces, inverses, values, slopes), found, strict=True):
                 kept[taken] = more[taken]
@@ -161,7 +160,7 @@ class SteppedSinePredictor:
         along = inverses[:, :, local] * self.amplitudes[:, None]
         change = along[:, local] + 1j * along[:, local + 1]
         if self.test.reference == "force":
-            change = np.einsum("lk,lk->l", slopes[:, self._own[-1], :], along)
+            change = np.einsum("lk,lk->l", slopes[:, self._own[-1], 0], along)
         elif self.test.reference == "voltage":
             change = change / parts.input_per_volt[0]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -178,14 +177,14 @@ class SteppedSinePredictor:
         state = states[0]
         assert state is not None
         parts = self.parts(rig, cache)
-        shared = shared_unknowns(state.keys, parts.keys, parts.basis.size)
-        if shared is None:
+        if not has_coordinates(state.keys, parts.keys):
             # A coordinate with a force is gone: nothing of the Jacobians can be kept.
             return self.solve(rig, cache, None)
         same = parts.keys == state.keys and parts.clock == state.clock and _same_tables(parts.tables, state.tables)
-        z, values = step_lines(
-            state.z, state.forces if same else state.forces[:0], *shared, state.inverses, state.slopes,
-            *self._given(parts), parts.kernel_tables,
+        shared = shared_unknowns(state.keys, parts.keys, parts.basis.size)
+        z, values = advance(
+            state.z, state.forces if same else state.forces[:0], shared, state.inverses, state.slopes, self._closing,
+            self._targets(parts), parts.first_input[None], parts.kernel_tables,
         )  # fmt: skip
         responses, _ = self._over_reference(parts, z, values)
         return [replace(state, keys=parts.keys, z=z, responses=responses)]
@@ -215,22 +214,25 @@ class SteppedSinePredictor:
             left = whitened_difference(at_measured(log_ratio, self.growth, self.moved), self.growth, self.test.noise)
         return np.log(np.abs(measured)) - left.real, np.angle(measured) - left.imag
 
-    def _given(self, parts: RigParts) -> tuple[int, ComplexArray, FloatArray]:
-        omega = 2.0 * np.pi * self.test.lines_hz * parts.clock
-        return int(self._own[0]), self.amplitudes.astype(np.complex128), omega
+    @property
+    def _closing(self) -> Closing:
+        return Closing(DRIVEN, int(self._own[0]))
+
+    def _targets(self, parts: RigParts) -> FloatArray:
+        return target_rows(self.amplitudes, omega=2.0 * np.pi * self.test.lines_hz * parts.clock)
 
     def _over_reference(
         self, parts: RigParts, z: FloatArray, values: ComplexArray
     ) -> tuple[ComplexArray, ComplexArray]:
         """Responses (lines, channels) over the reference, and the reference (lines,)."""
         if self.test.reference == "force":
-            reference = values[:, self._own[-1]]
+            reference = values[:, self._own[-1], 0]
         else:
             reference = z[:, -2] + 1j * z[:, -1]
             if self.test.reference == "voltage":
                 reference = reference / parts.input_per_volt[0]
         with np.errstate(divide="ignore", invalid="ignore"):
-            return values[:, self._own[: len(self.test.channels)]] / reference[:, None], reference
+            return values[:, self._own[: len(self.test.channels)], 0] / reference[:, None], reference
 
 
 def force_channel(test: SteppedResponses) -> MeasuredChannel:
@@ -276,7 +278,7 @@ def at_measured(log_ratio: ComplexArray, growth: ComplexArray, moved: FloatArray
     """ln of measured over predicted responses at the measured amplitude, from there where the model was given another.
 
     Args:
-        log_ratio: the same at the amplitude that the model was given, (lines, channels).
+        log_ratio: the same at the amplitude that the model was targets, (lines, channels).
         growth: ∂ ln R / ∂ ln s there, (lines,); the responses over R then go as 1 − growth.
         moved: ln of that amplitude over the measured one, (lines,).
     """

@@ -17,12 +17,11 @@ from nmt_diagnose.inference.held_out import splits
 from nmt_diagnose.inference.misfit import misfit_of
 from nmt_diagnose.inference.noise import groups_of, sigma_of
 from nmt_diagnose.inference.residual_map import residual_map
-from nmt_diagnose.law.held_levels import held_levels
 from nmt_diagnose.observations.noise.floors import repeatability
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
-from nmt_report.diagnosis_curves import Models, courses, drive_label, level_names
+from nmt_report.diagnosis_curves import Models, courses, level_names
 
 FILE = Path(__file__).with_name("golden_kinds.npz")
 
@@ -54,7 +53,7 @@ def golden(kind: str) -> dict[str, Any]:
         texts[f"range {name}"] = repr(sorted(value) if isinstance(value, frozenset) else value)
     for split in splits(observed):
         found[f"split {split.name}"] = split.held_out
-    levels = held_levels(observed, 0)
+    levels = observed.tests[0].held_levels(observed, 0)
     if levels is not None:
         for name in ("omega", "force", "force_std", "motion", "motion_std", "ratio", "ratio_std"):
             array = getattr(levels, name)
@@ -63,7 +62,7 @@ def golden(kind: str) -> dict[str, Any]:
         texts["held"] = [levels.numbers, [channel.name for channel in levels.channels]]
     zero = np.zeros(len(observed.rows))
     texts["map"] = [repr(it) for it in residual_map(observed, zero + 1.0, zero + 2.0, zero + 3.0)]
-    texts["label"] = [drive_label(observed.tests[0]), level_names(observed.tests)]
+    texts["label"] = [observed.tests[0].axis, level_names(observed.tests)]
     models = Models(prediction.values, prediction.values, prediction.values)
     for part in Part:
         for number, course in enumerate(courses(observed, models, 0, part)):

@@ -9,8 +9,10 @@ import numpy as np
 from independent.modal_simulator import Element, Simulator
 
 from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.law.held_levels import HeldLevels
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
 from nmt_rig.rig import Rig, validate_rig
@@ -143,3 +145,8 @@ def held_sines(
     test = LockedWindows("levels", points, "a1", channels, HARMONICS, "voltage", tuple(levels))
     found = rows.observations(test)
     return Observations(found.tests, found.rows, found.values, found.std, found.floor, chains=(MeasuringChain(),))
+
+
+def levels_of(observations: Observations) -> HeldLevels | None:
+    """Levels of the first measurement."""
+    return observations.tests[0].held_levels(observations, 0)

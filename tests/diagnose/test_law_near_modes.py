@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
-from diagnose.simulated_levels import held_sines
+from diagnose.simulated_levels import held_sines, levels_of
 
-from nmt_diagnose.law.held_levels import held_levels
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.reading import LawReading, read_law
@@ -49,7 +48,7 @@ def reading(*laws: tuple, **how) -> LawReading:
 
 
 def test_the_frame_of_near_modes_has_both() -> None:
-    held = held_levels(levels(forces=FORCES[:1]), 0)
+    held = levels_of(levels(forces=FORCES[:1]))
     assert held is not None
     for torsion_hz, expected in ((101.4, (0, 1)), (160.0, (0,))):
         rig = frame()
@@ -63,7 +62,7 @@ def test_the_frame_of_near_modes_has_both() -> None:
 
 def test_coordinates_and_residuals_of_both_modes_are_those_of_the_equations() -> None:
     """A force at a place gives each mode p G / D and its residual p G, by the closed form of a modal model."""
-    held = held_levels(levels(forces=FORCES[:2]), 0)
+    held = levels_of(levels(forces=FORCES[:2]))
     assert held is not None
     structure = ModalFrame.of(frame(), held)
     assert structure is not None
@@ -116,7 +115,7 @@ def test_sensors_that_do_not_tell_near_modes_apart_are_no_reading() -> None:
         changed = [modes[0], modes[1].model_copy(update={"shape": shape}), *modes[2:]]
         return rig.model_copy(update={"structure": rig.structure.model_copy(update={"modes": changed})})
 
-    held = held_levels(found, 0)
+    held = levels_of(found)
     assert held is not None
     alike = [ModalFrame.of(with_torsion(share), held) for share in (0.14, 0.10)]
     assert [one is not None and one.resolution > 0.1 for one in alike] == [True, False]

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnose.simulated_levels import FORCES, chain_of_masses, held
+from diagnose.simulated_levels import FORCES, chain_of_masses, held, levels_of
 
 from nmt_diagnose.inference.law_starts import _effects, worth_a_start
 from nmt_diagnose.law import reading
-from nmt_diagnose.law.held_levels import held_levels
 from nmt_diagnose.law.law_blocks import Block, blocks
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.law_search import LawSearch, fewest, moves_enough
@@ -22,7 +21,7 @@ from nmt_diagnose.law.terms import Term
 
 
 def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
-    levels = held_levels(held(forces=FORCES[:4]), 0)
+    levels = levels_of(held(forces=FORCES[:4]))
     assert levels is not None
     frame = ModalFrame.of(chain_of_masses(), levels)
     assert frame is not None
@@ -64,7 +63,7 @@ def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
 def test_the_damping_that_a_model_without_any_may_lack_is_stated() -> None:
     rig = chain_of_masses()
     structure = rig.structure.model_copy(update={"dampers_ns_m": [0.0] * 3, "ground_dampers_ns_m": [0.0] * 4})
-    levels = held_levels(held(forces=FORCES[:4]), 0)
+    levels = levels_of(held(forces=FORCES[:4]))
     assert levels is not None
     rig = rig.model_copy(update={"structure": structure})
     frame = ModalFrame.of(rig, levels)
@@ -105,7 +104,7 @@ def has_second(first: float, second: float, without: float = 10.0) -> bool:
 
 def is_looked_for(score: float) -> bool:
     search: Any = SimpleNamespace(null=SimpleNamespace(score=score), singles=lambda: [])
-    levels: Any = SimpleNamespace(test=SimpleNamespace(name="levels"), count=5)
+    levels: Any = SimpleNamespace(name="levels", count=5)
     return "noise" not in reading._read(search, levels).refusals[0]
 
 
@@ -185,7 +184,7 @@ def test_a_threshold_decides(name: str) -> None:
 
 def test_errors_of_other_modes_are_what_a_moved_model_makes_of_a_law() -> None:
     """Columns against rows of a model whose third mode is moved by a part of one standard deviation."""
-    levels = held_levels(held(forces=FORCES[:4]), 0)
+    levels = levels_of(held(forces=FORCES[:4]))
     assert levels is not None
     frame = ModalFrame.of(chain_of_masses(), levels)
     assert frame is not None

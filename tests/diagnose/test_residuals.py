@@ -8,7 +8,8 @@ from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.inference.residual_tests import ResidualTest, holm, residual_tests
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 
 CHANNELS = (MeasuredChannel("f1", Quantity.FORCE, 1), MeasuredChannel("a1", Quantity.ACCELERATION, 1))

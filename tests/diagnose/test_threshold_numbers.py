@@ -17,7 +17,7 @@ from nmt_core.tolerances import MODEL_PRIORS
 from nmt_diagnose.effects.calibration import mode_dampings
 from nmt_diagnose.inference.chain import _distorted
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel
+from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
 from nmt_diagnose.measurements.locked_windows.reading import _lean
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.channels.plausibility import check_frequency, out_of_scale

@@ -30,7 +30,6 @@ from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
 from nmt_diagnose.inference.diagnose import observed
 from nmt_diagnose.inference.law_starts import law_of
-from nmt_diagnose.law.held_levels import held_levels
 from nmt_diagnose.law.reading import LawReading, LocalLaw
 from nmt_rig.rig import load_rig
 
@@ -62,7 +61,11 @@ def read_case(folder: Path) -> dict[str, Any]:
     reading = law_of(rig, observations)
     seconds = time.process_time() - begin
     found["seconds"] = seconds
-    levels = [held for k in range(len(observations.tests)) if (held := held_levels(observations, k)) is not None]
+    levels = [
+        held
+        for k in range(len(observations.tests))
+        if (held := observations.tests[k].held_levels(observations, k)) is not None
+    ]
     with np.errstate(invalid="ignore", divide="ignore"):
         ratios = [np.nanmax(np.abs(held.motion[:, :, 2:]) / held.motion_std[:, :, 2:]) for held in levels]
     found["harmonic_sigma"] = float(max(ratios, default=math.nan))

@@ -24,7 +24,8 @@ from nmt_diagnose.inference.gap import rms
 from nmt_diagnose.inference.residual_map import per_observable, residual_map
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses

@@ -11,17 +11,10 @@ import numpy as np
 
 from nmt_core.files.whole_file import csv_text
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.inference.residual_map import channel_name, channels_of
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
-from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.inference.residual_map import channel_name
 from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part
-from nmt_report.quantity_format import engineering_exponent, power_of_ten, significant
+from nmt_report.quantity_format import engineering_exponent, power_of_ten
 
 _PARTS = {
     Part.LOG_FREQUENCY: "ln_angular_frequency",
@@ -112,27 +105,14 @@ class HarmonicCourse:
     final: FloatArray
 
 
-def drive_label(test: Measurement) -> str:
-    """What the abscissa of a test is."""
-    if isinstance(test, LockedWindows):
-        return "drive voltage / V" if test.held == "voltage" else "force / N"
-    if isinstance(test, RandomResponses | SteppedResponses):
-        return "frequency / Hz"
-    if isinstance(test, DrivenRecord):
-        return "time / s"
-    return f"{test.channels[0].quantity.name.lower()} amplitude / {test.channels[0].unit}"
-
-
 def level_names(tests: Sequence[Measurement]) -> list[str]:
     """Names of stepped sines of the same channels: level and direction of the frequency, a number if need be."""
     names: list[str] = []
     for test in tests:
-        if not isinstance(test, SteppedResponses):
-            names.append(test.name)
+        level = test.level_name
+        if test.sweep_key is None:
+            names.append(level)
             continue
-        unit = {"force": "N·m" if test.channels[0].turns else "N", "base": "m/s²", "voltage": "V"}
-        level = f"{significant(float(np.median(test.levels)), 3)} {unit.get(test.held, test.channels[0].unit)}"
-        level += {1: " ↑", -1: " ↓"}.get(test.direction, "")
         before = sum(name.split(" (")[0] == level for name in names)
         names.append(f"{level} ({before + 1})" if before else level)
     return names
@@ -170,7 +150,7 @@ def courses(observations: Observations, models: Models, test: int, part: Part) -
         which = np.flatnonzero(mine & (rows.channel == channel) & ((rows.harmonic == 1) | (rows.harmonic < 0)))
         if which.size == 0:
             continue
-        along = rows.time_s if isinstance(kind, DrivenRecord) else rows.level
+        along = rows.time_s if kind.over_time else rows.level
         which = which[np.argsort(along[which], kind="stable")]
         found.append(_course(observations, models, test, which, part))
     return found
@@ -181,15 +161,8 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
     measured, sigma = observations.values[which], observations.sigma[which]
     computed = [values[which] for values in (models.as_given, models.refitted, models.final)]
     channel = int(rows.channel[which[0]])
-    own = channels_of(kind)[channel] if channel >= 0 else None
-    if isinstance(kind, RandomResponses | SteppedResponses):
-        x = rows.frequency_hz[which]
-    elif isinstance(kind, DrivenRecord):
-        x = rows.time_s[which]
-    elif isinstance(kind, RecordedDecay | BackboneTable):
-        x = np.asarray(kind.amplitudes)[rows.level[which]]
-    else:
-        x = rows.amplitude[which]
+    own = kind.channels[channel] if channel >= 0 else None
+    x = kind.abscissa(rows, which)
     title = own.name if own is not None else ""
     differences = np.array([values - measured for values in computed] + [sigma])
     logarithmic = False
@@ -197,7 +170,7 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
         title, unit, deviation_unit, factor = "frequency", "Hz", "%", 100.0
         measured, *computed = (np.exp(values) / _TAU for values in (measured, *computed))
     elif part is Part.LOG_MAGNITUDE:
-        unit, deviation_unit, factor = _magnitude_unit(kind, own), "%", 100.0
+        unit, deviation_unit, factor = "" if own is None else kind.magnitude_unit(own), "%", 100.0
         measured, *computed = (np.exp(values) for values in (measured, *computed))
         logarithmic = True
     elif part in (Part.PHASE, Part.PHASE_ERROR):
@@ -213,27 +186,16 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
     else:
         unit = own.unit if own is not None else ""
         deviation_unit, factor = unit, 1.0
-    joined = not isinstance(kind, RandomResponses | SteppedResponses) or x.size >= _FEW_LINES
+    joined = not kind.over_frequency or x.size >= _FEW_LINES
     exponent = engineering_exponent(measured) if logarithmic or part in (Part.SAMPLE, Part.LINE) else 0
     if exponent:
         unit = f"{power_of_ten(exponent)} {unit}"
         measured, *computed = (values / 10.0**exponent for values in (measured, *computed))
     given, refitted, final = computed
     return Course(
-        title, x, drive_label(kind), unit, measured, sigma, given, refitted, final, deviation_unit,
+        title, x, kind.axis, unit, measured, sigma, given, refitted, final, deviation_unit,
         factor * differences, logarithmic, joined, exponent, 360.0 if part in (Part.PHASE, Part.PHASE_ERROR) else 0.0,
     )  # fmt: skip
-
-
-def _magnitude_unit(kind: Measurement, channel: MeasuredChannel | None) -> str:
-    if channel is None:
-        return ""
-    unit, force = channel.unit.replace("s^2", "s²"), "N·m" if channel.turns else "N"
-    if isinstance(kind, RandomResponses):
-        return f"{unit} / {'V' if kind.reference == 'voltage' else force}"
-    if isinstance(kind, SteppedResponses):
-        return f"{unit} / {({'force': force, 'base': '(m/s²)'}).get(kind.reference, 'V')}"
-    return unit
 
 
 def harmonic_courses(observations: Observations, models: Models, test: int) -> list[HarmonicCourse]:
@@ -262,7 +224,7 @@ def harmonic_courses(observations: Observations, models: Models, test: int) -> l
                     else:
                         magnitudes[index, row, column] = float(np.sqrt(np.sum(values[which] ** 2)))
         name = channel_name(observations, test, int(channel))
-        found.append(HarmonicCourse(name, x, drive_label(kind), orders, *magnitudes))
+        found.append(HarmonicCourse(name, x, kind.axis, orders, *magnitudes))
     return found
 
 

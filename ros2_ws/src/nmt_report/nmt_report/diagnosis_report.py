@@ -11,17 +11,12 @@ from markupsafe import Markup
 
 from nmt_core.text.number_words import percent, share_with_interval, value_text
 from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Remainder, Verdict
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_report.diagnosis_curves import (
     Course,
     Models,
     courses,
-    drive_label,
     harmonic_courses,
     level_names,
     on_one_scale,
@@ -168,9 +163,7 @@ def probability_shares(d: Diagnosis) -> list[tuple[str, str, float, str]]:
 def _level_label(observations: Observations, test: str) -> str:
     """What the columns of a test's residual map are."""
     kind = next((kind for kind in observations.tests if kind.name == test), None)
-    if isinstance(kind, RandomResponses | SteppedResponses):
-        return "middle of the band / Hz"
-    return "segment" if kind is None or isinstance(kind, DrivenRecord) else drive_label(kind)
+    return "segment" if kind is None else kind.map_axis
 
 
 def _verdict(d: Diagnosis) -> tuple[str, str]:
@@ -608,19 +601,9 @@ def _curves(report: DiagnosisReport) -> list[ReportFigure]:
                 found = [on_one_scale(panel) for panel in panels.values()]
                 result.append(course_figure(f"{key}-{numbers[0]}", title + tail, _BELOW, found, shown, names))
 
-        if isinstance(test, RandomResponses | SteppedResponses):
-            add("frf", "Frequency responses: magnitude", Part.LOG_MAGNITUDE)
-            add("frf-phase", "Frequency responses: phase", Part.PHASE)
-        elif isinstance(test, LockedWindows):
-            over = drive_label(test).partition(" / ")[0]
-            add("frequency", f"Frequency and phase error over the {over}", Part.LOG_FREQUENCY, Part.PHASE_ERROR)
-            add("amplitude", f"Amplitudes over the {over}", Part.LOG_MAGNITUDE)
-            add("phase", f"Phases to the drive over the {over}", Part.PHASE)
-            add("line", "Lines that follow no excitation (mains hum)", Part.LINE)
-        elif isinstance(test, DrivenRecord):
-            add("record", "Record", Part.SAMPLE)
-        else:
-            add("decay", "Frequency and damping over the amplitude", Part.LOG_FREQUENCY, Part.DAMPING)
+        over = test.axis.partition(" / ")[0]
+        for key, title, parts in test.FIGURES:
+            add(key, title.format(over=over), *parts)
         harmonics = harmonic_courses(report.observations, report.models, first)
         if harmonics:
             result.append(harmonic_figure(f"harmonics-{first}", f"Harmonics{tail}", harmonics, shown))
@@ -629,10 +612,7 @@ def _curves(report: DiagnosisReport) -> list[ReportFigure]:
 
 def _together(tests: tuple[Measurement, ...]) -> list[list[int]]:
     """Numbers of the tests of each figure: frequency responses of the same channels to the same drive are in one."""
-    groups: dict[tuple[object, ...], list[int]] = {}
+    groups: dict[object, list[int]] = {}
     for number, test in enumerate(tests):
-        key: tuple[object, ...] = (number,)
-        if isinstance(test, SteppedResponses):
-            key = (test.drive_point, frozenset(test.channels), test.reference, test.held, test.phase_known)
-        groups.setdefault(key, []).append(number)
+        groups.setdefault((number,) if test.sweep_key is None else test.sweep_key, []).append(number)
     return list(groups.values())

@@ -19,7 +19,8 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain

@@ -9,7 +9,7 @@ the model for other values, and are the same for windows, random tests, tables, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -23,18 +23,20 @@ from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.location import LocationKind
-from nmt_diagnose.inference.chain_tests import DELAY_STEP_S, FUNDAMENTAL, PHASE_STEP, ChainTests, edited, later
+from nmt_diagnose.inference.chain_tests import (
+    DELAY_STEP_S,
+    FUNDAMENTAL,
+    PHASE_STEP,
+    ChainTests,
+    edited,
+    later,
+    with_phase_step,
+)
 from nmt_diagnose.inference.modes_left_out import ModesLeftOut
 from nmt_diagnose.inference.record_errors import record_errors
 from nmt_diagnose.inference.shape_errors import ShapeErrors
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
 from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
-from nmt_diagnose.measurements.stepped_responses.predictor import gain_error
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
@@ -44,7 +46,6 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import BeamSection, Rig, SensorSection
 
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
-_COVERED = (LockedWindows, RandomResponses, RecordedDecay, SteppedResponses)
 _IMAGE = "image"
 _OF_A_TEST = ("start ", "settling ", "phase of ")  # as well known as the test's own samples tell them
 # Orders of images that are followed, the nearest first; those beyond them are one constant for each channel.
@@ -106,11 +107,9 @@ def shared_delays(observations: Observations, rig: Rig) -> tuple[SharedDelay, ..
     """Delays of the kinds of sensors that refer to a voltage, or to the input of a record; none of the bench's own."""
     found: dict[Quantity, float] = {}
     for test, chain in zip(observations.tests, observations.chains, strict=False):
-        held = isinstance(test, LockedWindows | DrivenRecord)
-        held |= isinstance(test, RandomResponses) and test.reference == "voltage"
-        if chain is None or not held:
+        if chain is None or not test.timed_by_drive:
             continue
-        for channel in getattr(test, "channels", ()):
+        for channel in test.channels:
             if channel.quantity in (*MOTIONS, Quantity.FORCE):
                 found[channel.quantity] = chain.shared_delay_s
     kinds = {sensor.quantity for sensor in rig.sensors}
@@ -128,7 +127,7 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
     numbers = {
         number: chain
         for number, chain in enumerate(observations.chains)
-        if chain is not None and isinstance(observations.tests[number], _COVERED)
+        if chain is not None and observations.tests[number].linear_chain
     }
     builder = _Builder(observations, rig, prediction, numbers) if numbers else None
     found = builder.found() if builder else {}
@@ -146,9 +145,7 @@ def _unsettled(observations: Observations) -> dict[str, FloatArray]:
     """Amplitudes of locked windows that had not settled, one error for each level."""
     rows, found = observations.rows, {}
     for number, test in enumerate(observations.tests):
-        if not isinstance(test, LockedWindows):
-            continue
-        for position, level in enumerate(test.levels):
+        for position, level in enumerate(test.locked_levels):
             if any(level.amplitude_leans):
                 selected = (rows.test == number) & (rows.level == position) & (rows.part == Part.LOG_MAGNITUDE)
                 selected &= rows.channel >= 0
@@ -164,26 +161,18 @@ def _phase_at_lock(observations: Observations, rig: Rig, prediction: Prediction)
     The loop holds the phase that it measures: noise of force and response moves the excitation off phase resonance,
     and frequency, amplitudes and phases of all channels together.
     """
-    if not any(isinstance(test, LockedWindows) for test in observations.tests):
+    if not any(test.locked_levels for test in observations.tests):
         return {}
     forward = Forward(observations.tests, observations.rows)
     base = forward.predict(rig, prediction)
-    moved = _with_levels(observations.tests, lambda level: replace(level, phase_error=level.phase_error + PHASE_STEP))
+    moved = tuple(test.with_levels(with_phase_step) for test in observations.tests)
     slopes = forward.difference(Forward(moved, observations.rows).predict(rig, base).values, base.values) / PHASE_STEP
     rows, found = observations.rows, {}
     for number, test in enumerate(observations.tests):
-        for position, level in enumerate(test.levels if isinstance(test, LockedWindows) else ()):
+        for position, level in enumerate(test.locked_levels):
             selected = (rows.test == number) & (rows.level == position) & (rows.part != Part.PHASE_ERROR)
             found[f"phase of {test.name} {position}"] = np.where(selected, level.phase_error_std * slopes, 0.0)
     return found
-
-
-def _with_levels(tests: Sequence[Measurement], change: Callable[[LockedLevel], LockedLevel]) -> tuple[Measurement, ...]:
-    """Tests with every locked level changed."""
-    return tuple(
-        replace(t, levels=tuple(change(level) for level in t.levels)) if isinstance(t, LockedWindows) else t
-        for t in tests
-    )
 
 
 def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) -> FloatArray:
@@ -197,11 +186,9 @@ def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) 
     for number, test in enumerate(observations.tests):
         chain = observations.chains[number] if number < len(observations.chains) else None
         state = prediction.states[number]
-        if not isinstance(test, BackboneTable | SteppedResponses) or state is None:
+        larger, channel = test.larger(_GAIN_STEP), test.given_channel
+        if larger is None or channel is None or state is None or (chain is None and not test.reduced):
             continue
-        if chain is None and isinstance(test, SteppedResponses):
-            continue
-        channel = test.channels[0] if isinstance(test, SteppedResponses) else test.channel
         gain = TOLERANCES.amplitude_scale if chain is None else chain.of(channel.name).gain
         selected = observations.rows.test == number
         rows = observations.rows.take(selected)
@@ -209,17 +196,10 @@ def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) 
         start = Prediction(prediction.values[selected], prediction.converged[selected], (), (state,))
         plain = Forward((test,), rows)
         base = plain.predict(rig, start)
-        moved = Forward((_larger(test),), rows).predict(rig, base)
+        moved = Forward((larger,), rows).predict(rig, base)
         column = found.setdefault(f"scale of {channel.name}", np.zeros(len(observations.rows)))
         column[selected] = np.nan_to_num(gain * plain.difference(moved.values, base.values) / _GAIN_STEP)
     return np.column_stack([*found.values()]) if found else np.zeros((len(observations.rows), 0))
-
-
-def _larger(test: BackboneTable | SteppedResponses) -> Measurement:
-    """The test with its motion a little larger than recorded."""
-    if isinstance(test, SteppedResponses):
-        return replace(test, scale=test.scale * (1.0 + _GAIN_STEP))
-    return replace(test, amplitudes=test.amplitudes * (1.0 + _GAIN_STEP))
 
 
 class _Builder:
@@ -247,15 +227,16 @@ class _Builder:
         """Rows over a change of the rig; responses at held amplitudes have columns of their own."""
         forward = self.tests.forward
         moved = forward.difference(forward.predict(rig, self.base).values, self.base.values) / step
-        return np.where(self._of(SteppedResponses), 0.0, moved)
+        return np.where(self._where(lambda test: test.held_amplitude), 0.0, moved)
 
-    def _of(self, *kinds: type[Measurement]) -> BoolArray:
-        numbers = [number for number, test in enumerate(self.tests.tests) if isinstance(test, kinds)]
+    def _where(self, which: Callable[[Measurement], bool]) -> BoolArray:
+        """Rows of the tests that are asked for."""
+        numbers = [number for number, test in enumerate(self.tests.tests) if which(test)]
         return np.isin(self.rows.test, numbers)
 
     def _on_fundamentals(self, column: FloatArray) -> FloatArray:
         """A column of windows and random tests on magnitudes and phases of fundamentals and lines alone."""
-        fundamentals = np.isin(self.rows.part, FUNDAMENTAL) & self._of(LockedWindows, RandomResponses, RecordedDecay)
+        fundamentals = np.isin(self.rows.part, FUNDAMENTAL) & self._where(lambda test: not test.held_amplitude)
         return np.where(fundamentals, column, 0.0)
 
     def _clock(self) -> dict[str, FloatArray]:
@@ -282,57 +263,27 @@ class _Builder:
                 corner = _LEAD_STEP * self.tests.tested()
                 leading = edited(self.rig, channel, partial(_leading, corner_hz=corner))
                 found[f"lead {name}"] = tolerance.phase * self._changed(leading, _LEAD_STEP)
-        return found | self._reduced() | self._over_force()
+        return found | self._of_responses()
 
-    def _reduced(self) -> dict[str, FloatArray]:
-        """Gain, phase and delay of each response and of the reference, at held amplitudes.
-
-        An error of the first response is one of the amplitude at which the others are compared, too.
-        """
+    def _of_responses(self) -> dict[str, FloatArray]:
+        """Errors that the responses of single tests have."""
         found: dict[str, FloatArray] = {}
         for number, test in enumerate(self.tests.tests):
-            if not isinstance(test, SteppedResponses):
-                continue
-            chain = self.tests.measuring_chains[number]
             rows = np.flatnonzero(self.tests.linear_rows(number))
-            place = self.rows.level[rows], self.rows.channel[rows]
-            omega, turned = 2.0 * np.pi * self.rows.frequency_hz[rows], self.rows.part[rows] == Part.PHASE
-            for channel, name in (*enumerate(c.name for c in test.channels), (None, f"the {test.reference}")):
-                tolerance = chain.of("" if channel is None else name)
-                late = math.hypot(tolerance.delay_s, chain.shared_delay_s)
-                of_gain, of_phase = (gain_error(test, channel, error)[place] for error in (1.0, 1j))
-                of_gain, of_phase = (np.where(turned, e.imag, e.real) for e in (of_gain, of_phase))
-                for kind, column in (
-                    ("gain", tolerance.gain * of_gain),
-                    ("phase", tolerance.phase * of_phase),
-                    ("delay", late * omega * of_phase),
-                ):
-                    found.setdefault(f"{kind} of {name} in responses", np.zeros(len(self.rows)))[rows] = column
-        return found
-
-    def _over_force(self) -> dict[str, FloatArray]:
-        """Delay of each kind of responses over the force that they are divided by, in random tests."""
-        found: dict[str, FloatArray] = {}
-        for number, test in enumerate(self.tests.tests):
-            if not isinstance(test, RandomResponses) or test.reference != "force":
-                continue
-            late = math.sqrt(2.0) * self.tests.measuring_chains[number].shared_delay_s
-            for index, channel in enumerate(test.channels):
-                name = f"delay of {channel.quantity.name.lower()} over force"
-                selected = (self.rows.test == number) & (self.rows.channel == index) & (self.rows.part == Part.PHASE)
-                column = found.setdefault(name, np.zeros(len(self.rows)))
-                column[selected] = late * 2.0 * np.pi * self.rows.frequency_hz[selected]
+            errors = test.response_errors(self.rows.take(rows), self.tests.measuring_chains[number])
+            for name, column in errors.items():
+                found.setdefault(name, np.zeros(len(self.rows)))[rows] = column
         return found
 
     def _voltage(self) -> dict[str, FloatArray]:
         """Gain of the drive's voltage, recorded or commanded."""
         size = max(chain.voltage_gain for chain in self.tests.measuring_chains)
-        moved = _with_levels(self.tests.tests, lambda level: replace(level, drive=level.drive * (1.0 + _GAIN_STEP)))
+        moved = tuple(test.with_levels(_driven_more) for test in self.tests.tests)
         both = self.tests.moved(moved, self.base) / _GAIN_STEP
         recorded = np.zeros(len(self.rows))
-        commanded = any(isinstance(test, LockedWindows) and test.commanded for test in self.tests.tests)
+        commanded = any(test.commanded for test in self.tests.tests)
         for number, test in enumerate(self.tests.tests):
-            if isinstance(test, RandomResponses) and test.reference == "voltage":
+            if test.broad_band and test.over_voltage:
                 recorded[(self.rows.test == number) & (self.rows.part == Part.LOG_MAGNITUDE)] = 1.0
         found = {"gain of the drive": size * (both + recorded)}
         return found | ({"gain of the recorded voltage": size * recorded} if commanded else {})
@@ -344,7 +295,7 @@ class _Builder:
             direct = np.zeros(len(self.rows), dtype=np.complex128)
             for number in self.tests.referred():
                 rate = self.tests.measuring_chains[number].hold_hz
-                if getattr(self.tests.tests[number], "commanded", False) is commanded and math.isfinite(rate):
+                if self.tests.tests[number].commanded is commanded and math.isfinite(rate):
                     selected = self.tests.linear_rows(number)
                     share = self.rows.frequency_hz[selected] / rate
                     direct[selected] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
@@ -401,7 +352,7 @@ class _Builder:
         other, turned = values[self.tests.other_part()], self.rows.part == Part.PHASE
         size, angle = np.where(turned, other, values), np.where(turned, values, other)
         result = np.exp(size[selected] + 1j * angle[selected])
-        if isinstance(self.tests.tests[number], LockedWindows):
+        if self.tests.tests[number].locked_levels:
             result = result / self.rows.amplitude[selected]
         return np.asarray(result)
 
@@ -409,10 +360,7 @@ class _Builder:
         """By how much the phase between force and response truly was off at each locked row, if images were in it."""
         result = np.zeros(len(self.rows))
         for number, test in enumerate(self.tests.tests):
-            if not isinstance(test, LockedWindows):
-                continue
-            force = next((c.name for c in test.channels if c.quantity is Quantity.FORCE), "")
-            sign = (name == test.response_channel) - (name == force)
+            sign = test.turned_by(name)
             selected = (self.rows.test == number) & self.tests.rows_of(name) & (self.rows.part == Part.PHASE)
             for level in np.unique(self.rows.level[selected]) if sign else ():
                 angle = float(images[selected & (self.rows.level == level)][0].imag)
@@ -445,7 +393,7 @@ class _Builder:
         """
         found = {}
         for number, test in enumerate(self.tests.tests):
-            if isinstance(test, LockedWindows):
+            if test.locked_levels:
                 selected = self.rows.test == number
                 size = float(np.max(self._image_size[selected & (self.rows.part == Part.PHASE)], initial=0.0))
                 found[f"aim {test.name}"] = math.hypot(math.radians(TOLERANCES.loop_phase_deg), size) * (
@@ -458,7 +406,9 @@ class _Builder:
         found = {}
         for order in (2, 3):
             for part, share in (("re", 1.0), ("im", 1j)):
-                moved = _with_levels(self.tests.tests, partial(_distorted, order=order, share=share))
+                moved = tuple(
+                    test.with_levels(partial(_distorted, order=order, share=share)) for test in self.tests.tests
+                )
                 found[f"harmonic {order} of the drive {part}"] = self.tests.moved(moved, self.base)
         return found
 
@@ -466,17 +416,20 @@ class _Builder:
         """Shift of the resonance from test to test, as temperature makes it; locked windows have none."""
         found = {}
         for number, test in enumerate(self.tests.tests):
-            if isinstance(test, SteppedResponses | RandomResponses):
-                shifted = tuple(
-                    replace(t, lines_hz=t.lines_hz * (1.0 - _SHIFT_STEP)) if t is test else t for t in self.tests.tests
-                )
+            lower = test.with_lines_moved(-_SHIFT_STEP)
+            if lower is not None:
+                shifted = tuple(lower if other is test else other for other in self.tests.tests)
                 slope = self.tests.moved(shifted, self.base) / _SHIFT_STEP
-            elif isinstance(test, RecordedDecay):
-                slope = ((self.rows.test == number) & (self.rows.part == Part.LOG_FREQUENCY)).astype(np.float64)
             else:
+                slope = ((self.rows.test == number) & test.resonance_rows(self.rows)).astype(np.float64)
+            if not slope.any():
                 continue
             found[f"resonance in {test.name}"] = TOLERANCES.resonance_shift * slope
         return found
+
+
+def _driven_more(level: LockedLevel) -> LockedLevel:
+    return replace(level, drive=level.drive * (1.0 + _GAIN_STEP))
 
 
 def _distorted(level: LockedLevel, order: int, share: complex) -> LockedLevel:

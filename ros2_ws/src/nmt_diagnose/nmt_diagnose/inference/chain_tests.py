@@ -12,9 +12,8 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
 from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
@@ -57,16 +56,10 @@ class ChainTests:
         self.tests = tuple(observations.tests[number] for number in self.numbers)
         self.forward = Forward(self.tests, self.rows)
         self.measuring_chains = tuple(chains[number] for number in self.numbers)
-        self.channels = {
-            c.name: c
-            for test in self.tests
-            for c in getattr(test, "channels", ())
-            if c.quantity is not Quantity.VOLTAGE
-        }
+        self.channels = {c.name: c for test in self.tests for c in test.channels if c.quantity is not Quantity.VOLTAGE}
         for test in self.tests:
-            if isinstance(test, RandomResponses) and test.reference == "force":
-                name = f"f{test.drive_point}"
-                self.channels.setdefault(name, MeasuredChannel(name, Quantity.FORCE, test.drive_point))
+            if test.divisor is not None:
+                self.channels.setdefault(test.divisor.name, test.divisor)
 
     def full(self, values: FloatArray) -> FloatArray:
         """Values of these rows among all, zero elsewhere, shape (m,)."""
@@ -99,19 +92,14 @@ class ChainTests:
 
     def slopes(self, base: Prediction) -> FloatArray:
         """Change of the rows over that of the phase at which each level truly stood."""
-        moved = tuple(
-            replace(t, levels=tuple(replace(level, phase_error=level.phase_error + PHASE_STEP) for level in t.levels))
-            if isinstance(t, LockedWindows)
-            else t
-            for t in self.tests
-        )
+        moved = tuple(test.with_levels(with_phase_step) for test in self.tests)
         return np.nan_to_num(self.moved(moved, base) / PHASE_STEP)
 
     def rows_of(self, channel: str) -> BoolArray:
         """Rows of a channel, in whatever test."""
         selected = np.zeros(len(self.rows), dtype=bool)
         for number, test in enumerate(self.tests):
-            names = [c.name for c in getattr(test, "channels", ())]
+            names = [c.name for c in test.channels]
             if channel in names:
                 selected |= (self.rows.test == number) & (self.rows.channel == names.index(channel))
         return selected
@@ -174,16 +162,11 @@ class ChainTests:
 
     def referred(self) -> list[int]:
         """Tests whose observables refer to the voltage."""
-        return [
-            number
-            for number, test in enumerate(self.tests)
-            if (isinstance(test, LockedWindows) and test.held == "voltage")
-            or (isinstance(test, RandomResponses) and test.reference == "voltage")
-        ]
+        return [number for number, test in enumerate(self.tests) if test.over_voltage]
 
     def tested(self) -> float:
         """Frequency at which the phase of a channel is stated: that of the locked windows, Hz."""
-        locked = [number for number, test in enumerate(self.tests) if isinstance(test, LockedWindows)]
+        locked = [number for number, test in enumerate(self.tests) if test.locked_levels]
         selected = np.isin(self.rows.test, locked) & (self.rows.frequency_hz > 0.0)
         return float(np.median(self.rows.frequency_hz[selected])) if selected.any() else self.resonance()
 
@@ -191,6 +174,11 @@ class ChainTests:
         """First frequency of the model at which it strains, Hz: a free body moves at 0 Hz, too."""
         frequencies = ModelView.of(self.rig, self.tests[0].drive_points).frequencies_hz
         return next((value for value in frequencies if value > _RIGID * frequencies[-1]), frequencies[-1])
+
+
+def with_phase_step(level: LockedLevel) -> LockedLevel:
+    """The level with its phase off by `PHASE_STEP`."""
+    return replace(level, phase_error=level.phase_error + PHASE_STEP)
 
 
 def edited(rig: Rig, channel: MeasuredChannel, change: Callable[[SensorSection], SensorSection]) -> Rig:

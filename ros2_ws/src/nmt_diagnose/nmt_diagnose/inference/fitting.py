@@ -18,7 +18,6 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.chain import is_tolerance, linear_chain
 from nmt_diagnose.inference.misfit import Whitening, misfit_of
 from nmt_diagnose.inference.noise import Groups, beyond_noise, groups_of, sigma_of
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -180,7 +179,7 @@ class Data:
 def lines_of(observations: Observations) -> IntArray:
     """Rows of the magnitude and of the phase of each line of random tests that has both, (2, k)."""
     rows = observations.rows
-    random = [number for number, test in enumerate(observations.tests) if isinstance(test, RandomResponses)]
+    random = [number for number, test in enumerate(observations.tests) if test.broad_band]
     pairs: dict[tuple[int, int, int], dict[int, int]] = {}
     for row in np.flatnonzero(np.isin(rows.test, random) & np.isin(rows.part, (Part.LOG_MAGNITUDE, Part.PHASE))):
         key = int(rows.test[row]), int(rows.level[row]), int(rows.channel[row])

@@ -11,11 +11,6 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -81,13 +76,13 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
     top = np.zeros(len(rows), dtype=bool)
     for number, test in enumerate(observations.tests):
         selected = rows.test == number
-        if not isinstance(test, LockedWindows | RecordedDecay | BackboneTable | DrivenRecord) or not selected.any():
+        if not test.interleaved or not selected.any():
             continue
         levels = np.unique(rows.level[selected])
         if levels.size < THRESHOLDS.verdict.held_out_fewest_levels:
             continue
         odd |= selected & np.isin(rows.level, levels[1::2])
-        if not isinstance(test, DrivenRecord):
+        if test.rising:
             by_amplitude = {level: float(np.max(rows.amplitude[selected & (rows.level == level)])) for level in levels}
             highest = sorted(levels, key=lambda level: by_amplitude[level])[-2:]
             top |= selected & np.isin(rows.level, highest)
@@ -116,11 +111,12 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
 
 def _swept(observations: Observations) -> list[list[tuple[int, float]]]:
     """Tests that are one frequency response at several held amplitudes: number and level of each, group by group."""
-    groups: dict[tuple[object, ...], list[tuple[int, float]]] = {}
+    groups: dict[object, list[tuple[int, float]]] = {}
     for number, test in enumerate(observations.tests):
-        if isinstance(test, SteppedResponses) and np.any(observations.rows.test == number):
-            key = (test.drive_point, test.channels, test.reference, test.held)
-            groups.setdefault(key, []).append((number, float(f"{np.median(test.levels):.3g}")))
+        selected = observations.rows.test == number
+        if test.sweep_key is not None and selected.any():
+            level = float(f"{np.median(observations.rows.amplitude[selected]):.3g}")
+            groups.setdefault(test.sweep_key, []).append((number, level))
     return [
         g for g in groups.values() if len({level for _, level in g}) >= THRESHOLDS.verdict.held_out_fewest_responses
     ]

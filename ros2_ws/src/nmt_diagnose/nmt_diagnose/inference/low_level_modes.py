@@ -20,7 +20,7 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.inference.fitting import Data, FitResult
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.lateness import lateness
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
@@ -203,20 +203,25 @@ class LowLevelModes:
 
     def __init__(self, observations: Observations, rig: Rig) -> None:
         self.rig = rig
-        self.tests: list[tuple[RandomResponses, Modes, np.ndarray]] = []
+        self.tests: list[tuple[Measurement, Modes, np.ndarray]] = []
         self.disordered: tuple[str, ...] = ()
         self._lacking: list[tuple[float, str]] = []
         late = lateness(observations, rig)
         for number, test in enumerate(observations.tests):
-            if isinstance(test, RandomResponses) and not math.isfinite(test.drive_hold_hz):
-                self._add(number, test, observations, late)
+            if test.modal_lines_hz is not None:
+                self._add(number, test, test.modal_lines_hz, observations, late)
 
     def _add(
-        self, number: int, test: RandomResponses, observations: Observations, late: dict[tuple[int, int], float]
+        self,
+        number: int,
+        test: Measurement,
+        lines: FloatArray,
+        observations: Observations,
+        late: dict[tuple[int, int], float],
     ) -> None:
         """Keep the modes of a test; what delays its channels (s) is no pole and is taken off."""
         rows = observations.rows
-        responses = np.full((len(test.channels), test.lines_hz.size), np.nan, dtype=np.complex128)
+        responses = np.full((len(test.channels), lines.size), np.nan, dtype=np.complex128)
         for row in np.flatnonzero((rows.test == number) & (rows.part == Part.LOG_MAGNITUDE)):
             responses[rows.channel[row], rows.level[row]] = math.exp(observations.values[row])
         for row in np.flatnonzero((rows.test == number) & (rows.part == Part.PHASE)):
@@ -230,7 +235,6 @@ class LowLevelModes:
         model = self.modes(self.rig, test)
         if model is None or not kept.any():
             return
-        lines = test.lines_hz
         near = (model.frequencies_hz > lines[0]) & (model.frequencies_hz < lines[-1])
         found = measured_modes(lines, responses[kept], int(near.sum()))
         found = Modes(found.poles, _padded(found.shapes, kept))
@@ -292,12 +296,12 @@ class LowLevelModes:
                 result.append(sentence)
         return tuple(result)
 
-    def modes(self, rig: Rig, test: RandomResponses) -> Modes | None:
+    def modes(self, rig: Rig, test: Measurement) -> Modes | None:
         """Modes of a rig as a test meets it, local forces at rest; None where it cannot be taken apart."""
         try:
             parts = rig_parts(
                 rig, test.channels, FourierBasis.up_to(1), PredictionSettings(),
-                0.5 * (test.start_s + test.stop_s), ideal_force=test.reference == "force",
+                _middle_s(test), ideal_force=test.divisor is not None,
             )  # fmt: skip
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
             return None
@@ -347,7 +351,7 @@ class LowLevelModes:
         except (BenchError, ValueError, ArithmeticError):
             rig = None
         for test, found, which in self.tests:
-            key = test.drive_point, test.reference, test.start_s + test.stop_s
+            key = test.drive_point, test.referred_to, _middle_s(test)
             if key not in known:
                 known[key] = None if rig is None else self.modes(rig, test)
             modes = known[key]
@@ -403,6 +407,11 @@ class LowLevelModes:
                 float(projected @ projected) - (float(projected @ moved) ** 2 / square if square > 0.0 else 0.0)
             )
         return result
+
+
+def _middle_s(test: Measurement) -> float:
+    """Middle of a test on the clock of its bag, s."""
+    return 0.5 * sum(test.span_s or (0.0, 0.0))
 
 
 def _padded(shapes: ComplexArray, kept: np.ndarray) -> ComplexArray:

@@ -17,9 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -49,11 +46,7 @@ def misfit_of(observations: Observations) -> Misfit:
         selected = rows_of_kind(observations, kind)
         size[selected] = size_that_matters * (np.abs(observations.values[selected]) if kind == "damping" else 1.0)
     chains = (*observations.chains, *[None] * len(observations.tests))
-    exact = [
-        number
-        for number, test in enumerate(observations.tests)
-        if chains[number] is None and not isinstance(test, BackboneTable)
-    ]
+    exact = [number for number, test in enumerate(observations.tests) if chains[number] is None and not test.reduced]
     size[np.isin(rows.test, exact)] = 0.0
     size[rows.part == Part.SAMPLE] = 0.0
     return Misfit(THRESHOLDS.misfit.shared_share * size, THRESHOLDS.misfit.independent_share * size)
@@ -135,7 +128,7 @@ def _series(observations: Observations, which: BoolArray) -> list[IntArray]:
 def _where(observations: Observations) -> FloatArray:
     """Logarithm of level or frequency over the length that a misfit keeps, (m,)."""
     rows = observations.rows
-    lines = [n for n, test in enumerate(observations.tests) if isinstance(test, RandomResponses | SteppedResponses)]
+    lines = [n for n, test in enumerate(observations.tests) if test.over_frequency]
     by_line = np.isin(rows.test, lines)
     with np.errstate(invalid="ignore", divide="ignore"):
         line = np.log(np.maximum(rows.frequency_hz, 1e-300)) / THRESHOLDS.misfit.line_length

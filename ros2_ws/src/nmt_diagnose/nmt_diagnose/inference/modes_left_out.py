@@ -10,8 +10,6 @@ from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.inference.chain_tests import FUNDAMENTAL, ChainTests
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Prediction
@@ -52,7 +50,7 @@ class ModesLeftOut:
                 continue  # only motions
             columns = np.zeros((4, len(self.rows)))
             for number, test in enumerate(self.tests):
-                if not _is_over_force(test):
+                if not test.over_force:
                     continue
                 selected = np.flatnonzero((self.rows.test == number) & self.chain.rows_of(channel))
                 frequency = self.rows.frequency_hz[selected]
@@ -79,7 +77,7 @@ class ModesLeftOut:
         frequency = THRESHOLDS.misfit.static_frequency_ratio * self.chain.resonance()
         force = MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point, ideal=True)
         response, reference = view.responses((channel, force), np.array([frequency]))[:, 0]
-        over = 1.0 if getattr(test, "reference", "") == "voltage" or not np.isfinite(reference) else abs(reference)
+        over = 1.0 if test.referred_to == "voltage" or not np.isfinite(reference) else abs(reference)
         return float(abs(response) / over / (2.0 * np.pi * frequency) ** MOTIONS[channel.quantity])
 
     def _between(self, test: Measurement, number: int, selected: IntArray, base: Prediction) -> ComplexArray:
@@ -88,8 +86,9 @@ class ModesLeftOut:
         ln (1 + z) is z / √(1 + z) to the second order: of a linear test the geometric mean of both responses is taken,
         without the delay between them.
         """
-        if isinstance(test, SteppedResponses):
-            return np.asarray(test.measured[self.rows.level[selected], self.rows.channel[selected]])
+        measured = test.measured_responses(self.rows.level[selected], self.rows.channel[selected])
+        if measured is not None:
+            return measured
         difference = self.forward.difference(self.observations.values[self.selected], base.values)
         apart = self._logarithms(number, selected, difference)
         frequency = self.rows.frequency_hz[selected]
@@ -106,10 +105,3 @@ class ModesLeftOut:
             by_place = dict(zip(place[of_part], values[of_part], strict=True))
             found += factor * np.array([by_place.get(location, 0.0) for location in place[selected]])
         return np.nan_to_num(found)
-
-
-def _is_over_force(test: Measurement) -> bool:
-    """Whether observables are responses over a force, or over what held its amplitude."""
-    if isinstance(test, SteppedResponses):
-        return test.held != "response"
-    return isinstance(test, RandomResponses) and test.reference == "force"

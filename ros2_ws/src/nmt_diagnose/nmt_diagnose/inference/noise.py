@@ -22,14 +22,11 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.inference.misfit import least_scale
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.observations.observables import OF_THE_CHANNEL, Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _HARMONICS = (Part.REAL, Part.IMAG)
-_CONVERTER = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
 
 
 @dataclass(frozen=True)
@@ -143,7 +140,7 @@ def _rank_of(observations: Observations) -> IntArray:
     rows = observations.rows
     result = np.full(len(rows), -1, dtype=np.int64)
     for number, test in enumerate(observations.tests):
-        if not isinstance(test, BackboneTable | LockedWindows):
+        if not test.ranked:
             continue
         selected = rows.test == number
         levels, index = np.unique(rows.level[selected], return_inverse=True)
@@ -170,14 +167,13 @@ def groups_of(observations: Observations, share: FloatArray) -> Groups:
         kind = _kind(test, part, int(rows.harmonic[index]), int(rows.channel[index]))
         name = f"{test.name}: {kind}"
         of[index] = names.setdefault(name, len(names))
-        known[int(of[index])] = part in _CONVERTER
+        known[int(of[index])] = part in OF_THE_CHANNEL
     degrees = np.array([np.inf if known[k] else THRESHOLDS.fits.scale_degrees_of_freedom for k in range(len(names))])
     return Groups(of, tuple(names), degrees, least_scale(of, len(names), share), _rank_of(observations))
 
 
-def _kind(test: object, part: Part, harmonic: int, channel: int) -> str:
-    channels = getattr(test, "channels", ())
-    force = bool(channels) and channel >= 0 and channels[channel].quantity is Quantity.FORCE
+def _kind(test: Measurement, part: Part, harmonic: int, channel: int) -> str:
+    force = channel >= 0 and test.channels[channel].quantity is Quantity.FORCE
     if part is Part.LOG_FREQUENCY:
         return "frequency"
     if part is Part.PHASE_ERROR:
@@ -186,12 +182,12 @@ def _kind(test: object, part: Part, harmonic: int, channel: int) -> str:
         return "damping"
     if part in _HARMONICS and harmonic != 1:
         return "harmonics of the force" if force else "harmonics"
-    if part in _CONVERTER:
+    if part in OF_THE_CHANNEL:
         return "converter"
     if part is Part.SAMPLE:
         return f"samples {channel}"
-    if isinstance(test, RandomResponses):
-        return f"lines of {channels[channel].name}"
+    if lines := test.line_group(channel):
+        return lines
     # Phases of all responses of a window are off together where the loop stood elsewhere, that of the force hardly.
     return f"{'phase' if part is Part.PHASE else 'fundamental'}{' of the force' if force else ''}"
 

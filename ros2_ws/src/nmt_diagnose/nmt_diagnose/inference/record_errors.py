@@ -8,10 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.driven_record.predictor import RecordPredictor
-from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
-from nmt_diagnose.measurements.imposed_motion.predictor import ImposedMotionPredictor
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
@@ -33,18 +29,11 @@ def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]
     by_sensor: dict[str, list[tuple[float, FloatArray]]] = {}
     chains = (*observations.chains, *[None] * len(observations.tests))
     for number, (test, chain) in enumerate(zip(observations.tests, chains, strict=False)):
-        if not isinstance(test, DrivenRecord):
-            continue
         selected = rows.test == number
         part = rows.take(selected)
         part = replace(part, test=np.zeros_like(part.test))
-        predictor: RecordPredictor | ImposedMotionPredictor = (
-            ImposedMotionPredictor(test, part, settings)
-            if isinstance(test, ImposedMotion)
-            else RecordPredictor(test, part, settings)
-        )
-        zeros = _zeros(test)
-        for name, column in predictor.errors(rig, cache, chain).items():
+        errors, zeros = test.record_errors(part, rig, cache, settings, chain)
+        for name, column in errors.items():
             found[name] = np.zeros(len(rows))
             found[name][selected] = column
             if name in zeros:
@@ -54,9 +43,3 @@ def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]
         if len(columns) > 1:
             found[name] = np.sum([largest / std * column for std, column in columns if std > 0.0], axis=0)
     return found
-
-
-def _zeros(test: DrivenRecord) -> dict[str, float]:
-    """Standard deviation of the zero of each channel of a record, by the name of the error."""
-    names = (test.input_channel.name, *(channel.name for channel in test.channels))
-    return {f"zero of {name} in {test.name}": float(std) for name, std in zip(names, test.zeros, strict=False)}

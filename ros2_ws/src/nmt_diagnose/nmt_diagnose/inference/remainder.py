@@ -10,8 +10,6 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.inference.diagnosis import Gap, Remainder, RemainderPart
 from nmt_diagnose.inference.gap import NOISE, rms
 from nmt_diagnose.inference.residual_map import KINDS, channel_name, unit_of_kind
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -58,10 +56,7 @@ def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: Boo
 def _levels(observations: Observations, number: int, after: FloatArray, selected: IntArray) -> str:
     """The third of a test's levels (or lines) where most of what is left lies; empty where there is none."""
     test = observations.tests[number]
-    if isinstance(test, DrivenRecord):
-        return ""
-    lines = isinstance(test, RandomResponses)
-    place = observations.rows.frequency_hz[selected] if lines else observations.rows.amplitude[selected]
+    place, steps_word = test.thirds(observations.rows, selected)
     steps = np.unique(place)
     if steps.size < THRESHOLDS.verdict.remainder_fewest_levels:
         return ""
@@ -69,7 +64,7 @@ def _levels(observations: Observations, number: int, after: FloatArray, selected
     squares = np.bincount(third, after[selected] ** 2, minlength=len(_BANDS))
     most = int(np.argmax(squares))
     return (
-        f"{_BANDS[most]} {'lines' if lines else 'levels'}"
+        f"{_BANDS[most]} {steps_word}"
         if squares[most] > THRESHOLDS.verdict.remainder_third_share * squares.sum()
         else ""
     )

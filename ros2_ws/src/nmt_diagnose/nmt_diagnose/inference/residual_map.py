@@ -9,25 +9,13 @@ import numpy as np
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.inference.diagnosis import ResidualGroup
 from nmt_diagnose.inference.gap import rms
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
-from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 
-def channels_of(test: Measurement) -> tuple[MeasuredChannel, ...]:
-    """Channels that the rows of a test refer to."""
-    if isinstance(test, BackboneTable):
-        return (test.channel,)
-    return test.channels
-
-
 def channel_name(observations: Observations, test: int, channel: int) -> str:
     """Name of a row's channel; ``frequency and phase`` where it belongs to none."""
-    return "frequency and phase" if channel < 0 else channels_of(observations.tests[test])[channel].name
+    return "frequency and phase" if channel < 0 else observations.tests[test].channels[channel].name
 
 
 def level_groups(observations: Observations) -> FloatArray:
@@ -35,7 +23,7 @@ def level_groups(observations: Observations) -> FloatArray:
     groups = observations.rows.level.astype(np.float64)
     for number, test in enumerate(observations.tests):
         selected = observations.rows.test == number
-        if isinstance(test, RandomResponses | SteppedResponses) and selected.any():
+        if test.over_frequency and selected.any():
             groups[selected] = np.floor(
                 observations.rows.level[selected]
                 * THRESHOLDS.verdict.map_bands
@@ -59,7 +47,7 @@ def residual_map(
     for key in np.unique(keys, axis=0):
         selected = np.all(keys == key, axis=1)
         test, level, channel, harmonic = (int(value) for value in key)
-        banded = (harmonic < 0 and channel >= 0) or isinstance(observations.tests[test], SteppedResponses)
+        banded = (harmonic < 0 and channel >= 0) or observations.tests[test].held_amplitude
         result.append(
             ResidualGroup(
                 observations.tests[test].name,
@@ -127,4 +115,4 @@ def per_observable(
 
 def unit_of_kind(observations: Observations, test: int, channel: int) -> str:
     """Unit of the rows of a channel that have that of the channel; empty for those that belong to none."""
-    return channels_of(observations.tests[test])[channel].unit if channel >= 0 else ""
+    return observations.tests[test].channels[channel].unit if channel >= 0 else ""

@@ -15,7 +15,6 @@ from scipy.special import chdtrc, fdtrc, ndtr
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.inference.residual_map import channel_name
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -62,7 +61,7 @@ def residual_tests(observations: Observations, residual: FloatArray, used: BoolA
             continue
         squares = float(residual[selected] @ residual[selected])
         found.append(_size(test, squares, int(selected.sum())))
-        if isinstance(test, LockedWindows):
+        if test.locked_levels:
             found.extend(_over_level(observations, residual, selected, number))
             found.extend(_parity(observations, residual, selected, test.name))
             found.extend(_up_down(observations, residual, selected, test))
@@ -87,7 +86,7 @@ def _chi_square(name: str, where: str, statistic: float, degrees_of_freedom: int
 
 def _size(test: Measurement, squares: float, count: int) -> ResidualTest:
     """χ² of all rows of a test; where their noise is an estimate, over its degrees of freedom by Fisher's F."""
-    name, degrees = "size of the residual", getattr(test, "noise_degrees", math.inf)
+    name, degrees = "size of the residual", test.noise_degrees
     if math.isinf(degrees):
         return _chi_square(name, test.name, squares, count)
     return ResidualTest(name, test.name, squares, count, float(fdtrc(count, degrees, squares / count)))
@@ -126,11 +125,11 @@ def _parity(observations: Observations, residual: FloatArray, selected: BoolArra
 
 
 def _up_down(
-    observations: Observations, residual: FloatArray, selected: BoolArray, test: LockedWindows
+    observations: Observations, residual: FloatArray, selected: BoolArray, test: Measurement
 ) -> list[ResidualTest]:
     """Differences between two passages of the same drive level."""
     rows = observations.rows
-    drives = {level.index: level.drive for level in test.levels}
+    drives = {level.index: level.drive for level in test.locked_levels}
     pairs = [(a, b) for a in drives for b in drives if a < b and np.isclose(drives[a], drives[b], rtol=1e-6)]
     statistic, degrees_of_freedom = 0.0, 0
     for first, second in pairs:

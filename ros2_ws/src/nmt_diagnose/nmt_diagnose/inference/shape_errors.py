@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.inference.chain_tests import ChainTests
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.prediction.forward import Prediction
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import ModalSection, Rig, ShakingTableSection
@@ -73,8 +71,8 @@ class ShapeErrors:
         for element in chain.rig.local_elements:
             points |= {element.point, element.other_point or element.point}
         for test in chain.tests:
-            if isinstance(test, SteppedResponses | RecordedDecay):  # the amplitude of the first channel is given
-                points.add(test.channels[0].point)
+            if test.given_channel is not None:
+                points.add(test.given_channel.point)
         return points
 
     def _rows_at(self, point: int) -> NDArray[np.bool_]:

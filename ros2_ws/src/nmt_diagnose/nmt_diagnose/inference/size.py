@@ -17,7 +17,6 @@ from nmt_diagnose.inference.fitting import Data, predicted
 from nmt_diagnose.inference.noise import sigma_of
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.rules import LEFT, MATTERS, NEEDED, OF_EFFECTS, pass_all
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -387,7 +386,8 @@ def large_lines(observations: Observations, wanted: float) -> BoolArray:
     share = np.full(lines.size, np.inf)
     for number, row in enumerate(lines):
         test = observations.tests[rows.test[row]]
-        fundamentals = test.levels[rows.level[row]].fundamentals if isinstance(test, LockedWindows) else ()
+        levels = test.locked_levels
+        fundamentals = levels[rows.level[row]].fundamentals if levels else ()
         if fundamentals and fundamentals[rows.channel[row]] > 0.0:
             share[number] = observations.values[row] / fundamentals[rows.channel[row]]
     large = np.zeros(len(rows), dtype=bool)

@@ -16,7 +16,6 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.boundary_effects import joint_location
 from nmt_diagnose.effects.location import Location
-from nmt_diagnose.inference.residual_map import channels_of
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.prediction.forward import Forward, Prediction
@@ -62,7 +61,7 @@ def places(
         observations: the real side.
         whitened: takes changes (m, n) of the model's values and gives those of what is compared, over σ.
     """
-    channels = {c.name: c for test in observations.tests for c in channels_of(test)}
+    channels = {c.name: c for test in observations.tests for c in test.channels}
     wanted: list[tuple[Location, Source]] = [
         (Location.at("structure", point), Source("structure", point)) for point in rig.structure.points
     ]

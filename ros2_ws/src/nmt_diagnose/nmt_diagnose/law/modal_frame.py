@@ -16,7 +16,6 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.law.held_levels import HeldLevels
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.aft import LocalForces
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -178,7 +177,7 @@ class ModalFrame:
 
 def _base(rig: Rig, structure: Structure, levels: HeldLevels) -> float:
     """Acceleration of the base per unit of what drives it: itself, or the force that stands for it; 0 without one."""
-    if isinstance(levels.test, SteppedResponses) and levels.test.reference == "base":
+    if levels.over_base:
         return 1.0
     table = build_table(rig, structure) if levels.ratio is None else None
     return 0.0 if table is None else -1.0 / table.effective_mass
@@ -191,8 +190,7 @@ def _drive(structure: Structure, levels: HeldLevels, base: float) -> FloatArray:
         BenchError: the structure does not say how its base excites it.
     """
     if base == 0.0:
-        points = getattr(levels.test, "drive_points", (levels.test.drive_point,))
-        return np.array([structure.direction(point) for point in points])
+        return np.array([structure.direction(point) for point in levels.drive_points])
     if structure.base_load is None:
         raise BenchError("the structure does not say how its base excites it")
     return -base * structure.base_load[np.newaxis]

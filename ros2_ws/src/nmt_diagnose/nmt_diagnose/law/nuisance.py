@@ -11,7 +11,6 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.modal_frame import ORDERS, KnownForces
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.sidecar.channel_tolerances import ChannelTolerance
 from nmt_rig.rig import Rig
@@ -80,10 +79,8 @@ def nuisance_columns(
             lost = max(limits.mode_damping_std * math.sqrt(zeta * frame.zeta[rows.modes[i]]), limits.least_damping_std)
             add(f"damping between {pair}", 2j * math.sqrt(both) * levels.omega[:, np.newaxis] * mixed, lost)
     typical = np.sqrt(np.mean(rows.shapes**2, axis=0))
-    recorded = levels.test.channels if isinstance(levels.test, LockedWindows) else ()
-    points = getattr(levels.test, "drive_points", ())
-    sensors = {c.point: c.name for c in reversed(recorded) if c not in levels.channels}
-    force_names = [sensors.get(point, "") for point in points]
+    sensors = {c.point: c.name for c in reversed(levels.recorded) if c not in levels.channels}
+    force_names = [sensors.get(point, "") for point in levels.drive_points]
     for k, (name, tolerance) in enumerate([(c.name, _tolerance(rows, c.name)) for c in levels.channels]):
         # Near a node of the mode its form is off by a share of what it is elsewhere.
         form = limits.form_std * max(1.0, typical[0] / max(abs(rows.shapes[k, 0]), 1e-6 * typical[0]))

@@ -12,13 +12,12 @@ import numpy as np
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
 from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop, force_loops
-from nmt_diagnose.law.held_levels import HeldLevels, held_levels
+from nmt_diagnose.law.held_levels import HeldLevels
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, fewest
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.terms import Term, sampled
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -118,7 +117,7 @@ def read_law(rig: Rig, observations: Observations) -> LawReading | None:
     """
     found = [
         levels for number in range(len(observations.tests))
-        if (levels := held_levels(observations, number)) is not None
+        if (levels := observations.tests[number].held_levels(observations, number)) is not None
         and levels.count >= THRESHOLDS.law.fewest_levels and (levels.harmonics >= 2 or _stands_alone(rig, levels))
     ]  # fmt: skip
     if not found:
@@ -133,7 +132,7 @@ def read_law(rig: Rig, observations: Observations) -> LawReading | None:
             f"modes {near} lie so near each other that the levels move all of them, and the channels do not tell their "
             "shapes apart; put sensors where they differ"
         )
-        return LawReading(levels.test.name, levels.count, (), math.nan, math.nan, math.nan, math.nan, (why,))
+        return LawReading(levels.name, levels.count, (), math.nan, math.nan, math.nan, math.nan, (why,))
     levels = frame.relative(levels)
     return _read(LawSearch(LawRows(frame, levels), rig), levels)
 
@@ -142,7 +141,7 @@ def _stands_alone(rig: Rig, levels: HeldLevels) -> bool:
     """Whether fundamentals alone tell a law: lines of a stepped sine, and levels without a force where no shaker that
     stays attached belongs to them."""
     if levels.ratio is None:
-        return isinstance(levels.test, SteppedResponses)
+        return levels.alone
     return rig.exciter is None or rig.exciter.kind == "force"
 
 
@@ -151,18 +150,18 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
     limits = THRESHOLDS.law
     if before < limits.least_null_score:
         why = "the levels differ from the model by no more than noise and tolerances"
-        return LawReading(levels.test.name, levels.count, (), before, before, math.nan, math.nan, (why,))
+        return LawReading(levels.name, levels.count, (), before, before, math.nan, math.nan, (why,))
     tried = search.singles()[:_FINALISTS]
     finalists = sorted((search.again(candidate) for candidate in tried), key=lambda candidate: candidate.score)
     if not finalists:
         why = "no local force explains them"
-        return LawReading(levels.test.name, levels.count, (), before, before, 0.0, 0.0, (why,))
+        return LawReading(levels.name, levels.count, (), before, before, 0.0, 0.0, (why,))
     best = fewest(finalists)
     best = _with_second(search, best)
     laws = tuple(_law(search, best, number, finalists) for number in range(len(best.parts)))
     above = _closed(*_above(search, best))
     return LawReading(
-        levels.test.name, levels.count, laws, before, best.score, _closed(before, best.score), above,
+        levels.name, levels.count, laws, before, best.score, _closed(before, best.score), above,
         _refusals(best, before, above),
     )  # fmt: skip
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.origin import Origin
+
+if TYPE_CHECKING:
+    from nmt_diagnose.measurements.measurement import Measurement
+    from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
+    from nmt_diagnose.observations.origin import Origin
 
 
 class Part(IntEnum):
@@ -31,6 +33,10 @@ class Part(IntEnum):
     STEP = 9  # step of the converter that recorded the channel, in its units; 0 where the samples show none
     LIMIT = 10  # one over the level at which the samples of the channel are clipped, in one over its units; 0 = nowhere
     REPEATS = 11  # share of the samples of the channel that repeat the one before: others were lost
+
+
+OF_THE_CHANNEL = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
+"""Parts that follow no excitation and belong to their channel alone."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +104,7 @@ class Observations:
     @property
     def turns(self) -> bool:
         """Whether angles and torques were recorded."""
-        channels = [channel for test in self.tests for channel in getattr(test, "channels", ())]
-        channels += [test.channel for test in self.tests if hasattr(test, "channel")]
-        return any(channel.turns for channel in channels)
+        return any(channel.turns for test in self.tests for channel in test.channels)
 
     @property
     def sigma(self) -> FloatArray:
@@ -179,8 +183,13 @@ class RowTable:
         return result if usable.all() else result.take(usable)
 
 
+def no_rows() -> Rows:
+    """No rows."""
+    integers, real = np.zeros(0, dtype=np.int64), np.zeros(0)
+    return Rows(integers, integers, integers, integers, integers, real, real, real)
+
+
 def empty(notes: Sequence[str] = ()) -> Observations:
     """No observables, only notes."""
-    integers, real = np.zeros(0, dtype=np.int64), np.zeros(0)
-    rows = Rows(integers, integers, integers, integers, integers, real, real, real)
-    return Observations((), rows, real, real, real, tuple(notes))
+    real = np.zeros(0)
+    return Observations((), no_rows(), real, real, real, tuple(notes))

@@ -26,14 +26,12 @@ from nmt_diagnose.measurements.imposed_motion.reading import (
     reason_for_imposed,
 )
 from nmt_diagnose.measurements.locked_windows.reading import phase_resonance_observations
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.measurements.random_responses.reading import random_observations
 from nmt_diagnose.measurements.recorded_decay.reading import ring_down_observations
 from nmt_diagnose.measurements.stepped_responses.reading import is_response, stepped_sine_observations
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.measurements.stepped_responses.table_reading import measured_together
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch, read_windows
-from nmt_diagnose.observations.channels.measuring_chain import measuring_chain, table_chain
+from nmt_diagnose.observations.channels.measuring_chain import measuring_chain
 from nmt_diagnose.observations.channels.plausibility import check_frequency, clipping_notes, out_of_scale, repeats_notes
 from nmt_diagnose.observations.model_view import ModelView, matched
 from nmt_diagnose.observations.noise.floors import repeatability, with_stated_repeatability
@@ -199,12 +197,7 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
         more = f" and {count} more point{'s' if count > 1 else ''}" if count else ""
         test_name = name if len(tables) == len(numbers) and not usable else f"{name}/{first}{more}"
         reduced = table_observations(test_name, [tables[number] for number in numbers], model, settings)
-        chains = tuple(
-            table_chain(test.channels, settings.calibration)
-            if isinstance(test, SteppedResponses | RandomResponses)
-            else None
-            for test in reduced.tests
-        )
+        chains = tuple(test.table_chain(settings.calibration) for test in reduced.tests)
         parts.append(replace(reduced, chains=chains))
     if not found and not tables:
         notes.append(f"{name}: no level was locked and no window was marked, so there is nothing to compare.")
@@ -295,7 +288,7 @@ def _signals(
                 parts.append(
                     phase_resonance_observations(test_name, selected, view, channels, settings, response, rate, sine)
                 )
-                levels = len(getattr(parts[-1].tests[0], "levels", ())) if parts[-1].tests else 0
+                levels = len(parts[-1].tests[0].locked_levels) if parts[-1].tests else 0
                 notes += _few_levels(test_name, levels)
     noises = [kind for kind in TestKind if kind_class(kind).is_noise]
     for kind in (*noises, TestKind.RING_DOWN):

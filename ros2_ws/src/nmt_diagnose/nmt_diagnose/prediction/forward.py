@@ -9,41 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
-from nmt_diagnose.measurements.backbone_table.predictor import BackbonePredictor
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.driven_record.predictor import RecordPredictor
-from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
-from nmt_diagnose.measurements.imposed_motion.predictor import ImposedMotionPredictor
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.locked_windows.predictor import PhaseResonancePredictor
 from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.measurements.random_responses.predictor import RandomPredictor
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.recorded_decay.predictor import RingDownPredictor
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
-from nmt_diagnose.measurements.stepped_responses.predictor import SteppedSinePredictor, with_growth
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Part, Rows
-from nmt_diagnose.prediction.influence import Source, SourceColumn, random_influence, resonance_influence
+from nmt_diagnose.prediction.influence import Source, SourceColumn
 from nmt_diagnose.prediction.parts_cache import PartsCache, joint_setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.predictor import Predictor
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, SensorSection
-
-_OF_THE_CHANNEL = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
-_PREDICTORS: dict[type, type] = {
-    LockedWindows: PhaseResonancePredictor,
-    RandomResponses: RandomPredictor,
-    SteppedResponses: SteppedSinePredictor,
-    RecordedDecay: RingDownPredictor,
-    ImposedMotion: ImposedMotionPredictor,  # a record, too
-    DrivenRecord: RecordPredictor,
-    BackboneTable: BackbonePredictor,
-}
 
 
 @dataclass(frozen=True)
@@ -81,17 +56,17 @@ class Forward:
         self.settings = PredictionSettings() if settings is None else settings
         self._phases = np.flatnonzero(np.isin(rows.part, (Part.PHASE, Part.PHASE_ERROR)))
         self._where = [np.flatnonzero(rows.test == index) for index in range(len(self.tests))]
-        self._twins: list[Any] = [
-            self._twin(test, rows.take(where)) for test, where in zip(self.tests, self._where, strict=True)
+        self._twins = [
+            test.predictor(rows.take(where), self.settings) for test, where in zip(self.tests, self._where, strict=True)
         ]
         # Rows that follow no excitation, with the names of their channels.
-        self._steps = self._unexcited(Part.STEP, LockedWindows)
-        self._limits = self._unexcited(Part.LIMIT, LockedWindows)
-        self._repeats = self._unexcited(Part.REPEATS, LockedWindows)
-        self._lines = self._unexcited(Part.LINE, LockedWindows, RandomResponses, DrivenRecord)
+        self._steps = self._unexcited(Part.STEP)
+        self._limits = self._unexcited(Part.LIMIT)
+        self._repeats = self._unexcited(Part.REPEATS)
+        self._lines = self._unexcited(Part.LINE)
 
         # Tests with one drive point share one linear model.
-        groups: dict[tuple[tuple[int, ...], bool], list[Any]] = {}
+        groups: dict[tuple[tuple[int, ...], bool], list[Predictor]] = {}
         for predictor in self._twins:
             groups.setdefault((predictor.setup.drive_points, predictor.setup.ideal_force), []).append(predictor)
         for group in groups.values():
@@ -99,19 +74,11 @@ class Forward:
             for predictor in group:
                 predictor.use(shared)
 
-    def _twin(self, test: Measurement, rows: Rows) -> Any:
-        for kind, predictor in _PREDICTORS.items():
-            if isinstance(test, kind):
-                return predictor(test, rows, self.settings)
-        raise BenchError(f"the diagnosis' model cannot predict a test of kind {type(test).__name__}.")
-
-    def _unexcited(
-        self, part: Part, *kinds: type[LockedWindows | RandomResponses | DrivenRecord]
-    ) -> list[tuple[int, str]]:
+    def _unexcited(self, part: Part) -> list[tuple[int, str]]:
         found = []
         for row in np.flatnonzero(self.rows.part == part):
             test = self.tests[self.rows.test[row]]
-            if isinstance(test, kinds):
+            if part in test.unexcited:
                 found.append((int(row), test.channels[self.rows.channel[row]].name))
         return found
 
@@ -126,21 +93,21 @@ class Forward:
         states: list[Any] = []
         reasons: list[str] = []
         for index, (predictor, where) in enumerate(zip(self._twins, self._where, strict=True)):
-            if hasattr(predictor, "solve"):
-                solved = predictor.solve(rig, cache, start.states[index] if start is not None else None)
-                values[where] = predictor.values(rig, cache, solved)
-                states.append(tuple(solved))
-                reasons += _unsolved(predictor, solved)
-            else:
-                values[where] = predictor.values(rig, cache)
-                states.append(None)
+            solved = predictor.solve(rig, cache, start.states[index] if start is not None else None)
+            values[where] = predictor.values(rig, cache, solved or ())
+            states.append(None if solved is None else tuple(solved))
+            reasons += [
+                f"{self.tests[index].name}: the model has no {predictor.SOLUTION} at level {position}."
+                for position, state in enumerate(solved or ())
+                if state is None
+            ]
         self._add_unexcited(rig, values)
         return Prediction(values, np.isfinite(values), tuple(reasons), tuple(states))
 
     def _tangents(self, rig: Rig, prediction: Prediction, cache: PartsCache) -> list[Any]:
         """What each test's solutions need to follow small changes of the rig; None where the test has its own way."""
         return [
-            predictor.tangent(rig, cache, prediction.states[index]) if hasattr(predictor, "tangent") else None
+            None if prediction.states[index] is None else predictor.tangent(rig, cache, prediction.states[index])
             for index, predictor in enumerate(self._twins)
         ]
 
@@ -151,14 +118,12 @@ class Forward:
         """
         values = np.full(len(self.rows), np.nan)
         for index, (predictor, where) in enumerate(zip(self._twins, self._where, strict=True)):
-            if hasattr(predictor, "solve"):
+            states: Sequence[Any] = ()
+            if prediction.states[index] is not None:
                 tangent = tangents[index] if tangents else None
-                states = None if tangent is None else predictor.advanced(rig, cache, tangent)
-                if states is None:
-                    states = predictor.stepped(rig, cache, prediction.states[index])
-                values[where] = predictor.values(rig, cache, states)
-            else:
-                values[where] = predictor.values(rig, cache)
+                advanced = None if tangent is None else predictor.advanced(rig, cache, tangent)
+                states = advanced or predictor.stepped(rig, cache, prediction.states[index])
+            values[where] = predictor.values(rig, cache, states)
         self._add_unexcited(rig, values)
         return values
 
@@ -247,30 +212,13 @@ class Forward:
         if source.kind == "time":
             return self._time_influence(rig, prediction)
         for index, (predictor, where) in enumerate(zip(self._twins, self._where, strict=True)):
-            columns: FloatArray = np.zeros((where.size, 0))
-            labels: list[SourceColumn] = []
-            if source.kind == "controller":
-                if isinstance(predictor, PhaseResonancePredictor):
-                    held = predictor.rows.part == Part.PHASE_ERROR
-                    levels = range(len(predictor.levels))
-                    columns = np.stack([0.01 * (held & (predictor.rows.level == level)) for level in levels], axis=1)
-                    labels = [SourceColumn(predictor.test.name, "level", level) for level in levels]
-            elif isinstance(predictor, PhaseResonancePredictor | RandomPredictor):
-                here = source
-                if source.kind == "response_sensor":
-                    known = [channel.name for channel in predictor.test.channels]
-                    if source.channel not in known:
-                        continue
-                    here = replace(source, index=known.index(source.channel))
-                if isinstance(predictor, PhaseResonancePredictor):
-                    states = prediction.states[index]
-                    columns, labels = resonance_influence(predictor, rig, cache, states, here, self.settings)
-                    # Lines and steps follow no excitation: only an error of their own channel adds to them.
-                    columns[np.isin(predictor.rows.part, _OF_THE_CHANNEL)] = 0.0
-                    direct, more = _channel_sources(predictor, states, here)
-                    columns, labels = np.hstack((columns, direct)), labels + more
-                else:
-                    columns, labels = random_influence(predictor, rig, cache, here, self.settings)
+            test, here = self.tests[index], source
+            if source.kind == "response_sensor":
+                known = [channel.name for channel in test.channels]
+                if source.channel not in known:
+                    continue
+                here = replace(source, index=known.index(source.channel))
+            columns, labels = test.influence(predictor, rig, cache, prediction.states[index], here, self.settings)
             full = np.zeros((len(self.rows), columns.shape[1]))
             full[where] = columns
             blocks.append(self.difference(full, np.zeros_like(full)))
@@ -300,35 +248,4 @@ class Forward:
 
 def traced(tests: Sequence[Measurement], prediction: Prediction) -> tuple[Measurement, ...]:
     """The tests with the noise of measured amplitudes propagated as a prediction's solutions say."""
-    return tuple(
-        with_growth(test, state[0]) if isinstance(test, SteppedResponses) and state is not None else test
-        for test, state in zip(tests, prediction.states, strict=True)
-    )
-
-
-def _channel_sources(
-    predictor: PhaseResonancePredictor, states: Sequence[Any], source: Source
-) -> tuple[FloatArray, list[SourceColumn]]:
-    """Lines and steps of a channel, (rows of the test, sources): 1 % of its smallest fundamental, at each level."""
-    empty: tuple[FloatArray, list[SourceColumn]] = np.zeros((len(predictor.rows), 0)), []
-    if source.kind not in ("force_sensor", "response_sensor"):
-        return empty
-    channel = predictor.force_row if source.kind == "force_sensor" else predictor.own_row(source.index)
-    rows = [index for index in range(len(predictor.test.channels)) if predictor.own_row(index) == channel]
-    sizes = [float(abs(state.channels[channel, predictor.basis.fundamental])) for state in states if state is not None]
-    columns, names = [], []
-    for part in _OF_THE_CHANNEL:
-        selected = (predictor.rows.part == part) & np.isin(predictor.rows.channel, rows)
-        for level in np.unique(predictor.rows.level[selected]) if sizes else ():
-            columns.append(0.01 * min(sizes) * (selected & (predictor.rows.level == level)))
-            names.append(SourceColumn(predictor.test.name, "level", int(level), unexcited=part))
-    return (np.stack(columns, axis=1), names) if columns else empty
-
-
-def _unsolved(predictor: Any, states: Sequence[Any]) -> list[str]:
-    what = "decay" if isinstance(predictor, RingDownPredictor) else "phase-resonant solution"
-    return [
-        f"{predictor.test.name}: the model has no {what} at level {position}."
-        for position, state in enumerate(states)
-        if state is None
-    ]
+    return tuple(test.traced(states) for test, states in zip(tests, prediction.states, strict=True))

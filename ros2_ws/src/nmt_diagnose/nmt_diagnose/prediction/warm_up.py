@@ -11,7 +11,8 @@ from nmt_diagnose.effects.rig_edit import with_element
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_diagnose.law.held_levels import HeldLevels, levels_over_amplitude
+from nmt_diagnose.measurements.backbone_table.predictor import BackbonePredictor
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Driven
+from nmt_diagnose.observations.observables import Observations, Rows
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.resting_motion import (
+    Motion,
+    mode_under_test,
+    motion_at_amplitudes,
+)
+from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -25,6 +35,10 @@ class BackboneTable(Driven):
     """
 
     WORDS: ClassVar[str] = "backbone table"
+    reduced: ClassVar[bool] = True
+    ranked: ClassVar[bool] = True
+    interleaved: ClassVar[bool] = True
+    rising: ClassVar[bool] = True
 
     name: str
     drive_point: int
@@ -36,3 +50,34 @@ class BackboneTable(Driven):
     def channels(self) -> tuple[MeasuredChannel, ...]:
         """The channel of the amplitudes."""
         return (self.channel,)
+
+    def predictor(self, rows: Rows, settings: PredictionSettings) -> BackbonePredictor:
+        """What predicts its rows."""
+        return BackbonePredictor(self, rows, settings)
+
+    @property
+    def given_channel(self) -> MeasuredChannel | None:
+        """Channel at whose amplitudes the model is solved."""
+        return self.channel
+
+    def motions(
+        self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
+    ) -> list[Motion]:
+        """Largest and smallest amplitude, by the system linearised at rest."""
+        if not self.amplitudes.size:
+            return []
+        frequency = frequency_hz if frequency_hz > 0.0 else mode_under_test(rig)
+        points, channel = self.drive_points, self.channel
+        return motion_at_amplitudes(rig, points, channel, self.amplitudes, channels, settings, frequency)
+
+    def larger(self, share: float) -> BackboneTable:
+        """With its amplitudes larger by a share."""
+        return replace(self, amplitudes=self.amplitudes * (1.0 + share))
+
+    def held_levels(self, observations: Observations, number: int) -> HeldLevels | None:
+        """Its amplitudes as levels."""
+        return levels_over_amplitude(self.drive_points, self.channels, self.amplitudes, observations, number)
+
+    def abscissa(self, rows: Rows, which: IntArray) -> FloatArray:
+        """Amplitude of its channel."""
+        return self.amplitudes[rows.level[which]]

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedLevel, LockedWindows
+from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
+from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.measurements.locked_windows.predictor import PeriodicLevels
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.parts_cache import PartsCache
@@ -18,6 +19,9 @@ from nmt_diagnose.prediction.periodic_state import PeriodicState
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_rig.rig import Rig, ShakerSection
+
+if TYPE_CHECKING:
+    from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
 
 
 class BackbonePredictor(PeriodicLevels):
@@ -46,7 +50,7 @@ class BackbonePredictor(PeriodicLevels):
         )
         super().__init__(inner, rows, settings)
 
-    def values(self, rig: Rig, cache: PartsCache, states: list[PeriodicState | None]) -> FloatArray:
+    def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> FloatArray:
         """Observables of the test's rows."""
         count = len(self.levels)
         log_omega, damping = np.full(count, np.nan), np.full(count, np.nan)

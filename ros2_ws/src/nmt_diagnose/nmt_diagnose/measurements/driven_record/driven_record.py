@@ -7,9 +7,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmt_core.numerics.arrays import FloatArray
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.driven_record.predictor import RecordPredictor
+from nmt_diagnose.measurements.imposed_motion.predictor import ImposedMotionPredictor
 from nmt_diagnose.measurements.measurement import Driven
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.prediction.parts_cache import PartsCache
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.resting_motion import (
+    Motion,
+    noise_motion,
+)
+from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -37,6 +49,10 @@ class DrivenRecord(Driven):
     """
 
     WORDS: ClassVar[str] = "record, driven by the measured input"
+    FIGURES: ClassVar[tuple[tuple[str, str, tuple[Part, ...]], ...]] = (("record", "Record", (Part.SAMPLE,)),)
+    unexcited: ClassVar[tuple[Part, ...]] = (Part.LINE,)
+    over_time: ClassVar[bool] = True
+    interleaved: ClassVar[bool] = True
 
     name: str
     drive_point: int
@@ -51,3 +67,52 @@ class DrivenRecord(Driven):
     head: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     head_stride: int = 1
     begins_in_motion: bool = False
+
+    def predictor(self, rows: Rows, settings: PredictionSettings) -> RecordPredictor | ImposedMotionPredictor:
+        """What predicts its rows."""
+        return RecordPredictor(self, rows, settings)
+
+    @property
+    def timed_by_drive(self) -> bool:
+        """Whether a delay that all sensors share shows in it."""
+        return True
+
+    @property
+    def span_s(self) -> tuple[float, float] | None:
+        """Its beginning on the clock of its bag, s; its end is not kept."""
+        return self.start_s, 0.0
+
+    def motions(
+        self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
+    ) -> list[Motion]:
+        """Rms of the motion that flat noise as large as its input makes, by the system linearised at rest."""
+        lines = 2.0 * np.pi * np.geomspace(1e-3, 0.4, 200) * self.sample_rate
+        ideal = self.input_channel.quantity == Quantity.FORCE
+        return noise_motion(rig, self.drive_point, channels, settings, lines, float(np.std(self.input)), ideal)
+
+    def record_errors(
+        self, rows: Rows, rig: Rig, cache: PartsCache, settings: PredictionSettings, chain: MeasuringChain | None
+    ) -> tuple[dict[str, FloatArray], dict[str, float]]:
+        """Zeros, gains and beginning of the record, (rows,) each, and standard deviations of the zeros, by name."""
+        predictor = self.predictor(rows, settings)
+        names = (self.input_channel.name, *(channel.name for channel in self.channels))
+        zeros = {f"zero of {it} in {self.name}": float(std) for it, std in zip(names, self.zeros, strict=False)}
+        return predictor.errors(rig, cache, chain), zeros
+
+    @property
+    def axis(self) -> str:
+        """Time."""
+        return "time / s"
+
+    @property
+    def map_axis(self) -> str:
+        """Segments."""
+        return "segment"
+
+    def abscissa(self, rows: Rows, which: IntArray) -> FloatArray:
+        """Time of the samples, s."""
+        return rows.time_s[which]
+
+    def thirds(self, rows: Rows, which: IntArray) -> tuple[FloatArray, str]:
+        """Segments have no order in size."""
+        return np.zeros(0), ""

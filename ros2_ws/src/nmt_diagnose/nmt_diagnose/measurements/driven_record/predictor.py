@@ -10,7 +10,9 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import OrderedDict
+from collections.abc import Sequence
 from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
@@ -18,7 +20,6 @@ from scipy.signal import resample_poly
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.converter import expected_quantised
@@ -26,11 +27,15 @@ from nmt_diagnose.prediction.initial_state import InitialState, at_rest, initial
 from nmt_diagnose.prediction.linear_model import LinearModel
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.predictor import Predictor
 from nmt_diagnose.prediction.record_kernel import SteppedModel, step_through
 from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_diagnose.prediction.rig_tables import DELAY, GAIN
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 
 STEPS_PER_PERIOD = 60.0
 MOST_SUBSTEPS = 32
@@ -38,7 +43,7 @@ REMEMBERED = 3
 _ERROR_STEP = 0.05  # of a standard deviation, for differences
 
 
-class RecordPredictor:
+class RecordPredictor(Predictor):
     """Predicts the samples of one record.
 
     Args:
@@ -64,7 +69,7 @@ class RecordPredictor:
         self._own = np.array(setup.index(self.channels), dtype=np.int64)
         self._known.clear()
 
-    def values(self, rig: Rig, cache: PartsCache) -> FloatArray:
+    def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any] = ()) -> FloatArray:
         """Observables of the test's rows."""
         responses = self.responses(rig, cache)
         result = np.full(len(self.rows), np.nan)

@@ -10,7 +10,18 @@ import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
+from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.measurements.imposed_motion.predictor import ImposedMotionPredictor
+from nmt_diagnose.observations.observables import Rows
+from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.resting_motion import (
+    Motion,
+    resting_response,
+)
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -48,3 +59,23 @@ class ImposedMotion(DrivenRecord):
     def with_gain(self, steps: float) -> FloatArray:
         """The motion larger by so many standard deviations of its gain, shape (3, n)."""
         return self.motion * (1.0 + steps * self.gain_std)
+
+    def predictor(self, rows: Rows, settings: PredictionSettings) -> ImposedMotionPredictor:
+        """What predicts its rows."""
+        return ImposedMotionPredictor(self, rows, settings)
+
+    @property
+    def imposed_scales(self) -> tuple[float, float] | None:
+        """Displacement (m) and force (N), the largest."""
+        return self.size, self.force_n
+
+    def motions(
+        self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
+    ) -> list[Motion]:
+        """Motion of the drive point at its middle frequency, in the shape of the system linearised at rest."""
+        probe = next(i for i, c in enumerate(channels) if c.name == f"probe {self.drive_point}")
+        setup = Setup(self.drive_points, True, channels, FourierBasis.up_to(1))
+        parts, omega = PartsCache(settings).parts(rig, setup), 2.0 * np.pi * self.frequency_hz
+        q, y = resting_response(parts, omega)
+        scale = self.size / max(abs(y[probe]), 1e-300)
+        return [(parts, omega, 0.0, y * scale, q * scale)]

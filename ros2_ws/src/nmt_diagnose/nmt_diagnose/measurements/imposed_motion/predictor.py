@@ -13,28 +13,33 @@ needed. Between two steps the motion of z is that of :mod:`nmt_diagnose.predicti
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.measurements.driven_record.predictor import recorded, stepped_model, substeps_of
-from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.imposed_kernel import MOTIONS_GIVEN, follow
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.predictor import Predictor
 from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
+if TYPE_CHECKING:
+    from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
+
 _ERROR_STEP = 0.05  # of a standard deviation, for differences
 
 
-class ImposedMotionPredictor:
+class ImposedMotionPredictor(Predictor):
     """Predicts force and responses of one record of an imposed motion.
 
     Args:
@@ -56,7 +61,7 @@ class ImposedMotionPredictor:
         self.setup = setup
         self._own = np.array(setup.index(self.channels), dtype=np.int64)
 
-    def values(self, rig: Rig, cache: PartsCache) -> FloatArray:
+    def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any] = ()) -> FloatArray:
         """Observables of the test's rows."""
         return self._of_rows(self._responses(rig, cache, self.test.motion), np.nan)
 

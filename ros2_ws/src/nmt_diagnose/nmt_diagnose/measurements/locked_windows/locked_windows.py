@@ -3,56 +3,31 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import ClassVar, TypeAlias
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
+import numpy as np
+
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import MOTIONS
+from nmt_diagnose.law.held_levels import HeldLevels
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.influence import influence_on_levels
+from nmt_diagnose.measurements.locked_windows.levels import levels_of_windows
+from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
+from nmt_diagnose.measurements.locked_windows.predictor import PhaseResonancePredictor
 from nmt_diagnose.measurements.measurement import Measurement
-
-Terms: TypeAlias = tuple[tuple[complex, ...], ...]
-"""Orders 1, 2, … of the drive of each exciter over the fundamental of the first."""
-
-PURE_TONE: Terms = ((1.0 + 0.0j,),)
-"""Terms of a sine at one exciter."""
-
-
-@dataclass(frozen=True)
-class LockedLevel:
-    """One locked window.
-
-    Attributes:
-        index: level number in its plan.
-        drive: fundamental of the drive voltage at the first exciter, V peak; its phase is the zero of all phases. NaN
-            where it is not known.
-        phase_error: measured arg F₁ − arg(iωψ_k,1) at the drive point, rad: where the loop stood; an input of the
-            model.
-        phase_error_std: its standard uncertainty, rad.
-        frequency_hz: measured excitation frequency, Hz (start of the solution).
-        start_s, stop_s: window on the clock of its bag, s.
-        cycles_before: excitation periods since the start of the bag until the middle of the window.
-        direction: +1 while the level rises, −1 while it falls.
-        force_n: measured |F₁|, N: the given amplitude where the force is held.
-        phase_lean: how far the loop may still have been off because it had not settled, rad.
-        terms: what drove the structure, voltage of each exciter, or its force where that is held.
-        amplitude_leans: of each channel of the test, how far its amplitude may still be from where it would have
-            settled, its transient taken out, relative; empty = nowhere.
-        fundamentals: |Y₁| of each channel of the test, in its unit; empty = not known.
-    """
-
-    index: int
-    drive: float
-    phase_error: float
-    phase_error_std: float
-    frequency_hz: float
-    start_s: float
-    stop_s: float
-    cycles_before: float
-    direction: int
-    force_n: float = math.nan
-    phase_lean: float = 0.0
-    terms: Terms = PURE_TONE
-    amplitude_leans: tuple[float, ...] = ()
-    fundamentals: tuple[float, ...] = ()
+from nmt_diagnose.observations.observables import Observations, Part, Rows, no_rows
+from nmt_diagnose.prediction.influence import Source, SourceColumn
+from nmt_diagnose.prediction.parts_cache import PartsCache
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.resting_motion import (
+    Motion,
+    all_unknowns,
+)
+from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -72,6 +47,17 @@ class LockedWindows(Measurement):
     """
 
     WORDS: ClassVar[str] = "phase resonance, locked levels"
+    FIGURES: ClassVar[tuple[tuple[str, str, tuple[Part, ...]], ...]] = (
+        ("frequency", "Frequency and phase error over the {over}", (Part.LOG_FREQUENCY, Part.PHASE_ERROR)),
+        ("amplitude", "Amplitudes over the {over}", (Part.LOG_MAGNITUDE,)),
+        ("phase", "Phases to the drive over the {over}", (Part.PHASE,)),
+        ("line", "Lines that follow no excitation (mains hum)", (Part.LINE,)),
+    )
+    unexcited: ClassVar[tuple[Part, ...]] = (Part.STEP, Part.LIMIT, Part.REPEATS, Part.LINE)
+    ranked: ClassVar[bool] = True
+    interleaved: ClassVar[bool] = True
+    rising: ClassVar[bool] = True
+    linear_chain: ClassVar[bool] = True
 
     name: str
     drive_points: tuple[int, ...]
@@ -86,3 +72,96 @@ class LockedWindows(Measurement):
     def drive_point(self) -> int:
         """Point at which the loop holds its phase."""
         return self.drive_points[0]
+
+    def predictor(self, rows: Rows, settings: PredictionSettings) -> PhaseResonancePredictor:
+        """What predicts its rows."""
+        return PhaseResonancePredictor(self, rows, settings)
+
+    @property
+    def locked_levels(self) -> tuple[LockedLevel, ...]:
+        """Levels at which a loop held the phase."""
+        return self.levels
+
+    @property
+    def over_voltage(self) -> bool:
+        """Whether its rows refer to the voltage."""
+        return self.held == "voltage"
+
+    @property
+    def timed_by_drive(self) -> bool:
+        """Whether a delay that all sensors share shows in it."""
+        return True
+
+    @property
+    def span_s(self) -> tuple[float, float] | None:
+        """Start of the first and end of the last window, s."""
+        if not self.levels:
+            return None
+        return self.levels[0].start_s, max(level.stop_s for level in self.levels)
+
+    def influence(
+        self,
+        predictor: PhaseResonancePredictor,
+        rig: Rig,
+        cache: PartsCache,
+        states: Sequence[Any],
+        source: Source,
+        settings: PredictionSettings,
+    ) -> tuple[FloatArray, list[SourceColumn]]:
+        """What unit sources at a place would do to its rows, (rows, sources), and what each is."""
+        return influence_on_levels(predictor, rig, cache, states, source, settings)
+
+    def motions(
+        self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
+    ) -> list[Motion]:
+        """Phase-resonant motions at the highest and lowest level that the model has a solution for."""
+        names = {channel.name for channel in channels}
+        wider = replace(self, channels=(*channels, *(c for c in self.channels if c.name not in names)))
+        predictor, cache = wider.predictor(no_rows(), settings), PartsCache(settings)
+        solved = [
+            (level, state)
+            for level, state in zip(predictor.levels, predictor.solve(rig, cache, None), strict=True)
+            if state is not None
+        ]
+        solved.sort(key=lambda pair: pair[1].drive)
+        found: list[Motion] = []
+        for level, state in {id(s): (lv, s) for lv, s in (solved[:1] + solved[-1:])}.values():
+            parts = predictor.parts(rig, cache, level)
+            unknowns = all_unknowns(parts, state.omega, state.channels[: len(channels), 1], channels)
+            found.append((parts, state.omega, state.drive, state.channels[: len(channels), 1], unknowns))
+        return found
+
+    def measured_sizes(self, observations: Observations, number: int, drive: float) -> dict[str, float]:
+        """Amplitude of each motion channel at the level next to a drive."""
+        rows, sizes = observations.rows, dict[str, float]()
+        for index, channel in enumerate(self.channels):
+            selected = (rows.test == number) & (rows.channel == index)
+            selected = np.flatnonzero(selected & (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1))
+            if channel.quantity in MOTIONS and selected.size:
+                nearest = selected[np.argmin(np.abs(rows.amplitude[selected] - drive))]
+                sizes[channel.name] = math.exp(float(observations.values[nearest]))
+        return sizes
+
+    def with_levels(self, change: Callable[[LockedLevel], LockedLevel]) -> LockedWindows:
+        """The measurement with every level changed."""
+        return replace(self, levels=tuple(change(level) for level in self.levels))
+
+    def turned_by(self, channel: str) -> int:
+        """Sign by which an error of a channel's phase turns what the loop held."""
+        force = next((c.name for c in self.channels if c.quantity is Quantity.FORCE), "")
+        return (channel == self.response_channel) - (channel == force)
+
+    def repeat_key(self, rows: Rows, index: int) -> tuple[object, float]:
+        """Level, of a line of the mains its frequency too, and the level of excitation."""
+        level, amplitude = int(rows.level[index]), float(f"{rows.amplitude[index]:.3g}")
+        line = rows.part[index] == Part.LINE
+        return ((level, round(float(rows.frequency_hz[index]), 6)) if line else level), amplitude
+
+    def held_levels(self, observations: Observations, number: int) -> HeldLevels | None:
+        """Its levels as complex amplitudes of force and motion."""
+        return levels_of_windows(self, observations, number)
+
+    @property
+    def axis(self) -> str:
+        """Voltage or force."""
+        return "drive voltage / V" if self.held == "voltage" else "force / N"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_windows import PURE_TONE, LockedWindows, Terms
+from nmt_diagnose.measurements.locked_windows.locked_level import PURE_TONE, Terms
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.converter import recorded_harmonics
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
@@ -37,11 +37,15 @@ from nmt_diagnose.prediction.periodic_kernel import (
 )
 from nmt_diagnose.prediction.periodic_state import PeriodicState, has_coordinates, shared_unknowns
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.predictor import Predictor
 from nmt_diagnose.prediction.rig_parts import RigParts, exciter_of
 from nmt_diagnose.prediction.rig_tables import channel_gains, harmonic_forces, sensor_gain
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 
 # The fundamental of the measured force is given.
 FORCE_HELD = -2
@@ -87,7 +91,7 @@ class LevelProblem:
     terms: Terms = PURE_TONE
 
 
-class PeriodicLevels:
+class PeriodicLevels(Predictor):
     """Phase-resonant solutions of the model at the levels of one test.
 
     Args:
@@ -388,9 +392,7 @@ class PeriodicLevels:
         z[-1] += math.log(ratio)
         return z
 
-    def stepped(
-        self, rig: Rig, cache: PartsCache, states: tuple[PeriodicState | None, ...]
-    ) -> list[PeriodicState | None]:
+    def stepped(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> list[PeriodicState | None]:
         """Solutions of a slightly different rig by one Newton step from ``states``."""
         result: list[PeriodicState | None] = []
         for level, state in zip(self.levels, states, strict=True):
@@ -404,7 +406,7 @@ class PeriodicLevels:
             result.append(PeriodicState(moved[0], parts.keys, state.drive, channels[0]))
         return result
 
-    def tangent(self, rig: Rig, cache: PartsCache, states: tuple[PeriodicState | None, ...]) -> Tangent | None:
+    def tangent(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> Tangent | None:
         """What ``advanced`` needs of solved levels; None where they do not share their coordinates."""
         solved = tuple(position for position, state in enumerate(states) if state is not None)
         inverse, slopes, keys = [], [], set()
@@ -422,7 +424,7 @@ class PeriodicLevels:
             except np.linalg.LinAlgError:
                 return None
             slopes.append(at.slopes)
-        return Tangent(states, solved, np.array(inverse), np.array(slopes)) if solved else None
+        return Tangent(tuple(states), solved, np.array(inverse), np.array(slopes)) if solved else None
 
     def advanced(self, rig: Rig, cache: PartsCache, tangent: Tangent) -> list[PeriodicState | None] | None:
         """Solutions of a slightly different rig by one step with the Jacobian of the rig that was solved.
@@ -462,7 +464,7 @@ class PhaseResonancePredictor(PeriodicLevels):
         if np.any(rows.harmonic > self.basis.orders[-1]):
             raise BenchError(f"test {test.name} has observables beyond harmonic {test.harmonics}.")
 
-    def values(self, rig: Rig, cache: PartsCache, states: list[PeriodicState | None]) -> FloatArray:
+    def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> FloatArray:
         """Observables of the test's rows; NaN where a level has no solution."""
         count = len(self.levels)
         omega = np.full(count, np.nan)

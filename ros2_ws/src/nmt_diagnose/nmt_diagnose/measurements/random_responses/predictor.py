@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +15,19 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.gaussian_motion import forces_in_motion
 from nmt_diagnose.prediction.linear_model import Fractions
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.predictor import Predictor
 from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_diagnose.prediction.rig_tables import DELAY, GAIN, HIGH_PASS, LOW_PASS, sensor_gain
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 
 # |W|² of the Hann window at a line's neighbours and at itself.
 HANN = np.array([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
@@ -69,7 +74,7 @@ def folding(lines: FloatArray, rate: float) -> Folding:
     )  # fmt: skip
 
 
-class RandomPredictor:
+class RandomPredictor(Predictor):
     """Predicts the frequency responses of one random test.
 
     Args:
@@ -225,7 +230,7 @@ class RandomPredictor:
             h[:, :-1] *= amplifier_gain(self.test.drive_rms, float(parts.saturation[0]))
         return np.asarray(h)
 
-    def values(self, rig: Rig, cache: PartsCache) -> FloatArray:
+    def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any] = ()) -> FloatArray:
         """Observables of the test's rows."""
         responses = self.responses(rig, cache)
         result = np.full(len(self.rows), np.nan)

@@ -3,12 +3,30 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
-from nmt_core.numerics.arrays import FloatArray
+import numpy as np
+
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Driven
+from nmt_diagnose.measurements.random_responses.influence import influence_on_lines
+from nmt_diagnose.measurements.random_responses.predictor import RandomPredictor
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain, table_chain
+from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.prediction.influence import Source, SourceColumn
+from nmt_diagnose.prediction.parts_cache import PartsCache
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.resting_motion import (
+    Motion,
+    noise_motion,
+)
+from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
+from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -35,6 +53,14 @@ class RandomResponses(Driven):
     """
 
     WORDS: ClassVar[str] = "random, frequency response"
+    FIGURES: ClassVar[tuple[tuple[str, str, tuple[Part, ...]], ...]] = (
+        ("frf", "Frequency responses: magnitude", (Part.LOG_MAGNITUDE,)),
+        ("frf-phase", "Frequency responses: phase", (Part.PHASE,)),
+    )
+    unexcited: ClassVar[tuple[Part, ...]] = (Part.LINE,)
+    over_frequency: ClassVar[bool] = True
+    broad_band: ClassVar[bool] = True
+    linear_chain: ClassVar[bool] = True
 
     name: str
     drive_point: int
@@ -49,3 +75,123 @@ class RandomResponses(Driven):
     drive_hold_hz: float = math.inf
     resting_points: tuple[int, ...] = ()
     other_rms: tuple[float, ...] = ()
+
+    def predictor(self, rows: Rows, settings: PredictionSettings) -> RandomPredictor:
+        """What predicts its rows."""
+        return RandomPredictor(self, rows, settings)
+
+    @property
+    def over_voltage(self) -> bool:
+        """Whether its rows refer to the voltage."""
+        return self.reference == "voltage"
+
+    @property
+    def over_force(self) -> bool:
+        """Whether its rows are responses over the force."""
+        return self.reference == "force"
+
+    @property
+    def referred_to(self) -> str:
+        """What its responses are divided by."""
+        return self.reference
+
+    @property
+    def divisor(self) -> MeasuredChannel | None:
+        """The force that its responses are divided by."""
+        if self.reference != "force":
+            return None
+        return MeasuredChannel(f"f{self.drive_point}", Quantity.FORCE, self.drive_point)
+
+    @property
+    def modal_lines_hz(self) -> FloatArray | None:
+        """Its lines, unless images of a held drive are in them."""
+        return None if math.isfinite(self.drive_hold_hz) else self.lines_hz
+
+    @property
+    def span_s(self) -> tuple[float, float] | None:
+        """Its beginning and end, s."""
+        return self.start_s, self.stop_s
+
+    def influence(
+        self,
+        predictor: RandomPredictor,
+        rig: Rig,
+        cache: PartsCache,
+        states: Sequence[Any],
+        source: Source,
+        settings: PredictionSettings,
+    ) -> tuple[FloatArray, list[SourceColumn]]:
+        """What unit sources at a place would do to its rows, (rows, sources), and what each is."""
+        if source.kind == "controller":
+            return super().influence(predictor, rig, cache, states, source, settings)
+        return influence_on_lines(predictor, rig, cache, source, settings)
+
+    def motions(
+        self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
+    ) -> list[Motion]:
+        """Rms of the motion over its lines, by the system linearised at rest."""
+        lines = 2.0 * np.pi * self.lines_hz
+        return noise_motion(rig, self.drive_point, channels, settings, lines, self.drive_rms, self.over_force)
+
+    def measured_sizes(self, observations: Observations, number: int, drive: float) -> dict[str, float]:
+        """Rms of each motion channel whose lines are all there."""
+        rows, sizes = observations.rows, dict[str, float]()
+        for index, channel in enumerate(self.channels):
+            selected = (rows.test == number) & (rows.channel == index)
+            selected &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)
+            if channel.quantity in MOTIONS and int(selected.sum()) == self.lines_hz.size > 1:
+                magnitude = np.empty(self.lines_hz.size)
+                magnitude[rows.level[selected]] = np.exp(observations.values[selected])
+                weights = np.gradient(self.lines_hz)
+                sizes[channel.name] = self.drive_rms * math.sqrt(float(weights @ magnitude**2 / weights.sum()))
+        return sizes
+
+    def with_lines_moved(self, share: float) -> RandomResponses:
+        """With its lines higher by a share."""
+        return replace(self, lines_hz=self.lines_hz * (1.0 + share))
+
+    def response_errors(self, rows: Rows, chain: MeasuringChain) -> dict[str, FloatArray]:
+        """Delay of each kind of responses over the force that they are divided by."""
+        found: dict[str, FloatArray] = {}
+        late = math.sqrt(2.0) * chain.shared_delay_s
+        for index, channel in enumerate(self.channels if self.over_force else ()):
+            name = f"delay of {channel.quantity.name.lower()} over force"
+            selected = (rows.channel == index) & (rows.part == Part.PHASE)
+            column = found.setdefault(name, np.zeros(len(rows)))
+            column[selected] = late * 2.0 * np.pi * rows.frequency_hz[selected]
+        return found
+
+    def table_chain(self, sheet: CalibrationSheet | None) -> MeasuringChain | None:
+        """Tolerances of an analyser that has reduced it."""
+        return table_chain(self.channels, sheet)
+
+    def repeat_key(self, rows: Rows, index: int) -> tuple[object, float]:
+        """Frequency of the line."""
+        return round(float(rows.frequency_hz[index]), 6), 0.0
+
+    def line_group(self, channel: int) -> str:
+        """The lines of a channel have one noise."""
+        return f"lines of {self.channels[channel].name}"
+
+    @property
+    def axis(self) -> str:
+        """Frequency."""
+        return "frequency / Hz"
+
+    @property
+    def map_axis(self) -> str:
+        """Bands of lines."""
+        return "middle of the band / Hz"
+
+    def abscissa(self, rows: Rows, which: IntArray) -> FloatArray:
+        """Frequency of the lines, Hz."""
+        return rows.frequency_hz[which]
+
+    def thirds(self, rows: Rows, which: IntArray) -> tuple[FloatArray, str]:
+        """Frequency of the lines, Hz."""
+        return rows.frequency_hz[which], "lines"
+
+    def magnitude_unit(self, channel: MeasuredChannel) -> str:
+        """Unit of the responses of a channel."""
+        divisor = "V" if self.over_voltage else "N·m" if channel.turns else "N"
+        return f"{super().magnitude_unit(channel)} / {divisor}"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any, cast
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.decay_kernel import free_rows, observed_ratios
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
@@ -25,11 +25,15 @@ from nmt_diagnose.prediction.periodic_kernel import (
 )
 from nmt_diagnose.prediction.periodic_state import PeriodicState, shared_unknowns
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.predictor import Predictor
 from nmt_diagnose.prediction.rig_parts import RigParts, sliding
 from nmt_diagnose.prediction.rig_tables import sensor_gain
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 
 _OFF_POLE = 1e-8
 _TOLERANCE = 1e-10
@@ -37,7 +41,7 @@ _NO_CHANNELS = np.zeros((0, 0), dtype=np.complex128)
 _DEEPEST = 3
 
 
-class RingDownPredictor:
+class RingDownPredictor(Predictor):
     """Predicts one free decay: structure and exciter at zero volts.
 
     Args:
@@ -45,6 +49,8 @@ class RingDownPredictor:
         rows: its rows.
         settings: of the predictor.
     """
+
+    SOLUTION: ClassVar[str] = "decay"
 
     def __init__(self, test: RecordedDecay, rows: Rows, settings: PredictionSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
@@ -74,7 +80,7 @@ class RingDownPredictor:
             last = states[position] or last
         return states
 
-    def values(self, rig: Rig, cache: PartsCache, states: list[PeriodicState | None]) -> FloatArray:
+    def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> FloatArray:
         """Observables of the test's rows."""
         clock = 1.0 + rig.clock_error
         log_omega = np.array([math.nan if s is None else math.log(s.omega / clock) for s in states])
@@ -102,9 +108,7 @@ class RingDownPredictor:
             result[shape] = np.where(self.rows.part[shape] == Part.PHASE, np.angle(picked), log_size)
         return result
 
-    def stepped(
-        self, rig: Rig, cache: PartsCache, states: tuple[PeriodicState | None, ...]
-    ) -> list[PeriodicState | None]:
+    def stepped(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> list[PeriodicState | None]:
         """Solutions of a slightly different rig by one Newton step."""
         parts = cache.parts(rig, self.setup)
         result: list[PeriodicState | None] = [None] * len(states)

@@ -92,8 +92,8 @@ def ring_down_observations(
     if len(decay.good) < THRESHOLDS.reading.decay_few_nodes or top < _LATE_SHARE * largest:
         # Friction ends a decay within a few periods, however long the recording goes on.
         short = _short_decay(name, stretch, model_channel, channels, view, settings, reason)
-        nodes = [np.asarray(test.amplitudes) for test in short.tests if isinstance(test, RecordedDecay)]
-        if nodes and nodes[0].size >= THRESHOLDS.reading.decay_few_nodes and nodes[0].max() > 0.5 * largest:
+        nodes = np.unique(short.rows.amplitude)
+        if nodes.size >= THRESHOLDS.reading.decay_few_nodes and nodes.max() > 0.5 * largest:
             return short
     if close := _close_mode(view, decay.good[-1].omega / (2.0 * math.pi)):
         return empty((f"{name}: the ring-down is left out: {close}.",))

@@ -5,9 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmt_core.numerics.arrays import FloatArray
+import numpy as np
+
+from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
+from nmt_diagnose.law.held_levels import HeldLevels, levels_over_amplitude
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Driven
+from nmt_diagnose.measurements.recorded_decay.predictor import RingDownPredictor
+from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.resting_motion import (
+    Motion,
+    motion_at_amplitudes,
+)
+from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -25,6 +36,9 @@ class RecordedDecay(Driven):
     """
 
     WORDS: ClassVar[str] = "ring-down"
+    interleaved: ClassVar[bool] = True
+    rising: ClassVar[bool] = True
+    linear_chain: ClassVar[bool] = True
 
     name: str
     drive_point: int
@@ -38,3 +52,37 @@ class RecordedDecay(Driven):
     def channels(self) -> tuple[MeasuredChannel, ...]:
         """All channels, in the order of the observables."""
         return (self.channel, *self.others)
+
+    def predictor(self, rows: Rows, settings: PredictionSettings) -> RingDownPredictor:
+        """What predicts its rows."""
+        return RingDownPredictor(self, rows, settings)
+
+    @property
+    def given_channel(self) -> MeasuredChannel | None:
+        """Channel at whose amplitudes the model is solved."""
+        return self.channel
+
+    def motions(
+        self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
+    ) -> list[Motion]:
+        """Largest and smallest amplitude, by the system linearised at rest."""
+        if not self.amplitudes.size:
+            return []
+        points, channel = self.drive_points, self.channel
+        return motion_at_amplitudes(rig, points, channel, self.amplitudes, channels, settings, self.frequency_hz)
+
+    def resonance_rows(self, rows: Rows) -> BoolArray:
+        """Its frequencies."""
+        return np.asarray(rows.part == Part.LOG_FREQUENCY)
+
+    def repeat_key(self, rows: Rows, index: int) -> tuple[object, float]:
+        """Number of the amplitude."""
+        return int(rows.level[index]), 0.0
+
+    def held_levels(self, observations: Observations, number: int) -> HeldLevels | None:
+        """Its amplitudes as levels."""
+        return levels_over_amplitude(self.drive_points, self.channels, self.amplitudes, observations, number)
+
+    def abscissa(self, rows: Rows, which: IntArray) -> FloatArray:
+        """Amplitude of the first channel."""
+        return self.amplitudes[rows.level[which]]

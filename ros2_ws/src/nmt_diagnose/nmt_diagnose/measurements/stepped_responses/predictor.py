@@ -25,7 +25,9 @@ disturbance. :mod:`nmt_diagnose.measurements.stepped_responses.frequency_sweep` 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,18 +35,21 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.driven_lines import solve_lines
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.periodic_kernel import DRIVEN, Closing, Limits, advance, target_rows
 from nmt_diagnose.prediction.periodic_state import has_coordinates, shared_unknowns
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.predictor import Predictor
 from nmt_diagnose.prediction.rig_parts import RigParts, sliding
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
+
+if TYPE_CHECKING:
+    from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 
 HARMONICS = 5
 
@@ -74,7 +79,7 @@ class SteppedSineState:
     moved: FloatArray
 
 
-class SteppedSinePredictor:
+class SteppedSinePredictor(Predictor):
     """Predicts one test of frequency responses at a held amplitude.
 
     Args:
@@ -170,9 +175,7 @@ class SteppedSinePredictor:
         state = SteppedSineState(keys, tables, clock, z, forces, inverses, slopes, responses, growth, self.moved)
         return [state]
 
-    def stepped(
-        self, rig: Rig, cache: PartsCache, states: tuple[SteppedSineState | None, ...]
-    ) -> list[SteppedSineState | None]:
+    def stepped(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> list[SteppedSineState | None]:
         """Solutions of a slightly different rig by one Newton step from ``states``."""
         state = states[0]
         assert state is not None
@@ -189,7 +192,7 @@ class SteppedSinePredictor:
         responses, _ = self._over_reference(parts, z, values)
         return [replace(state, keys=parts.keys, z=z, responses=responses)]
 
-    def values(self, rig: Rig, cache: PartsCache, states: list[SteppedSineState | None]) -> FloatArray:
+    def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> FloatArray:
         """Observables of the test's rows; see the module."""
         state = states[0]
         result = np.full(len(self.rows), np.nan)

@@ -11,9 +11,6 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -140,8 +137,8 @@ def _types(rows: Rows, observations: Observations) -> IntArray:
     order = np.clip(rows.harmonic, -1, 2)
     quantity = np.zeros(len(rows), dtype=np.int64)
     for index in range(len(rows)):
-        channels = getattr(observations.tests[rows.test[index]], "channels", ())
-        quantity[index] = int(channels[rows.channel[index]].quantity) if rows.channel[index] >= 0 and channels else 0
+        channels = observations.tests[rows.test[index]].channels
+        quantity[index] = int(channels[rows.channel[index]].quantity) if rows.channel[index] >= 0 else 0
     result: IntArray = ((rows.test * 16 + rows.part) * 16 + order + 1) * 16 + quantity
     return result
 
@@ -151,19 +148,8 @@ def _keys(observations: Observations) -> list[tuple[object, ...]]:
     keys: list[tuple[object, ...]] = []
     for index in range(len(rows)):
         test = observations.tests[rows.test[index]]
-        channel = ""
-        if rows.channel[index] >= 0:
-            channels = getattr(test, "channels", None) or (getattr(test, "channel", None),)
-            channel = getattr(channels[rows.channel[index]], "name", "")
-        if isinstance(test, RandomResponses):
-            place: object = round(float(rows.frequency_hz[index]), 6)
-        elif rows.part[index] == Part.LINE:
-            place = int(rows.level[index]), round(float(rows.frequency_hz[index]), 6)
-        elif isinstance(test, LockedWindows | RecordedDecay):
-            place = int(rows.level[index])
-        else:
-            place = round(float(rows.time_s[index]), 9)
-        amplitude = float(f"{rows.amplitude[index]:.3g}") if isinstance(test, LockedWindows) else 0.0
+        channel = test.channels[rows.channel[index]].name if rows.channel[index] >= 0 else ""
+        place, amplitude = test.repeat_key(rows, index)
         kind = int(rows.harmonic[index]), int(rows.part[index])
         keys.append((test.WORDS, test.drive_point, place, amplitude, channel, *kind))
     return keys

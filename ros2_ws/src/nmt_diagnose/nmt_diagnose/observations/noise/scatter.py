@@ -13,7 +13,6 @@ variance by DerSimonian and Laird 1986).
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,7 +21,6 @@ from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -95,9 +93,8 @@ def with_shared_scatter(observations: Observations) -> Observations:
     """The observations with the noise of sweeps that is estimated from their scatter taken together, by channel."""
     groups: dict[str, list[int]] = {}
     for number, test in enumerate(observations.tests):
-        estimated = isinstance(test, SteppedResponses) and math.isfinite(test.noise_degrees)
-        if estimated and np.any(observations.rows.test == number):
-            groups.setdefault(repr((_sweep(test).channels, _sweep(test).reference)), []).append(number)
+        if test.scatter_key is not None and np.any(observations.rows.test == number):
+            groups.setdefault(repr(test.scatter_key), []).append(number)
     tests, std = list(observations.tests), observations.std.copy()
     notes = list(observations.notes)
     for numbers in groups.values():
@@ -105,15 +102,13 @@ def with_shared_scatter(observations: Observations) -> Observations:
             continue
         rows_of_test = [observations.rows.test == number for number in numbers]
         before = np.array([float(std[selected][0]) for selected in rows_of_test])
-        after, degrees = shrunk(before, np.array([_sweep(tests[number]).noise_degrees for number in numbers]))
+        after, degrees = shrunk(before, np.array([tests[number].noise_degrees for number in numbers]))
         for number, selected, old, new, free in zip(numbers, rows_of_test, before, after, degrees, strict=True):
             std[selected] *= new / old  # of the first channel; others scatter in proportion
-            test = _sweep(tests[number])
-            noise = np.sqrt(np.maximum(test.noise**2 - old**2, 0.0) + new**2)
-            tests[number] = replace(test, noise=noise, noise_degrees=float(free))
+            tests[number] = tests[number].with_scatter(float(old), float(new), float(free))
         low, high = (f"{100.0 * value:.2g}" for value in (after.min(), after.max()))
         span = f"{low} %" if low == high else f"{low} to {high} %"
-        name = _sweep(tests[numbers[0]]).channels[0].name
+        name = tests[numbers[0]].channels[0].name
         notes.append(f"The scatter of the {len(numbers)} sweeps of {name} is taken together: {span}.")
     return replace(observations, tests=tuple(tests), std=std, notes=tuple(notes))
 
@@ -135,8 +130,3 @@ def shrunk(std: FloatArray, degrees: FloatArray) -> tuple[FloatArray, FloatArray
     share = between / (between + variance)
     after = variance * share + (1.0 - share) ** 2 / weight.sum()
     return np.exp(mean + share * (log - mean)), np.asarray(0.5 / after)
-
-
-def _sweep(test: object) -> SteppedResponses:
-    assert isinstance(test, SteppedResponses)
-    return test

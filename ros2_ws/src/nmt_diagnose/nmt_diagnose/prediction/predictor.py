@@ -1,0 +1,51 @@
+"""What predicts the rows of one measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.observations.observables import Rows
+
+
+class Predictor:
+    """Predicts the rows of one measurement; those without solutions of their own leave all but ``values`` as it is.
+
+    Attributes:
+        SOLUTION: what there is one of at each level.
+        rows: the rows.
+        setup: what it shares with other measurements.
+    """
+
+    SOLUTION: ClassVar[str] = "phase-resonant solution"
+    rows: Rows
+    setup: Setup
+
+    def use(self, setup: Setup) -> None:
+        """Take the parts of rigs from a setup that other measurements share."""
+        raise NotImplementedError
+
+    def solve(self, rig: Rig, cache: PartsCache, start: tuple[Any, ...] | None) -> list[Any] | None:
+        """One solution per level, from those of a similar rig; None where the values follow at once."""
+        return None
+
+    def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> FloatArray:
+        """Observables of the rows, (rows,); NaN where a level has no solution."""
+        raise NotImplementedError
+
+    def tangent(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> Any:
+        """What solutions need to follow small changes of the rig; None where they have their own way."""
+        return None
+
+    def advanced(self, rig: Rig, cache: PartsCache, tangent: Any) -> list[Any] | None:
+        """Solutions of a slightly different rig by a tangent; None where it does not reach there."""
+        return None
+
+    def stepped(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> list[Any]:
+        """Solutions of a slightly different rig, one Newton step from those of the rig before."""
+        raise NotImplementedError

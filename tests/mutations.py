@@ -222,13 +222,13 @@ MUTATIONS = [
             "the floor from repeats is √2 too large",
         ),
         (
-            "nmt_diagnose/nmt_diagnose/inference/fitting.py",
+            "nmt_diagnose/nmt_diagnose/fit/fitting.py",
             "log_evidence = -0.5 * cost - 0.5 * (chain.log_determinant",
             "log_evidence = -0.5 * cost + 0.5 * (chain.log_determinant",
             "more parameters make a model more probable",
         ),
         (
-            "nmt_diagnose/nmt_diagnose/inference/noise.py",
+            "nmt_diagnose/nmt_diagnose/fit/noise.py",
             "student = total * np.log1p(beyond / nu)",
             "student = total * np.log1p(beyond / total)",
             "the marginal of a scale is wrong",
@@ -240,7 +240,7 @@ MUTATIONS = [
             "where the loop truly stood is taken for known",
         ),
         (
-            "nmt_diagnose/nmt_diagnose/inference/diagnose.py",
+            "nmt_diagnose/nmt_diagnose/diagnose.py",
             "floor=np.hypot(observations.floor, change)",
             "floor=observations.floor",
             "what the harmonic balance leaves out is taken for an effect",

@@ -10,7 +10,7 @@ import numpy as np
 from report import diagnosis_fixture
 from report.synthetic_run import LINEAR, synthetic_run
 
-from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_extract.modal_table import write_results
 from nmt_extract.response_table import write_response_csv
 from nmt_extract.swept_response import FrequencyResponseTable

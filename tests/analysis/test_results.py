@@ -14,7 +14,7 @@ from scipy.io import netcdf_file
 
 import nmt
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_extract.modal_table import write_results
 from nmt_extract.response_table import write_response_csv
 from nmt_extract.swept_response import FrequencyResponseTable

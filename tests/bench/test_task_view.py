@@ -19,7 +19,7 @@ from nmt_bench.page.task_view import TaskView
 from nmt_core.errors import BenchError
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.inference.progress import ProgressSentence
+from nmt_diagnose.search.progress import ProgressSentence
 
 
 def heads(view: TaskView) -> tuple[dict[str, Any], dict[str, Any]]:

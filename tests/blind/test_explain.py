@@ -10,9 +10,9 @@ from diagnose.predicted_observations import chain, observations_of_model, real
 
 from nmt_blind.campaign import explain
 from nmt_blind.campaign.explain import account, follows, measured_strengths, parameters_of
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.prediction.operating_range import operating_range
 
 MODEL = chain()

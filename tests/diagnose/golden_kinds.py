@@ -12,15 +12,15 @@ from diagnose.one_of_each_kind import KINDS, rig_of_kinds, with_chain
 
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.fit.misfit import misfit_of
+from nmt_diagnose.fit.noise import groups_of, sigma_of
 from nmt_diagnose.inference.chain import linear_chain, scale_columns, shared_delays
-from nmt_diagnose.inference.held_out import splits
-from nmt_diagnose.inference.misfit import misfit_of
-from nmt_diagnose.inference.noise import groups_of, sigma_of
-from nmt_diagnose.inference.residual_map import residual_map
+from nmt_diagnose.ledger.held_out import splits
 from nmt_diagnose.observations.noise.floors import repeatability
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.say.residual_map import residual_map
 from nmt_report.diagnosis_curves import Models, courses, level_names
 
 FILE = Path(__file__).with_name("golden_kinds.npz")

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from nmt_diagnose.inference.credible_answers import credible_answers
-from nmt_diagnose.inference.diagnosis import Answer, Ranked, Share, Verdict
+from nmt_diagnose.ledger.credible_answers import credible_answers
+from nmt_diagnose.ledger.diagnosis import Answer, Ranked, Share, Verdict
 from nmt_diagnose.thresholds import THRESHOLDS
 
 NOT_TRIED = Share(math.nan, math.nan, math.nan)

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
 
+from nmt_diagnose.diagnose import FAR_BEHIND, DiagnosisOutcome, diagnose_observations
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.diagnose import FAR_BEHIND, DiagnosisOutcome, diagnose_observations
-from nmt_diagnose.inference.diagnosis import Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_rig.rig import Rig
 
 MODEL = chain()

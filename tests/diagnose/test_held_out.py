@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from diagnose.linear_problem import observations_of
 
-from nmt_diagnose.inference.gap import closed, rms
-from nmt_diagnose.inference.held_out import splits
+from nmt_diagnose.ledger.gap import closed, rms
+from nmt_diagnose.ledger.held_out import splits
 from nmt_diagnose.observations.observables import joined
 
 

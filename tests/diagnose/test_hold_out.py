@@ -8,10 +8,10 @@ from diagnose.linear_problem import observations_of
 from diagnose.predicted_observations import chain, observations_of_model, real
 
 from nmt_core.errors import BenchError
+from nmt_diagnose.diagnose import diagnose_observations
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.diagnose import diagnose_observations
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.held_out import splits
+from nmt_diagnose.ledger.held_out import splits
 from nmt_diagnose.observations.observables import joined
 
 

@@ -12,10 +12,10 @@ from scipy.integrate import solve_ivp
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.diagnose import diagnose_bags
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.diagnose import diagnose_bags
-from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.read_observations import read_observations

@@ -17,7 +17,6 @@ from nmt_core.errors import BenchError
 from nmt_core.kinds.request import TestRequest
 from nmt_diagnose.ahead.apart import expected_information
 from nmt_diagnose.ahead.hidden_effects import Hidden
-from nmt_diagnose.inference.diagnosis import HIDDEN, NextTest, Ranked, Share, Verdict
 from nmt_diagnose.investigation.answers import answers_of
 from nmt_diagnose.investigation.investigation import (
     NO,
@@ -33,6 +32,7 @@ from nmt_diagnose.investigation.investigation_record import (
     InvestigationRecord,
     read_record,
 )
+from nmt_diagnose.ledger.diagnosis import HIDDEN, NextTest, Ranked, Share, Verdict
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_report.investigation_report import investigation_page, shown_answers
 

@@ -10,9 +10,9 @@ import pytest
 import yaml
 
 from nmt_bench.data_import import import_data
-from nmt_diagnose.inference.diagnose import diagnose_bags
-from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.diagnose import diagnose_bags
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 
 ONE_MODE = "structure: {kind: modal, modes: [{frequency_hz: 50.0, damping_ratio: 0.01, modal_mass_kg: 1.0}]}\n"
 ON_TABLE = (

@@ -13,9 +13,9 @@ from diagnose.test_how_to_pages import written
 from scipy.signal import butter, sosfilt
 
 from nmt_bench.data_import import import_data
-from nmt_diagnose.inference.diagnose import diagnose_bags
-from nmt_diagnose.inference.diagnosis import Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.diagnose import diagnose_bags
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.ledger.diagnosis import Verdict
 
 PAGE = "laser-and-current.md"
 RATE, OVER, SECONDS, FACTOR, MASS, RATIO, CUBIC = 2000, 4, 20, 16.0, 0.9, 0.004, 4e8

@@ -11,9 +11,9 @@ from nmt_blind.cases.blind_rigs import blind_rig
 from nmt_blind.cases.laboratory import record_backbone, record_random
 from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
-from nmt_diagnose.inference.diagnose import diagnose_bags
-from nmt_diagnose.inference.diagnosis import Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.diagnose import diagnose_bags
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.ledger.diagnosis import Verdict
 
 # Delays against the drive (s) and gains by kind of sensor.
 LATE = {"acceleration": 85e-6, "force": -23e-6, "displacement": 31e-6}

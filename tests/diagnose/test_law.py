@@ -13,7 +13,6 @@ from diagnose.simulated_levels import FORCES, MASSES, chain_of_masses, held, hel
 from scipy.optimize import brentq
 
 from nmt_core.messages.blocks import Quantity
-from nmt_diagnose.inference.law_starts import _effects
 from nmt_diagnose.law.law_blocks import Block
 from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch
@@ -25,6 +24,7 @@ from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDeca
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
+from nmt_diagnose.search.law_starts import _effects
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from diagnose.simulated_levels import FORCES, chain_of_masses, held, levels_of
 
-from nmt_diagnose.inference.law_starts import _effects, worth_a_start
 from nmt_diagnose.law import reading
 from nmt_diagnose.law.law_blocks import Block, blocks
 from nmt_diagnose.law.law_rows import LawRows
@@ -18,6 +17,7 @@ from nmt_diagnose.law.law_search import LawSearch, fewest, moves_enough
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.nuisance import _of_other_modes
 from nmt_diagnose.law.terms import Term
+from nmt_diagnose.search.law_starts import _effects, worth_a_start
 
 
 def test_rows_and_errors_are_as_uncertain_as_stated() -> None:

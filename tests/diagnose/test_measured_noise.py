@@ -14,20 +14,19 @@ from scipy.optimize import minimize
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.diagnose import _from_credible, diagnose_observations, free_parameters, model_alone
+from nmt_diagnose.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.location import Location
+from nmt_diagnose.fit.explanations import FittedExplanation, Score
+from nmt_diagnose.fit.fitting import best_chain_errors, data_about, fit
+from nmt_diagnose.fit.low_level_modes import LowLevelModes
+from nmt_diagnose.fit.noise import Groups, groups_of
 from nmt_diagnose.inference.chain import SharedDelay, linear_chain
-from nmt_diagnose.inference.comparison import Hypotheses, SourceEvidence, laws
-from nmt_diagnose.inference.diagnose import _from_credible, diagnose_observations, free_parameters, model_alone
-from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
-from nmt_diagnose.inference.explanations import FittedExplanation, Score
-from nmt_diagnose.inference.fitting import best_chain_errors, data_about, fit
-from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.noise import Groups, groups_of
-from nmt_diagnose.inference.search import Search
-from nmt_diagnose.inference.size import IMITATION
+from nmt_diagnose.ledger.comparison import Hypotheses, SourceEvidence, laws
+from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.ledger.size import IMITATION
 from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
@@ -35,6 +34,7 @@ from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument

@@ -10,16 +10,16 @@ import pytest
 from diagnose.observation_bags import record, rig_with_noise
 from diagnose.predicted_observations import chain, observations_of_model, real
 
+from nmt_diagnose import diagnose as diagnose_module
+from nmt_diagnose.diagnose import DiagnosisOutcome, diagnose_observations
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.location import Cause, Location
-from nmt_diagnose.inference import diagnose as diagnose_module
-from nmt_diagnose.inference import memory as memory_module
-from nmt_diagnose.inference import search as search_module
-from nmt_diagnose.inference.diagnose import DiagnosisOutcome, diagnose_observations
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.memory import Memory, Remembered
 from nmt_diagnose.observations import read_observations as reader
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.search import memory as memory_module
+from nmt_diagnose.search import search as search_module
+from nmt_diagnose.search.memory import Memory, Remembered
 
 MODEL = chain()
 TRUTH = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}])

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from diagnose.predicted_observations import observations_of_model
 
+from nmt_diagnose.diagnose import diagnose_observations
+from nmt_diagnose.diagnosis_settings import MATTERS, DiagnosisSettings
+from nmt_diagnose.fit.fitting import Metric
 from nmt_diagnose.inference.chain import linear_chain
-from nmt_diagnose.inference.diagnose import diagnose_observations
-from nmt_diagnose.inference.diagnosis import Verdict
-from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
-from nmt_diagnose.inference.fitting import Metric
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig, load_rig

@@ -9,11 +9,11 @@ import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.stats import multivariate_normal
 
-from nmt_diagnose.inference.diagnose import diagnose_observations
-from nmt_diagnose.inference.diagnosis import Verdict
-from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
-from nmt_diagnose.inference.misfit import Whitening, least_scale, misfit_of, rows_of_kind
-from nmt_diagnose.inference.noise import Groups
+from nmt_diagnose.diagnose import diagnose_observations
+from nmt_diagnose.diagnosis_settings import MATTERS, DiagnosisSettings
+from nmt_diagnose.fit.misfit import Whitening, least_scale, misfit_of, rows_of_kind
+from nmt_diagnose.fit.noise import Groups
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS

@@ -19,18 +19,18 @@ from nmt_diagnose.ahead.expected_rows import expected as expected_rows
 from nmt_diagnose.ahead.motion_noise import noise_over_motion
 from nmt_diagnose.ahead.next_tests import next_tests, other_sensors
 from nmt_diagnose.ahead.proposals import Proposal, proposals
+from nmt_diagnose.diagnose import free_parameters, model_alone
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import candidates, effect_named
 from nmt_diagnose.effects.location import Location
+from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.inference.chain import Chain
-from nmt_diagnose.inference.comparison import Comparison, EquivalentClass
-from nmt_diagnose.inference.diagnose import free_parameters, model_alone
-from nmt_diagnose.inference.explanations import FittedExplanation
-from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.search import Search
+from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import validate_rig
 from nmt_rig.rig_file import RigDocument

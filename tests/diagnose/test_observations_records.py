@@ -12,9 +12,9 @@ from scipy.signal import TransferFunction, cont2discrete, lfilter, lsim
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.inference.diagnose import diagnose_bags
-from nmt_diagnose.inference.diagnosis import Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.diagnose import diagnose_bags
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
 from nmt_diagnose.measurements.backbone_table.reading import noise_of_weak_lines
 from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord

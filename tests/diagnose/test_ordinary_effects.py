@@ -9,8 +9,8 @@ import numpy as np
 
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.explanations import FittedExplanation
-from nmt_diagnose.inference.size import needed
+from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.ledger.size import needed
 
 
 def test_a_pick_up_within_its_tolerance_is_no_effect() -> None:

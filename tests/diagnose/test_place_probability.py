@@ -11,9 +11,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from nmt_diagnose.effects.location import Cause, Explanation, Location
-from nmt_diagnose.inference.comparison import Hypotheses
-from nmt_diagnose.inference.diagnosis import Ranked, Share
-from nmt_diagnose.inference.sentences import _places
+from nmt_diagnose.ledger.comparison import Hypotheses
+from nmt_diagnose.ledger.diagnosis import Ranked, Share
+from nmt_diagnose.say.sentences import _places
 from nmt_diagnose.thresholds import THRESHOLDS
 
 ROWS = 12

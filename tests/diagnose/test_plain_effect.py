@@ -10,11 +10,11 @@ from diagnose.predicted_observations import chain, observations_of_model
 
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
-from nmt_diagnose.inference.comparison import IMITATION, Comparison, EquivalentClass, by_plain_effect
-from nmt_diagnose.inference.explanations import FittedExplanation
-from nmt_diagnose.inference.fitting import FitResult
-from nmt_diagnose.inference.gap import ClosedShare
-from nmt_diagnose.inference.size import Objection
+from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.fit.fitting import FitResult
+from nmt_diagnose.ledger.comparison import IMITATION, Comparison, EquivalentClass, by_plain_effect
+from nmt_diagnose.ledger.gap import ClosedShare
+from nmt_diagnose.ledger.size import Objection
 from nmt_diagnose.prediction.operating_range import operating_range
 
 MODEL = chain()

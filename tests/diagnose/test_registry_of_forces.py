@@ -19,12 +19,12 @@ from nmt_blind.cases.operating import Operating
 from nmt_diagnose.effects.effect import Effect
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.inference.law_starts import _effects
 from nmt_diagnose.law.law_blocks import Block, blocks
 from nmt_diagnose.law.law_elements import element_of, not_written
 from nmt_diagnose.law.law_words import family, formula
 from nmt_diagnose.law.reading import LawTerm, LocalLaw
 from nmt_diagnose.law.terms import Term, force_of
+from nmt_diagnose.search.law_starts import _effects
 from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements import SECTIONS
 from nmt_rig.model.local_elements.attachments import AttachmentSection, LuGreSection

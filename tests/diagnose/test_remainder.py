@@ -10,11 +10,11 @@ import pytest
 from diagnose.predicted_observations import chain, observations_of_model
 from diagnose.test_warnings import GAP
 
-from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Remainder, Share, Value, Verdict
-from nmt_diagnose.inference.remainder import remainder
-from nmt_diagnose.inference.sentences import sentences
-from nmt_diagnose.inference.size import IMITATION, Objection
+from nmt_diagnose.ledger.diagnosis import PlaceShare, Ranked, Remainder, Share, Value, Verdict
+from nmt_diagnose.ledger.size import IMITATION, Objection
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.say.remainder import remainder
+from nmt_diagnose.say.sentences import sentences
 
 LEFT = replace(GAP, closed=0.94, low=0.9, high=0.97)
 

@@ -12,10 +12,10 @@ import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
 
 from nmt_core.errors import BenchError
+from nmt_diagnose.diagnose import diagnose_observations
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.diagnose import diagnose_observations
-from nmt_diagnose.inference.diagnosis import Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.rules import RULES, rule_named, rulings_of, verdict_of
 from nmt_diagnose.ledger.why import why

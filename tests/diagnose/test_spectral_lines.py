@@ -12,7 +12,7 @@ from tiers import with_quick
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.library import candidates
-from nmt_diagnose.inference.size import large_lines
+from nmt_diagnose.ledger.size import large_lines
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward

@@ -13,12 +13,12 @@ from scipy.integrate import solve_ivp
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.diagnose import diagnose_observations
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.inference.diagnose import diagnose_observations
-from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.held_out import splits
+from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.ledger.held_out import splits
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.measurements.stepped_responses.frequency_sweep import frequency_sweep

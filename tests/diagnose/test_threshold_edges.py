@@ -18,22 +18,22 @@ from nmt_bench.commands import linear_command
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.effects.location import Cause, Explanation, Location
 from nmt_diagnose.effects.structure_effects import _excess, largest_air_drag
-from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, SourceEvidence
-from nmt_diagnose.inference.diagnosis import PlaceShare, Ranked, Share, Verdict
-from nmt_diagnose.inference.fitting import Data, FitResult
-from nmt_diagnose.inference.gap import ClosedShare, _share
-from nmt_diagnose.inference.noise import Groups, beyond_noise
-from nmt_diagnose.inference.residual_tests import residual_tests
-from nmt_diagnose.inference.result_rows import place_rows
-from nmt_diagnose.inference.search import _spread_of
-from nmt_diagnose.inference.sentences import _where, sentences
-from nmt_diagnose.inference.size import Objection, _band
-from nmt_diagnose.inference.warnings import beyond_physical_limits
+from nmt_diagnose.fit.fitting import Data, FitResult
+from nmt_diagnose.fit.noise import Groups, beyond_noise
+from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass, Hypotheses, SourceEvidence
+from nmt_diagnose.ledger.diagnosis import PlaceShare, Ranked, Share, Verdict
+from nmt_diagnose.ledger.gap import ClosedShare, _share
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.rules import verdict_of
+from nmt_diagnose.ledger.size import Objection, _band
+from nmt_diagnose.ledger.warnings import beyond_physical_limits
 from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.prediction.converter import recorded_harmonics
 from nmt_diagnose.prediction.lateness import delay_of
+from nmt_diagnose.say.residual_tests import residual_tests
+from nmt_diagnose.say.result_rows import place_rows
+from nmt_diagnose.say.sentences import _where, sentences
+from nmt_diagnose.search.search import _spread_of
 from nmt_diagnose.thresholds.next_test import NextTestThresholds
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import load_rig

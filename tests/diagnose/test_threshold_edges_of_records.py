@@ -18,20 +18,20 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.ahead.apart import competing
 from nmt_diagnose.effects.sensor_effects import _late
-from nmt_diagnose.inference.comparison import Comparison, EquivalentClass
-from nmt_diagnose.inference.diagnosis import Verdict
-from nmt_diagnose.inference.explanations import Score
-from nmt_diagnose.inference.held_out import splits
-from nmt_diagnose.inference.low_level_modes import Modes, disorder, modes_that_lack
-from nmt_diagnose.inference.misfit import misfit_of
-from nmt_diagnose.inference.search import Search
-from nmt_diagnose.inference.warnings import warned
+from nmt_diagnose.fit.explanations import Score
+from nmt_diagnose.fit.low_level_modes import Modes, disorder, modes_that_lack
+from nmt_diagnose.fit.misfit import misfit_of
+from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass
+from nmt_diagnose.ledger.diagnosis import Verdict
+from nmt_diagnose.ledger.held_out import splits
+from nmt_diagnose.ledger.warnings import warned
 from nmt_diagnose.measurements.backbone_table.reading import scatter_about_a_course
 from nmt_diagnose.measurements.driven_record.reading import refinement
 from nmt_diagnose.measurements.stepped_responses.table_reading import _groups, jumps_of, scatter_of_lines
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.noise.settling import settling
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.search.search import Search
 from nmt_rig.rig import Rig
 from nmt_signals.decays.decay_signal import ridges, slow_amplitude
 from nmt_signals.decays.half_cycles import half_cycle_nodes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_diagnose.inference.noise import Groups
+from nmt_diagnose.fit.noise import Groups
 from nmt_diagnose.thresholds import THRESHOLDS
 
 LEVELS, DRAWS = 10, 4000

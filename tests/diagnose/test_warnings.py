@@ -12,9 +12,9 @@ import pytest
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.location import Location
-from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.inference.explanations import FittedExplanation
-from nmt_diagnose.inference.warnings import warned, without_observables
+from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.ledger.diagnosis import Gap, Recalibrated, Verdict
+from nmt_diagnose.ledger.warnings import warned, without_observables
 from nmt_diagnose.observations.origin import Origin
 
 CUBIC = Candidate(effect_named("cubic_stiffness"), Site(Location.at("structure", 2), {"k": 1.0}, 2))

@@ -10,13 +10,13 @@ import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.stats import chi2, norm
 
+from nmt_diagnose.diagnose import free_parameters, model_alone
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import candidates, effect_named
-from nmt_diagnose.inference.diagnose import free_parameters, model_alone
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.explanations import FittedExplanation
-from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.search import Search
-from nmt_diagnose.inference.size import (
+from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.fit.low_level_modes import LowLevelModes
+from nmt_diagnose.ledger.rules import OF_EFFECTS, pass_all
+from nmt_diagnose.ledger.size import (
     Size,
     implausible_parameters,
     leaves_something,
@@ -26,10 +26,10 @@ from nmt_diagnose.inference.size import (
     strained,
     tension,
 )
-from nmt_diagnose.ledger.rules import OF_EFFECTS, pass_all
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, ShakingTableSection
 

@@ -28,9 +28,9 @@ from independent import laboratory_laws
 
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.diagnose import observed
-from nmt_diagnose.inference.law_starts import law_of
+from nmt_diagnose.diagnose import observed
 from nmt_diagnose.law.reading import LawReading, LocalLaw
+from nmt_diagnose.search.law_starts import law_of
 from nmt_rig.rig import load_rig
 
 _CLEAR = 10.0  # standard deviations of a harmonic from which a law must be read

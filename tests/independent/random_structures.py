@@ -26,9 +26,9 @@ from independent.structure_at_a_point import Bench, Structure, backbone_table, i
 from ruamel.yaml import YAML
 
 from nmt_bench.data_import import import_data
-from nmt_diagnose.inference.diagnose import diagnose_bags
-from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.diagnose import diagnose_bags
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 
 HEALTHY = "healthy"
 EFFECTS = {

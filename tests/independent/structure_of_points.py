@@ -27,9 +27,9 @@ from numba import njit
 from ruamel.yaml import YAML
 
 from nmt_bench.data_import import import_data
-from nmt_diagnose.inference.diagnose import diagnose_bags
-from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.diagnose import diagnose_bags
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 
 POINTS, MODES, LINES = 4, 3, 40
 _MEASURED = 40  # periods

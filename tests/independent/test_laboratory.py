@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from nmt_bench.cli import main
-from nmt_diagnose.inference.diagnose import diagnose_bags
+from nmt_diagnose.diagnose import diagnose_bags
 from nmt_extract.offline import extract_bag
 
 PLAIN = MeasuringChain(hold=False)

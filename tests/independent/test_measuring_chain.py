@@ -10,9 +10,9 @@ import pytest
 from independent.laboratory import Chain, MeasuringChain, record
 
 from nmt_bench.data_import import import_data
-from nmt_diagnose.inference.diagnose import diagnose_bags
-from nmt_diagnose.inference.diagnosis import Diagnosis
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.diagnose import diagnose_bags
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.ledger.diagnosis import Diagnosis
 
 START_HZ = 96.9676
 SEED = 101

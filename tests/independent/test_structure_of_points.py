@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from independent.structure_of_points import Drawn, diagnosed, drawn, leaves_noise_only, responses
 
-from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.ledger.diagnosis import Verdict
 
 
 def linear() -> Drawn:

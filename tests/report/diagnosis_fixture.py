@@ -9,7 +9,7 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.inference.diagnosis import (
+from nmt_diagnose.ledger.diagnosis import (
     Diagnosis,
     Gap,
     NextTest,
@@ -20,8 +20,7 @@ from nmt_diagnose.inference.diagnosis import (
     Value,
     Verdict,
 )
-from nmt_diagnose.inference.gap import rms
-from nmt_diagnose.inference.residual_map import per_observable, residual_map
+from nmt_diagnose.ledger.gap import rms
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
@@ -30,6 +29,7 @@ from nmt_diagnose.measurements.random_responses.random_responses import RandomRe
 from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, joined
+from nmt_diagnose.say.residual_map import per_observable, residual_map
 from nmt_report.diagnosis_curves import Models
 from nmt_report.diagnosis_report import DiagnosisReport
 from nmt_rig.rig import load_rig

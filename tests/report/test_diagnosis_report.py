@@ -16,7 +16,7 @@ from markupsafe import Markup
 from report import diagnosis_fixture as fixture
 
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.diagnosis import Answer, Ranked, Remainder, RemainderPart, Share, Value, Verdict
+from nmt_diagnose.ledger.diagnosis import Answer, Ranked, Remainder, RemainderPart, Share, Value, Verdict
 from nmt_diagnose.observations.observables import Part, joined
 from nmt_report import diagnosis_figures, rig_drawing
 from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv, on_one_scale

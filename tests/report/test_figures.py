@@ -21,7 +21,7 @@ from report.synthetic_run import synthetic_run
 
 from nmt_bench import cli
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_report.diagnosis_report import diagnosis_page
 from nmt_report.figure_files import report_figures, write_figures
 from nmt_report.figure_record import packed, plain_text, record, tidy_csv, unpacked

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from report import diagnosis_fixture as fixture
 from report.synthetic_run import synthetic_run
 
-from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_report.diagnosis_report import diagnosis_page
 from nmt_report.html_page import Column, Row, Table, part, render
 from nmt_report.response_page import ResponsePage, html_table

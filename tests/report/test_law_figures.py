@@ -10,10 +10,10 @@ import pytest
 from report import diagnosis_fixture as fixture
 from report.test_diagnosis_report import text_of
 
-from nmt_diagnose.inference.diagnosis import Verdict
 from nmt_diagnose.law.force_loop import ForceLoop
 from nmt_diagnose.law.law_words import formula
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_report.diagnosis_report import diagnosis_page
 from nmt_report.figure_record import unpacked
 

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from nmt_diagnose.effects.location import Cause, Explanation, Location
-from nmt_diagnose.inference.diagnosis import (
+from nmt_diagnose.ledger.diagnosis import (
     NULL,
     UNKNOWN,
     Diagnosis,
@@ -24,8 +24,8 @@ from nmt_diagnose.inference.diagnosis import (
     Value,
     Verdict,
 )
-from nmt_diagnose.inference.sentences import sentences
-from nmt_diagnose.inference.size import Objection
+from nmt_diagnose.ledger.size import Objection
+from nmt_diagnose.say.sentences import sentences
 from nmt_report.diagnosis_report import probability_shares
 from nmt_report.diagnosis_tables import ranking_table
 from nmt_report.diagnosis_words import verdict_text

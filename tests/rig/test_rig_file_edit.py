@@ -12,7 +12,7 @@ from nmt_core.errors import BenchError
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
-from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_report.diagnosis_model import assumptions, model_text

@@ -290,10 +290,10 @@ def ramp_figures(_: float) -> list[Figure]:
 
 def diagnosis_figures(_: float) -> list[Figure]:
     """A whole diagnosis beside its limit; its sensitivities beside new solutions for each parameter."""
+    from nmt_diagnose.diagnose import diagnose_bags
+    from nmt_diagnose.diagnosis_settings import DiagnosisSettings
     from nmt_diagnose.effects.calibration import calibration_parameters
     from nmt_diagnose.effects.parametrisation import Parametrisation
-    from nmt_diagnose.inference.diagnose import diagnose_bags
-    from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
     from nmt_diagnose.observations.read_observations import read_observations
     from nmt_diagnose.prediction.forward import Forward
     from nmt_rig.rig import load_rig

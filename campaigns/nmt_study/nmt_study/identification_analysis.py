@@ -14,8 +14,8 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.inference.diagnose import diagnose_bags
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.diagnose import diagnose_bags
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import read_signals, segments
 from nmt_rig.linear_description import linear_description

@@ -4,7 +4,7 @@ setup(
     name="nmt_diagnose",
     version="0.2.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"": ["py.typed"], "nmt_diagnose": ["inference/*.json"]},
+    package_data={"": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/nmt_diagnose"]),
         ("share/nmt_diagnose", ["package.xml"]),

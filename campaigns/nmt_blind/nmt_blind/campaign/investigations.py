@@ -26,8 +26,8 @@ from nmt_blind.cases.driven_rigs import LEAST_SIZE, DrivenRig, read_rigs
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import csv_text, write_result, write_whole
-from nmt_diagnose.inference.diagnosis import HIDDEN
 from nmt_diagnose.investigation.answers import entropy_of
+from nmt_diagnose.ledger.diagnosis import HIDDEN
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_plant.devices.simulated_rig import guard_settings
 from nmt_record.bag.bag_reader import Bag

@@ -58,8 +58,8 @@ def diagnose_case(model: Path, bags: Sequence[Path], withheld: str, sizes: str =
         sizes: from which size on a difference matters: ``none``, every one that is seen, or ``usual``.
     """
     from nmt_blind.campaign.ensemble_sindy import sparse_terms
-    from nmt_diagnose.inference.diagnose import diagnose_bags
-    from nmt_diagnose.inference.diagnosis_settings import MATTERS, DiagnosisSettings
+    from nmt_diagnose.diagnose import diagnose_bags
+    from nmt_diagnose.diagnosis_settings import MATTERS, DiagnosisSettings
 
     settings = DiagnosisSettings(
         withheld=tuple(withheld.split(",")) if withheld else (),

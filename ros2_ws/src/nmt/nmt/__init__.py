@@ -11,7 +11,7 @@ objects; they print nothing and write nothing unless asked. Everything is loaded
 
 A diagnosis, here of two effects only, compares a rig file with recordings:
 
->>> from nmt_diagnose.inference.diagnose import DiagnosisSettings
+>>> from nmt_diagnose.diagnose import DiagnosisSettings
 >>> few = DiagnosisSettings(withheld=OTHERS, jobs=1, allow_own_model=True)
 >>> diagnosis = nmt.diagnose("out/demo/rig.yaml", ["out/demo"], settings=few).diagnosis
 >>> diagnosis.verdict.name
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from nmt.table_result import TableResult
     from nmt_bench.data_import import import_data
     from nmt_core.errors import BenchError
-    from nmt_diagnose.inference.diagnose import diagnose_bags as diagnose
+    from nmt_diagnose.diagnose import diagnose_bags as diagnose
     from nmt_extract.linear_evaluation import evaluate_linear_test as linear
     from nmt_extract.offline import extract_bag as extract
     from nmt_extract.synthesised_responses import synthesise

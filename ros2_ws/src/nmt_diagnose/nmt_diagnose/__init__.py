@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 from nmt_core.public_names import loaded
 
 if TYPE_CHECKING:
-    from nmt_diagnose.inference.diagnose import DiagnosisOutcome, diagnose_bags
-    from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
-    from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+    from nmt_diagnose.diagnose import DiagnosisOutcome, diagnose_bags
+    from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+    from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 
 __all__ = [
     "Diagnosis",

@@ -11,9 +11,9 @@ import numpy as np
 
 from nmt_core.files.whole_file import csv_text
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.inference.residual_map import channel_name
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.say.residual_map import channel_name
 from nmt_report.quantity_format import engineering_exponent, power_of_ten
 
 _PARTS = {

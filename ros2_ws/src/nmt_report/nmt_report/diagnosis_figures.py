@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.inference.diagnosis import ResidualGroup
+from nmt_diagnose.ledger.diagnosis import ResidualGroup
 from nmt_report.diagnosis_curves import Course, HarmonicCourse
 from nmt_report.diagnosis_words import channel_text
 from nmt_report.quantity_format import significant

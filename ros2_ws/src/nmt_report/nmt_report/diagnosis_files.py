@@ -11,7 +11,7 @@ from typing import Any
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
-from nmt_diagnose.inference.diagnose import DiagnosisOutcome
+from nmt_diagnose.diagnose import DiagnosisOutcome
 from nmt_report.diagnosis_curves import Models, observables_csv
 from nmt_report.diagnosis_model import model_text
 from nmt_report.diagnosis_report import DiagnosisReport, diagnosis_page

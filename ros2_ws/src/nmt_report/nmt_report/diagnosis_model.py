@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from nmt_core.text.number_words import value_text
-from nmt_diagnose.inference.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_report.diagnosis_words import key_text
 from nmt_report.quantity_format import significant
 from nmt_rig.rig import Rig

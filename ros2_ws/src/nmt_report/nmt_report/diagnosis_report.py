@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from nmt_core.text.number_words import percent, share_with_interval, value_text
-from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Remainder, Verdict
+from nmt_diagnose.ledger.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Remainder, Verdict
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_report.diagnosis_curves import (

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from nmt_core.text.number_words import percent, value_text
-from nmt_diagnose.inference.diagnosis import NULL, UNKNOWN, Diagnosis, Verdict
+from nmt_diagnose.ledger.diagnosis import NULL, UNKNOWN, Diagnosis, Verdict
 from nmt_report.diagnosis_words import (
     class_text,
     effect_text,

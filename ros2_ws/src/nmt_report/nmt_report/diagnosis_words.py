@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from nmt_core.errors import BenchError
 from nmt_core.text.number_words import percent, plain, share_with_interval, value_text
 from nmt_diagnose.effects.library import effect_named
-from nmt_diagnose.inference.diagnosis import NULL, TOO_WEAK, UNKNOWN, Answer, Diagnosis, Gap, Ranked, Value, Verdict
-from nmt_diagnose.inference.sentences import PLACES
+from nmt_diagnose.ledger.diagnosis import NULL, TOO_WEAK, UNKNOWN, Answer, Diagnosis, Gap, Ranked, Value, Verdict
+from nmt_diagnose.say.sentences import PLACES
 from nmt_rig.rig import Rig
 
 VERDICTS = {

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from nmt_bench.page.task_feed import TaskFeed
-    from nmt_diagnose.inference.diagnosis import Diagnosis
+    from nmt_diagnose.ledger.diagnosis import Diagnosis
 
 
 DIAGNOSIS = "diagnosis.json"
@@ -108,9 +108,9 @@ def run(options: DiagnoseOptions) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.requested_test import command_text
     from nmt_bench.page.task_feed import task_page
+    from nmt_diagnose.diagnose import diagnose_bags
+    from nmt_diagnose.diagnosis_settings import DiagnosisSettings
     from nmt_diagnose.effects.library import effect_named
-    from nmt_diagnose.inference.diagnose import diagnose_bags
-    from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
     from nmt_record.exchange.sidecar.calibration_file import read_calibration
     from nmt_report.diagnosis_files import write_diagnosis
     from nmt_rig.rig import load_rig
@@ -189,7 +189,7 @@ def show_why(written: Mapping[str, Any], words: Sequence[str], console: Console)
 
 def _matters(words: Sequence[str]) -> dict[str, float]:
     """Smallest size that matters of each kind of observable."""
-    from nmt_diagnose.inference.diagnosis_settings import MATTERS
+    from nmt_diagnose.diagnosis_settings import MATTERS
 
     found = dict(MATTERS)
     for word in words:
@@ -266,7 +266,7 @@ class DiagnosisProgress:
 
 def _tell(page: TaskFeed, sentence: str) -> None:
     """Tell the page a sentence, and what it carries."""
-    from nmt_diagnose.inference.progress import ProgressSentence
+    from nmt_diagnose.search.progress import ProgressSentence
     from nmt_report.quantity_format import plain
 
     told = sentence if isinstance(sentence, ProgressSentence) else ProgressSentence(sentence)

@@ -25,9 +25,9 @@ from nmt_core.options import argument, option
 
 if TYPE_CHECKING:
     from nmt_core.kinds.request import TestRequest
-    from nmt_diagnose.inference.diagnosis import Diagnosis
     from nmt_diagnose.investigation.investigation import InvestigationSettings
     from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord
+    from nmt_diagnose.ledger.diagnosis import Diagnosis
     from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
     from nmt_rig.rig import Rig
 
@@ -181,7 +181,7 @@ class _Bench:
     ) -> None:
         from nmt_bench.page.task_answers import TaskAnswers
         from nmt_bench.page.task_feed import TaskFeed
-        from nmt_diagnose.inference.memory import Memory
+        from nmt_diagnose.search.memory import Memory
 
         self._options, self._model, self._jobs, self._console = options, model, jobs, console
         self._calibration = calibration
@@ -253,8 +253,8 @@ class _Bench:
         return f"./nmt {shlex.join((*command_words(request), *self._bench_words(request)))}"
 
     def _think(self, names: Sequence[str]) -> tuple[Diagnosis, float]:
-        from nmt_diagnose.inference.diagnose import diagnose_bags
-        from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
+        from nmt_diagnose.diagnose import diagnose_bags
+        from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 
         bags = [self._options.out / name for name in names] or list(self._options.real)
         began = _processor_time()

@@ -20,12 +20,12 @@ from scipy.special import entr, ndtr
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.ahead.ahead import Ahead
-from nmt_diagnose.inference.candidate_starts import at_strength, strength_position
-from nmt_diagnose.inference.explanations import FittedExplanation, Score
-from nmt_diagnose.inference.search import Search
-from nmt_diagnose.inference.size import size_of_change
+from nmt_diagnose.fit.candidate_starts import at_strength, strength_position
+from nmt_diagnose.fit.explanations import FittedExplanation, Score
+from nmt_diagnose.ledger.size import size_of_change
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _NO_SOLUTION = (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_diagnose.inference.explanations import FittedExplanation
+from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.forward import Forward

@@ -17,11 +17,11 @@ from nmt_diagnose.ahead.motion_noise import noise_over_motion
 from nmt_diagnose.ahead.proposals import Proposals, compared, proposals
 from nmt_diagnose.effects.location import joined
 from nmt_diagnose.effects.sensor_effects import RESPONSES
-from nmt_diagnose.inference.comparison import Comparison
-from nmt_diagnose.inference.diagnosis import HIDDEN, NULL, NextTest
-from nmt_diagnose.inference.explanations import FittedExplanation, Score
-from nmt_diagnose.inference.search import Search
+from nmt_diagnose.fit.explanations import FittedExplanation, Score
+from nmt_diagnose.ledger.comparison import Comparison
+from nmt_diagnose.ledger.diagnosis import HIDDEN, NULL, NextTest
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 

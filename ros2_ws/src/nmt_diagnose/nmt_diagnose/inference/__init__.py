@@ -1,1 +1,1 @@
-"""From residuals to a verdict: calibration, candidates, places, confidence."""
+"""The measuring chain of a diagnosis: its errors as columns beside those of the model."""

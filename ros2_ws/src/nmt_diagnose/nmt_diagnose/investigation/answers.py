@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 from scipy.special import entr
 
-from nmt_diagnose.inference.diagnosis import HIDDEN, NULL, UNKNOWN, Diagnosis, NextTest, Verdict
 from nmt_diagnose.investigation.investigation_record import AskedTest
+from nmt_diagnose.ledger.diagnosis import HIDDEN, NULL, UNKNOWN, Diagnosis, NextTest, Verdict
 
 
 def answers_of(diagnosis: Diagnosis) -> dict[str, float]:

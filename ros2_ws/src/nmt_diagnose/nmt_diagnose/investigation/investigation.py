@@ -13,9 +13,9 @@ from pathlib import Path
 from nmt_core.errors import BenchError
 from nmt_core.kinds import RandomTest
 from nmt_core.kinds.request import TestRequest
-from nmt_diagnose.inference.diagnosis import HIDDEN, Diagnosis, NextTest, Verdict
 from nmt_diagnose.investigation.answers import answers_of, entropy_of, reason, worth
 from nmt_diagnose.investigation.investigation_record import AskedTest, EmptyTestError, InvestigationRecord, Turn
+from nmt_diagnose.ledger.diagnosis import HIDDEN, Diagnosis, NextTest, Verdict
 from nmt_diagnose.thresholds import THRESHOLDS
 
 YES, NO, STOP = "yes", "no", "stop"

@@ -7,13 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from nmt_diagnose.effects.location import Explanation
-from nmt_diagnose.inference.comparison import Comparison, EquivalentClass, Hypotheses, distance, laws
-from nmt_diagnose.inference.diagnosis import Verdict
-from nmt_diagnose.inference.explanations import FittedExplanation, LeftOut, Score
-from nmt_diagnose.inference.fitting import Data
-from nmt_diagnose.inference.gap import ClosedShare
-from nmt_diagnose.inference.search import Search
-from nmt_diagnose.inference.size import change_size, left_sizes
+from nmt_diagnose.fit.explanations import FittedExplanation, LeftOut, Score
+from nmt_diagnose.fit.fitting import Data
+from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass, Hypotheses, distance, laws
+from nmt_diagnose.ledger.diagnosis import Verdict
+from nmt_diagnose.ledger.gap import ClosedShare
 from nmt_diagnose.ledger.row import Facts, GroupLeft, Ledger, LedgerRow, Predicted, Promise, Ruling
 from nmt_diagnose.ledger.rules import (
     GAP,
@@ -25,6 +23,8 @@ from nmt_diagnose.ledger.rules import (
     furthest_credible,
     rulings_of,
 )
+from nmt_diagnose.ledger.size import change_size, left_sizes
+from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 
 

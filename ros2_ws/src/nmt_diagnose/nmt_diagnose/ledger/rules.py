@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from scipy.special import ndtri
 
-from nmt_diagnose.inference.diagnosis import Verdict
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.ledger.row import Facts, Ruling
 from nmt_diagnose.thresholds import THRESHOLDS
 

@@ -12,11 +12,13 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Explanation, Location
-from nmt_diagnose.inference.explanations import FittedExplanation
-from nmt_diagnose.inference.fitting import Data, Metric
-from nmt_diagnose.inference.gap import ClosedShare
-from nmt_diagnose.inference.noise import chance_of
-from nmt_diagnose.inference.size import (
+from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.fit.fitting import Data, Metric
+from nmt_diagnose.fit.noise import chance_of
+from nmt_diagnose.ledger.gap import ClosedShare
+from nmt_diagnose.ledger.row import Facts
+from nmt_diagnose.ledger.rules import OF_EFFECTS, SINGLE, pass_all
+from nmt_diagnose.ledger.size import (
     IMITATION,
     Objection,
     change_size,
@@ -26,10 +28,8 @@ from nmt_diagnose.inference.size import (
     matters,
     relief,
 )
-from nmt_diagnose.inference.sources import SourceLocation, places
-from nmt_diagnose.inference.warnings import beyond_physical_limits
-from nmt_diagnose.ledger.row import Facts
-from nmt_diagnose.ledger.rules import OF_EFFECTS, SINGLE, pass_all
+from nmt_diagnose.ledger.sources import SourceLocation, places
+from nmt_diagnose.ledger.warnings import beyond_physical_limits
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _DIGITS = 6

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from nmt_diagnose.inference.diagnosis import NULL, TOO_WEAK, UNKNOWN, Answer, Ranked, Verdict
+from nmt_diagnose.ledger.diagnosis import NULL, TOO_WEAK, UNKNOWN, Answer, Ranked, Verdict
 from nmt_diagnose.thresholds import THRESHOLDS
 
 

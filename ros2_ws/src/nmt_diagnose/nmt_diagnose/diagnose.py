@@ -13,25 +13,15 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.ahead.next_tests import next_levels, next_tests, other_sensors
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.calibration import CalibrationParameter, calibration_parameters, mode_dampings
 from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.location import Explanation
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.inference.candidate_starts import at_strength
-from nmt_diagnose.inference.chain import SharedDelay, shared_delays
-from nmt_diagnose.inference.comparison import (
-    Comparison,
-    Hypotheses,
-    by_plain_effect,
-    misfit,
-    sources,
-)
-from nmt_diagnose.inference.credible_answers import credible_answers
-from nmt_diagnose.inference.diagnosis import DetectableEffect, Diagnosis, Gap, NextTest, Value, Verdict
-from nmt_diagnose.inference.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.inference.explanations import FittedExplanation, LeftOut, Score, best_of, leaves_noise_only
-from nmt_diagnose.inference.fitting import (
+from nmt_diagnose.fit.candidate_starts import at_strength
+from nmt_diagnose.fit.explanations import FittedExplanation, LeftOut, Score, best_of, leaves_noise_only
+from nmt_diagnose.fit.fitting import (
     ChainErrors,
     Data,
     FitError,
@@ -42,27 +32,25 @@ from nmt_diagnose.inference.fitting import (
     data_about,
     fit,
 )
-from nmt_diagnose.inference.gap import ClosedShare, closed, no_worse_than_silence, rms
-from nmt_diagnose.inference.held_out import Split, named_tests, splits
-from nmt_diagnose.inference.law_sentences import law_sentences
-from nmt_diagnose.inference.law_starts import law_of, with_laws
-from nmt_diagnose.inference.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.memory import Memory
-from nmt_diagnose.inference.progress import Progress
-from nmt_diagnose.inference.remainder import remainder
-from nmt_diagnose.inference.residual_map import per_observable, residual_map
-from nmt_diagnose.inference.residual_tests import residual_tests
-from nmt_diagnose.inference.result_rows import (
-    calibration_rows,
-    candidate_row,
-    inputs,
-    parameters,
-    place_rows,
-    ranked_rows,
+from nmt_diagnose.fit.low_level_modes import LowLevelModes
+from nmt_diagnose.inference.chain import SharedDelay, shared_delays
+from nmt_diagnose.law.law_elements import with_law
+from nmt_diagnose.law.reading import LawReading
+from nmt_diagnose.ledger.comparison import (
+    Comparison,
+    Hypotheses,
+    by_plain_effect,
+    misfit,
+    sources,
 )
-from nmt_diagnose.inference.search import Search
-from nmt_diagnose.inference.sentences import likeness, sentences
-from nmt_diagnose.inference.size import (
+from nmt_diagnose.ledger.credible_answers import credible_answers
+from nmt_diagnose.ledger.diagnosis import DetectableEffect, Diagnosis, Gap, NextTest, Value, Verdict
+from nmt_diagnose.ledger.gap import ClosedShare, closed, no_worse_than_silence, rms
+from nmt_diagnose.ledger.held_out import Split, named_tests, splits
+from nmt_diagnose.ledger.ledger import Decided, ledger_of
+from nmt_diagnose.ledger.row import Facts
+from nmt_diagnose.ledger.rules import verdict_of
+from nmt_diagnose.ledger.size import (
     change_size,
     large_lines,
     leaves_something,
@@ -72,18 +60,30 @@ from nmt_diagnose.inference.size import (
     relief_that_counts,
     stands_out,
 )
-from nmt_diagnose.inference.warnings import warned, without_observables
-from nmt_diagnose.law.law_elements import with_law
-from nmt_diagnose.law.reading import LawReading
-from nmt_diagnose.ledger.ledger import Decided, ledger_of
-from nmt_diagnose.ledger.row import Facts
-from nmt_diagnose.ledger.rules import verdict_of
+from nmt_diagnose.ledger.warnings import warned, without_observables
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward, Prediction, traced
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.say.law_sentences import law_sentences
+from nmt_diagnose.say.remainder import remainder
+from nmt_diagnose.say.residual_map import per_observable, residual_map
+from nmt_diagnose.say.residual_tests import residual_tests
+from nmt_diagnose.say.result_rows import (
+    calibration_rows,
+    candidate_row,
+    inputs,
+    parameters,
+    place_rows,
+    ranked_rows,
+)
+from nmt_diagnose.say.sentences import likeness, sentences
+from nmt_diagnose.search.law_starts import law_of, with_laws
+from nmt_diagnose.search.memory import Memory
+from nmt_diagnose.search.progress import Progress
+from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, load_rig
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
-from nmt_diagnose.inference.diagnosis import Gap, Remainder, RemainderPart
-from nmt_diagnose.inference.gap import NOISE, rms
-from nmt_diagnose.inference.residual_map import KINDS, channel_name, unit_of_kind
+from nmt_diagnose.ledger.diagnosis import Gap, Remainder, RemainderPart
+from nmt_diagnose.ledger.gap import NOISE, rms
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.say.residual_map import KINDS, channel_name, unit_of_kind
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _BANDS = ("lowest", "middle", "highest")

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
-from nmt_diagnose.inference.diagnosis import ResidualGroup
-from nmt_diagnose.inference.gap import rms
+from nmt_diagnose.ledger.diagnosis import ResidualGroup
+from nmt_diagnose.ledger.gap import rms
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 

@@ -21,7 +21,7 @@ from scipy.special import fdtrc
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
-from nmt_diagnose.inference.misfit import least_scale
+from nmt_diagnose.fit.misfit import least_scale
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import OF_THE_CHANNEL, Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from nmt_core.key_units import of_rotation
-from nmt_diagnose.inference.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.inference.explanations import FittedExplanation
+from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.ledger.diagnosis import Gap, Recalibrated, Verdict
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 

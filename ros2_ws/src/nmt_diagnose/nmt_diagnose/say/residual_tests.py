@@ -14,9 +14,9 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
-from nmt_diagnose.inference.residual_map import channel_name
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.say.residual_map import channel_name
 from nmt_diagnose.thresholds import THRESHOLDS
 
 

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares, linear_sum_assignment
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.inference.fitting import Data, FitResult
+from nmt_diagnose.fit.fitting import Data, FitResult
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.lateness import lateness

@@ -12,7 +12,7 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Explanation
-from nmt_diagnose.inference.fitting import Data, FitResult
+from nmt_diagnose.fit.fitting import Data, FitResult
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.thresholds import THRESHOLDS
 

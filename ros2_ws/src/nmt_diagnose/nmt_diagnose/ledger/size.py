@@ -11,10 +11,10 @@ from scipy.special import chdtri, ndtr
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_core.text.number_words import significant
-from nmt_diagnose.inference.candidate_starts import at_zero, strength_parameter
-from nmt_diagnose.inference.explanations import FittedExplanation
-from nmt_diagnose.inference.fitting import Data, predicted
-from nmt_diagnose.inference.noise import sigma_of
+from nmt_diagnose.fit.candidate_starts import at_zero, strength_parameter
+from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.fit.fitting import Data, predicted
+from nmt_diagnose.fit.noise import sigma_of
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.rules import LEFT, MATTERS, NEEDED, OF_EFFECTS, pass_all
 from nmt_diagnose.observations.observables import Observations, Part

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from nmt_core.text.number_words import percent, share_with_interval, significant, value_text
 from nmt_diagnose.effects.location import Explanation, joined
-from nmt_diagnose.inference.diagnosis import (
+from nmt_diagnose.ledger.diagnosis import (
     NULL,
     Gap,
     NextTest,
@@ -18,8 +18,8 @@ from nmt_diagnose.inference.diagnosis import (
     Value,
     Verdict,
 )
-from nmt_diagnose.inference.gap import NOISE
-from nmt_diagnose.inference.size import Objection
+from nmt_diagnose.ledger.gap import NOISE
+from nmt_diagnose.ledger.size import Objection
 from nmt_diagnose.thresholds import THRESHOLDS
 
 PLACES = {

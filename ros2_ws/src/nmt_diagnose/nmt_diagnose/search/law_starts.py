@@ -10,11 +10,11 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
-from nmt_diagnose.inference.explanations import FittedExplanation, best_of
-from nmt_diagnose.inference.fitting import FitError, FitResult, approach, fit
-from nmt_diagnose.inference.search import Search
+from nmt_diagnose.fit.explanations import FittedExplanation, best_of
+from nmt_diagnose.fit.fitting import FitError, FitResult, approach, fit
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, read_law
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 

@@ -18,22 +18,22 @@ from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Cause, Explanation
 from nmt_diagnose.effects.parametrisation import Parametrisation
-from nmt_diagnose.inference.candidate_starts import (
+from nmt_diagnose.fit.candidate_starts import (
     at_strength,
     at_zero,
     starts_of,
     strength_parameter,
     strength_position,
 )
-from nmt_diagnose.inference.explanations import (
+from nmt_diagnose.fit.explanations import (
     FittedExplanation,
     Score,
     best_by_effect,
     best_of,
     leaves_noise_only,
 )
-from nmt_diagnose.inference.fitting import Data, FitError, FitResult, Metric, approach, fit, predicted
-from nmt_diagnose.inference.low_level_modes import LowLevelModes
+from nmt_diagnose.fit.fitting import Data, FitError, FitResult, Metric, approach, fit, predicted
+from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 

@@ -17,11 +17,11 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Cause, Explanation
-from nmt_diagnose.inference.explanations import FittedExplanation, best_of
-from nmt_diagnose.inference.fitting import FitError, fit
-from nmt_diagnose.inference.law_starts import parameters_at
-from nmt_diagnose.inference.search import Search
+from nmt_diagnose.fit.explanations import FittedExplanation, best_of
+from nmt_diagnose.fit.fitting import FitError, fit
 from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.search.law_starts import parameters_at
+from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 
 

@@ -1,0 +1,1 @@
+"""Fits of explanations: noise, chain and scales, most probable parameters, evidence."""

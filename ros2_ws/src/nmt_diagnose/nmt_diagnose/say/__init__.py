@@ -1,0 +1,1 @@
+"""What a diagnosis says: sentences, rows of diagnosis.json, maps and tests of what is left."""

@@ -1,0 +1,1 @@
+"""The search for explanations, and where it begins."""

@@ -20,7 +20,9 @@ def test_predictions_columns_floors_and_ranges_stay(kind: str) -> None:
         for name in sorted(names - {"texts"}):
             expected = kept[f"{kind}: {name}"]
             size = float(np.abs(np.nan_to_num(expected)).max(initial=0.0))
-            np.testing.assert_allclose(found[name], expected, rtol=1e-5, atol=1e-6 * size, err_msg=name)
+            # Derivatives are differences over 1e-6: the last bits of predictions are 1e-5 of them.
+            derived = 1e-5 if name in ("jacobian", "chain columns") else 1e-6
+            np.testing.assert_allclose(found[name], expected, rtol=1e-5, atol=derived * size, err_msg=name)
         texts, expected = json.loads(str(found["texts"])), json.loads(str(kept[f"{kind}: texts"]))
     exact = [name for name in texts if not name.startswith(("range", "map", "shared"))]
     assert {name: texts[name] for name in exact} == {name: expected[name] for name in exact}

@@ -234,7 +234,7 @@ MUTATIONS = [
             "the marginal of a scale is wrong",
         ),
         (
-            "nmt_diagnose/nmt_diagnose/inference/chain.py",
+            "nmt_diagnose/nmt_diagnose/chain/chain_columns.py",
             "np.where(selected, level.phase_error_std * slopes, 0.0)",
             "np.where(selected, 0.0 * slopes, 0.0)",
             "where the loop truly stood is taken for known",

@@ -38,7 +38,7 @@ def check(folder: Path, contract: str) -> subprocess.CompletedProcess[str]:
         ("truth", "nmt_blind/cases/leak.py", "from nmt_diagnose.prediction import forward"),
         ("truth", "nmt_blind/cases/leak.py", "from nmt_diagnose.effects.library import library"),
         ("truth", "nmt_blind/cases/leak.py", "from nmt_rig.reference import single_point_reference"),
-        ("layers", "nmt_diagnose/inference/leak.py", "from nmt_blind.cases.draw import draw_cases"),
+        ("layers", "nmt_diagnose/fit/leak.py", "from nmt_blind.cases.draw import draw_cases"),
         ("blind", "nmt_diagnose/observations/leak.py", "from nmt_plant.devices.simulated_rig import SimulatedRig"),
         ("unmodelled", "nmt_extract/leak.py", "from nmt_rig.rig import load_rig"),
     ],

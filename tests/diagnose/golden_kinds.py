@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from diagnose.one_of_each_kind import KINDS, rig_of_kinds, with_chain
 
+from nmt_diagnose.chain.chain_columns import linear_chain, scale_columns, shared_delays
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.misfit import misfit_of
 from nmt_diagnose.fit.noise import groups_of, sigma_of
-from nmt_diagnose.inference.chain import linear_chain, scale_columns, shared_delays
 from nmt_diagnose.ledger.held_out import splits
 from nmt_diagnose.observations.noise.floors import repeatability
 from nmt_diagnose.observations.observables import Part

@@ -14,10 +14,10 @@ from scipy.integrate import solve_ivp
 from tiers import with_quick
 
 from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.chain.chain_columns import linear_chain, scale_columns
 from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.inference.chain import linear_chain, scale_columns
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
 from nmt_diagnose.measurements.backbone_table.reading import table_observations

@@ -10,7 +10,7 @@ from diagnose.predicted_observations import observations_of_model, real
 from diagnose.predicted_tests import chain
 from numpy.typing import NDArray
 
-from nmt_diagnose.inference.chain import linear_chain
+from nmt_diagnose.chain.chain_columns import linear_chain
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.forward import Forward

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from diagnose.predicted_observations import observations_of_model
 
+from nmt_diagnose.chain.chain_columns import linear_chain
 from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.fit.fitting import Metric
-from nmt_diagnose.inference.chain import linear_chain
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.prediction.forward import Forward

@@ -11,7 +11,7 @@ from diagnose.test_stepped_sine import DAMPER, OMEGA, observations_of, oscillato
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.inference.chain import linear_chain
+from nmt_diagnose.chain.chain_columns import linear_chain
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses

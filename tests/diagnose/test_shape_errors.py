@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from nmt_core.messages.blocks import Quantity
-from nmt_diagnose.inference.chain_tests import ChainTests
-from nmt_diagnose.inference.shape_errors import ShapeErrors
+from nmt_diagnose.chain.chain_tests import ChainTests
+from nmt_diagnose.chain.shape_errors import ShapeErrors
 from nmt_diagnose.measurements.backbone_table.reading import table_observations
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part, joined

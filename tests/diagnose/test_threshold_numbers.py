@@ -14,8 +14,8 @@ from nmt_core.errors import BenchError
 from nmt_core.key_units import unit_of_key
 from nmt_core.messages.blocks import Quantity
 from nmt_core.tolerances import MODEL_PRIORS
+from nmt_diagnose.chain.chain_columns import _distorted
 from nmt_diagnose.effects.calibration import mode_dampings
-from nmt_diagnose.inference.chain import _distorted
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
 from nmt_diagnose.measurements.locked_windows.reading import _lean

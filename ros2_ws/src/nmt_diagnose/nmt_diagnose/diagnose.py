@@ -13,6 +13,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.ahead.next_tests import next_levels, next_tests, other_sensors
+from nmt_diagnose.chain.chain_columns import SharedDelay, shared_delays
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.calibration import CalibrationParameter, calibration_parameters, mode_dampings
 from nmt_diagnose.effects.library import candidates as library_candidates
@@ -33,7 +34,6 @@ from nmt_diagnose.fit.fitting import (
     fit,
 )
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
-from nmt_diagnose.inference.chain import SharedDelay, shared_delays
 from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.ledger.comparison import (

@@ -14,10 +14,10 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from nmt_diagnose.chain.chain_columns import is_tolerance, linear_chain
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.misfit import Whitening, misfit_of
 from nmt_diagnose.fit.noise import Groups, beyond_noise, groups_of, sigma_of
-from nmt_diagnose.inference.chain import is_tolerance, linear_chain
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.thresholds import THRESHOLDS

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.chain.chain_columns import SharedDelay, scale_columns
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.location import Explanation, joined
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import Data, Metric
-from nmt_diagnose.inference.chain import SharedDelay, scale_columns
 from nmt_diagnose.ledger.comparison import Comparison
 from nmt_diagnose.ledger.diagnosis import NULL, PlaceShare, Ranked, Recalibrated, Share, Value
 from nmt_diagnose.ledger.gap import ClosedShare

@@ -21,9 +21,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import MOTIONS
-from nmt_diagnose.effects.calibration import CalibrationParameter
-from nmt_diagnose.effects.location import LocationKind
-from nmt_diagnose.inference.chain_tests import (
+from nmt_diagnose.chain.chain_tests import (
     DELAY_STEP_S,
     FUNDAMENTAL,
     PHASE_STEP,
@@ -32,9 +30,11 @@ from nmt_diagnose.inference.chain_tests import (
     later,
     with_phase_step,
 )
-from nmt_diagnose.inference.modes_left_out import ModesLeftOut
-from nmt_diagnose.inference.record_errors import record_errors
-from nmt_diagnose.inference.shape_errors import ShapeErrors
+from nmt_diagnose.chain.modes_left_out import ModesLeftOut
+from nmt_diagnose.chain.record_errors import record_errors
+from nmt_diagnose.chain.shape_errors import ShapeErrors
+from nmt_diagnose.effects.calibration import CalibrationParameter
+from nmt_diagnose.effects.location import LocationKind
 from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain

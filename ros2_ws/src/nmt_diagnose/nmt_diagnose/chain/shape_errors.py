@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.inference.chain_tests import ChainTests
+from nmt_diagnose.chain.chain_tests import ChainTests
 from nmt_diagnose.prediction.forward import Prediction
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import ModalSection, Rig, ShakingTableSection

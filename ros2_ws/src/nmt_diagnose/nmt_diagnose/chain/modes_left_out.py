@@ -7,7 +7,7 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_diagnose.inference.chain_tests import FUNDAMENTAL, ChainTests
+from nmt_diagnose.chain.chain_tests import FUNDAMENTAL, ChainTests
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.model_view import ModelView

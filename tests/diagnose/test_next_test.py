@@ -230,3 +230,18 @@ def test_a_body_that_nothing_holds_is_asked_for_at_its_elastic_modes(masses: int
         frequency = proposal.observations.rows.frequency_hz
         assert frequency.min() > 1.0
         assert np.all(np.isfinite(frequency))
+
+
+def test_other_kinds_are_proposed_where_they_are_asked_for() -> None:
+    """At the highest level at hand, each with rows that the model has a solution for."""
+    model = chain()
+    measured = observations_of_model(model, drives=DRIVES[:2])
+    usual, more = proposals(model, measured), proposals(model, measured, further=True)
+    assert [it.request for it in more[: len(usual)]] == [it.request for it in usual]
+    other = more[len(usual) :]
+    assert [it.request.kind.label() for it in other] == ["ring_down", "response_curve", "random"]
+    for proposal in other:
+        assert proposal.request.top > 0.0
+        assert proposal.seconds > 0.0
+        rows = proposal.observations
+        assert np.all(np.isfinite(Forward(rows.tests, rows.rows).predict(model).values))

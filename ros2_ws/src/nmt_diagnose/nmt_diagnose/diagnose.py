@@ -643,8 +643,9 @@ def _diagnosed(
     proposed_tests: tuple[NextTest, ...] = ()
     if settings.look_ahead and nearest is not None:
         proposed_tests = next_tests(
-            rig, scaled, null, comparison, bool(settings.plan), data.chain_names, settings.command
-        )
+            rig, scaled, null, comparison, bool(settings.plan), data.chain_names, settings.command,
+            further=settings.other_kinds,
+        )  # fmt: skip
     levels = None
     if settings.look_ahead and settings.plan:
         gap_is_there = verdict in (Verdict.EFFECT, Verdict.UNKNOWN)

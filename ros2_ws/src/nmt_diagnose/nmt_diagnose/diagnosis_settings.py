@@ -29,6 +29,8 @@ class DiagnosisSettings:
         allow_own_model: take recordings that the model itself made for a real side, too.
         calibration: sheet of the measuring chain of the real side; None = what its bags say.
         plan: levels of the real rig's plan, which no proposed test goes beyond; empty = up to twice those measured.
+        other_kinds: propose a decay, a response curve and noise at the highest level, too. They tell less for their
+            bench time than levels elsewhere where those can be made.
         command: writes the command of a proposed test; empty where none does it.
         matters: smallest relative size of a gap that matters, by kind of observable (frequency, damping, response,
             harmonics); a kind that is left out matters at any size.
@@ -43,5 +45,6 @@ class DiagnosisSettings:
     allow_own_model: bool = False
     calibration: CalibrationSheet | None = None
     plan: tuple[float, ...] = ()
+    other_kinds: bool = False
     command: Callable[[TestRequest], str] = lambda _: ""
     matters: Mapping[str, float] = field(default_factory=lambda: dict(MATTERS))

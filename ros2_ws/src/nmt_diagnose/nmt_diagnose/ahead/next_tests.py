@@ -78,6 +78,7 @@ def next_tests(
     chain_names: Sequence[str] = (),
     command: CommandOf = lambda _: "",
     most: int = 3,
+    further: bool = False,
 ) -> tuple[NextTest, ...]:
     """Tests that would tell the explanations that are left apart, best first.
 
@@ -90,13 +91,14 @@ def next_tests(
         chain_names: of the errors of the measuring chain in the fits.
         command: writes the command of each.
         most: tests to name; with a plan all of them, among which an investigation chooses by their time.
+        further: other kinds of test too, at the highest level at hand.
     """
     rivals = _Rivals.of(comparison, null, observations, chain_names)
     if rivals is None:
         return ()
     found = []
     least = THRESHOLDS.next_test.least_asked_sigmas if with_plan else THRESHOLDS.next_test.least_sigmas
-    for proposal in proposals(rig, observations, with_plan):
+    for proposal in proposals(rig, observations, with_plan, further):
         sigma, of_first = rivals.apart(proposal.observations).sigmas()
         if sigma >= least:
             found.append(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,11 +17,15 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.ahead.expected_rows import drive_point_of, expected, model_frequencies, voltage_runs
 from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
 _HIGHER_LEVELS = 6
+_DECAY_PERIODS = 400.0
+"""Length of a free decay that is asked for: it ends in the noise before, with a damping ratio above 0.2 %."""
 
 
 @dataclass(frozen=True)
@@ -85,13 +89,15 @@ class Proposals:
         settings.setdefault("periods", 0 if kind.window_s or kind.is_noise else self._periods)
         return TestRequest(name=name, rig=self._file, **settings)
 
-    def all(self, with_plan: bool = False) -> list[Proposal]:
+    def all(self, with_plan: bool = False, further: bool = False) -> list[Proposal]:
         """The tests that the rig allows and that have not been made.
 
         Args:
             with_plan: levels go on by a plan, see `next_levels`; else up to twice those measured.
+            further: other kinds of test too, at the highest level at hand.
         """
         found = [self._random(), *(self._levels(with_plan) if self.runs else ())]
+        found += self._other_kinds() if further and self.runs else []
         return [it for it in found if it is not None]
 
     def proposal(self, text: str, request: TestRequest, seconds: float) -> Proposal | None:
@@ -110,6 +116,29 @@ class Proposals:
         point = drive_point_of(request, self.rig, self.observations)
         text = f"a random test at low level, driven at point {point}"
         return self.proposal(text, request, THRESHOLDS.next_test.random_seconds)
+
+    def _other_kinds(self) -> list[Proposal | None]:
+        """A decay, a response curve and noise at the highest level at hand, of the first mode and drive point."""
+        high, each = self.drives[-1], self.seconds_of_a_level
+        first = self.runs[0]
+        top = max(first.levels, key=lambda level: level.drive if math.isfinite(level.drive) else 0.0)
+        frequency_hz, result = top.frequency_hz, []
+        at_hand = {type(test) for test in self.observations.tests}
+        if RecordedDecay not in at_hand:
+            lasts = _DECAY_PERIODS / frequency_hz
+            request = self.request("decay", kind=kinds.RingDownTest(duration=lasts), levels=(high,))
+            result.append(self.proposal(f"a free decay from {high:.3g} V", request, each + lasts))
+        if SteppedResponses not in at_hand and math.isfinite(top.force_n):
+            request = self.request("curve", kind=kinds.ResponseCurveTest(), levels=(top.force_n,))
+            found = self.proposal(f"the response curve at {top.force_n:.3g} N", request, each)
+            # Each of its points takes about as long as a level.
+            points = 0 if found is None else len(np.unique(found.observations.rows.level))
+            result.append(None if found is None else replace(found, seconds=points * each))
+        if RandomResponses in at_hand:
+            request = self.request("noise", kind=kinds.RandomTest(), levels=(high,))
+            text = f"a random test at {high:.3g} V rms"
+            result.append(self.proposal(text, request, THRESHOLDS.next_test.random_seconds))
+        return result
 
     def _levels(self, with_plan: bool) -> list[Proposal | None]:
         """Locked levels elsewhere, of another mode, downwards, and beyond those at hand."""
@@ -137,9 +166,9 @@ class Proposals:
         return result
 
 
-def proposals(rig: Rig, observations: Observations, with_plan: bool = False) -> list[Proposal]:
+def proposals(rig: Rig, observations: Observations, with_plan: bool = False, further: bool = False) -> list[Proposal]:
     """Tests that a rig allows and that have not been made; arguments as for `Proposals`."""
-    return Proposals(rig, observations).all(with_plan)
+    return Proposals(rig, observations).all(with_plan, further)
 
 
 def compared(rows: Observations, request: TestRequest) -> Observations:

@@ -48,8 +48,9 @@ from nmt_diagnose.ledger.diagnosis import DetectableEffect, Diagnosis, Gap, Next
 from nmt_diagnose.ledger.gap import ClosedShare, closed, no_worse_than_silence, rms
 from nmt_diagnose.ledger.held_out import Split, named_tests, splits
 from nmt_diagnose.ledger.ledger import Decided, ledger_of
+from nmt_diagnose.ledger.plain_look import Factor, factors, share_left
 from nmt_diagnose.ledger.row import Facts
-from nmt_diagnose.ledger.rules import verdict_of
+from nmt_diagnose.ledger.rules import GAP, verdict_of
 from nmt_diagnose.ledger.size import (
     change_size,
     large_lines,
@@ -157,6 +158,7 @@ class Findings:
         comparison: probabilities.
         sources: what something unnamed at each place would explain beside the model alone.
         inadequate: what the model has to be corrected for before effects can be told.
+        factors: channels that were recorded at another scale or sign.
         doubtful: modes that the model may lack, of which nothing is left that matters.
         left_out: explanations that were fitted and do not compete.
         law: of the local force that the model lacks, read from held levels; None where that was not looked for.
@@ -174,11 +176,17 @@ class Findings:
     comparison: Comparison
     sources: dict[str, float]
     inadequate: tuple[str, ...] = ()
+    factors: tuple[Factor, ...] = ()
     doubtful: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     law: LawReading | None = None
     scanned: tuple[Score, ...] = ()
     scores: Callable[[], tuple[Score, ...]] = tuple
+
+    @property
+    def unexplained(self) -> tuple[float, str]:
+        """Largest share of its signal that a channel leaves beyond noise by the model alone, and whose it is."""
+        return share_left(self.data.observations, self.null.fit.errors.values, self.data.used)
 
 
 def diagnose_bags(
@@ -256,6 +264,8 @@ def find(
     beyond_effects = modes.disordered or modes.lacking(
         data, null.fit, THRESHOLDS.modes.certain_sigmas, THRESHOLDS.modes.certain_channel_share
     )
+    scales = factors(observations, as_given.values, fitted)
+    beyond_effects = beyond_effects or bool(scales)
     candidates = () if beyond_effects else library_candidates(rig, operating, settings.withheld)
     search = Search(data, rig, parameters, candidates, tell)
     scores = cache(partial(search.scores, null))
@@ -319,6 +329,7 @@ def find(
     lacking = modes.lacking(data, best.fit)
     return Findings(
         data, search, as_given, null, tuple(named), hypotheses, comparison, explained, (*modes.disordered, *lacking),
+        scales,
         tuple(sentence for sentence in modes.sentences if sentence not in lacking), standing.left_out, law,
         () if settled else tuple(scores()), beside_best,
     )  # fmt: skip
@@ -680,9 +691,17 @@ def _diagnosed(
         size = measured_size(data, comparison.small)
         like = likeness(comparison.small.fitted, parameters(data, comparison.small))
         text = (*text, f"{size.sentence(settings.matters)} {like}")
-    law = findings.law if partial or (verdict is Verdict.UNKNOWN and not findings.inadequate) else None
+    untold = findings.inadequate or findings.factors
+    law = findings.law if partial or (verdict is Verdict.UNKNOWN and not untold) else None
     text = (*text, *law_sentences(law, verdict is Verdict.UNKNOWN))
-    if findings.inadequate:
+    if verdict is Verdict.UNKNOWN and not GAP(alone).passed:
+        left = f"{100.0 * findings.unexplained[0]:.2g} % of the signal of {findings.unexplained[1]}"
+        text = (f"The model leaves {left}, which is no noise.", *text)
+    if findings.factors:
+        seen = (found.sentence for found in findings.factors)
+        text, warnings = (*seen, "Effects are judged once units and signs of the recording are right."), ()
+        where = tuple(found.place for found in findings.factors)
+    elif findings.inadequate:
         text = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *text[1:2])
     diagnosis = Diagnosis(
         verdict=verdict,
@@ -770,7 +789,13 @@ def _alone(findings: Findings, as_given_errors: ChainErrors, settings: Diagnosis
     """What the rules ask of the model alone: whether there is a gap, and what re-fitting its own parameters does."""
     data, null = findings.data, findings.null
     fall = (as_given_errors.cost - null.fit.cost) / THRESHOLDS.verdict.recalibration_cost_fall
-    facts = Facts(log_odds=findings.comparison.log_odds, modes=len(findings.inadequate), left_without=fall)
+    facts = Facts(
+        log_odds=findings.comparison.log_odds,
+        modes=len(findings.inadequate),
+        factors=len(findings.factors),
+        left=findings.unexplained[0] / THRESHOLDS.verdict.unexplained_share,
+        left_without=fall,
+    )
     if fall < 1.0:
         return facts
     count = sum(not isinstance(parameter, SharedDelay) for parameter in null.fit.parametrisation.calibration)

@@ -23,8 +23,10 @@ class Facts:
         change: of the predictions by its effect, over what matters.
         log_odds: ln of the odds of any gap.
         modes: of the recordings that the model lacks or has in another order.
+        factors: channels that were recorded at another scale or sign.
         worse: standard deviations by which rows held out are predicted worse than by the model alone.
-        left: more than noise, over what matters.
+        left: more than noise, over what matters; of the model alone the largest share of its signal that a channel
+            leaves, over what may be noise.
         pull: furthest parameter of the model from what is believed of it, in standard deviations of that, where going
             back would matter.
         parameters: of the model.
@@ -45,6 +47,7 @@ class Facts:
     change: float = _NOT_ASKED
     log_odds: float = _NOT_ASKED
     modes: int = 0
+    factors: int = 0
     worse: float = _NOT_ASKED
     left: float = _NOT_ASKED
     pull: float = _NOT_ASKED

@@ -97,11 +97,11 @@ GAP = Rule(
     lambda facts: facts.log_odds,
     lambda facts: THRESHOLDS.verdict.alarm_log_odds,
 )
-MODES = Rule(
-    "modes",
-    "The model has the modes of the recordings, in their order.",
-    "modes",
-    lambda facts: facts.modes,
+COMPARABLE = Rule(
+    "comparable",
+    "The model has the modes of the recordings in their order, and no channel has another unit or sign.",
+    "modes and channels",
+    lambda facts: facts.modes + facts.factors,
     lambda facts: 0.0,
     operator.le,
 )
@@ -156,7 +156,7 @@ OF_SEARCH = (PROMISING, IN_REACH)
 """Which explanations are fitted to the end."""
 OF_EFFECTS = (NEEDED, MATTERS)
 """Which effects of an explanation are stated, and whether the model's own parameters were off."""
-OF_ALL = (MODES, GAP)
+OF_ALL = (COMPARABLE, GAP)
 """Whether anything is stated."""
 OF_THE_WHOLE = (LEFT, CREDIBLE, SINGLE, LIKELY)
 """What explains the whole of a gap."""
@@ -192,9 +192,11 @@ def verdict_of(alone: Facts, leader: Facts | None) -> Verdict:
         alone: of the model alone: whether there is a gap, and whether its own parameters were off.
         leader: of the most probable class of explanations; None where there is none.
     """
-    if not MODES(alone).passed:
+    if not COMPARABLE(alone).passed:
         return Verdict.UNKNOWN
     if not GAP(alone).passed:
+        if not LEFT(alone).passed:
+            return Verdict.UNKNOWN
         return Verdict.CALIBRATION if pass_all(OF_EFFECTS, alone) else Verdict.NONE
     if leader is None or not PREDICTS(leader).passed:
         return Verdict.UNKNOWN

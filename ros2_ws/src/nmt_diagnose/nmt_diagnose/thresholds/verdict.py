@@ -178,3 +178,33 @@ class VerdictThresholds:
         "More levels or lines count by tenths in the size of a change.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.many_levels]",
     )  # fmt: skip
+    factor_ratio: float = threshold(
+        2.5, "1",
+        "Recorded over predicted from which a channel has another unit: a gain that effects explain is smaller.",
+        "tests/diagnose/test_plain_look.py::test_a_threshold_of_the_plain_look_decides[factor_ratio]",
+    )  # fmt: skip
+    factor_spread: float = threshold(
+        0.2, "1",
+        "Median spread of ln of a factor over the rows of a channel, and of its phase (rad), up to which it is one.",
+        "tests/diagnose/test_plain_look.py::test_a_threshold_of_the_plain_look_decides[factor_spread]",
+    )  # fmt: skip
+    factor_correlation: float = threshold(
+        0.9, "1",
+        "Correlation of samples with the model's from which they differ by a factor.",
+        "tests/diagnose/test_plain_look.py::test_a_threshold_of_the_plain_look_decides[factor_correlation]",
+    )  # fmt: skip
+    factor_fewest_rows: int = threshold(
+        3, "rows",
+        "Fewer rows of a channel show no factor.",
+        "tests/diagnose/test_plain_look.py::test_a_threshold_of_the_plain_look_decides[factor_fewest_rows]",
+    )  # fmt: skip
+    unexplained_share: float = threshold(
+        0.5, "1",
+        "Share of the signal of a channel beyond which what is left is no noise, whatever scale was learnt.",
+        "tests/diagnose/test_plain_look.py::test_a_threshold_of_the_plain_look_decides[unexplained_share]",
+    )  # fmt: skip
+    unexplained_noises: float = threshold(
+        5.0, "1",
+        "What is left over the noise that the recording shows, up to which a channel is mostly noise.",
+        "tests/diagnose/test_plain_look.py::test_a_threshold_of_the_plain_look_decides[unexplained_noises]",
+    )  # fmt: skip

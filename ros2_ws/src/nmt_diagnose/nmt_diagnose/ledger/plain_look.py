@@ -1,0 +1,160 @@
+"""A plain look at what was recorded beside what the model predicts, without noise, scales or search.
+
+A learnt scale of the noise takes a signal that is 57 times too large for noise, and a search finds laws that imitate a
+turned sign. So two things are looked at first: by which factor each channel is larger than the model predicts (a unit,
+a sign), and last: what share of the signal of each channel the model leaves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_core.text.number_words import significant
+from nmt_diagnose.ledger.diagnosis import PlaceShare
+from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.thresholds import THRESHOLDS
+
+_KNOWN = (
+    (180.0 / math.pi, "degrees that were read as radians"),
+    (math.pi / 180.0, "radians that were read as degrees"),
+    (9.80665, "m/s² that were read as g, or newtons as kilograms-force"),
+    (1.0 / 9.80665, "g that were read as m/s², or kilograms-force as newtons"),
+    (30.0 / math.pi, "revolutions per minute that were read as rad/s"),
+    (math.pi / 30.0, "rad/s that were read as revolutions per minute"),
+    (2.0 * math.pi, "rad/s that were read as Hz"),
+    (0.5 / math.pi, "Hz that were read as rad/s"),
+    (1e3, "thousandths of a unit that were read as the unit, such as mm as m"),
+    (1e-3, "a unit that was read as thousandths of it, such as m as mm"),
+    (1e6, "millionths of a unit that were read as the unit, such as µm as m"),
+    (1e-6, "a unit that was read as millionths of it, such as m as µm"),
+    (1.0 / 0.0254, "inches that were read as metres"),
+    (1.0 / 4.4482216, "pounds-force that were read as newtons"),
+)
+"""Factors of units over what was meant, and what was mistaken."""
+_NEAR = 0.05
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A channel that was recorded at another scale or sign than the model predicts.
+
+    Attributes:
+        test: name of the test.
+        channel: name of the channel.
+        factor: recorded over predicted.
+        force: it is a force.
+    """
+
+    test: str
+    channel: str
+    factor: float
+    force: bool = False
+
+    @property
+    def sentence(self) -> str:
+        """What is seen and what it may be."""
+        size = abs(self.factor)
+        known = [words for value, words in _KNOWN if abs(math.log(size / value)) < _NEAR]
+        guess = f": {' or '.join(known)}?" if known else "; look at its unit, its gain and its range."
+        if self.factor < 0.0 and abs(math.log(size)) < math.log(THRESHOLDS.verdict.factor_ratio):
+            return f"{self.test}: {self.channel} has the other sign than the model predicts; turn it, or its sensor."
+        sign = "−" if self.factor < 0.0 else ""
+        return f"{self.test}: {self.channel} is {sign}{significant(size, 3)} times what the model predicts{guess}"
+
+    @property
+    def place(self) -> PlaceShare:
+        """The sensor."""
+        return PlaceShare("force_sensor" if self.force else "response_sensor", self.channel, 1.0, 1.0)
+
+
+def factors(observations: Observations, predicted: FloatArray, used: BoolArray) -> tuple[Factor, ...]:
+    """Channels whose rows are all larger than predicted by one factor, or turned.
+
+    Where a test refers to the voltage and all its channels have the same factor, the drive does, which is a matter of
+    amplifier and exciter: effects explain that.
+
+    Args:
+        observations: the real side.
+        predicted: by the model as given, (m,).
+        used: rows that take part, (m,).
+    """
+    limit, found = math.log(THRESHOLDS.verdict.factor_ratio), []
+    for number, test in enumerate(observations.tests):
+        of_test = [
+            (channel, factor)
+            for index, channel in enumerate(test.channels)
+            if channel is not test.given_channel
+            and math.isfinite(factor := _factor(observations, predicted, used, number, index))
+        ]
+        plain = any(factor > 0.0 and abs(math.log(factor)) < limit for _, factor in of_test)
+        if not plain and test.over_voltage:
+            continue
+        found += [
+            Factor(test.name, channel.name, factor, channel.quantity is Quantity.FORCE)
+            for channel, factor in of_test
+            if factor < 0.0 or abs(math.log(factor)) > limit
+        ]
+    return tuple(found)
+
+
+def _factor(observations: Observations, predicted: FloatArray, used: BoolArray, number: int, channel: int) -> float:
+    """Recorded over predicted; NaN where the rows of a channel have no one factor."""
+    rows, limits = observations.rows, THRESHOLDS.verdict
+    here = used & np.isfinite(predicted) & (rows.test == number) & (rows.channel == channel)
+    samples = here & (rows.part == Part.SAMPLE)
+    if int(samples.sum()) >= limits.factor_fewest_rows:
+        measured, model = observations.values[samples], predicted[samples]
+        size = math.sqrt(float(measured @ measured) * float(model @ model))
+        along = float(measured @ model)
+        if size == 0.0 or abs(along) < limits.factor_correlation * size:
+            return math.nan
+        return along / float(model @ model)
+    apart = observations.values - predicted
+    sizes = apart[here & (rows.part == Part.LOG_MAGNITUDE) & (np.abs(rows.harmonic) == 1)]
+    if sizes.size < limits.factor_fewest_rows:
+        return math.nan
+    middle = float(np.median(sizes))
+    if float(np.median(np.abs(sizes - middle))) > limits.factor_spread:
+        return math.nan
+    cosines = np.cos(apart[here & (rows.part == Part.PHASE)])
+    turned = cosines.size >= limits.factor_fewest_rows and np.median(cosines) < -math.cos(limits.factor_spread)
+    return -math.exp(middle) if turned else math.exp(middle)
+
+
+def share_left(observations: Observations, predicted: FloatArray, used: BoolArray) -> tuple[float, str]:
+    """The largest share of its signal that a channel leaves beyond noise, and whose it is.
+
+    The noise is what the recordings show of themselves: a channel that leaves no more than several times that leaves
+    nothing.
+
+    Args:
+        observations: the real side, its uncertainties as they were read.
+        predicted: by an explanation with the errors of its measuring chain, (m,).
+        used: rows that take part, (m,).
+    """
+    rows, worst, whose = observations.rows, 0.0, ""
+    for number, test in enumerate(observations.tests):
+        for index, channel in enumerate(test.channels):
+            here = used & np.isfinite(predicted) & (rows.test == number) & (rows.channel == index)
+            share = 0.0
+            for part in (Part.SAMPLE, Part.LOG_MAGNITUDE):
+                which = here & (rows.part == part)
+                if int(which.sum()) < THRESHOLDS.verdict.factor_fewest_rows:
+                    continue
+                left, noise = observations.values[which] - predicted[which], observations.sigma[which]
+                if part is Part.SAMPLE:
+                    signal = observations.values[which] - observations.values[which].mean()
+                    size = max(float(np.std(signal)), 1e-300)
+                    of_signal, of_noise = math.sqrt(float(np.mean(left**2))) / size, float(np.median(noise)) / size
+                else:
+                    of_signal, of_noise = float(np.median(np.abs(np.expm1(left)))), float(np.median(noise))
+                if of_signal > THRESHOLDS.verdict.unexplained_noises * of_noise:
+                    share = max(share, of_signal)
+            if share > worst:
+                worst, whose = share, f"{channel.name} in {test.name}"
+    return worst, whose

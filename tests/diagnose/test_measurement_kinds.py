@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from diagnose.one_of_each_kind import KINDS, rig_of_kinds, with_chain
 
+import nmt_diagnose
+import nmt_report
 from nmt_core import kinds as kinds_of_test
 from nmt_diagnose.chain.chain_columns import linear_chain
 from nmt_diagnose.effects.calibration import calibration_parameters
@@ -40,6 +44,17 @@ def test_there_is_one_of_each_kind() -> None:
     assert len({kind.WORDS for kind in MEASUREMENTS}) == len(MEASUREMENTS)
     names = {kind.__name__ for kind in MEASUREMENTS}
     assert not names & set(vars(kinds_of_test)), "a measurement and a kind of test would share a name"
+
+
+def test_nobody_asks_a_measurement_what_kind_it_is() -> None:
+    names, found = {kind.__name__ for kind in MEASUREMENTS}, []
+    for package in (nmt_diagnose, nmt_report):
+        for file in sorted(Path(package.__path__[0]).rglob("*.py")):
+            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("isinstance", "issubclass"):
+                    asked = {it.id for it in ast.walk(node.args[1]) if isinstance(it, ast.Name)}
+                    found += [f"{file.name}:{node.lineno}"] if asked & names else []
+    assert not found
 
 
 @pytest.mark.parametrize("kind", KINDS)

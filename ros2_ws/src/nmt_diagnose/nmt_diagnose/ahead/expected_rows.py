@@ -88,9 +88,9 @@ def reason_against(kind: TestKind) -> str:
     return "" if kind in EXPECTED else covers(DrivenTest(kind=kind))
 
 
-def voltage_runs(observations: Observations) -> list[LockedWindows]:
+def voltage_runs(observations: Observations) -> list[Measurement]:
     """Runs of locked levels whose drive is known."""
-    return [it for it in observations.tests if isinstance(it, LockedWindows) and it.held == "voltage"]
+    return [it for it in observations.tests if it.locked_levels and it.over_voltage]
 
 
 def rig_of(request: TestRequest, rig: Rig) -> Rig:
@@ -145,17 +145,29 @@ def drive_point_of(request: TestRequest, rig: Rig, at_hand: Observations) -> int
     return points[0]
 
 
+def _is_locked(test: Measurement) -> bool:
+    return bool(test.locked_levels)
+
+
+def _is_free(test: Measurement) -> bool:
+    return test.free
+
+
+def _holds_amplitude(test: Measurement) -> bool:
+    return test.held_amplitude
+
+
 def _typical(
-    observations: Observations, kind: type[Measurement] | tuple[type, ...], part: Part, harmonic: int, fraction: float
+    observations: Observations, alike: Callable[[Measurement], bool], part: Part, harmonic: int, fraction: float
 ) -> float:
     """Median uncertainty of a kind of observable in the tests at hand, near a level given as a fraction of all."""
     selected = np.zeros(len(observations.rows), dtype=bool)
     for number, test in enumerate(observations.tests):
-        if isinstance(test, kind):
+        if alike(test):
             selected |= observations.rows.test == number
     selected &= (observations.rows.part == part) & (observations.rows.harmonic == harmonic)
     if not selected.any():
-        return THRESHOLDS.next_test.typical_response_std if kind is RandomResponses else _TYPICAL[part]
+        return _TYPICAL[part]
     amplitude = observations.rows.amplitude[selected]
     order = np.argsort(amplitude, kind="stable")
     sigma = observations.sigma[selected][order]
@@ -164,10 +176,10 @@ def _typical(
     return float(np.median(sigma[max(0, middle - reach) : middle + reach + 1]))
 
 
-def _chains(observations: Observations, kind: type[Measurement]) -> tuple[MeasuringChain | None, ...]:
+def _chains(observations: Observations, alike: Callable[[Measurement], bool]) -> tuple[MeasuringChain | None, ...]:
     """Tolerances of a test that has not been made: those of the first of its kind, else of the first test."""
     found = list(zip(observations.tests, observations.chains, strict=False))
-    return tuple([chain for test, chain in found if isinstance(test, kind)] or [chain for _, chain in found])[:1]
+    return tuple([chain for test, chain in found if alike(test)] or [chain for _, chain in found])[:1]
 
 
 def _locked(request: TestRequest, rig: Rig, at_hand: Observations) -> Observations:
@@ -206,7 +218,7 @@ def _windows(request: TestRequest, rig: Rig, at_hand: Observations, levels: tupl
     channels, point = channels_of(request, rig, at_hand), drive_point_of(request, rig, at_hand)
     ideal = MeasuredChannel(f"x{point}", Quantity.DISPLACEMENT, point)
     response = next((c for c in channels if c.quantity in MOTIONS and c.point == point), ideal)
-    harmonics = max((t.harmonics for t in at_hand.tests if isinstance(t, LockedWindows)), default=_READ.harmonics)
+    harmonics = max((t.locked_harmonics for t in at_hand.tests if t.locked_levels), default=_READ.harmonics)
     table = RowTable()
     sizes = sorted({level.drive for level in levels})
     for level in levels:
@@ -214,7 +226,7 @@ def _windows(request: TestRequest, rig: Rig, at_hand: Observations, levels: tupl
         fraction = sizes.index(level.drive) / max(1, len(sizes) - 1)
 
         def add(part: Part, channel: int = -1, harmonic: int = -1, place: Place = place, at: float = fraction) -> None:
-            std = _typical(at_hand, LockedWindows, part, harmonic, at)
+            std = _typical(at_hand, _is_locked, part, harmonic, at)
             table.add(part, 0.0, std, 0.0, place, channel, harmonic)
 
         add(Part.LOG_FREQUENCY)
@@ -230,7 +242,7 @@ def _windows(request: TestRequest, rig: Rig, at_hand: Observations, levels: tupl
                 add(Part.REAL, number, harmonic)
                 add(Part.IMAG, number, harmonic)
     test = LockedWindows("proposed", (point,), response.name, channels, harmonics, "voltage", levels)
-    return replace(table.observations(test), chains=_chains(at_hand, LockedWindows))
+    return replace(table.observations(test), chains=_chains(at_hand, _is_locked))
 
 
 def _drives(request: TestRequest, rig: Rig, at_hand: Observations, frequencies_hz: FloatArray) -> tuple[float, ...]:
@@ -256,7 +268,7 @@ def _levels(
     drives = drives if request.direction == "given" else directed(drives, request.direction)
     falling = request.direction in ("down", "both")
     start, cycles, length = 0.0, 0.0, _LEVEL_S
-    locked = [level for test in at_hand.tests if isinstance(test, LockedWindows) for level in test.levels]
+    locked = [level for test in at_hand.tests for level in test.locked_levels]
     if falling and locked:
         last = max(locked, key=lambda level: level.stop_s)
         start, cycles, length = last.stop_s, last.cycles_before, 1.5 * max(last.stop_s - last.start_s, 1.0)
@@ -278,7 +290,7 @@ def _random(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
     top = min(0.35 * rig.sample_rate_hz, 3.0 * frequencies[min(frequencies.size - 1, mode + 1)])
     lines = np.geomspace(0.4 * frequencies[mode - 1], top, THRESHOLDS.next_test.random_lines)
     table = RowTable()
-    lowest = (level.drive for run in voltage_runs(at_hand) for level in run.levels if math.isfinite(level.drive))
+    lowest = (level.drive for run in voltage_runs(at_hand) for level in run.locked_levels if math.isfinite(level.drive))
     rms = request.levels[0] if request.levels else min(lowest, default=_LOW_LEVEL_V)
     for number, line in enumerate(lines):
         place = Place(number, 0.0, float(line), rms)
@@ -287,7 +299,7 @@ def _random(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
                 table.add(part, 0.0, THRESHOLDS.next_test.typical_response_std, 0.0, place, channel)
     point = drive_point_of(request, rig, at_hand)
     test = RandomResponses("proposed", point, channels, "voltage", lines, 0.1, "none", rms, 0.0, 60.0)
-    return replace(table.observations(test), chains=_chains(at_hand, RandomResponses))
+    return replace(table.observations(test), chains=_chains(at_hand, lambda test: test.broad_band))
 
 
 def _decays(request: TestRequest, rig: Rig, at_hand: Observations) -> Observations:
@@ -322,7 +334,7 @@ def _decays(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
             f"proposed {level + 1}", point, motions[0][1], amplitudes, omega / (2.0 * np.pi),
             tuple(channel for _, channel in motions[1:]),
         )  # fmt: skip
-        parts.append(replace(_decay_rows(decay, damping, lasts, at_hand), chains=_chains(at_hand, RecordedDecay)))
+        parts.append(replace(_decay_rows(decay, damping, lasts, at_hand), chains=_chains(at_hand, _is_free)))
     return joined(parts)
 
 
@@ -333,7 +345,7 @@ def _decay_rows(decay: RecordedDecay, damping: float, lasts: float, at_hand: Obs
     places = [Place(k, lasts * k / count, decay.frequency_hz, amplitude) for k, amplitude in sizes]
 
     def add(part: Part, place: Place, channel: int, floor: float, scale: float = 1.0) -> None:
-        std = scale * _typical(at_hand, RecordedDecay, part, 1, 1.0 - place.level / max(1, count - 1))
+        std = scale * _typical(at_hand, _is_free, part, 1, 1.0 - place.level / max(1, count - 1))
         table.add(part, 0.0, std, floor, place, channel, 1)
 
     for place in places:
@@ -386,9 +398,9 @@ def _curves(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
             place = Place(k, k * _LEVEL_S, float(line), float(test.levels[k]))
             for channel in range(len(channels)):
                 for part in (Part.LOG_MAGNITUDE, Part.PHASE):
-                    std = _typical(at_hand, SteppedResponses, part, 1, 0.5)
+                    std = _typical(at_hand, _holds_amplitude, part, 1, 0.5)
                     table.add(part, 0.0, std, _READ.floors.stepped, place, channel, 1)
-        parts.append(replace(table.observations(test), chains=_chains(at_hand, SteppedResponses)))
+        parts.append(replace(table.observations(test), chains=_chains(at_hand, _holds_amplitude)))
     return joined(parts)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_diagnose.fit.explanations import FittedExplanation
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.forward import Forward
 
@@ -27,8 +26,8 @@ def noise_over_motion(left: Observations, at_hand: Observations, found: FittedEx
         found: an explanation, which tells the motion.
     """
     test = left.tests[0]
-    runs = [number for number, it in enumerate(at_hand.tests) if isinstance(it, LockedWindows)]
-    if not isinstance(test, LockedWindows) or not runs:
+    runs = [number for number, it in enumerate(at_hand.tests) if it.locked_levels]
+    if not test.locked_levels or not runs:
         return left
     rows, std = left.rows, left.std.copy()
     try:
@@ -37,7 +36,7 @@ def noise_over_motion(left: Observations, at_hand: Observations, found: FittedEx
         return left
     fundamental = (at_hand.rows.part == Part.LOG_MAGNITUDE) & (at_hand.rows.harmonic == 1)
     fundamental &= np.isin(at_hand.rows.test, runs) & np.isfinite(at_hand.values)
-    names = [tuple(c.name for c in getattr(it, "channels", ())) for it in at_hand.tests]
+    names = [tuple(c.name for c in it.channels) for it in at_hand.tests]
     for number, channel in enumerate(test.channels):
         same = np.array([
             k >= 0 and names[t][k] == channel.name for t, k in zip(at_hand.rows.test, at_hand.rows.channel, strict=True)
@@ -56,7 +55,7 @@ def noise_over_motion(left: Observations, at_hand: Observations, found: FittedEx
             if not math.isfinite(relative):
                 continue
             std[here & (rows.channel == number)] *= max(1.0, relative / left.std[row])
-            if channel.name == test.response_channel:
-                before = float(np.interp(level / max(1, len(test.levels) - 1), places, of_drive))
+            if test.turned_by(channel.name) > 0:
+                before = float(np.interp(level / max(1, len(test.locked_levels) - 1), places, of_drive))
                 std[here & (rows.channel < 0)] *= max(1.0, relative / before)
     return replace(left, std=std)

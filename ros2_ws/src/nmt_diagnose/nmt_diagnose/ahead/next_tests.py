@@ -143,7 +143,8 @@ def next_levels(
     """
     asked = Proposals(rig, observations)
     high = max(
-        (level.drive for run in asked.runs for level in run.levels if math.isfinite(level.drive)), default=math.nan
+        (level.drive for run in asked.runs for level in run.locked_levels if math.isfinite(level.drive)),
+        default=math.nan,
     )
     levels = sorted(level for level in plan if level > 1.001 * high)
     if not levels:
@@ -230,7 +231,7 @@ def other_sensors(
     asked = Proposals(rig, observations)
     if rivals is None or not asked.runs:
         return ()
-    drives = {level.drive for level in asked.runs[0].levels if math.isfinite(level.drive)}
+    drives = {level.drive for level in asked.runs[0].locked_levels if math.isfinite(level.drive)}
     base = asked.request("sensor", levels=tuple(sorted(plan) or sorted(drives)))
     channels = channels_of(base, rig, observations)
     sensed = {channel.point for channel in channels if channel.quantity in MOTIONS}

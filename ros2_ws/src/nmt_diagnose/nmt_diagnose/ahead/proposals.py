@@ -15,10 +15,7 @@ from nmt_core.errors import BenchError
 from nmt_core.kinds.request import TestRequest
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.ahead.expected_rows import drive_point_of, expected, model_frequencies, voltage_runs
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -70,7 +67,7 @@ class Proposals:
         frequencies, first = model_frequencies(self.rig), self.runs[0]
         like = [run for run in self.runs if run.drive_point == first.drive_point]
         like = [run for run in like if _modes_of([run], frequencies) == _modes_of([first], frequencies)]
-        return tuple(sorted({level.drive for run in like for level in run.levels if math.isfinite(level.drive)}))
+        return tuple(sorted({level.drive for run in like for level in run.locked_levels if math.isfinite(level.drive)}))
 
     @property
     def seconds_of_a_level(self) -> float:
@@ -78,9 +75,9 @@ class Proposals:
         steps = [
             abs(later.stop_s - before.stop_s)
             for run in self.runs
-            for before, later in itertools.pairwise(sorted(run.levels, key=lambda level: level.stop_s))
+            for before, later in itertools.pairwise(sorted(run.locked_levels, key=lambda level: level.stop_s))
         ]
-        first = [level.stop_s - level.start_s for run in self.runs for level in run.levels]
+        first = [level.stop_s - level.start_s for run in self.runs for level in run.locked_levels]
         return float(np.median(steps or first or [math.nan]))
 
     def request(self, name: str, **settings: Any) -> TestRequest:
@@ -110,7 +107,7 @@ class Proposals:
         return Proposal(text, request, compared(rows, request), seconds)
 
     def _random(self) -> Proposal | None:
-        if any(isinstance(test, RandomResponses) for test in self.observations.tests):
+        if any(test.broad_band for test in self.observations.tests):
             return None
         request = self.request("random", kind=kinds.RandomTest())
         point = drive_point_of(request, self.rig, self.observations)
@@ -121,20 +118,19 @@ class Proposals:
         """A decay, a response curve and noise at the highest level at hand, of the first mode and drive point."""
         high, each = self.drives[-1], self.seconds_of_a_level
         first = self.runs[0]
-        top = max(first.levels, key=lambda level: level.drive if math.isfinite(level.drive) else 0.0)
+        top = max(first.locked_levels, key=lambda level: level.drive if math.isfinite(level.drive) else 0.0)
         frequency_hz, result = top.frequency_hz, []
-        at_hand = {type(test) for test in self.observations.tests}
-        if RecordedDecay not in at_hand:
+        if not any(test.free for test in self.observations.tests):
             lasts = _DECAY_PERIODS / frequency_hz
             request = self.request("decay", kind=kinds.RingDownTest(duration=lasts), levels=(high,))
             result.append(self.proposal(f"a free decay from {high:.3g} V", request, each + lasts))
-        if SteppedResponses not in at_hand and math.isfinite(top.force_n):
+        if math.isfinite(top.force_n) and not any(test.held_amplitude for test in self.observations.tests):
             request = self.request("curve", kind=kinds.ResponseCurveTest(), levels=(top.force_n,))
             found = self.proposal(f"the response curve at {top.force_n:.3g} N", request, each)
             # Each of its points takes about as long as a level.
             points = 0 if found is None else len(np.unique(found.observations.rows.level))
             result.append(None if found is None else replace(found, seconds=points * each))
-        if RandomResponses in at_hand:
+        if any(test.broad_band for test in self.observations.tests):
             request = self.request("noise", kind=kinds.RandomTest(), levels=(high,))
             text = f"a random test at {high:.3g} V rms"
             result.append(self.proposal(text, request, THRESHOLDS.next_test.random_seconds))
@@ -155,7 +151,7 @@ class Proposals:
         if other := next(others, 0):
             request = self.request(f"mode{other}", levels=drives, changes=(("test.mode", other),))
             result.append(self.proposal(f"the same levels on mode {other}", request, same))
-        if all(level.direction >= 0 for run in self.runs for level in run.levels):
+        if all(level.direction >= 0 for run in self.runs for level in run.locked_levels):
             request = self.request("both", levels=drives, direction="both")
             result.append(self.proposal("the same levels downwards, after going up", request, 2.0 * same))
         limit, high = self.rig.limits.voltage_v, 2.0 * drives[-1]
@@ -179,9 +175,9 @@ def compared(rows: Observations, request: TestRequest) -> Observations:
     return rows.take(taken)
 
 
-def _modes_of(runs: Sequence[LockedWindows], frequencies: FloatArray) -> set[int]:
+def _modes_of(runs: Sequence[Measurement], frequencies: FloatArray) -> set[int]:
     """Numbers of the modes of the model that are nearest to the locked frequencies of some runs."""
-    locked = [level.frequency_hz for test in runs for level in test.levels if level.frequency_hz > 0.0]
+    locked = [level.frequency_hz for test in runs for level in test.locked_levels if level.frequency_hz > 0.0]
     numbers = np.flatnonzero(frequencies > 0.0)
     ratios = [np.abs(np.log(frequencies[numbers] / frequency)) for frequency in locked if numbers.size]
     return {int(numbers[np.argmin(ratio)]) + 1 for ratio in ratios}

@@ -36,6 +36,7 @@ class Measurement:
         FIGURES: figures of a report: key, title, and parts of the rows; ``{over}`` in a title is what the levels are.
         unexcited: parts of its rows that follow no excitation.
         over_frequency: its rows are lines of frequency responses.
+        free: it decays without excitation.
         broad_band: its lines were excited together, over many modes.
         over_time: its rows are samples.
         reduced: someone else made its rows; no chain of the bench's own measured them.
@@ -46,6 +47,7 @@ class Measurement:
         held_amplitude: its responses are compared at the amplitude of their first channel.
         given_channel: channel at whose amplitudes the model is solved; None where the drive is given.
         locked_levels: levels at which a loop held the phase.
+        locked_harmonics: highest order among the observables of those levels.
         commanded: the drive is the commanded voltage; else the recorded one.
         over_voltage: its rows refer to the voltage.
         timed_by_drive: a delay that all sensors share shows in it.
@@ -64,6 +66,7 @@ class Measurement:
     )
     unexcited: ClassVar[tuple[Part, ...]] = ()
     over_frequency: ClassVar[bool] = False
+    free: ClassVar[bool] = False
     broad_band: ClassVar[bool] = False
     over_time: ClassVar[bool] = False
     reduced: ClassVar[bool] = False
@@ -106,6 +109,11 @@ class Measurement:
     def locked_levels(self) -> tuple[LockedLevel, ...]:
         """Levels at which a loop held the phase."""
         return ()
+
+    @property
+    def locked_harmonics(self) -> int:
+        """Highest order among the observables of locked levels; 0 where there are none."""
+        return 0
 
     @property
     def over_voltage(self) -> bool:

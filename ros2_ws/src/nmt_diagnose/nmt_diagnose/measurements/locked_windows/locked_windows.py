@@ -83,6 +83,11 @@ class LockedWindows(Measurement):
         return self.levels
 
     @property
+    def locked_harmonics(self) -> int:
+        """Highest order among the observables."""
+        return self.harmonics
+
+    @property
     def over_voltage(self) -> bool:
         """Whether its rows refer to the voltage."""
         return self.held == "voltage"

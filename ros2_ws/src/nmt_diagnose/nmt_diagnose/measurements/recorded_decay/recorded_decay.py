@@ -36,6 +36,7 @@ class RecordedDecay(Driven):
     """
 
     WORDS: ClassVar[str] = "ring-down"
+    free: ClassVar[bool] = True
     interleaved: ClassVar[bool] = True
     rising: ClassVar[bool] = True
     linear_chain: ClassVar[bool] = True

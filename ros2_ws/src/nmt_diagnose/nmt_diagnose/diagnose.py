@@ -265,8 +265,7 @@ def find(
         data, null.fit, THRESHOLDS.modes.certain_sigmas, THRESHOLDS.modes.certain_channel_share
     )
     scales = factors(observations, as_given.values, fitted)
-    beyond_effects = beyond_effects or bool(scales)
-    candidates = () if beyond_effects else library_candidates(rig, operating, settings.withheld)
+    candidates = () if beyond_effects or scales else library_candidates(rig, operating, settings.withheld)
     search = Search(data, rig, parameters, candidates, tell)
     scores = cache(partial(search.scores, null))
     law: LawReading | None = None
@@ -284,7 +283,7 @@ def find(
         if begun and memory is not None:
             passed = memory.far | {it.fitted for it in begun}
         else:
-            law = None if beyond_effects else law_of(rig, observations.take(fitted))
+            law = None if beyond_effects or scales else law_of(rig, observations.take(fitted))
             begun = with_laws(search, null, law)
         if passed and memory is not None and memory.searched:
             # What leaves noise only of a large gap needs no candidate that was not fitted when it was found.
@@ -695,8 +694,8 @@ def _diagnosed(
     law = findings.law if partial or (verdict is Verdict.UNKNOWN and not untold) else None
     text = (*text, *law_sentences(law, verdict is Verdict.UNKNOWN))
     if verdict is Verdict.UNKNOWN and not GAP(alone).passed:
-        left = f"{100.0 * findings.unexplained[0]:.2g} % of the signal of {findings.unexplained[1]}"
-        text = (f"The model leaves {left}, which is no noise.", *text)
+        share_of_signal, whose = findings.unexplained
+        text = (f"The model leaves {100.0 * share_of_signal:.2g} % of the signal of {whose}, which is no noise.", *text)
     if findings.factors:
         seen = (found.sentence for found in findings.factors)
         text, warnings = (*seen, "Effects are judged once units and signs of the recording are right."), ()

@@ -32,7 +32,7 @@ from nbclient import NotebookClient
 from nonlinear_pictures import draw_exciters, draw_law, draw_resonances, draw_self_excited
 from PIL import Image
 
-from nmt_extract.modal_table import read_csv, read_json
+from nmt_extract.modal.table import read_csv, read_json
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import load_rig
 

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
 from nmt_diagnose.law.reading import read_law
-from nmt_extract.backbone_jumps import find_jumps
-from nmt_extract.limit_cycles import limit_cycles
-from nmt_extract.modal_table import read_json
+from nmt_extract.curves.backbone_jumps import find_jumps
+from nmt_extract.curves.limit_cycles import limit_cycles
+from nmt_extract.modal.table import read_json
 from nmt_report.law_figures import drawn_loops
 from nmt_report.svg import figure_style
 from nmt_rig.reference import compute_reference, point_shapes

@@ -11,9 +11,9 @@ from report import diagnosis_fixture
 from report.synthetic_run import LINEAR, synthetic_run
 
 from nmt_diagnose.ledger.diagnosis import Verdict
-from nmt_extract.modal_table import write_results
-from nmt_extract.response_table import write_response_csv
-from nmt_extract.swept_response import FrequencyResponseTable
+from nmt_extract.curves.response_table import write_response_csv
+from nmt_extract.curves.swept_response import FrequencyResponseTable
+from nmt_extract.modal.table import write_results
 
 SWEPT = (np.array([20.0, 21.0, 22.0]), np.array([20.5, 21.5]))
 """Frequencies of the two levels, Hz: the second level has fewer."""

@@ -15,9 +15,9 @@ from scipy.io import netcdf_file
 import nmt
 from nmt_core.errors import BenchError
 from nmt_diagnose.ledger.diagnosis import Verdict
-from nmt_extract.modal_table import write_results
-from nmt_extract.response_table import write_response_csv
-from nmt_extract.swept_response import FrequencyResponseTable
+from nmt_extract.curves.response_table import write_response_csv
+from nmt_extract.curves.swept_response import FrequencyResponseTable
+from nmt_extract.modal.table import write_results
 from nmt_report.run_report import write_report
 
 matplotlib.use("Agg")

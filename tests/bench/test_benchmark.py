@@ -10,7 +10,7 @@ from nmt_bench import cli
 from nmt_benchmark import benchmark_figures
 from nmt_benchmark.benchmark_figures import Figure
 from nmt_benchmark.plant_speed import channel_speed, contact_speed
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_extract.offline import extract_bag
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig
@@ -25,7 +25,7 @@ def test_a_session_measures_what_harmonic_balance_predicts(tmp_path: Path) -> No
         result = session.run()
     points = extract_bag(tmp_path / "bag").points
     assert all(a.identical(b) for a, b in zip(points, result.points, strict=True))
-    assert [point.status for point in points] == [Status.OK, Status.OK]
+    assert [point.status for point in points] == [PointStatus.OK, PointStatus.OK]
     expected = single_point_reference(rig, None, levels).mode
     np.testing.assert_allclose([p.omega_rad_s for p in points], expected.omega_rad_s, rtol=5e-4)
     np.testing.assert_allclose([p.damping_ratio for p in points], expected.damping_ratio, rtol=5e-3)

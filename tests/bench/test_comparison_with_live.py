@@ -7,7 +7,7 @@ from dataclasses import replace
 from nmt_bench.commands.extract_command import _comparison
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.records import LockEvent
-from nmt_extract.modal_point import rejected_point
+from nmt_extract.modal.point import rejected_point
 
 
 def points(count: int) -> list[ModalPoint]:

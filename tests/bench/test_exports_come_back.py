@@ -16,8 +16,8 @@ from nmt_core.kinds import KINDS
 from nmt_core.messages.wire import LEVEL
 from nmt_core.vocabulary import TestKind
 from nmt_extract.decays.free_decay import free_decays, holds_decays_only
-from nmt_extract.linear_evaluation import evaluate_linear_test
-from nmt_extract.modal_table import write_csv
+from nmt_extract.linear.evaluation import evaluate_linear_test
+from nmt_extract.modal.table import write_csv
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.export.exported_run import export_run

@@ -14,10 +14,10 @@ from bench import synthetic_bag
 from record.foreign_data import DAMPING, FREQUENCY_HZ, RATE, recording, sidecar, write
 
 from nmt_bench.cli import main
+from nmt_core.vocabulary import PointStatus
 from nmt_extract import extract_bag
-from nmt_extract.modal_point import Status
-from nmt_extract.modal_table import read_csv, read_json
-from nmt_extract.mode_uff import linear_modes, write_mode_uff
+from nmt_extract.modal.mode_uff import linear_modes, write_mode_uff
+from nmt_extract.modal.table import read_csv, read_json
 from nmt_record import Bag
 from nmt_record.exchange.reduced.observables import observable_tables
 from nmt_record.windows.segments import read_signals, segments
@@ -168,7 +168,7 @@ def test_foreign_data_are_extracted_without_a_known_phase(tmp_path: Path) -> Non
     done(["import", write(tmp_path / "in"), "--out", tmp_path / "bag"])
     done(["extract", tmp_path / "bag", "--out", tmp_path / "results"])
     points = extract_bag(tmp_path / "bag").points
-    assert [point.status for point in points] == [Status.OK, Status.OK]
+    assert [point.status for point in points] == [PointStatus.OK, PointStatus.OK]
     for point in points:
         assert point.frequency_hz == pytest.approx(FREQUENCY_HZ, rel=1e-9)
         assert point.damping_ratio == pytest.approx(DAMPING, rel=1e-6)
@@ -181,8 +181,8 @@ def test_a_window_over_a_gap_is_rejected(tmp_path: Path) -> None:
     data["a4"][round(4.0 * RATE)] = math.nan
     done(["import", write(tmp_path / "in", sidecar(), data), "--out", tmp_path / "bag"])
     good, spoilt = extract_bag(tmp_path / "bag").points
-    assert good.status is Status.OK
-    assert spoilt.status is Status.REJECTED
+    assert good.status is PointStatus.OK
+    assert spoilt.status is PointStatus.REJECTED
     assert "Channel 'a4' of 'acceleration' has no valid value at sample 8000" in spoilt.reason
 
 
@@ -192,7 +192,7 @@ def test_a_level_that_did_not_lock(tmp_path: Path) -> None:
     del values["segments"][1]["window"]
     done(["import", write(tmp_path / "in", values), "--out", tmp_path / "bag"])
     points = extract_bag(tmp_path / "bag").points
-    assert [point.status for point in points] == [Status.OK, Status.NOT_LOCKED]
+    assert [point.status for point in points] == [PointStatus.OK, PointStatus.NOT_LOCKED]
     assert "the loop hunted" in points[1].reason
 
 
@@ -226,7 +226,7 @@ def test_levels_are_exported_as_complex_modes_with_geometry(run: Path, tmp_path:
     for name in ("modal.json", "modal.csv"):
         shutil.copy(run / "results" / name, run / name)
     done(["export", run, "--out", tmp_path / "out"])
-    points = [point for point in read_json(run / "modal.json")[0] if point.status == Status.OK]
+    points = [point for point in read_json(run / "modal.json")[0] if point.status == PointStatus.OK]
     nodes, line, *modes = pyuff.UFF(str(tmp_path / "out" / "modes.uff")).read_sets()
     assert (nodes["type"], line["type"], {mode["type"] for mode in modes}) == (15, 82, {55})
     assert len(modes) == len(points)

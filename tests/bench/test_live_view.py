@@ -20,7 +20,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.records import DriveStop, LoopStatus, RunState
 from nmt_core.vocabulary import OutputState, PointStatus, ResultCode, RunPhase, SteeringAct, StopCause
-from nmt_extract.response_curve import response_curves
+from nmt_extract.curves.response_curve import response_curves
 from nmt_record.bag.bag_reader import Bag
 from nmt_report.quantity_format import uncertain
 from nmt_sequencer.steering import SteeringRequest

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nmt_bench.commands.sweep_command import COMPARISON_HEAD, comparison_lines, comparison_rows
-from nmt_extract.swept_response import FrequencyResponseTable
-from nmt_extract.synthesis import ResonanceError
+from nmt_extract.curves.swept_response import FrequencyResponseTable
+from nmt_extract.synthesis.single_mode import ResonanceError
 
 
 @pytest.mark.parametrize(("channel", "unit"), [("a2", "m/s²"), ("x2", "m")])

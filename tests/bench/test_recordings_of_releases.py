@@ -22,7 +22,7 @@ from nmt_core.bench_version import bench_version
 from nmt_core.messages.modal_point import MEASURED
 from nmt_core.messages.wire import MODAL_POINT
 from nmt_diagnose.effects.library import library
-from nmt_extract.modal_table import read_csv, read_json
+from nmt_extract.modal.table import read_csv, read_json
 from nmt_record import Bag
 from nmt_report.run_data_from_bag import report_data_from_bag
 

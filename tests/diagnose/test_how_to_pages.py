@@ -16,7 +16,7 @@ from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
-from nmt_extract.linear_evaluation import evaluate_linear_test
+from nmt_extract.linear.evaluation import evaluate_linear_test
 from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import load_rig
 

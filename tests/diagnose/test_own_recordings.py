@@ -22,7 +22,7 @@ from nmt_diagnose.measurements.recorded_decay.reading import _close_mode
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_extract.response_curve import response_curves
+from nmt_extract.curves.response_curve import response_curves
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
 

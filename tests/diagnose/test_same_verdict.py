@@ -12,13 +12,13 @@ import pytest
 from diagnose.observation_bags import record, rig_with_noise
 
 from nmt_core.messages.blocks import BlockFlag, Quantity, SampleBlock
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.records import LoopStatus
 from nmt_core.messages.wire import BlockReader, BlockWriter, write_status
-from nmt_core.vocabulary import LoopState
+from nmt_core.vocabulary import LoopState, PointStatus
 from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bag_writer import BagWriter
@@ -137,7 +137,9 @@ def _status(block: SampleBlock, level: int) -> LoopStatus:
 
 
 def extracted(path: Path) -> dict[int, ModalPoint]:
-    return {point.level_index: point for point in extract_bag(path).points if point.status is not Status.NOT_LOCKED}
+    return {
+        point.level_index: point for point in extract_bag(path).points if point.status is not PointStatus.NOT_LOCKED
+    }
 
 
 def left_out(observations: Observations) -> dict[int, str]:
@@ -153,8 +155,8 @@ def left_out(observations: Observations) -> dict[int, str]:
 def test_all_readers_reject_the_same_windows_for_the_same_reason(bag: tuple[Path, dict[int, str]]) -> None:
     path, reasons = bag
     points = extracted(path)
-    assert {level: point.reason for level, point in points.items() if point.status is Status.REJECTED} == reasons
-    assert {level for level, point in points.items() if point.status is Status.OK} == TOUCHED
+    assert {level: point.reason for level, point in points.items() if point.status is PointStatus.REJECTED} == reasons
+    assert {level for level, point in points.items() if point.status is PointStatus.OK} == TOUCHED
     read = {segment.level_index: segment for segment in segments(Bag.open(path))}
     assert {level: f"{segment.fault}." for level, segment in read.items() if segment.fault} == reasons
     assert {level for level, segment in read.items() if segment.usable_samples} == TOUCHED

@@ -21,7 +21,7 @@ from scipy.signal import bilinear, lfilter
 from nmt_bench import import_data
 from nmt_bench.cli import main
 from nmt_extract import synthesise
-from nmt_extract.modal_table import read_csv
+from nmt_extract.modal.table import read_csv
 from nmt_rig.rig import find_rig
 
 pytestmark = pytest.mark.campaign

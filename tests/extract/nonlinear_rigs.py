@@ -15,9 +15,9 @@ from numpy.random import Generator
 from scipy.optimize import root
 
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.modal import modal_point
-from nmt_extract.modal_point import ModalPoint
-from nmt_extract.window import Window
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_extract.modal.point import modal_point
+from nmt_extract.modal.window import Window
 
 ORDERS = np.array([1, 3, 5])
 _STEPS = 128

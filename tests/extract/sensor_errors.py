@@ -11,9 +11,9 @@ from scipy.optimize import brentq
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.modal import modal_point
-from nmt_extract.modal_point import ModalPoint
-from nmt_extract.window import Channel, Window
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_extract.modal.point import modal_point
+from nmt_extract.modal.window import Channel, Window
 from nmt_record.exchange.sidecar.channel_tolerances import ChannelTolerance, Tolerances
 
 POINTS = (1, 2, 3, 4)

@@ -9,10 +9,10 @@ import numpy as np
 
 from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.records import LockEvent
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
-from nmt_extract.modal_point import ModalPoint
 
 RATE = 10_000.0
 POINTS = (2, 4, 5, 6)

@@ -9,7 +9,7 @@ import pytest
 
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.backbone_jumps import direction_difference, find_jumps
+from nmt_extract.curves.backbone_jumps import direction_difference, find_jumps
 
 
 def point(index: int, level: float, frequency_hz: float, std: float = 1e-6) -> ModalPoint:

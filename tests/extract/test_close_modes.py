@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 
 from nmt_core.vocabulary import PointStatus
 from nmt_extract.judgement.channel_history import ChannelHistory
-from nmt_extract.modal import modal_point
-from nmt_extract.mode_identity import mode_verdict
+from nmt_extract.modal.mode_identity import mode_verdict
+from nmt_extract.modal.point import modal_point
 from nmt_session import Session, plan_test
 
 WINGS = """

@@ -9,8 +9,14 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.constant_amplitude import SolvedPoints, fit_at_amplitudes, half_power, modal_amplitudes, solve_points
-from nmt_extract.swept_response import FrequencyResponseTable
+from nmt_extract.curves.constant_amplitude import (
+    SolvedPoints,
+    fit_at_amplitudes,
+    half_power,
+    modal_amplitudes,
+    solve_points,
+)
+from nmt_extract.curves.swept_response import FrequencyResponseTable
 from nmt_report.response_analysis import model_responses
 from nmt_rig.linear_description import linear_description
 from nmt_rig.reference import compute_reference

@@ -15,11 +15,10 @@ from extract.synthetic import (
 )
 
 from nmt_core.errors import BenchError
-from nmt_core.vocabulary import LoopState
+from nmt_core.vocabulary import LoopState, PointStatus
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
-from nmt_extract.hysteresis import HysteresisLayout
-from nmt_extract.modal_point import Status
+from nmt_extract.modal.hysteresis import HysteresisLayout
 
 SAMPLES = round(5 * RATE / FREQUENCY)
 
@@ -50,7 +49,7 @@ def run(schedule, locks=(), levels=((0, 0.1, "V"), (1, 0.2, "V"))):
 def test_a_level_that_locks_gives_one_point():
     lock = lock_event(400, SAMPLES, 5, sample=399)
     points, extractor = run([(LoopState.ACQUIRING, 0), *[(LoopState.LOCKED, 0)] * 14], [lock])
-    assert [point.status for point in points] == [Status.OK]
+    assert [point.status for point in points] == [PointStatus.OK]
     assert points[0].damping_ratio == pytest.approx(0.012, rel=1e-9)
     assert points[0].time_ns == round((400 + SAMPLES - 1) / RATE * 1e9)
     assert extractor.counters["points"] == 1
@@ -60,7 +59,7 @@ def test_a_level_that_locks_gives_one_point():
 def test_a_level_that_never_locks_is_reported_once():
     points, extractor = run([(LoopState.FIXED, 0), (LoopState.ACQUIRING, 0), *[(LoopState.LOCK_LOST, 0)] * 5])
     (point,) = points
-    assert point.status is Status.NOT_LOCKED
+    assert point.status is PointStatus.NOT_LOCKED
     assert point.reason == "The level did not lock: no lock within 30 s."
     assert (point.level, point.level_unit, point.level_index) == (0.1, "V", 0)
     assert math.isnan(point.damping_ratio)
@@ -78,8 +77,8 @@ def test_every_level_that_does_not_lock_is_reported():
     ]
     points, _ = run(schedule)
     assert [(point.level_index, point.level, point.status) for point in points] == [
-        (0, 0.1, Status.NOT_LOCKED),
-        (1, 0.2, Status.NOT_LOCKED),
+        (0, 0.1, PointStatus.NOT_LOCKED),
+        (1, 0.2, PointStatus.NOT_LOCKED),
     ]
 
 
@@ -87,14 +86,14 @@ def test_lock_lost_within_the_window_rejects_it_and_is_not_reported_twice():
     lock = lock_event(400, SAMPLES, 5, sample=399)
     points, _ = run([(LoopState.ACQUIRING, 0), *[(LoopState.LOCKED, 0)] * 5, *[(LoopState.LOCK_LOST, 0)] * 9], [lock])
     (point,) = points
-    assert point.status is Status.REJECTED
+    assert point.status is PointStatus.REJECTED
     assert "lock lost at sample 1399 (no lock within 30 s)" in point.reason
 
 
 def test_lock_lost_after_the_window_does_no_harm():
     lock = lock_event(400, SAMPLES, 5, sample=399)
     points, _ = run([(LoopState.ACQUIRING, 0), *[(LoopState.LOCKED, 0)] * 14, (LoopState.LOCK_LOST, 0)], [lock])
-    assert [point.status for point in points] == [Status.OK]
+    assert [point.status for point in points] == [PointStatus.OK]
 
 
 def test_a_second_try_of_the_same_level_counts_for_itself():
@@ -103,7 +102,7 @@ def test_a_second_try_of_the_same_level_counts_for_itself():
         [(LoopState.ACQUIRING, 0), *[(LoopState.LOCKED, 0)] * 14, (LoopState.ACQUIRING, 0), (LoopState.LOCK_LOST, 0)],
         [lock],
     )
-    assert [point.status for point in points] == [Status.OK, Status.NOT_LOCKED]
+    assert [point.status for point in points] == [PointStatus.OK, PointStatus.NOT_LOCKED]
 
 
 def test_the_end_of_the_streams_gives_up_the_open_window():

@@ -10,11 +10,10 @@ import pytest
 from extract.synthetic import OMEGA, POINTS, RATE, SHAPES, linear_description, lock_event
 
 from nmt_core.messages.blocks import Quantity
-from nmt_core.vocabulary import TestKind
+from nmt_core.vocabulary import PointStatus, TestKind
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_extract.modal import modal_point
-from nmt_extract.modal_point import Status
-from nmt_extract.window import Channel, Window
+from nmt_extract.modal.point import modal_point
+from nmt_extract.modal.window import Channel, Window
 
 SAMPLES = 18_000
 TIME = np.arange(SAMPLES) / RATE
@@ -109,7 +108,7 @@ def verdict(kind: str, fault: str, point: int) -> str:
     make, settings, changes = KINDS[kind]
     window, linear = make(), linear_description(**changes)
     clean = modal_point(window, linear, settings)
-    assert clean.status is Status.OK, clean.reason
+    assert clean.status is PointStatus.OK, clean.reason
     name = f"x{point}"
     row = [channel.name for channel in window.channels].index(name)
     data = window.data.copy()
@@ -118,7 +117,7 @@ def verdict(kind: str, fault: str, point: int) -> str:
     found = modal_point(faulty, linear, settings)
     if name in found.reason:
         return "named"
-    if found.status is not Status.OK:
+    if found.status is not PointStatus.OK:
         return f"rejected without its name: {found.reason}"
     for quantity in CHECKED:
         error = abs(getattr(found, quantity) - getattr(clean, quantity))

@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import minimize
 
 from nmt_core.errors import BenchError
-from nmt_extract.force_surface import ForceSurface, surface_sentences
-from nmt_extract.response_curve import ResponseCurve
+from nmt_extract.curves.force_surface import ForceSurface, surface_sentences
+from nmt_extract.curves.response_curve import ResponseCurve
 
 OMEGA, UNIT, ZETA = 126.5, 1e-3, 0.01
 AMPLITUDES = UNIT * np.linspace(0.2, 1.7, 11)

@@ -9,13 +9,13 @@ import pytest
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.records import LockEvent
 from nmt_core.vocabulary import PointStatus, TestKind
-from nmt_extract.limit_cycles import limit_cycles, write_limit_cycles
-from nmt_extract.modal import modal_point
+from nmt_extract.curves.limit_cycles import limit_cycles, write_limit_cycles
 from nmt_extract.modal.growing_oscillation import fit_phasors
-from nmt_extract.modal_point import ModalPoint
-from nmt_extract.window import Channel, Window
+from nmt_extract.modal.point import modal_point
+from nmt_extract.modal.window import Channel, Window
 
 RATE = 5_000.0
 OMEGA = 2.0 * math.pi * 20.0

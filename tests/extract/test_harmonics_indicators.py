@@ -9,8 +9,14 @@ import pytest
 
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.harmonics_indicators import HARMONICS_COLUMNS, any_control, comparison_of, force_content, indicators
-from nmt_extract.modal_table import COLUMNS, read_csv, read_json, write_csv, write_json
+from nmt_extract.modal.harmonics_indicators import (
+    HARMONICS_COLUMNS,
+    any_control,
+    comparison_of,
+    force_content,
+    indicators,
+)
+from nmt_extract.modal.table import COLUMNS, read_csv, read_json, write_csv, write_json
 
 
 def point(index: int, level: float, q: float, error=(0.0, 0.0), control=9, content=0.0, **fields) -> ModalPoint:

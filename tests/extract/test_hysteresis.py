@@ -11,7 +11,7 @@ from extract.synthetic import Stream, extract, linear_description, lock_event
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
+from nmt_extract.modal.hysteresis import HysteresisLayout, hysteresis_loop
 
 OMEGA = 2.0 * math.pi * 370.0
 M1, M2, M3 = 3.0, 1.2, 2.1

@@ -8,10 +8,9 @@ from nmt_core.kinds import KINDS
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.messages.wire import LEVEL, LOCK_EVENT, write_status
-from nmt_core.vocabulary import LoopState, TestKind
+from nmt_core.vocabulary import LoopState, PointStatus, TestKind
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import MessageFeed
-from nmt_extract.modal_point import Status
 
 LINEAR = LinearDescription("test", 2, 0, (2,), (139.0,), (0.01,), ((1.0,),), 1.0, 140.0, 0.02, 0.04)
 EVENT = LockEvent(0, 0.3, "V", 299, 22.0, 0.0, 300, 1000, 20)
@@ -35,7 +34,7 @@ def lock(kind: int) -> bytes:
     return bytes(raw)
 
 
-def points(kind: int) -> list[Status]:
+def points(kind: int) -> list[PointStatus]:
     """Status of the points of a level that locks for a window without samples, and of one that does not lock."""
     extractor = Extractor(LINEAR)
     feed = MessageFeed(extractor)
@@ -52,7 +51,7 @@ def points(kind: int) -> list[Status]:
 
 @pytest.mark.parametrize("kind", [0, 1])
 def test_phase_resonance_gives_points(kind):
-    assert sorted(points(kind)) == sorted([Status.NOT_LOCKED, Status.REJECTED])
+    assert sorted(points(kind)) == sorted([PointStatus.NOT_LOCKED, PointStatus.REJECTED])
 
 
 @pytest.mark.parametrize("kind", [*(number for number, kind in KINDS.items() if not kind.gives_modal_points), 77])

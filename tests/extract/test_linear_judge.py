@@ -13,8 +13,8 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.threshold import thresholds_of
 from nmt_extract.judgement.thresholds import THRESHOLDS
-from nmt_extract.linear_identification import linear_test
-from nmt_extract.linear_results import LinearTest, LinearTestSettings
+from nmt_extract.linear.identification import linear_test
+from nmt_extract.linear.results import LinearTest, LinearTestSettings
 from nmt_record.windows.segments import Signals
 
 RATE, SECONDS = 512.0, 64.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_extract.linear_residuals import fit_residuals, modal_receptance
+from nmt_extract.linear.residuals import fit_residuals, modal_receptance
 
 FREQUENCY = np.arange(250.0, 480.0, 0.25)
 TARGET = (np.array([0.2, -0.1]), 2 * np.pi * 370.0, 0.001)

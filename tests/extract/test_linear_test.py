@@ -20,10 +20,10 @@ from nmt_core.messages.blocks import BlockFlag, Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
-from nmt_extract.linear_evaluation import evaluate_linear_test
-from nmt_extract.linear_file import Linearity, description, frf_table, linear_mapping, linearity
-from nmt_extract.linear_identification import _target_of, linear_test
-from nmt_extract.linear_results import LinearTest, LinearTestSettings
+from nmt_extract.linear.evaluation import evaluate_linear_test
+from nmt_extract.linear.file import Linearity, description, frf_table, linear_mapping, linearity
+from nmt_extract.linear.identification import _target_of, linear_test
+from nmt_extract.linear.results import LinearTest, LinearTestSettings
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Signals

@@ -20,9 +20,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nmt_core.messages.blocks import Quantity
+from nmt_core.vocabulary import PointStatus
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_extract.modal import estimated_mass
-from nmt_extract.modal_point import Status
+from nmt_extract.modal.quantities import estimated_mass
 
 SAMPLES = round(12 * RATE / FREQUENCY)
 LOCK = lock_event(100, SAMPLES, 12)
@@ -46,7 +46,7 @@ def test_one_degree_of_freedom_at_resonance_gives_its_damping_exactly():
         damping_ratios=(zeta,),
     )
     point = extract(pure(force, [response] * 4), LOCK, linear)
-    assert point.status is Status.OK
+    assert point.status is PointStatus.OK
     assert point.damping_ratio == pytest.approx(zeta, rel=1e-11)
     assert point.self_excitation == pytest.approx(2.0 * zeta * OMEGA, rel=1e-11)
     assert point.modal_amplitude == pytest.approx(abs(response) * math.sqrt(mass), rel=1e-12)
@@ -61,7 +61,7 @@ def test_the_exciter_feeding_the_structure_counts_positive():
     force, shape = in_phase_case()
     assert extract(pure(force, shape), LOCK).active_power > 0.0
     drained = extract(pure(-force, shape), LOCK)
-    assert drained.status is Status.REJECTED
+    assert drained.status is PointStatus.REJECTED
     assert "-180.0°" in drained.reason or "180.0°" in drained.reason
     assert "would feed the exciter" in drained.reason
 
@@ -222,14 +222,14 @@ def test_harmonics_are_limited_by_the_sampling_rate():
 def test_sensors_that_do_not_fit_are_named(linear, reason):
     force, shape = in_phase_case()
     point = extract(pure(force, shape), LOCK, linear)
-    assert point.status is Status.REJECTED
+    assert point.status is PointStatus.REJECTED
     assert reason in point.reason
     assert math.isnan(point.damping_ratio)
 
 
 def test_silence_is_rejected():
     point = extract(pure(0.0, np.zeros(4)), LOCK)
-    assert point.status is Status.REJECTED
+    assert point.status is PointStatus.REJECTED
     assert "f2 is dead" in point.reason
 
 

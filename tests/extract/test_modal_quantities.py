@@ -15,7 +15,7 @@ import pytest
 from nmt_core.messages.modal_point import EVALUATED, MEASURED, QUANTITIES, ModalPoint
 from nmt_core.messages.modal_quantity import measured, quantities_of
 from nmt_extract.judgement.signal_faults import floors
-from nmt_extract.modal import ModalQuantities
+from nmt_extract.modal.quantities import ModalQuantities
 from nmt_report.columns import MODAL_COLUMNS
 
 
@@ -89,7 +89,7 @@ from rich.console import Console
 from nmt.results import RunResults
 from nmt_bench.commands.terminal import modal_table
 from nmt_bench.page.live_view import LiveView
-from nmt_extract.modal_table import write_results
+from nmt_extract.modal.table import write_results
 from nmt_extract.judgement.signal_faults import floors
 from nmt_report.run_report import report_html
 from report.synthetic_run import synthetic_run

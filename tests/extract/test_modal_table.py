@@ -12,8 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nmt_core.errors import BenchError
-from nmt_extract.modal_point import MEASURED, ModalPoint, Status, rejected_point
-from nmt_extract.modal_table import COLUMNS, read_csv, read_json, write_csv, write_json, write_results
+from nmt_core.messages.modal_point import MEASURED, ModalPoint
+from nmt_core.vocabulary import PointStatus
+from nmt_extract.modal.point import rejected_point
+from nmt_extract.modal.table import COLUMNS, read_csv, read_json, write_csv, write_json, write_results
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +54,7 @@ finite_or_nan = st.floats(allow_nan=True, allow_infinity=False)
 @given(
     st.fixed_dictionaries(dict.fromkeys(MEASURED, finite_or_nan)),
     st.lists(st.complex_numbers(allow_nan=False, allow_infinity=False), min_size=1, max_size=6),
-    st.sampled_from(Status),
+    st.sampled_from(PointStatus),
     st.text(max_size=20),
 )
 @settings(max_examples=40, deadline=None)

@@ -8,8 +8,8 @@ from scipy.signal import butter, sosfilt
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_extract.linear_identification import linear_test
-from nmt_extract.linear_results import LinearTest, LinearTestSettings
+from nmt_extract.linear.identification import linear_test
+from nmt_extract.linear.results import LinearTest, LinearTestSettings
 from nmt_record.windows.segments import Signals
 
 RATE = 1024.0

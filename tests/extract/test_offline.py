@@ -20,11 +20,10 @@ from extract.synthetic import (
 from nmt_core.errors import BenchError
 from nmt_core.messages.records import LevelCommand, LoopStatus
 from nmt_core.messages.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
-from nmt_core.vocabulary import LoopState
+from nmt_core.vocabulary import LoopState, PointStatus
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
-from nmt_extract.modal_point import Status
-from nmt_extract.modal_table import read_json, write_results
+from nmt_extract.modal.table import read_json, write_results
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bag_writer import BagWriter
@@ -99,7 +98,7 @@ def expected_point(stream):
 def test_a_bag_gives_the_same_bits_as_the_blocks(make_bag, stream):
     result = extract_bag(make_bag())
     (point,) = result.points
-    assert point.status is Status.OK
+    assert point.status is PointStatus.OK
     assert point.identical(expected_point(stream))
     assert result.loss is None
     assert result.run["run_id"] == "r1"
@@ -133,13 +132,13 @@ def test_files_of_a_result(make_bag, tmp_path):
 
 def test_missing_blocks_reject_the_window(make_bag):
     (point,) = extract_bag(make_bag(drop=(1000,))).points
-    assert point.status is Status.REJECTED
+    assert point.status is PointStatus.REJECTED
     assert point.reason == "Samples 1000 to 1199 of 'force' are missing from the window."
 
 
 def test_lost_lock_rejects_the_window(make_bag):
     (point,) = extract_bag(make_bag(states={999: LoopState.LOCK_LOST})).points
-    assert point.status is Status.REJECTED
+    assert point.status is PointStatus.REJECTED
     assert "lock lost at sample 999 (too noisy)" in point.reason
 
 
@@ -183,7 +182,7 @@ def test_a_cut_off_bag_says_what_is_lost(make_bag):
     path = make_bag(close=False)
     result = extract_bag(path)
     assert result.loss is not None
-    assert all(math.isfinite(point.damping_ratio) for point in result.points if point.status is Status.OK)
+    assert all(math.isfinite(point.damping_ratio) for point in result.points if point.status is PointStatus.OK)
 
 
 def outcome(path):
@@ -229,7 +228,7 @@ def test_damage_rejects_the_window_it_falls_into_and_no_other(make_bag):
         seen.add(hit)
         if hit:
             assert "is damaged" in result.loss
-            assert result.points[0].status is Status.REJECTED
+            assert result.points[0].status is PointStatus.REJECTED
         else:
             assert result.points[0].identical(sound)
     assert seen == {True, False}

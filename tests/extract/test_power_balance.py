@@ -9,11 +9,11 @@ from scipy.integrate import solve_ivp
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
+from nmt_core.vocabulary import PointStatus
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_extract.modal import modal_point
-from nmt_extract.modal_point import Status
-from nmt_extract.power_balance import balance, part_count
-from nmt_extract.window import Channel, Window
+from nmt_extract.modal.point import modal_point
+from nmt_extract.modal.power_balance import balance, part_count
+from nmt_extract.modal.window import Channel, Window
 
 ZETA, MASS = 0.03, 0.5
 LINEAR = linear_description(
@@ -57,7 +57,7 @@ def oscillator(omega, growth, stiffening=0.0, periods=20, settle=3.0):
 def test_frequency_and_damping_of_an_oscillator_off_resonance_on_a_ramp(detuning, growth):
     window = oscillator(detuning * OMEGA, growth)
     point = modal_point(window, LINEAR, SETTINGS)
-    assert point.status is Status.OK, point.reason
+    assert point.status is PointStatus.OK, point.reason
     # The driving frequency itself is off by the detuning and the steady-state damping by the growth.
     assert point.omega_rad_s == pytest.approx(OMEGA, rel=2e-4)
     assert point.damping_ratio == pytest.approx(ZETA, rel=3e-3)
@@ -82,7 +82,7 @@ def test_a_softening_oscillator_keeps_its_damping_on_a_ramp():
     force_scale = 2.0 * ZETA * OMEGA**2 * MASS * 4e-4
     window = oscillator(0.995 * OMEGA, 0.25, stiffening=kappa / (1.0 / force_scale) ** 2)
     point = modal_point(window, LINEAR, SETTINGS)
-    assert point.status is Status.OK
+    assert point.status is PointStatus.OK
     a = point.modal_amplitude / math.sqrt(MASS)
     expected = OMEGA * math.sqrt(1.0 + 0.75 * kappa / (1.0 / force_scale) ** 2 * a**2)
     assert expected < 0.995 * OMEGA
@@ -93,7 +93,7 @@ def test_a_softening_oscillator_keeps_its_damping_on_a_ramp():
 def test_a_short_window_is_refused_with_what_to_do():
     window = oscillator(OMEGA, 0.0, periods=8)
     point = modal_point(window, LINEAR, SETTINGS)
-    assert point.status is Status.REJECTED
+    assert point.status is PointStatus.REJECTED
     assert "lengthen the window" in point.reason
     assert part_count(9) == 4
     assert part_count(50) == 10

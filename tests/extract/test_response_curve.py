@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.modal_point import ModalPoint
-from nmt_extract.response_curve import curve_sentences, is_of_curve, response_curves
+from nmt_extract.curves.response_curve import curve_sentences, is_of_curve, response_curves
 
 OMEGA, ZETA, LEVEL, CUBIC = 120.0, 0.01, 2.0, 0.1
 LARGEST = LEVEL / (2.0 * ZETA * OMEGA**2)

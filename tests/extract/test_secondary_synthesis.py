@@ -12,8 +12,8 @@ from pll.secondary_rig import FORCE, LENGTH, OMEGA, at_force
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.secondary_resonance import resonance_named
-from nmt_extract.secondary_synthesis import SecondarySynthesis, secondary_csv
-from nmt_extract.synthesis import SynthesisedBackbone
+from nmt_extract.synthesis.secondary_resonance import SecondarySynthesis, secondary_csv
+from nmt_extract.synthesis.single_mode import SynthesisedBackbone
 
 ONE = np.array([1.0])
 

@@ -9,10 +9,10 @@ from tiers import with_quick
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.linear_evaluation import LinearTestResult
-from nmt_extract.linear_file import description, frf_table, linear_mapping
-from nmt_extract.linear_identification import linear_test
-from nmt_extract.linear_results import LinearTestSettings
+from nmt_extract.linear.evaluation import LinearTestResult
+from nmt_extract.linear.file import description, frf_table, linear_mapping
+from nmt_extract.linear.identification import linear_test
+from nmt_extract.linear.results import LinearTestSettings
 from nmt_record.windows.segments import Signals
 from nmt_report.linear_report import coherence_remarks, linear_page
 from nmt_signals.frequency_responses import averaged_spectra, frf_estimate

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nmt_core.messages.blocks import Quantity
-from nmt_extract.linear_identification import _scaled
+from nmt_extract.linear.identification import _scaled
 from nmt_signals.rational_fit import StructureMode
 
 SHAPE = np.array([1.3, -0.7, 0.4])  # 1/√kg, the first is the drive point

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_extract.linear_residuals import modal_receptance
-from nmt_extract.stabilisation import MINIMUM_RUN, OrderPoles, order_poles, stable_poles
+from nmt_extract.linear.residuals import modal_receptance
+from nmt_extract.linear.stabilisation import MINIMUM_RUN, OrderPoles, order_poles, stable_poles
 
 MODES = [(40.0, 0.01, [0.3, 0.5]), (125.0, 0.03, [0.2, -0.4]), (126.0 * 2, 0.008, [0.3, 0.1])]
 

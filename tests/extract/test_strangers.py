@@ -15,8 +15,9 @@ import yaml
 
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_core.vocabulary import PointStatus
 from nmt_extract.decays.free_decay import free_decays
-from nmt_extract.modal_point import ModalPoint, Status
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.imports.imported_run import read_import
@@ -81,13 +82,13 @@ def test_header_and_time_column_contradict(given: Callable[[str], Path]) -> None
 )
 def test_far_from_phase_resonance(given: Callable[[str], Path], name: str, words: str) -> None:
     for point in points(given("03") / f"{name}.yaml"):
-        assert point.status is Status.REJECTED
+        assert point.status is PointStatus.REJECTED
         assert re.search(words, point.reason), point.reason
 
 
 def test_at_phase_resonance_nothing_is_said(given: Callable[[str], Path]) -> None:
     for point in points(given("03") / "right.yaml"):
-        assert (point.status, point.reason) == (Status.OK, "")
+        assert (point.status, point.reason) == (PointStatus.OK, "")
         assert point.damping_ratio == pytest.approx(0.005, rel=1e-7)
         assert 1e-12 < point.damping_ratio_std < 1e-9
 
@@ -171,13 +172,13 @@ def test_a_bag_of_another_ros_node(given: Callable[[str], Path]) -> None:
 
 def test_the_force_is_off_within_the_window(given: Callable[[str], Path]) -> None:
     (point,) = points(given("13") / "s.yaml")
-    assert point.status is Status.REJECTED
+    assert point.status is PointStatus.REJECTED
     assert "The force (f1) was off from 8 to 8.12 s" in point.reason
 
 
 def test_drift_is_taken_out(given: Callable[[str], Path]) -> None:
     (point,) = points(given("14") / "s.yaml")
-    assert point.status is Status.OK
+    assert point.status is PointStatus.OK
     assert "x1 drifts" in point.reason
     assert point.damping_ratio == pytest.approx(0.005, rel=1e-6)
     assert point.modal_amplitude == pytest.approx(1e-6, rel=1e-6)

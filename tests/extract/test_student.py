@@ -5,7 +5,7 @@ import math
 import pytest
 from scipy.special import stdtrit
 
-from nmt_extract.student import two_sided_quantile
+from nmt_extract.judgement.student import two_sided_quantile
 
 
 @pytest.mark.parametrize("coverage", [0.5, 0.6827, 0.95, 0.99])

@@ -10,8 +10,8 @@ from scipy.signal import cont2discrete, lfilter, ss2tf
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_extract.response_table import read_response_csv, write_response_csv
-from nmt_extract.swept_response import (
+from nmt_extract.curves.response_table import read_response_csv, write_response_csv
+from nmt_extract.curves.swept_response import (
     OrderKernel,
     response_per_force,
     stepped_point,

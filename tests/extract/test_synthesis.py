@@ -11,10 +11,11 @@ from scipy.optimize import brentq
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.modal_point import ModalPoint, Status
-from nmt_extract.response_curve import response_curves
-from nmt_extract.synthesis import OtherModes, Synthesis, SynthesisedBackbone, peak, resonance_error
-from nmt_extract.synthesised_responses import compare_curve
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_core.vocabulary import PointStatus
+from nmt_extract.curves.response_curve import response_curves
+from nmt_extract.synthesis.single_mode import OtherModes, Synthesis, SynthesisedBackbone, peak, resonance_error
+from nmt_extract.synthesis.synthesised_responses import compare_curve
 from nmt_report.response_analysis import interpolate_curve, model_responses
 from nmt_rig.linear_description import linear_description
 from nmt_rig.reference import compute_reference
@@ -135,13 +136,13 @@ def test_against_the_models_forced_response(joint_resonator, force: float, toler
 
 def point(q: float, **values) -> ModalPoint:
     return ModalPoint(
-        0, Status.OK, "", 1.0, "V", omega_rad_s=OMEGA, damping_ratio=DAMPING, modal_amplitude=q, points=POINTS,
+        0, PointStatus.OK, "", 1.0, "V", omega_rad_s=OMEGA, damping_ratio=DAMPING, modal_amplitude=q, points=POINTS,
         normalised_shape=SHAPE, force_harmonics=np.array([0, 2.0j]), **values,
     )  # fmt: skip
 
 
 def test_backbone_from_levels() -> None:
-    levels = [point(3e-4), point(1e-4), point(1.0001e-4), replace(point(2e-4), status=Status.NOT_LOCKED)]
+    levels = [point(3e-4), point(1e-4), point(1.0001e-4), replace(point(2e-4), status=PointStatus.NOT_LOCKED)]
     found = SynthesisedBackbone.from_points(levels)
     assert found.modal_amplitude == pytest.approx([1.00005e-4, 3e-4])
     lower = np.array([0.2 + 0j, 0.1, 0.3])
@@ -196,7 +197,7 @@ def test_along_a_response_curve_the_synthesis_is_the_forced_response_at_every_la
     omega = np.sqrt(natural**2 + half**2) - half
     points = [
         ModalPoint(
-            k, Status.OK, "", force, "N", frequency_hz=w / (2 * np.pi), omega_rad_s=w, force_n=force,
+            k, PointStatus.OK, "", force, "N", frequency_hz=w / (2 * np.pi), omega_rad_s=w, force_n=force,
             held_phase=a - 1.5,
             modal_amplitude=x, phase_error=a - 0.5 * np.pi, active_power=0.5 * w * drive * x * force * math.sin(a),
         )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from extract.synthetic import FREQUENCY, RATE, Stream, extract, in_phase_case, lock_event
 
-from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
+from nmt_extract.judgement.uncertainty import jackknife, slope_uncertainty, sub_window_count
 
 
 @pytest.mark.parametrize(("periods", "count"), [(200, 10), (80, 10), (20, 10), (19, 9), (6, 3), (5, 0), (3, 0)])

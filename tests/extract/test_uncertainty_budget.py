@@ -16,8 +16,9 @@ from extract.sensor_errors import CHANNELS, Rig, Sensors, measured, true_point
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.modal_point import ModalPoint, Status
-from nmt_extract.uncertainty_budget import (
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_core.vocabulary import PointStatus
+from nmt_extract.judgement.uncertainty_budget import (
     Budget,
     BudgetInputs,
     MethodError,
@@ -49,7 +50,7 @@ def one_point(**changes: float) -> ModalPoint:
         **changes,
     }  # fmt: skip
     shape = np.array([[0.0], [2.0 * q]], dtype=complex)
-    return ModalPoint(0, Status.OK, "", 1.0, "N", points=(1,), shape_harmonics=shape, **values)  # type: ignore[arg-type]
+    return ModalPoint(0, PointStatus.OK, "", 1.0, "N", points=(1,), shape_harmonics=shape, **values)  # type: ignore[arg-type]
 
 
 def part(source: UncertaintySource, quantity: str, inputs: BudgetInputs, point: ModalPoint | None = None) -> float:

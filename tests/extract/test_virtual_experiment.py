@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from nmt_core.messages.records import DriveCommand, LockEvent
-from nmt_core.vocabulary import Waveform
+from nmt_core.vocabulary import PointStatus, Waveform
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
-from nmt_extract.modal_point import Status
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.linear_description import linear_description
 from nmt_rig.reference import single_point_reference
@@ -48,7 +47,7 @@ def pair():
 
 def test_extraction_agrees_with_harmonic_balance(pair):
     point, reference = pair
-    assert point.status is Status.OK
+    assert point.status is PointStatus.OK
     assert point.omega_rad_s == pytest.approx(float(reference.omega_rad_s[0]), rel=1e-9)
     assert abs(point.phase_error) < 2e-4
     for name, tolerance in (

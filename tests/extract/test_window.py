@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from nmt_core.messages.blocks import BlockFlag, OscillatorPhase, Quantity
 from nmt_core.vocabulary import LoopState
-from nmt_extract.window import SpoiledWindow, Window, WindowAssembler
+from nmt_extract.modal.window import SpoiledWindow, Window, WindowAssembler
 from nmt_record.windows.sample_table import SampleTable
 from nmt_record.windows.topic_blocks import TopicBlocks
 

@@ -10,12 +10,12 @@ import pytest
 from extract.synthetic import linear_description, lock_event
 
 from nmt_core.messages.blocks import Quantity
+from nmt_core.vocabulary import PointStatus
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.judgement.signal_faults import drifting, without_drift
 from nmt_extract.judgement.window_judge import silent_stretch
-from nmt_extract.modal import modal_point
-from nmt_extract.modal_point import Status
-from nmt_extract.window import Channel, Window
+from nmt_extract.modal.point import modal_point
+from nmt_extract.modal.window import Channel, Window
 from nmt_signals.channel_faults.converter_faults import resolution
 
 RATE, SECONDS, F0, DAMPING = 2000.0, 2.0, 50.0, 0.005
@@ -125,8 +125,8 @@ def test_there_are_forty_strange_windows():
 @pytest.mark.parametrize(("kind", "size"), STRANGE)
 def test_no_strange_window_is_confidently_wrong(kind, size):
     point = evaluated(*drive(kind, size, 11))
-    assert point.reason or point.status is Status.OK
-    if point.status is Status.OK:
+    assert point.reason or point.status is PointStatus.OK
+    if point.status is PointStatus.OK:
         error = abs(point.damping_ratio - DAMPING)
         assert error < max(3.0 * point.damping_ratio_std, SMALL * DAMPING)
         assert abs(point.omega_rad_s / OMEGA0 - 1.0) < max(3.0 * point.omega_rad_s_std / OMEGA0, 1e-5)
@@ -136,7 +136,7 @@ def test_no_strange_window_is_confidently_wrong(kind, size):
 
 def test_a_good_window_has_no_remark_and_no_impossible_uncertainty():
     point = evaluated(*vibration())
-    assert (point.status, point.reason) == (Status.OK, "")
+    assert (point.status, point.reason) == (PointStatus.OK, "")
     assert point.damping_ratio == pytest.approx(DAMPING, rel=1e-7)
     for name in ("damping_ratio", "modal_amplitude", "force_n", "pbmif", "mac"):
         assert getattr(point, f"{name}_std") > 1e-10 * getattr(point, name)
@@ -145,15 +145,15 @@ def test_a_good_window_has_no_remark_and_no_impossible_uncertainty():
 @pytest.mark.parametrize(
     ("kind", "size", "status", "words"),
     [
-        ("delay", 10, Status.OK, "10.0° apart.*response is late by 0.556 ms"),
-        ("delay", -72, Status.REJECTED, "force is late by 4 ms"),
-        ("velocity", 0, Status.REJECTED, "velocity called a displacement"),
-        ("sign", 0, Status.REJECTED, "scale: -1"),
-        ("ramp", 1.0, Status.OK, "x1 drifts"),
-        ("silent", 0.2, Status.REJECTED, r"off from 0\.999\d* to 1\.20\d* s"),
-        ("drop", 0.01, Status.OK, "departs from its periodic course between 1"),
-        ("clock", 500, Status.OK, "ppm apart"),
-        ("growing", 0.05, Status.OK, "not steady"),
+        ("delay", 10, PointStatus.OK, "10.0° apart.*response is late by 0.556 ms"),
+        ("delay", -72, PointStatus.REJECTED, "force is late by 4 ms"),
+        ("velocity", 0, PointStatus.REJECTED, "velocity called a displacement"),
+        ("sign", 0, PointStatus.REJECTED, "scale: -1"),
+        ("ramp", 1.0, PointStatus.OK, "x1 drifts"),
+        ("silent", 0.2, PointStatus.REJECTED, r"off from 0\.999\d* to 1\.20\d* s"),
+        ("drop", 0.01, PointStatus.OK, "departs from its periodic course between 1"),
+        ("clock", 500, PointStatus.OK, "ppm apart"),
+        ("growing", 0.05, PointStatus.OK, "not steady"),
     ],
 )
 def test_what_is_wrong_is_said(kind, size, status, words):

@@ -25,8 +25,8 @@ from independent.epmc_by_receptance import coulomb_force
 from independent.forced_balance import OneElement, cantilever, chain_of_one, cubic, of_modes, stops
 
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.modal_table import write_results
-from nmt_extract.response_curve import Place, ResponseCurve, response_curves
+from nmt_extract.curves.response_curve import Place, ResponseCurve, response_curves
+from nmt_extract.modal.table import write_results
 from nmt_session import Session, plan_test
 
 _DAMPING = 2.5298221281347035

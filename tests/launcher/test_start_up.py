@@ -13,7 +13,7 @@ from report.synthetic_run import synthetic_run
 
 from nmt_bench import cli
 from nmt_core import bench_version
-from nmt_extract.modal_table import write_results
+from nmt_extract.modal.table import write_results
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
 
@@ -97,7 +97,10 @@ def test_a_list_of_rigs_loads_no_model() -> None:
 
 
 def test_extraction_loads_no_schemas() -> None:
-    code = "import nmt_extract.bag_budget, nmt_extract.offline, nmt_bench.commands.terminal, nmt_record.bag.bag_reader"
+    code = (
+        "import nmt_extract.modal.bag_budget, nmt_extract.offline, nmt_bench.commands.terminal; "
+        "import nmt_record.bag.bag_reader"
+    )
     assert loaded_large(code) == "[]"
 
 

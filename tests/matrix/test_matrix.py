@@ -27,10 +27,10 @@ from nmt_core.kinds import KINDS
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.vocabulary import ControlKind, PointStatus, TestKind
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_extract.linear_evaluation import evaluate_linear_test
-from nmt_extract.modal_table import write_results
+from nmt_extract.linear.evaluation import evaluate_linear_test
+from nmt_extract.modal.table import write_results
 from nmt_extract.offline import extract_bag
-from nmt_extract.synthesis import SynthesisedBackbone
+from nmt_extract.synthesis.single_mode import SynthesisedBackbone
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.export.exported_run import export_run
 from nmt_record.windows.recorded_tests import recorded_tests

@@ -20,9 +20,8 @@ from tiers import with_quick
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_core.errors import BenchError
 from nmt_core.messages.wire import MODAL_POINT
-from nmt_core.vocabulary import LoopState, ResultCode
-from nmt_extract.modal_point import Status
-from nmt_extract.modal_table import write_csv
+from nmt_core.vocabulary import LoopState, PointStatus, ResultCode
+from nmt_extract.modal.table import write_csv
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
 from nmt_report.run_report import report_data_from_bag, write_report
@@ -58,7 +57,7 @@ def test_levels_lock_and_agree_with_the_single_point_reference(finished: RunResu
     assert finished.bag_state == "closed"
     reference = single_point_reference(load_rig("beam"), 2, [0.2, 0.7], harmonics=15)
     for index, point in enumerate(finished.points):
-        assert point.status == Status.OK
+        assert point.status == PointStatus.OK
         assert point.omega_rad_s == pytest.approx(reference.mode.omega_rad_s[index], rel=2e-4)
         assert point.damping_ratio == pytest.approx(reference.mode.damping_ratio[index], rel=5e-3)
 
@@ -123,7 +122,7 @@ def test_a_level_that_does_not_lock_is_marked_and_the_run_goes_on(tmp_path: Path
     with Bench("beam", [0.2, 0.7], window_periods=5, timeout=1.0, node_values=hopeless) as bench:
         result = bench.run()
     assert result.code == ResultCode.SUCCEEDED
-    assert [point.status for point in result.points] == [Status.NOT_LOCKED, Status.NOT_LOCKED]
+    assert [point.status for point in result.points] == [PointStatus.NOT_LOCKED, PointStatus.NOT_LOCKED]
     assert "time-out" in result.points[0].reason
     assert "0 of 2 levels locked" in result.message
 
@@ -262,7 +261,7 @@ def test_in_lockstep_a_stopped_reader_is_waited_for(reader: str, tmp_path: Path)
     assert said, "the plant did not wait"
     assert result.code == ResultCode.SUCCEEDED, result.message
     assert (result.bag_state, result.lacks_s) == ("closed", 0.0)
-    assert [point.status for point in result.points] == [Status.OK]
+    assert [point.status for point in result.points] == [PointStatus.OK]
     assert result.missing == ()
     bag = Bag.open(tmp_path / "out" / "bag")
     assert bag.loss is None
@@ -279,7 +278,7 @@ def test_a_lead_shorter_than_a_bundle_and_than_what_readers_tell_stands_nowhere(
     with Bench("beam", [0.7], window_periods=5, node_values=values) as bench:
         result = bench.run()
     assert result.code == ResultCode.SUCCEEDED, result.message
-    assert [point.status for point in result.points] == [Status.OK]
+    assert [point.status for point in result.points] == [PointStatus.OK]
 
 
 RAISING = """
@@ -351,7 +350,7 @@ def test_points_that_do_not_come_are_missed_by_name(tmp_path: Path) -> None:
     assert not result.complete
     assert result.missing == (1, 2)
     assert "of 2 of 3 locked levels did not come from extraction: levels 2 and 3." in result.message
-    assert [point.status for point in result.points] == [Status.OK] * 3
+    assert [point.status for point in result.points] == [PointStatus.OK] * 3
     run = json.loads((tmp_path / "out" / "run.json").read_text())
     assert run["result"]["code"] == "POINTS_MISSING"
     assert run["result"]["points"] == {"count": 3, "not_live": [2, 3]}
@@ -407,7 +406,7 @@ def test_a_point_that_never_comes_in_real_time_is_not_waited_for_without_end() -
         result = bench.run()
     assert result.code == ResultCode.POINTS_MISSING
     assert result.missing == (0,)
-    assert [point.status for point in result.points] == [Status.OK]
+    assert [point.status for point in result.points] == [PointStatus.OK]
 
 
 @pytest.mark.campaign
@@ -415,7 +414,7 @@ def test_real_time_keeps_the_clock() -> None:
     with Bench("beam", [0.7], window_periods=20, pacing="realtime", latency_blocks=25) as bench:
         result = bench.run()
     assert result.code == ResultCode.SUCCEEDED, result.message
-    assert result.points[0].status == Status.OK
+    assert result.points[0].status == PointStatus.OK
     assert 0.8 < result.real_time_factor < 1.2
     assert any("Real time" in line for line in result.remarks)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from node.converter_bench import environment
 
-from nmt_extract.modal_table import read_csv, read_json
+from nmt_extract.modal.table import read_csv, read_json
 from nmt_rig.rig import load_rig
 
 TEMPLATE = Path(__file__).resolve().parents[2] / "examples" / "converter"

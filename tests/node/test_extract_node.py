@@ -21,10 +21,9 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.records import LevelCommand, LoopStatus
 from nmt_core.messages.wire import LEVEL, LOCK_EVENT, MODAL_POINT, BlockReader, BlockWriter, write_status
 from nmt_core.settings import settings_of
-from nmt_core.vocabulary import LoopState
+from nmt_core.vocabulary import LoopState, PointStatus
 from nmt_extract.extract_node import ExtractNode
 from nmt_extract.extraction_settings import ExtractSettings
-from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag
 from nmt_msgs.msg import Frequency, Level, LockEvent, ModalPoint
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
@@ -186,9 +185,9 @@ def test_live_points_equal_those_from_the_bag_bit_for_bit(stage, messages, tmp_p
     live.spin_until(lambda: len(live.rig.points) >= 3)
     points = [MODAL_POINT.read(raw) for raw in live.rig.points]
     assert [(point.level_index, point.status) for point in points] == [
-        (0, Status.OK),
-        (1, Status.REJECTED),
-        (2, Status.NOT_LOCKED),
+        (0, PointStatus.OK),
+        (1, PointStatus.REJECTED),
+        (2, PointStatus.NOT_LOCKED),
     ]
     assert points[0].damping_ratio == pytest.approx(0.012, rel=0.02)
     assert points[1].reason.endswith("lock lost at sample 6199 (phase error 9.1 deg).")
@@ -214,7 +213,7 @@ def test_topics_may_come_late_against_each_other(stage, messages, order):
         live.spin_until(lambda wanted=wanted, sent=sent: live.received(wanted) >= len(sent))
     live.spin_until(lambda: live.rig.points)
     (point,) = map(MODAL_POINT.read, live.rig.points)
-    assert point.status is Status.OK
+    assert point.status is PointStatus.OK
 
 
 def test_a_malformed_block_rejects_the_window_and_the_node_lives_on(stage, messages):
@@ -229,7 +228,7 @@ def test_a_malformed_block_rejects_the_window_and_the_node_lives_on(stage, messa
         live.executor.spin_once(timeout_sec=0.0)
     live.spin_until(lambda: len(live.rig.points) >= 3)
     point = MODAL_POINT.read(live.rig.points[0])
-    assert point.status is Status.REJECTED
+    assert point.status is PointStatus.REJECTED
     assert "'force'" in point.reason
     assert "missing" in point.reason
 

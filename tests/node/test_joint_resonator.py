@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from nmt_bench.harness import Bench, RunResult
-from nmt_core.vocabulary import ResultCode
-from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
-from nmt_extract.modal_point import Status
-from nmt_extract.modal_table import LOOP_SAMPLES, write_results
+from nmt_core.vocabulary import PointStatus, ResultCode
+from nmt_extract.modal.hysteresis import HysteresisLayout, loop_of_point
+from nmt_extract.modal.table import LOOP_SAMPLES, write_results
 from nmt_extract.offline import extract_bag
 from nmt_report.run_report import report_data_from_bag, report_html
 from nmt_rig.model.local_elements.iwan import IwanSection
@@ -34,7 +33,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
 
 def test_backbone_agrees_with_epmc(finished: RunResult) -> None:
     assert finished.code == ResultCode.SUCCEEDED
-    assert all(point.status == Status.OK for point in finished.points)
+    assert all(point.status == PointStatus.OK for point in finished.points)
     reference = compute_reference(
         load_rig("joint_resonator"), 9, np.array([point.modal_amplitude for point in finished.points])
     )

@@ -11,7 +11,7 @@ pytest.importorskip("rclpy")
 
 from nmt_bench.harness import Bench
 from nmt_core.errors import BenchError
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_extract.offline import extract_bag
 from nmt_study.case import StudyCase
 from nmt_study.case_reference import single_point_at
@@ -30,7 +30,7 @@ def test_a_level_is_held_and_gives_the_same_backbone(control, unit, levels):
         result = bench.run()
     reference = single_point_at(StudyCase("x", "x", 2, tuple(np.geomspace(0.1, 2.0, 60))))["curve"]
     for point, level in zip(result.points, levels, strict=True):
-        assert point.status is Status.OK
+        assert point.status is PointStatus.OK
         assert point.level_unit == unit
         held = point.force_n if control == "force" else abs(point.shape_harmonics[1][point.points.index(2)])
         assert held == pytest.approx(level, rel=5e-3)
@@ -77,7 +77,7 @@ def test_windows_along_ramps_need_no_waiting(tmp_path):
     levels = tuple(0.25 * 1.165**k for k in range(6))  # slip begins in the second window
     with Bench("beam", levels=levels, strategy="ramp", window_periods=30, out=tmp_path / "out") as bench:
         result = bench.run()
-    assert [point.status for point in result.points] == len(levels) * [Status.OK]
+    assert [point.status for point in result.points] == len(levels) * [PointStatus.OK]
     reference = single_point_at(StudyCase("x", "x", 2, tuple(np.geomspace(0.2, 0.6, 80))))["curve"]
     q = np.log(reference["modal_amplitude"])
     for point in result.points:

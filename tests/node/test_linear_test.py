@@ -13,7 +13,7 @@ from nmt_bench import cli
 from nmt_bench.commands.linear_input import check_fits, read_linear
 from nmt_bench.harness import Bench
 from nmt_core.errors import BenchError
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_rig import linear_description as model_description
 from nmt_rig.rig import load_rig
 from nmt_session import node_plan
@@ -65,7 +65,7 @@ def test_run_with_the_measured_description_equals_the_run_with_the_model(
     with Bench(name, linear=linear, **options) as bench:  # type: ignore[arg-type]
         assert bench.plan.run["linear"]["source"] == "test"
         (point,) = bench.run().points
-    assert (expected.status, point.status) == (Status.OK, Status.OK)
+    assert (expected.status, point.status) == (PointStatus.OK, PointStatus.OK)
     assert point.omega_rad_s == pytest.approx(expected.omega_rad_s, rel=5e-4)
     assert point.damping_ratio == pytest.approx(expected.damping_ratio, rel=0.02)
     assert point.modal_amplitude == pytest.approx(expected.modal_amplitude, rel=0.01)

@@ -21,8 +21,7 @@ from tiers import with_quick
 from nmt_bench.harness import Bench, Progress, RunResult
 from nmt_bench.page.page_process import page_process
 from nmt_core.base_node import SAMPLES_QOS
-from nmt_core.vocabulary import LoopState, ResultCode, SteeringAct
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import LoopState, PointStatus, ResultCode, SteeringAct
 from nmt_msgs.msg import Drive, Frequency, Level, LockEvent
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
 from nmt_msgs.srv import Steer
@@ -157,7 +156,7 @@ def test_blocks_of_another_source_do_not_reach_the_loop_unnoticed(tmp_path: Path
     assert result.code == ResultCode.SUCCEEDED
     # Either the window was untouched, or it is marked: it is never wrong in silence.
     point = result.points[0]
-    assert point.status != Status.OK or point.damping_ratio == pytest.approx(0.00853, rel=0.02)
+    assert point.status != PointStatus.OK or point.damping_ratio == pytest.approx(0.00853, rel=0.02)
 
 
 def test_lock_events_of_strangers_do_not_stop_the_nodes(tmp_path: Path) -> None:
@@ -175,7 +174,7 @@ def test_lock_events_of_strangers_do_not_stop_the_nodes(tmp_path: Path) -> None:
         result = bench.run(disturb)
     assert result.code in (ResultCode.SUCCEEDED, ResultCode.STOPPED)
     assert result.bag_state == "closed"
-    assert any(point.status == Status.OK for point in result.points)
+    assert any(point.status == PointStatus.OK for point in result.points)
 
 
 def test_a_second_goal_and_a_senseless_goal_are_rejected() -> None:
@@ -278,7 +277,7 @@ def test_three_hundred_absurd_levels_by_page_service_and_action_move_nothing(tmp
     assert not any(answers)
     assert sum(pages[0].values()) == 100
     assert result.code == ResultCode.SUCCEEDED
-    assert [point.status for point in result.points] == [Status.OK] * 12
+    assert [point.status for point in result.points] == [PointStatus.OK] * 12
     assert result.bag is not None
     voltage = np.concatenate([block.data[0] for block in Bag.open(result.bag).blocks("voltage")])
     assert np.max(np.abs(voltage)) <= 0.3

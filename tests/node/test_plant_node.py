@@ -18,8 +18,7 @@ from nmt_core.base_node import BenchNode
 from nmt_core.errors import BenchError
 from nmt_core.messages.command_judge import CommandSource
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import LoopState, ResultCode
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import LoopState, PointStatus, ResultCode
 from nmt_msgs.msg import Drive
 from nmt_plant.devices.device import DeviceFault
 from nmt_plant.devices.loopback_device import LoopbackDevice
@@ -52,7 +51,7 @@ def test_simulated_time_of_the_other_nodes_stops_neither_heartbeat_nor_guard(ben
         assert bench.nodes[name].get_clock().ros_time_is_active
     result = bench.run()
     assert result.code == ResultCode.SUCCEEDED
-    assert result.points[0].status == Status.OK
+    assert result.points[0].status == PointStatus.OK
 
 
 def test_every_timer_of_the_nodes_runs_on_the_steady_clock(bench: Bench) -> None:

@@ -12,8 +12,8 @@ import pytest
 from nmt_bench.cli import main
 from nmt_bench.harness import Bench
 from nmt_core.vocabulary import ResultCode
-from nmt_extract.modal_table import write_results
-from nmt_extract.response_table import read_response_csv
+from nmt_extract.curves.response_table import read_response_csv
+from nmt_extract.modal.table import write_results
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import segments
 from nmt_report.response_analysis import model_responses

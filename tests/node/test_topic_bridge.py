@@ -25,8 +25,8 @@ from sensor_msgs.msg import Imu
 from nmt_core.base_node import SAMPLES_QOS
 from nmt_core.errors import BenchError
 from nmt_core.messages.wire import LOCK_EVENT
+from nmt_core.vocabulary import PointStatus
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_extract.modal_point import Status
 from nmt_extract.offline import extract_bag
 from nmt_msgs.msg import LockEvent
 from nmt_plant.topic_bridge import TopicBridgeSettings
@@ -132,7 +132,7 @@ def test_a_bridged_topic_is_recorded_and_extracted_as_any(tmp_path: Path) -> Non
         np.array([[1.0]]), points=(2,), frequencies_rad_s=(OMEGA,), damping_ratios=(DAMPING,), drive_point_shape=1.0
     )
     (point,) = extract_bag(tmp_path / "bag", linear, ExtractionSettings()).points
-    assert point.status is Status.OK
+    assert point.status is PointStatus.OK
     assert point.reason == ""
     assert point.damping_ratio == pytest.approx(DAMPING, rel=2e-3)
     assert point.frequency_hz == pytest.approx(FREQUENCY, rel=1e-5)

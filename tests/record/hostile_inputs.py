@@ -32,8 +32,8 @@ from record import foreign_data
 from nmt_bench.commands.linear_input import read_linear
 from nmt_core.errors import BenchError
 from nmt_core.messages.records import LoopStatus
-from nmt_extract.modal_table import read_csv, read_json
-from nmt_extract.response_table import read_response_csv
+from nmt_extract.curves.response_table import read_response_csv
+from nmt_extract.modal.table import read_csv, read_json
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.bag.bag_writer import BagWriter
 from nmt_record.exchange.arrays.uff import TIME_RESPONSE, Axis, UffFunction, write_uff

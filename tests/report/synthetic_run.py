@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_extract.modal_point import MEASURED, ModalPoint, Status
+from nmt_core.messages.modal_point import MEASURED, ModalPoint
+from nmt_core.vocabulary import PointStatus
 from nmt_report.run_data import (
     Excerpt,
     FileEntry,
@@ -80,7 +81,7 @@ def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = Tr
             points.append(
                 ModalPoint(
                     **common,
-                    status=Status.NOT_LOCKED,
+                    status=PointStatus.NOT_LOCKED,
                     reason="phase error stayed at 17° until the time-out of 11 s",
                 )
             )
@@ -94,7 +95,7 @@ def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = Tr
             ModalPoint(
                 **common,
                 **_point(index, q, omega, damping, random),
-                status=Status.OK,
+                status=PointStatus.OK,
                 reason="",
                 window_first_sample=sample,
                 window_samples=window,

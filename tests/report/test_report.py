@@ -16,9 +16,10 @@ from bench.synthetic_bag import FREQUENCY_HZ, SAMPLE_RATE, write_bag
 from report.synthetic_run import damping_of, omega_of, synthetic_run
 
 from nmt_core.errors import BenchError
-from nmt_extract.modal_point import ModalPoint, Status
+from nmt_core.messages.modal_point import ModalPoint
+from nmt_core.vocabulary import PointStatus
+from nmt_extract.judgement.uncertainty_budget import Budget, PointBudget, UncertaintySource
 from nmt_extract.offline import extract_bag
-from nmt_extract.uncertainty_budget import Budget, PointBudget, UncertaintySource
 from nmt_report import run_report
 from nmt_report.backbone_figures import participation_figure
 from nmt_report.history_figures import MOST_PANELS, chosen_excerpts, thinned
@@ -237,8 +238,8 @@ def test_the_verdict_counts_what_became_of_every_level() -> None:
     points = synthetic_run(levels=10, failed=None).points
     assert run_verdict(points, 10) == ("10 of 10 levels locked and extracted", "good")
     assert run_verdict(points[:4], 10) == ("4 of 10 levels locked and extracted; 6 not reached", "partly")
-    lost = [replace(point, status=Status.NOT_LOCKED) for point in points[:2]]
-    spoiled = [replace(point, status=Status.REJECTED) for point in points[2:3]]
+    lost = [replace(point, status=PointStatus.NOT_LOCKED) for point in points[:2]]
+    spoiled = [replace(point, status=PointStatus.REJECTED) for point in points[2:3]]
     assert run_verdict([*lost, *spoiled, *points[3:6]]) == (
         "3 of 6 levels locked and extracted; 2 not locked; 1 rejected",
         "partly",
@@ -362,7 +363,7 @@ def test_read_reference_refuses(tmp_path: Path, text: str) -> None:
 def test_data_from_a_bag(bag: Path) -> None:
     result = extract_bag(bag)
     data = report_data_from_bag(bag, result.points)
-    assert [point.status for point in data.points] == [Status.OK, Status.NOT_LOCKED, Status.OK]
+    assert [point.status for point in data.points] == [PointStatus.OK, PointStatus.NOT_LOCKED, PointStatus.OK]
     assert data.sample_rate == SAMPLE_RATE
     assert data.end_sample == 3 * 4 * SAMPLE_RATE
     assert data.rig["name"] == "beam"

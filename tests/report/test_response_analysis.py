@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from markupsafe import Markup
 
-from nmt_extract.swept_response import FrequencyResponseTable
+from nmt_extract.curves.swept_response import FrequencyResponseTable
 from nmt_report.response_analysis import _until_given_up, held_force
 from nmt_report.response_figures import Overlay, force_figure, response_figure, synthesis_figure
 from nmt_report.response_page import ResponsePage, html_figures, html_table

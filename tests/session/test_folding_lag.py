@@ -10,8 +10,8 @@ from independent.forced_balance import OneElement, cubic, of_modes
 
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import CurveParameter, PointStatus
+from nmt_extract.curves.response_curve import ResponseCurve, response_curves
 from nmt_extract.offline import extract_bag
-from nmt_extract.response_curve import ResponseCurve, response_curves
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test

@@ -11,8 +11,8 @@ from scipy.optimize import minimize_scalar
 
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.force_surface import ForceSurface
-from nmt_extract.response_curve import response_curves
+from nmt_extract.curves.force_surface import ForceSurface
+from nmt_extract.curves.response_curve import response_curves
 from nmt_session import Session, plan_test
 
 DAMPING = 2.5298221281347035

@@ -8,7 +8,7 @@ from pll.internal_resonance import at_amplitude, folds
 from tiers import with_quick
 
 from nmt_core.vocabulary import PointStatus, SteeringAct
-from nmt_extract.backbone_jumps import direction_difference, find_jumps
+from nmt_extract.curves.backbone_jumps import direction_difference, find_jumps
 from nmt_extract.offline import extract_bag
 from nmt_session import Session, plan_test
 

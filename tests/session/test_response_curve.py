@@ -15,9 +15,9 @@ import nmt
 from nmt_core.errors import BenchError
 from nmt_core.kinds import ResponseCurveTest
 from nmt_core.vocabulary import PointStatus, SteeringAct
-from nmt_extract.modal_table import write_results
+from nmt_extract.curves.response_curve import response_curves
+from nmt_extract.modal.table import write_results
 from nmt_extract.offline import extract_bag
-from nmt_extract.response_curve import response_curves
 from nmt_pll.thresholds import CURVE
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig

@@ -11,7 +11,7 @@ from pll.secondary_rig import FORCE, LENGTH, OMEGA, at_force
 
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.modal_table import read_json, write_json
+from nmt_extract.modal.table import read_json, write_json
 from nmt_extract.offline import extract_bag
 from nmt_session import Session, plan_test
 

@@ -11,7 +11,7 @@ from pll.self_excited_rig import PAPER_CORRELATION, PAPER_NOISE
 
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus, ResultCode
-from nmt_extract.limit_cycles import limit_cycles
+from nmt_extract.curves.limit_cycles import limit_cycles
 from nmt_extract.offline import extract_bag
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test

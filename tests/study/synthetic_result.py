@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from nmt_extract.modal_point import MEASURED, Status
+from nmt_core.messages.modal_point import MEASURED
+from nmt_core.vocabulary import PointStatus
 from nmt_rig.linear_description import linear_description
 from nmt_study.case import StudyCase
 from nmt_study.case_reference import case_rig, epmc_at, single_point_at
@@ -19,13 +20,13 @@ def perfect_result(case: StudyCase, lost: tuple[int, ...] = ()) -> dict[str, Any
         for name in MEASURED:
             row[name] = row[f"{name}_std"] = None
         if index in lost or single["failure"] or single["levels"]["omega_rad_s"][index] is None:
-            row.update(status=int(Status.NOT_LOCKED), reason="The level did not lock: made up.")
+            row.update(status=int(PointStatus.NOT_LOCKED), reason="The level did not lock: made up.")
             row.update(participation_real=[], participation_imag=[])
         else:
             row.update({name: single["levels"][name][index] for name in single["levels"] if name in row})
             row.update({f"{name}_std": 1e-4 * abs(row[name]) for name in single["levels"] if name in row})
             row.update(
-                status=int(Status.OK),
+                status=int(PointStatus.OK),
                 reason="",
                 level=volts,
                 mac=1.0,

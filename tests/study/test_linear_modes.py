@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nmt_extract.modal import modal_quantities
+from nmt_extract.modal.quantities import modal_quantities
 from nmt_study.linear_modes import amplitude_and_damping, distorted
 
 RNG = np.random.default_rng(1)

@@ -58,7 +58,7 @@ def level(q: float, omega: float, damping: float) -> dict[str, Any]:
 
 
 def test_errors_are_taken_at_the_amplitude_found_and_within_the_range() -> None:
-    from nmt_extract.modal_point import Status
+    from nmt_core.vocabulary import PointStatus
 
     omega = 2300.0
     q = np.array([0.5 * RANGE[0], 2.0 * RANGE[0], 0.5 * RANGE[1], 2.0 * RANGE[1]]) / omega**2
@@ -67,7 +67,7 @@ def test_errors_are_taken_at_the_amplitude_found_and_within_the_range() -> None:
         "damping_ratio": [0.002, 0.002],
     }  # fmt: skip
     case = next(case for case in cases(True) if case.test == "ring_down")
-    levels = [{**level(value, 1.001 * omega, 0.0021), "status": int(Status.OK)} for value in q]
+    levels = [{**level(value, 1.001 * omega, 0.0021), "status": int(PointStatus.OK)} for value in q]
     result = {
         "case": case.to_mapping(), "levels": levels, "epmc": epmc, "run": {"bench_time_s": 16.0},
         "single_point": {"failure": "x", "curve": {}},

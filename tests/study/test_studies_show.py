@@ -11,7 +11,7 @@ import pytest
 from study.synthetic_result import perfect_result
 
 from nmt_core.errors import BenchError
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_report.svg import figure_style
 from nmt_rig.rig import load_rig
 from nmt_study import (
@@ -177,7 +177,7 @@ def test_bench_time():
 
 def test_the_spread_of_levels_is_from_the_smallest_to_the_largest():
     rows = [
-        {"level": level, "status": Status.OK, "omega_rad_s": omega, "damping_ratio": damping}
+        {"level": level, "status": PointStatus.OK, "omega_rad_s": omega, "damping_ratio": damping}
         for level, omega, damping in ((1.0, 100.0, 0.01), (1.0, 101.0, 0.01), (1.0, 100.5, 0.013), (2.0, 90.0, 0.02))
     ]
     omega, damping = levels._largest_difference([{"levels": rows[:2]}, {"levels": rows[2:]}])

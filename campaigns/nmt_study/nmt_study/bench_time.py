@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.svg import RED, ReportFigure
 from nmt_study.case import StudyCase
@@ -138,7 +138,7 @@ def _loop_figure(results: Sequence[Result]) -> ReportFigure:
     )
     for axes, (name, factor, label, floor) in zip(panels, columns, strict=True):
         for k, (way, result) in enumerate(last.items()):
-            rows = [r for r in result["levels"] if r["status"] == Status.OK and r.get(name) is not None]
+            rows = [r for r in result["levels"] if r["status"] == PointStatus.OK and r.get(name) is not None]
             axes.plot(
                 [r["level"] for r in rows],
                 [max(floor, abs(factor * r[name])) for r in rows],

@@ -11,8 +11,8 @@ from typing import Any
 
 from nmt_core.errors import BenchError
 from nmt_core.files.plain_json import plain_json
-from nmt_core.vocabulary import ResultCode
-from nmt_extract.modal_point import MEASURED, ModalPoint, Status
+from nmt_core.messages.modal_point import MEASURED, ModalPoint
+from nmt_core.vocabulary import PointStatus, ResultCode
 from nmt_study.case import StudyCase
 
 Evaluation = Callable[[StudyCase, Path], dict[str, Any]]
@@ -76,7 +76,7 @@ def run_case(case: StudyCase, keep_bag: Path | None = None, evaluation: Evaluati
         linear = session.plan.run["linear"]
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    amplitudes = [row["modal_amplitude"] for row in levels if row["status"] == int(Status.OK)]
+    amplitudes = [row["modal_amplitude"] for row in levels if row["status"] == int(PointStatus.OK)]
     measured: dict[str, Any] = {
         "run": run,
         "linear": linear,

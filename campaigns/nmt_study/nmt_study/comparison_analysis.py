@@ -13,11 +13,10 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import TestKind
-from nmt_extract.constant_amplitude import SolvedPoints, fit_at_amplitudes, half_power, solve_points
+from nmt_core.vocabulary import PointStatus, TestKind
+from nmt_extract.curves.constant_amplitude import SolvedPoints, fit_at_amplitudes, half_power, solve_points
+from nmt_extract.curves.swept_response import FrequencyResponseTable, stepped_point, stepped_table, sweep_table
 from nmt_extract.decays.structure_decay import Decay, structure_decay
-from nmt_extract.modal_point import Status
-from nmt_extract.swept_response import FrequencyResponseTable, stepped_point, stepped_table, sweep_table
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Segment, Signals, read_signals, segments
 from nmt_rig.linear_description import linear_description
@@ -181,7 +180,7 @@ def _rows(
             {
                 "level_index": k,
                 "level": float(omega[order] ** 2 * q[order]),
-                "status": int(Status.OK),
+                "status": int(PointStatus.OK),
                 "reason": "",
                 "window_periods": 0,
                 "participation_real": [],

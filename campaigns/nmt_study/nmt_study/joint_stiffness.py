@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_report.figure_parts import report_figure
 from nmt_report.svg import MUTED, ReportFigure
 from nmt_rig.model.linear_modes import sticking_modes
@@ -182,8 +182,8 @@ def _history_figure(result: Result) -> ReportFigure:
 def _findings(tests: Sequence[Result], hunts: Sequence[Result]) -> Iterator[Finding]:
     for result in tests:
         row = summary_row(result, level_rows("joint_stiffness", result))
-        highest = max((r["damping_ratio"] for r in result["levels"] if r["status"] == Status.OK), default=math.nan)
-        lowest = min((r["omega_rad_s"] for r in result["levels"] if r["status"] == Status.OK), default=math.nan)
+        highest = max((r["damping_ratio"] for r in result["levels"] if r["status"] == PointStatus.OK), default=math.nan)
+        lowest = min((r["omega_rad_s"] for r in result["levels"] if r["status"] == PointStatus.OK), default=math.nan)
         shift = 1.0 - lowest / linear_frequency(result)
         yield Finding(
             f"{row.case}: modal properties can be extracted.",
@@ -195,10 +195,10 @@ def _findings(tests: Sequence[Result], hunts: Sequence[Result]) -> Iterator[Find
         )
     for result in hunts:
         first, second = (result["linear"]["frequencies_rad_s"] + [math.nan])[:2]
-        good = [r for r in result["levels"] if r["status"] == Status.OK]
+        good = [r for r in result["levels"] if r["status"] == PointStatus.OK]
         elsewhere = [r for r in good if r["omega_rad_s"] > 1.2 * first]
         lost = len(result["levels"]) - len(good)
-        reason = next((r["reason"].rstrip(".") for r in result["levels"] if r["status"] != Status.OK), "none")
+        reason = next((r["reason"].rstrip(".") for r in result["levels"] if r["status"] != PointStatus.OK), "none")
         if result["case"]["loop"] == "paper":
             yield Finding(
                 f"{title_of(result)}: the loop locks on the second mode although started at the first.",

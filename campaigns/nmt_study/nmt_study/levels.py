@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_sequencer.level_plan import directed
 from nmt_study.case import StudyCase
 from nmt_study.study import Finding, Result, StudyOutput
@@ -52,7 +52,7 @@ def _largest_difference(results: Sequence[Result]) -> tuple[float, float]:
     passages: dict[float, list[tuple[float, float]]] = {}
     for result in results:
         for row in result["levels"]:
-            if row["status"] == Status.OK:
+            if row["status"] == PointStatus.OK:
                 passages.setdefault(row["level"], []).append((row["omega_rad_s"], row["damping_ratio"]))
     spreads = [np.ptp(np.array(values), axis=0) / np.mean(values, axis=0) for values in passages.values()]
     worst = np.max(spreads, axis=0)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_report.figure_parts import report_figure
 from nmt_report.svg import INK, ReportFigure
 from nmt_study.case import StudyCase
@@ -57,13 +57,13 @@ def evaluate(case: StudyCase, bag: Path) -> dict[str, Any]:
     from nmt_extract.offline import extract_bag
 
     base = extract_bag(bag)
-    points = [point for point in base.points if point.status is Status.OK]
+    points = [point for point in base.points if point.status is PointStatus.OK]
     linear = base.linear
     phi = linear.shape_matrix
     scaled = {}
     for scale in SCALES:
         changed = replace(linear, shapes=tuple(tuple(row) for row in (scale * phi).tolist()))
-        again = [p for p in extract_bag(bag, linear=changed).points if p.status is Status.OK]
+        again = [p for p in extract_bag(bag, linear=changed).points if p.status is PointStatus.OK]
         scaled[f"{scale:g}"] = {
             "modal_amplitude": [p.modal_amplitude for p in again],
             "damping_ratio": [p.damping_ratio for p in again],
@@ -81,7 +81,7 @@ def evaluate(case: StudyCase, bag: Path) -> dict[str, Any]:
             dampings.append(damping.tolist())
             if draw == 0:
                 changed = replace(linear, shapes=tuple(tuple(row) for row in shapes.tolist()))
-                again = [p for p in extract_bag(bag, linear=changed).points if p.status is Status.OK]
+                again = [p for p in extract_bag(bag, linear=changed).points if p.status is PointStatus.OK]
                 difference = np.abs(damping / np.array([p.damping_ratio for p in again]) - 1.0)
                 witness = max(witness, float(difference.max()))
         random[f"{level:g}"] = {"modal_amplitude": amplitudes, "damping_ratio": dampings}
@@ -131,7 +131,7 @@ def _with_values(base: Result, name: str, title: str, values: Mapping[str, Any])
     """The base result with other values in the levels that gave a point."""
     levels, k = [], 0
     for row in base["levels"]:
-        if row["status"] == Status.OK:
+        if row["status"] == PointStatus.OK:
             levels.append({**row, **{key: column[k] for key, column in values.items()}})
             k += 1
         else:

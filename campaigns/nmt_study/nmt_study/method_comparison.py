@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import plain, significant
 from nmt_report.svg import INK, ReportFigure
@@ -260,7 +260,7 @@ def _outcome(result: Result, curve: Mapping[str, Any] | None) -> MethodOutcome:
     labels = result["case"]["labels"]
     rows = []
     for level in result["levels"]:
-        if level["status"] != Status.OK or result["epmc"]["failure"]:
+        if level["status"] != PointStatus.OK or result["epmc"]["failure"]:
             continue
         q, omega, damping = level["modal_amplitude"], level["omega_rad_s"], level["damping_ratio"]
         reference = at_amplitude(result["epmc"], q)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_study.case import StudyCase
 from nmt_study.case_reference import case_rig
 from nmt_study.signal_noise import window_signal_to_noise
@@ -74,7 +74,7 @@ def evaluate(case: StudyCase, bag: Path) -> dict[str, Any]:
 
 def show(results: Sequence[Result]) -> StudyOutput:
     """Figures and findings."""
-    shown = [r for r in results if any(row["status"] == Status.OK for row in r["levels"])]
+    shown = [r for r in results if any(row["status"] == PointStatus.OK for row in r["levels"])]
     figures = backbone_figures("noise", shown, "noise levels")
     figures.append(error_figures("noise", shown, lambda r: level_rows("noise", r), "noise levels"))
     return StudyOutput(figures, list(_findings(results)), [_NOTE])
@@ -131,7 +131,7 @@ def _findings(results: Sequence[Result]) -> Iterator[Finding]:
 
 def _failure_finding(result: Result) -> Finding:
     rows = result["levels"]
-    lost = [row for row in rows if row["status"] != Status.OK]
+    lost = [row for row in rows if row["status"] != PointStatus.OK]
     which = f" (levels {', '.join(str(row['level_index'] + 1) for row in lost)})" if lost else ""
     return Finding(
         "Two decades more: the paper's PLL does not lock.",

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_report.backbone_figures import decade_ticks
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import significant
@@ -35,14 +35,14 @@ def title_of(result: Result) -> str:
 
 def measured(result: Result, name: str) -> FloatArray:
     """One value for each level that gave a modal point."""
-    rows = [row for row in result["levels"] if row["status"] == Status.OK]
+    rows = [row for row in result["levels"] if row["status"] == PointStatus.OK]
     values = [row.get(name) for row in rows]
     return np.array([math.nan if value is None else value for value in values], dtype=np.float64)
 
 
 def participation(result: Result, mode: int) -> Any:
     """Γ of a linear mode (from 0) for each level that gave a modal point; complex."""
-    rows = [row for row in result["levels"] if row["status"] == Status.OK]
+    rows = [row for row in result["levels"] if row["status"] == PointStatus.OK]
     return np.array([complex(r["participation_real"][mode], r["participation_imag"][mode]) for r in rows])
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.files.whole_file import csv_text
-from nmt_extract.modal_point import Status
+from nmt_core.vocabulary import PointStatus
 from nmt_report.columns import status_text
 
 _MEASURED = (
@@ -111,7 +111,7 @@ def level_rows(study: str, result: Mapping[str, Any]) -> list[dict[str, Any]]:
             row[name], row[f"{name}_std"] = level.get(name), level.get(f"{name}_std")
         for name in _TIMES:
             row[name] = level.get(name)
-        if level["status"] == Status.OK:
+        if level["status"] == PointStatus.OK:
             _compare(row, level, result)
         rows.append(row)
     return rows
@@ -172,9 +172,9 @@ def at_amplitude(epmc: Mapping[str, Any], q: float) -> tuple[float, float] | Non
 
 def summary_row(result: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> SummaryRow:
     """Largest errors of a case from its table rows."""
-    good = [row for row in rows if row["status"] == status_text(Status.OK)]
+    good = [row for row in rows if row["status"] == status_text(PointStatus.OK)]
     notes = []
-    failed = [row for row in rows if row["status"] != status_text(Status.OK)]
+    failed = [row for row in rows if row["status"] != status_text(PointStatus.OK)]
     if failed:
         reason = failed[0]["reason"].removeprefix("The level did not lock: ").rstrip(".")
         notes.append(f"{len(failed)} {failed[0]['status']}: {reason}")

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from nmt_bench.data_import import import_data
     from nmt_core.errors import BenchError
     from nmt_diagnose.diagnose import diagnose_bags as diagnose
-    from nmt_extract.linear_evaluation import evaluate_linear_test as linear
+    from nmt_extract.linear.evaluation import evaluate_linear_test as linear
     from nmt_extract.offline import extract_bag as extract
-    from nmt_extract.synthesised_responses import synthesise
+    from nmt_extract.synthesis.synthesised_responses import synthesise
     from nmt_record.bag.bag_reader import Bag
     from nmt_report.figure_files import write_figures
     from nmt_rig.reference import compute_reference as reference

@@ -20,16 +20,17 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import writing
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import COMPLEX, MEASURED, QUANTITIES, ModalPoint
 from nmt_core.numerics.arrays import FloatArray
-from nmt_extract.modal_point import COMPLEX, MEASURED, QUANTITIES, ModalPoint, Status
+from nmt_core.vocabulary import PointStatus
 from nmt_report.html_page import Column, Row, Table, part
 from nmt_report.quantity_format import significant, uncertain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nmt_extract.response_curve import ResponseCurve
-    from nmt_extract.swept_response import FrequencyResponseTable
+    from nmt_extract.curves.response_curve import ResponseCurve
+    from nmt_extract.curves.swept_response import FrequencyResponseTable
     from nmt_record.exchange.reduced.frf_table import FrequencyResponseRecord
 
 
@@ -209,9 +210,9 @@ class RunResults(Results):
         Raises:
             BenchError: damaged.
         """
-        from nmt_extract import modal_table
+        from nmt_extract.modal.table import read_json
 
-        points, inputs = modal_table.read_json(folder / "modal.json")
+        points, inputs = read_json(folder / "modal.json")
         return cls(folder, tuple(points), inputs)
 
     @property
@@ -221,7 +222,7 @@ class RunResults(Results):
     @property
     def good_points(self) -> tuple[ModalPoint, ...]:
         """The points with values."""
-        return tuple(point for point in self.points if point.status == Status.OK)
+        return tuple(point for point in self.points if point.status == PointStatus.OK)
 
     @property
     def linear(self) -> LinearDescription | None:
@@ -232,7 +233,7 @@ class RunResults(Results):
     @property
     def response_curves(self) -> tuple[ResponseCurve, ...]:
         """Response curves in the order in which they were measured; none of another kind of test."""
-        from nmt_extract.response_curve import is_of_curve, response_curves
+        from nmt_extract.curves.response_curve import is_of_curve, response_curves
 
         return response_curves(self.points) if is_of_curve(self.points) else ()
 
@@ -436,7 +437,7 @@ class FrequencyResponses(Results):
         Raises:
             BenchError: damaged, or the table of something else.
         """
-        from nmt_extract.response_table import read_response_csv
+        from nmt_extract.curves.response_table import read_response_csv
 
         return cls(folder, tuple(read_response_csv(folder / "frf.csv")))
 

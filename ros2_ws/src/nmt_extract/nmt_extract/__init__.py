@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING, Any
 from nmt_core.public_names import loaded
 
 if TYPE_CHECKING:
+    from nmt_core.messages.modal_point import ModalPoint
     from nmt_core.messages.records import LockEvent
+    from nmt_core.vocabulary import PointStatus as Status
     from nmt_extract.extraction_settings import ExtractionSettings
     from nmt_extract.extractor import Extractor
-    from nmt_extract.linear_evaluation import LinearTestResult, evaluate_linear_test
-    from nmt_extract.linear_file import frf_table
-    from nmt_extract.modal import estimated_mass
-    from nmt_extract.modal_point import ModalPoint, Status
-    from nmt_extract.modal_table import write_results
+    from nmt_extract.linear.evaluation import LinearTestResult, evaluate_linear_test
+    from nmt_extract.linear.file import frf_table
+    from nmt_extract.modal.quantities import estimated_mass
+    from nmt_extract.modal.table import write_results
+    from nmt_extract.modal.window import SpoiledWindow, Window, WindowAssembler
     from nmt_extract.offline import ExtractionResult, extract_bag
-    from nmt_extract.synthesised_responses import SynthesisResult, synthesise
-    from nmt_extract.window import SpoiledWindow, Window, WindowAssembler
+    from nmt_extract.synthesis.synthesised_responses import SynthesisResult, synthesise
     from nmt_signals.harmonics import harmonic_amplitudes
 
 __all__ = [

@@ -11,7 +11,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.nodes.node_settings import NodeSettings
 from nmt_core.settings import group, setting
-from nmt_extract.hysteresis import HysteresisLayout
+from nmt_extract.modal.hysteresis import HysteresisLayout
 
 _TOPICS = tuple(quantity.topic for quantity in Quantity if quantity is not Quantity.UNKNOWN)
 

@@ -6,14 +6,15 @@ from collections.abc import Callable
 from typing import Any
 
 from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.records import LockEvent
-from nmt_core.vocabulary import LoopState
+from nmt_core.vocabulary import LoopState, PointStatus
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.judgement.channel_history import ChannelHistory
-from nmt_extract.modal import modal_point
-from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns, rejected_point
-from nmt_extract.window import SpoiledWindow, WindowAssembler
+from nmt_extract.modal.point import modal_point, rejected_point
+from nmt_extract.modal.window import SpoiledWindow, WindowAssembler
 
 
 class Extractor:
@@ -50,7 +51,7 @@ class Extractor:
         self._state = 0
         self._acquiring_since = -1
         self._not_locked: list[ModalPoint] = []
-        self._counts = dict.fromkeys(Status, 0)
+        self._counts = dict.fromkeys(PointStatus, 0)
 
     def add_block(self, topic: str, block: SampleBlock) -> None:
         """Take one block of a topic."""
@@ -133,9 +134,9 @@ class Extractor:
     def counters(self) -> dict[str, int]:
         """Points by status, gaps and blocks by topic."""
         counters = {
-            "points": self._counts[Status.OK],
-            "rejected": self._counts[Status.REJECTED],
-            "not_locked": self._counts[Status.NOT_LOCKED],
+            "points": self._counts[PointStatus.OK],
+            "rejected": self._counts[PointStatus.REJECTED],
+            "not_locked": self._counts[PointStatus.NOT_LOCKED],
         }
         counters.update({f"gaps_{topic}": count for topic, count in self._assembler.table.gaps.items()})
         counters.update({f"blocks_{topic}": count for topic, count in self._assembler.table.blocks.items()})
@@ -146,7 +147,7 @@ class Extractor:
         why = f": {reason.rstrip('.')}" if reason else ""
         return ModalPoint(
             level_index=level_index,
-            status=Status.NOT_LOCKED,
+            status=PointStatus.NOT_LOCKED,
             reason=f"The level did not lock{why}.",
             level=level,
             level_unit=unit or response_unit,

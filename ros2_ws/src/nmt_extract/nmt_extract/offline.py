@@ -9,12 +9,12 @@ from typing import Any
 from nmt_core.errors import BenchError
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import MOTIONS
-from nmt_extract.coverage import covers
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.extractor import Extractor
 from nmt_extract.message_feed import STATE_TOPICS, MessageFeed
-from nmt_extract.modal_point import ModalPoint
+from nmt_extract.modal.coverage import covers
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from nmt_core.numerics.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from nmt_extract.modal_point import ModalPoint
+    from nmt_core.messages.modal_point import ModalPoint
     from nmt_report.run_data import ReferenceCurve, RunReportData
 
 

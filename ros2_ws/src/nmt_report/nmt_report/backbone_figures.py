@@ -11,8 +11,8 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
 
-from nmt_extract.limit_cycles import limit_cycles
-from nmt_extract.modal_point import QUANTITIES
+from nmt_core.messages.modal_point import QUANTITIES
+from nmt_extract.curves.limit_cycles import limit_cycles
 from nmt_report.abscissa import Abscissa, abscissa_of
 from nmt_report.columns import unit_text
 from nmt_report.error_bars import joined_error_bars
@@ -25,7 +25,7 @@ from nmt_report.svg import BLUE, DOTS, GREEN, INK, MUTED, ORANGE, RED, ReportFig
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nmt_extract.modal_point import ModalPoint
+    from nmt_core.messages.modal_point import ModalPoint
 
 
 def frequency_figure(data: RunReportData) -> ReportFigure:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from nmt_core.messages.modal_point import QUANTITIES, ModalPoint
 from nmt_core.messages.modal_quantity import TableColumn
-from nmt_extract.modal_point import QUANTITIES, ModalPoint, Status
+from nmt_core.vocabulary import PointStatus
 from nmt_report.quantity_format import engineering_exponent, power_of_ten, uncertain
 
 
@@ -80,8 +81,8 @@ def shown_columns(points: Iterable[ModalPoint]) -> tuple[ModalColumn, ...]:
 
 def status_text(status: int) -> str:
     """What became of a level, in words."""
-    return {Status.OK: "locked", Status.REJECTED: "rejected", Status.NOT_LOCKED: "not locked"}.get(
-        Status(status), "no result"
+    return {PointStatus.OK: "locked", PointStatus.REJECTED: "rejected", PointStatus.NOT_LOCKED: "not locked"}.get(
+        PointStatus(status), "no result"
     )
 
 

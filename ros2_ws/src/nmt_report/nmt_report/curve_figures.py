@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nmt_extract.force_surface import surface_sentences
-from nmt_extract.response_curve import ResponseCurve, curve_sentences, is_of_curve, response_curves
+from nmt_extract.curves.force_surface import surface_sentences
+from nmt_extract.curves.response_curve import ResponseCurve, curve_sentences, is_of_curve, response_curves
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import significant
 from nmt_report.response_page import ResponsePage, html_figures

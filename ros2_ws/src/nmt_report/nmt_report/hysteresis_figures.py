@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
+from nmt_extract.modal.hysteresis import HysteresisLayout, loop_of_point
 from nmt_report.shape_figures import level_bar
 from nmt_report.shown_levels import MOST_CURVES, shown_note, spread_evenly
 from nmt_report.svg import INK, ReportFigure, level_colours, svg_text

@@ -12,11 +12,11 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_extract.linear_evaluation import LinearTestResult
-from nmt_extract.linear_file import synthesis_correlation
-from nmt_extract.linear_residuals import modal_receptance
-from nmt_extract.linear_results import LinearMode, LinearTest
-from nmt_extract.modal import estimated_mass
+from nmt_extract.linear.evaluation import LinearTestResult
+from nmt_extract.linear.file import synthesis_correlation
+from nmt_extract.linear.residuals import modal_receptance
+from nmt_extract.linear.results import LinearMode, LinearTest
+from nmt_extract.modal.quantities import estimated_mass
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.html_page import Table
 from nmt_report.quantity_format import duration, plain, significant, uncertain

@@ -12,7 +12,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import TestKind
-from nmt_extract.swept_response import FrequencyResponseTable, stepped_point, stepped_table, sweep_table
+from nmt_extract.curves.swept_response import FrequencyResponseTable, stepped_point, stepped_table, sweep_table
 from nmt_record.windows.segments import Segment, read_signals, segments
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_extract.swept_response import FrequencyResponseTable
+from nmt_extract.curves.swept_response import FrequencyResponseTable
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import significant
 from nmt_report.svg import INK, MUTED, ReportFigure, level_colours

@@ -13,13 +13,14 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_text
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import FloatArray
-from nmt_extract.modal_point import ModalPoint, Status
+from nmt_core.vocabulary import PointStatus
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from nmt_extract.uncertainty_budget import BudgetInputs, PointBudget
+    from nmt_extract.judgement.uncertainty_budget import BudgetInputs, PointBudget
 
 
 @dataclass(frozen=True)
@@ -200,12 +201,12 @@ class RunReportData:
     @property
     def good_points(self) -> list[ModalPoint]:
         """The points with measured values."""
-        return [point for point in self.points if point.status == Status.OK]
+        return [point for point in self.points if point.status == PointStatus.OK]
 
     @property
     def failed_points(self) -> list[ModalPoint]:
         """The points of levels that gave no measured values."""
-        return [point for point in self.points if point.status != Status.OK]
+        return [point for point in self.points if point.status != PointStatus.OK]
 
 
 def read_reference(path: Path, label: str = "EPMC reference") -> ReferenceCurve:

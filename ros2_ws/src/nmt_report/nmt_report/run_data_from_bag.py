@@ -30,7 +30,7 @@ from nmt_report.run_data import (
 from nmt_report.shown_levels import MOST_PANELS, spread_evenly
 
 if TYPE_CHECKING:
-    from nmt_extract.modal_point import ModalPoint
+    from nmt_core.messages.modal_point import ModalPoint
     from nmt_record.bag.bag_reader import Bag
     from nmt_record.windows.segments import Signals
 

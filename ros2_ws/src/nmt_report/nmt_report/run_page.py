@@ -9,14 +9,14 @@ from typing import Any
 
 from markupsafe import Markup
 
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.text.number_words import level_list
-from nmt_core.vocabulary import ControlKind
-from nmt_extract.backbone_jumps import direction_difference, find_jumps
-from nmt_extract.harmonics_indicators import any_control, indicators
-from nmt_extract.limit_cycles import feeds_its_motion, limit_cycles
-from nmt_extract.modal_point import ModalPoint, Status
-from nmt_extract.mode_identity import mode_verdict
-from nmt_extract.uncertainty_budget import UncertaintySource, channel_tolerances_used, left_out
+from nmt_core.vocabulary import ControlKind, PointStatus
+from nmt_extract.curves.backbone_jumps import direction_difference, find_jumps
+from nmt_extract.curves.limit_cycles import feeds_its_motion, limit_cycles
+from nmt_extract.judgement.uncertainty_budget import UncertaintySource, channel_tolerances_used, left_out
+from nmt_extract.modal.harmonics_indicators import any_control, indicators
+from nmt_extract.modal.mode_identity import mode_verdict
 from nmt_plant.real_time import read_histogram
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.exciter_table import exciter_fact, exciter_table
@@ -252,7 +252,7 @@ def _modal_table(data: RunReportData) -> Table | None:
     rows = []
     for point in data.points:
         cells: list[str] = [significant(point.level)]
-        if point.status != Status.OK:
+        if point.status != PointStatus.OK:
             reason = status_text(point.status) + (f": {point.reason}" if point.reason else "")
             rows.append(Row(cells, failed=True, reason=reason))
             continue
@@ -349,7 +349,7 @@ def _level_table(data: RunReportData) -> Table | None:
             plain((after[id(step)] - step.sample) / rate, 2),
             status_text(point.status) if point else "no result",
         ]
-        rows.append(Row(cells, failed=point is None or point.status != Status.OK))
+        rows.append(Row(cells, failed=point is None or point.status != PointStatus.OK))
     return Table(_LEVEL_COLUMNS, rows, heading="Bench time of each level")
 
 
@@ -373,7 +373,7 @@ def _harmonics_table(data: RunReportData) -> Table | None:
         return None
     rows = []
     for point, told in zip(data.points, indicators(data.points), strict=True):
-        if point.status != Status.OK:
+        if point.status != PointStatus.OK:
             continue
         controlled = {0: "none", 1: "auto"}.get(told.harmonics_control, f"2 to {told.harmonics_control}")
         rows.append(

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from nmt_core.files.whole_file import write_whole
-from nmt_extract.response_curve import is_of_curve
+from nmt_extract.curves.response_curve import is_of_curve
 from nmt_report.run_data import FileEntry, ReferenceCurve, RunReportData, read_reference
 from nmt_report.run_data_from_bag import report_data_from_bag
 from nmt_report.shared_work import font_is_open, results_of

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.mode_identity import other_mode
+from nmt_extract.modal.mode_identity import other_mode
 
 if TYPE_CHECKING:
     from nmt_core.messages.linear_description import LinearDescription

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from nmt_core.messages.secondary_resonance import SecondaryResonance
-from nmt_extract.secondary_synthesis import SecondarySynthesis
+from nmt_extract.synthesis.secondary_resonance import SecondarySynthesis
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import significant
 from nmt_report.response_page import ResponsePage, html_figures, html_table

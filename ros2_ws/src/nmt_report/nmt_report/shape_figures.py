@@ -18,7 +18,7 @@ from nmt_report.svg import MUTED, ReportFigure, level_colours, svg_text
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nmt_extract.modal_point import ModalPoint
+    from nmt_core.messages.modal_point import ModalPoint
 
 
 def shape_figure(data: RunReportData) -> ReportFigure | None:

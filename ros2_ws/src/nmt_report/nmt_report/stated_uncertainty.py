@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nmt_extract.modal_point import ModalPoint
-    from nmt_extract.uncertainty_budget import PointBudget
+    from nmt_core.messages.modal_point import ModalPoint
+    from nmt_extract.judgement.uncertainty_budget import PointBudget
 
 BUDGET, REPEATABILITY = "standard uncertainty by the budget", "repeatability"
 

@@ -31,7 +31,7 @@ from nmt_core.nodes.parameters import ParameterValue
 from nmt_core.settings import parameters_of, values_of, with_values
 from nmt_core.vocabulary import AUTOMATIC, MOTIONS, ControlKind, HarmonicsTarget
 from nmt_extract.extraction_settings import ExtractionSettings, ExtractSettings
-from nmt_extract.hysteresis import HysteresisLayout
+from nmt_extract.modal.hysteresis import HysteresisLayout
 from nmt_plant.devices.guarded_device import LEAST_LEAD
 from nmt_plant.devices.hardware_rig import HARDWARE_LEAD
 from nmt_plant.plant_settings import PlantSettings

@@ -78,8 +78,8 @@ def _export_modes(source: Path, folder: Path) -> bool:
     """
     from nmt_core.files.hardened import read_text
     from nmt_core.messages.linear_description import LinearDescription
-    from nmt_extract.modal_table import read_json
-    from nmt_extract.mode_uff import level_modes, linear_modes, write_mode_uff
+    from nmt_extract.modal.mode_uff import level_modes, linear_modes, write_mode_uff
+    from nmt_extract.modal.table import read_json
 
     if (source / "modal.json").is_file():
         modes = level_modes(read_json(source / "modal.json")[0])

@@ -17,9 +17,9 @@ from nmt_core.text.number_words import level_list
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from nmt_core.messages.modal_point import ModalPoint
     from nmt_extract.extraction_settings import ExtractionSettings
-    from nmt_extract.modal_point import ModalPoint
-    from nmt_extract.uncertainty_budget import MethodError
+    from nmt_extract.judgement.uncertainty_budget import MethodError
     from nmt_record.bag.bag_reader import Bag
     from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 
@@ -75,7 +75,7 @@ def run(options: ExtractOptions) -> int:
     from nmt_bench.commands.linear_input import read_linear
     from nmt_bench.commands.terminal import print_modal_table, print_verdict
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_extract.modal_table import write_results
+    from nmt_extract.modal.table import write_results
     from nmt_extract.offline import extract_opened_bag
     from nmt_record.bag.bag_reader import Bag
     from nmt_report.run_data import read_reference
@@ -93,8 +93,8 @@ def run(options: ExtractOptions) -> int:
         result = extract_opened_bag(bag, linear, settings)
     if not result.points:
         raise BenchError(f"The bag {options.bag} gave no modal point; its run may have ended before the first lock.")
-    from nmt_extract.bag_budget import bag_budget
-    from nmt_extract.uncertainty_budget import write_budget
+    from nmt_extract.judgement.uncertainty_budget import write_budget
+    from nmt_extract.modal.bag_budget import bag_budget
 
     expected = None if reference is None else reference.at
     budgets, known = bag_budget(bag, result.points, result.linear, result.settings, sheet, method, expected)
@@ -176,8 +176,8 @@ def _calibration(path: Path) -> CalibrationSheet:
 
 
 def _method_error(folder: Path) -> MethodError | None:
-    from nmt_extract.modal_table import read_json
-    from nmt_extract.uncertainty_budget import MethodError
+    from nmt_extract.judgement.uncertainty_budget import MethodError
+    from nmt_extract.modal.table import read_json
     from nmt_report.run_data import read_reference
 
     points, _ = read_json(folder / "modal.json")

@@ -28,7 +28,7 @@ from nmt_core.files.whole_file import write_whole
 from nmt_core.options import option, optional_argument
 
 if TYPE_CHECKING:
-    from nmt_extract.linear_evaluation import LinearTestResult
+    from nmt_extract.linear.evaluation import LinearTestResult
     from nmt_record.bag.bag_reader import Bag
     from nmt_rig.rig import Rig
 
@@ -192,7 +192,7 @@ def _band(text: str) -> tuple[float, float]:
 def _evaluate(bag: Bag, options: LinearOptions, band: tuple[float, float]) -> tuple[LinearTestResult, Rig | None]:
     """The recording's modes, and the rig it names; None where it names none."""
     from nmt_core.messages.blocks import Quantity
-    from nmt_extract.linear_evaluation import evaluate_linear_test
+    from nmt_extract.linear.evaluation import evaluate_linear_test
 
     rig = _rig_of(bag)
     points: tuple[int, ...] | None = None if options.exciter is None else (options.exciter,)
@@ -237,7 +237,7 @@ def _rig_of(bag: Bag) -> Rig | None:
 
 
 def _write(result: LinearTestResult, rig: Rig | None, folder: Path, options: LinearOptions) -> None:
-    from nmt_extract.linear_file import frf_table
+    from nmt_extract.linear.file import frf_table
     from nmt_report.linear_report import exact_modes, linear_page
 
     write_whole(folder / "linear.json", json.dumps(result.to_mapping(), indent=1) + "\n")

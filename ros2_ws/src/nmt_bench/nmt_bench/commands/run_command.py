@@ -330,9 +330,9 @@ def _load_evaluation(bench: Bench) -> None:
 
 
 _OF_THE_EVALUATION = (
-    "nmt_extract.bag_budget",
-    "nmt_extract.force_surface",
-    "nmt_extract.modal_table",
+    "nmt_extract.modal.bag_budget",
+    "nmt_extract.curves.force_surface",
+    "nmt_extract.modal.table",
     "nmt_report.run_report",
     "nmt_report.run_page",
     "nmt_report.backbone_figures",
@@ -492,7 +492,7 @@ def _reference(choice: str | None, bench: Bench, result: RunResult, console: Any
 
 
 def _write_tables(result: RunResult, bench: Bench, folder: Path) -> None:
-    from nmt_extract.modal_table import write_results
+    from nmt_extract.modal.table import write_results
 
     inputs = {
         "run_id": bench.test.run_id,
@@ -516,10 +516,10 @@ def _write_budget(
     """Write the uncertainty budget; the budgets and what they were made from, or nothing where there are no points."""
     from nmt_core.messages.linear_description import LinearDescription
     from nmt_core.vocabulary import PointStatus
-    from nmt_extract.bag_budget import bag_budget
+    from nmt_extract.curves.response_curve import is_of_curve
     from nmt_extract.extraction_settings import ExtractionSettings
-    from nmt_extract.response_curve import is_of_curve
-    from nmt_extract.uncertainty_budget import write_budget
+    from nmt_extract.judgement.uncertainty_budget import write_budget
+    from nmt_extract.modal.bag_budget import bag_budget
     from nmt_record.bag.bag_reader import Bag
 
     good = [point for point in result.points if point.status is PointStatus.OK and not point.force_order]
@@ -584,9 +584,9 @@ def _print_table(result: RunResult, bench: Bench, found: Evaluation, console: An
     from nmt_bench.commands.terminal import print_modal_table, print_verdict
     from nmt_core.messages.linear_description import LinearDescription
     from nmt_core.vocabulary import ResultCode
-    from nmt_extract.backbone_jumps import backbone_sentences
-    from nmt_extract.force_surface import surface_sentences
-    from nmt_extract.response_curve import curve_sentences, is_of_curve, response_curves
+    from nmt_extract.curves.backbone_jumps import backbone_sentences
+    from nmt_extract.curves.force_surface import surface_sentences
+    from nmt_extract.curves.response_curve import curve_sentences, is_of_curve, response_curves
 
     if result.points:
         print_modal_table(result.points, found.reference, console, found.budgets[0] if found.budgets else ())

@@ -29,8 +29,8 @@ from nmt_core.options import argument, needed_option, option
 
 if TYPE_CHECKING:
     from nmt_bench.harness import Bench
-    from nmt_extract.swept_response import FrequencyResponseTable
-    from nmt_extract.synthesis import ResonanceError
+    from nmt_extract.curves.swept_response import FrequencyResponseTable
+    from nmt_extract.synthesis.single_mode import ResonanceError
     from nmt_report.response_analysis import HeldForce, ModelResponse
     from nmt_session.run_result import RunResult
 
@@ -167,7 +167,7 @@ def _finish(
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_core.files.whole_file import write_whole
     from nmt_core.vocabulary import ResultCode
-    from nmt_extract.response_table import write_response_csv
+    from nmt_extract.curves.response_table import write_response_csv
     from nmt_record.bag.bag_reader import Bag
     from nmt_report.response_analysis import held_force, responses_of_bag
 
@@ -227,7 +227,7 @@ def compare(
     """Model against measurement, every level and channel; the model takes the place of the synthesis."""
     import numpy as np
 
-    from nmt_extract.synthesis import resonance_error
+    from nmt_extract.synthesis.single_mode import resonance_error
 
     by_level = {model.level: model for model in models}
     found = []

@@ -12,7 +12,7 @@ from nmt_bench.commands.shared_options import dated_folder_option, replace_optio
 from nmt_core.options import needed_option, option
 
 if TYPE_CHECKING:
-    from nmt_extract.synthesised_responses import SynthesisResult
+    from nmt_extract.synthesis.synthesised_responses import SynthesisResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ def run(options: SynthesisOptions) -> int:
     from nmt_bench.commands.sweep_command import comparison_lines
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_core.files.whole_file import write_whole
-    from nmt_extract.synthesised_responses import synthesise
+    from nmt_extract.synthesis.synthesised_responses import synthesise
     from nmt_sequencer.level_plan import parse_levels
 
     console = make_console()
@@ -101,7 +101,7 @@ def _secondary(options: SynthesisOptions) -> int:
     from nmt_core.errors import BenchError
     from nmt_core.files.whole_file import write_whole
     from nmt_core.messages.secondary_resonance import resonance_named
-    from nmt_extract.secondary_synthesis import secondary_csv, synthesise_secondary
+    from nmt_extract.synthesis.secondary_resonance import secondary_csv, synthesise_secondary
     from nmt_report.secondary_figures import secondary_page
     from nmt_sequencer.level_plan import parse_levels
 

@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from nmt_extract.limit_cycles import feeds_its_motion, limit_cycles
-from nmt_extract.modal_point import Status
-from nmt_extract.mode_identity import mode_verdict
+from nmt_core.vocabulary import PointStatus
+from nmt_extract.curves.limit_cycles import feeds_its_motion, limit_cycles
+from nmt_extract.modal.mode_identity import mode_verdict
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import concise, plain, significant, uncertain
 from nmt_report.run_verdict import BAD, GOOD, PARTLY, run_verdict
@@ -21,8 +21,8 @@ from nmt_report.stated_uncertainty import std_note, with_budgets
 
 if TYPE_CHECKING:
     from nmt_core.messages.linear_description import LinearDescription
-    from nmt_extract.modal_point import ModalPoint
-    from nmt_extract.uncertainty_budget import PointBudget
+    from nmt_core.messages.modal_point import ModalPoint
+    from nmt_extract.judgement.uncertainty_budget import PointBudget
     from nmt_report.run_data import ReferenceCurve
     from nmt_report.run_verdict import RunVerdict
 
@@ -66,7 +66,7 @@ def _table(
     write: Callable[..., str],
     rank: int,
 ) -> Table:
-    good = [point for point in points if point.status == Status.OK]
+    good = [point for point in points if point.status == PointStatus.OK]
     unit = unit_text(points[0].level_unit) if points else "V"
     table = Table(
         title_justify="left",
@@ -88,7 +88,7 @@ def _table(
         table.add_column("Δδ̃\npoints" if feeds else "Δδ̃\n%", justify="right", no_wrap=True)
     for point in points:
         cells = [significant(point.level)]
-        if point.status != Status.OK:
+        if point.status != PointStatus.OK:
             table.add_row(*cells, Text(status_text(point.status)), style="red")
             continue
         cells += [column.cell(point, exponents[column.name], write) for column in columns]
@@ -118,13 +118,13 @@ def print_modal_table(
         frequency = significant(cycle.omega_rad_s / (2.0 * math.pi), 6)
         console.print(f"{kind} limit cycle at q = {q} m√kg, {frequency} Hz")
     for point in points:
-        if point.reason or point.status != Status.OK:
+        if point.reason or point.status != PointStatus.OK:
             level = f"{significant(point.level)} {unit_text(point.level_unit)}"
             reason = f": {point.reason}" if point.reason else ""
             console.print(
                 Text(
                     f"Level {point.level_index + 1} ({level}) {status_text(point.status)}{reason}",
-                    style="yellow" if point.status == Status.OK else "red",
+                    style="yellow" if point.status == PointStatus.OK else "red",
                 )
             )
 

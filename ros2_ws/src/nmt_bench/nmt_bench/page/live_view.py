@@ -37,8 +37,8 @@ from nmt_core.vocabulary import (
     SteeringAct,
     StopCause,
 )
-from nmt_extract.mode_identity import mode_verdict
-from nmt_extract.response_curve import is_of_curve, response_curves
+from nmt_extract.curves.response_curve import is_of_curve, response_curves
+from nmt_extract.modal.mode_identity import mode_verdict
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import duration, engineering_exponent, plain, power_of_ten, significant
 from nmt_report.run_verdict import run_verdict

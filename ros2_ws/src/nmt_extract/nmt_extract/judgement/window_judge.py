@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
-from nmt_extract.uncertainty import slope_uncertainty
+from nmt_extract.judgement.uncertainty import slope_uncertainty
 
 PHASE_LIMIT = math.radians(5.0)
 """Phase between force and velocity at the drive point beyond which a point is flagged, rad."""

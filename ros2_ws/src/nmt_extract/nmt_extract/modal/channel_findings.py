@@ -18,9 +18,9 @@ from nmt_extract.judgement.channel_gain import ChannelGain, ShapeLevel
 from nmt_extract.judgement.channel_history import ChannelHistory
 from nmt_extract.judgement.force_judge import DriveState
 from nmt_extract.modal.channels import WindowRows, derived
+from nmt_extract.modal.mode_identity import other_mode
 from nmt_extract.modal.periodic_motion import PeriodicMotion
-from nmt_extract.mode_identity import other_mode
-from nmt_extract.window import Window
+from nmt_extract.modal.window import Window
 from nmt_signals.channel_faults import clipping
 
 _SINE = 0.005  # harmonics over the fundamental of a force that is held to a sine

@@ -12,7 +12,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_extract.window import Window
+from nmt_extract.modal.window import Window
 
 
 @dataclass(frozen=True)

@@ -8,27 +8,28 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.kinds import kind_class
+from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import EVALUATED, ModalPoint
 from nmt_core.messages.secondary_resonance import resonance_of
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import MOTIONS, TestKind
+from nmt_core.vocabulary import MOTIONS, PointStatus, TestKind
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_extract.hysteresis import HysteresisLayout, hysteresis_loop
 from nmt_extract.judgement import window_judge
 from nmt_extract.judgement.channel_history import ChannelHistory
+from nmt_extract.judgement.uncertainty import jackknife
 from nmt_extract.judgement.window_judge import Remark
 from nmt_extract.modal.channel_findings import ChannelFindings
 from nmt_extract.modal.channels import WindowRows, derived, row_of
 from nmt_extract.modal.floquet_exponents import floquet_exponents
+from nmt_extract.modal.hysteresis import HysteresisLayout, hysteresis_loop
+from nmt_extract.modal.mode_identity import mode_sentence
 from nmt_extract.modal.periodic_motion import PeriodicMotion
+from nmt_extract.modal.power_balance import BalancedMode, balance, part_count
 from nmt_extract.modal.quantities import ModalQuantities, modal_quantities
 from nmt_extract.modal.secondary_quantities import secondary_quantities
+from nmt_extract.modal.window import Window
 from nmt_extract.modal.window_findings import least_uncertainties, remarks_on_bursts, remarks_on_drift
-from nmt_extract.modal_point import EVALUATED, ModalPoint, Status, bench_time_ns
-from nmt_extract.mode_identity import mode_sentence
-from nmt_extract.power_balance import BalancedMode, balance, part_count
-from nmt_extract.uncertainty import jackknife
-from nmt_extract.window import Window
 from nmt_signals.harmonics import segment_moments, solve_moments, whole_period_bounds
 
 
@@ -158,7 +159,7 @@ class WindowEvaluation:
         several = rows.forces if len(rows.forces) > 1 else ()
         return ModalPoint(
             level_index=lock.level_index,
-            status=Status.OK,
+            status=PointStatus.OK,
             reason=" ".join(filter(None, sentences)),
             level=lock.level,
             level_unit=lock.level_unit,

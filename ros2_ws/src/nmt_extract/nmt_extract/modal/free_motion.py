@@ -21,17 +21,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import MOTIONS, TestKind
+from nmt_core.vocabulary import MOTIONS, PointStatus, TestKind
 from nmt_extract.judgement import window_judge
 from nmt_extract.judgement.window_judge import Remark
 from nmt_extract.modal.channel_findings import still_or_cut
 from nmt_extract.modal.channels import WindowRows
 from nmt_extract.modal.growing_oscillation import Phasors, modal_row, window_fit
-from nmt_extract.modal_point import ModalPoint, Status, bench_time_ns
-from nmt_extract.mode_identity import mode_macs, mode_sentence
-from nmt_extract.window import Window
+from nmt_extract.modal.mode_identity import mode_macs, mode_sentence
+from nmt_extract.modal.window import Window
 
 SHORTEST_PERIODS = 3.0
 """Periods of the shortest fitted window; less cannot tell growth from harmonics."""
@@ -124,7 +125,7 @@ class FreeMotion:
         sentences = mode_sentence(shape, linear, fields["omega_rad_s"]), window_judge.words_of(remarks, fields)
         return ModalPoint(
             level_index=lock.level_index,
-            status=Status.OK,
+            status=PointStatus.OK,
             reason=" ".join(filter(None, sentences)),
             level=lock.level,
             level_unit=lock.level_unit,

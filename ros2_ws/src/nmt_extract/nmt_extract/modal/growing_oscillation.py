@@ -16,8 +16,8 @@ so that, real and imaginary part,
 
     2 δ̃ ω̃ = Im(F ψ̄_d)/(Ω q²) − 2 g − Ω̇/Ω,        ω̃² = Ω² − g² − ġ − 2 δ̃ ω̃ g + Re(F ψ̄_d)/q².
 
-The first term on the right is the balance of power of :mod:`nmt_extract.power_balance`. q is the norm of Φ⁺ψ, as at
-phase resonance (paper, eq. 4).
+The first term on the right is the balance of power of :mod:`nmt_extract.modal.power_balance`. q is the norm of Φ⁺ψ, as
+at phase resonance (paper, eq. 4).
 """
 
 from __future__ import annotations

@@ -11,9 +11,9 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.judgement import channel_noise, signal_faults, window_judge
+from nmt_extract.judgement.uncertainty import jackknife, slope_uncertainty, sub_window_count
 from nmt_extract.modal.channels import WindowRows
-from nmt_extract.uncertainty import jackknife, slope_uncertainty, sub_window_count
-from nmt_extract.window import Window
+from nmt_extract.modal.window import Window
 from nmt_signals.harmonics import Moments, resolvable_harmonics, segment_moments, solve_moments, whole_period_bounds
 from nmt_signals.sine_fit import fit_frequency
 from nmt_signals.spectral_lines import strongest_line

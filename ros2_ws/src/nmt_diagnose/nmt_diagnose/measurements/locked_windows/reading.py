@@ -25,7 +25,7 @@ from nmt_diagnose.observations.noise.settling import Settling, settling
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_extract.uncertainty import sub_window_count
+from nmt_extract.judgement.uncertainty import sub_window_count
 from nmt_record.windows.segments import Segment
 from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.channel_faults.converter_faults import converter_step, repeated_share

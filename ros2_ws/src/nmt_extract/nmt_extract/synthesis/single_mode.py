@@ -33,9 +33,9 @@ from scipy.optimize import brentq
 from nmt_core.errors import BenchError
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import TestKind
-from nmt_extract.modal_point import ModalPoint, Status
+from nmt_core.vocabulary import PointStatus, TestKind
 
 _SAME = 2.0e-3  # relative distance of modal amplitudes below which two points of a backbone are averaged
 
@@ -89,7 +89,7 @@ class SynthesisedBackbone:
             BenchError: fewer than two usable levels, or levels with different measurement points.
         """
         good = sorted(
-            (p for p in points if p.status == Status.OK and math.isfinite(p.modal_amplitude)),
+            (p for p in points if p.status == PointStatus.OK and math.isfinite(p.modal_amplitude)),
             key=lambda p: p.modal_amplitude,
         )
         if len(good) < 2:

@@ -31,8 +31,8 @@ from scipy.optimize import brentq
 from nmt_core.errors import BenchError
 from nmt_core.messages.secondary_resonance import SecondaryResonance
 from nmt_core.numerics.arrays import FloatArray
-from nmt_extract.synthesis import SynthesisedBackbone
-from nmt_extract.synthesised_responses import backbone_of_run
+from nmt_extract.synthesis.single_mode import SynthesisedBackbone
+from nmt_extract.synthesis.synthesised_responses import backbone_of_run
 
 _GRID = 400
 _SMALL = 0.5  # of the linear stiffness, up to which the hardening is taken for that of a cubic spring alone

@@ -13,10 +13,10 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.wire import LEVEL
 from nmt_core.processes.work_progress import tell
-from nmt_extract.coverage import refuse_other_tests
-from nmt_extract.linear_file import Linearity, linear_mapping, linearity
-from nmt_extract.linear_identification import linear_test
-from nmt_extract.linear_results import LinearTest, LinearTestSettings
+from nmt_extract.linear.file import Linearity, linear_mapping, linearity
+from nmt_extract.linear.identification import linear_test
+from nmt_extract.linear.results import LinearTest, LinearTestSettings
+from nmt_extract.modal.coverage import refuse_other_tests
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.windows.segments import Segment, read_signals, segments
 from nmt_signals.thresholds import SIGNAL_FITS

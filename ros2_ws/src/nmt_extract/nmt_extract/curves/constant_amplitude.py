@@ -29,7 +29,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_extract.swept_response import FrequencyResponseTable
+from nmt_extract.curves.swept_response import FrequencyResponseTable
 
 _DERIVATIVES = {motion.letter: order for motion, order in MOTIONS.items()}
 MOST_DETUNED = 2.0

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from nmt_core.files.whole_file import csv_text, write_result
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import FloatArray
-from nmt_extract.modal_point import ModalPoint, Status
+from nmt_core.vocabulary import PointStatus
 
 COLUMNS = ("modal_amplitude", "modal_amplitude_std", "omega_rad_s", "frequency_hz", "stable", "between_levels")
 """Columns of ``limit_cycles.csv``."""
@@ -44,7 +45,7 @@ class LimitCycle:
 
 def feeds_its_motion(points: Iterable[ModalPoint]) -> bool:
     """Whether a damping ratio is negative: deviations are then told in percentage points, since it may be zero."""
-    return any(point.status == Status.OK and point.damping_ratio < 0.0 for point in points)
+    return any(point.status == PointStatus.OK and point.damping_ratio < 0.0 for point in points)
 
 
 def limit_cycles(points: Iterable[ModalPoint]) -> list[LimitCycle]:
@@ -58,13 +59,14 @@ def limit_cycles(points: Iterable[ModalPoint]) -> list[LimitCycle]:
     Examples:
         Damping of -1 % and 1 % at 1 and 3 mm√kg:
 
-        >>> from nmt_extract.modal_point import ModalPoint, Status
-        >>> points = [ModalPoint(k, Status.OK, "", 1.0, "m", modal_amplitude=q, damping_ratio=d, omega_rad_s=100.0)
+        >>> from nmt_core.messages.modal_point import ModalPoint
+        >>> from nmt_core.vocabulary import PointStatus
+        >>> points = [ModalPoint(k, PointStatus.OK, "", 1.0, "m", modal_amplitude=q, damping_ratio=d, omega_rad_s=100.0)
         ...           for k, (q, d) in enumerate([(1e-3, -0.01), (3e-3, 0.01)])]
         >>> [(cycle.modal_amplitude, cycle.stable) for cycle in limit_cycles(points)]
         [(0.002, True)]
     """
-    good = [point for point in points if point.status == Status.OK and math.isfinite(point.damping_ratio)]
+    good = [point for point in points if point.status == PointStatus.OK and math.isfinite(point.damping_ratio)]
     good.sort(key=lambda point: point.modal_amplitude)
     good = [point for k, point in enumerate(good) if not k or point.modal_amplitude > good[k - 1].modal_amplitude]
     found = []

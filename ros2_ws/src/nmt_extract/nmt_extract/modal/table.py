@@ -19,15 +19,16 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import json_value, read_rows, read_text
 from nmt_core.files.plain_json import plain_json
 from nmt_core.files.whole_file import csv_text, write_result
+from nmt_core.messages.modal_point import COMPLEX, QUANTITIES, ModalPoint
 from nmt_core.numerics.arrays import ComplexArray
-from nmt_extract.harmonics_indicators import HARMONICS_COLUMNS, any_control, indicators
-from nmt_extract.hysteresis import HysteresisLayout, loop_of_point
-from nmt_extract.limit_cycles import limit_cycles, write_limit_cycles
-from nmt_extract.modal_point import COMPLEX, QUANTITIES, ModalPoint, Status
-from nmt_extract.response_curve import is_of_curve, response_curves, write_response_curves
+from nmt_core.vocabulary import PointStatus
+from nmt_extract.curves.limit_cycles import limit_cycles, write_limit_cycles
+from nmt_extract.curves.response_curve import is_of_curve, response_curves, write_response_curves
+from nmt_extract.modal.harmonics_indicators import HARMONICS_COLUMNS, any_control, indicators
+from nmt_extract.modal.hysteresis import HysteresisLayout, loop_of_point
 
 COLUMNS = ("level", *(item.name + suffix for item in QUANTITIES if item.csv for suffix in ("", "_std")))
-"""Columns of ``modal.csv``, in order; units and meanings stand in :data:`nmt_extract.modal_point.QUANTITIES`."""
+"""Columns of ``modal.csv``, in order; units and meanings stand in :data:`nmt_core.messages.modal_point.QUANTITIES`."""
 
 _BACKBONE = ("level", "omega_rad_s", "damping_ratio", "modal_amplitude")
 """Columns without which a table is none of modal points."""
@@ -124,7 +125,7 @@ def read_json(path: Path | str) -> tuple[list[ModalPoint], dict[str, Any]]:
 
     Returns:
         Points (the same bits as were written; a field that the file lacks has the default of
-        :class:`~nmt_extract.modal_point.ModalPoint`) and inputs.
+        :class:`~nmt_core.messages.modal_point.ModalPoint`) and inputs.
 
     Raises:
         BenchError: not there, not such a file, or a point without number, level or status.
@@ -209,7 +210,7 @@ def _point_from_mapping(values: Mapping[str, Any]) -> ModalPoint:
         if item.name in COMPLEX:
             data[item.name] = _complex_array(value, 2 if item.name == "shape_harmonics" else 1)
         elif item.name == "status":
-            data[item.name] = Status[value]
+            data[item.name] = PointStatus[value]
         elif item.name in ("points", "exciter_points"):
             data[item.name] = tuple(value)
         else:

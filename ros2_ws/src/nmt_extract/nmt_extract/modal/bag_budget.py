@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import MOTIONS
 from nmt_extract.extraction_settings import ExtractionSettings
-from nmt_extract.modal_point import ModalPoint
-from nmt_extract.uncertainty_budget import BudgetInputs, MethodError, PointBudget, uncertainty_budget
+from nmt_extract.judgement.uncertainty_budget import BudgetInputs, MethodError, PointBudget, uncertainty_budget
 from nmt_record.exchange.sidecar.channel_tolerances import is_simulated, tolerances
 
 if TYPE_CHECKING:

@@ -17,11 +17,18 @@ from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_extract.modal_table import read_json
-from nmt_extract.response_curve import ResponseCurve, is_of_curve, response_curves
-from nmt_extract.response_table import read_response_csv
-from nmt_extract.swept_response import FrequencyResponseTable
-from nmt_extract.synthesis import OtherModes, ResonanceError, Synthesis, SynthesisedBackbone, covers, resonance_error
+from nmt_extract.curves.response_curve import ResponseCurve, is_of_curve, response_curves
+from nmt_extract.curves.response_table import read_response_csv
+from nmt_extract.curves.swept_response import FrequencyResponseTable
+from nmt_extract.modal.table import read_json
+from nmt_extract.synthesis.single_mode import (
+    OtherModes,
+    ResonanceError,
+    Synthesis,
+    SynthesisedBackbone,
+    covers,
+    resonance_error,
+)
 
 POINTS = 801
 """Frequencies of ``synthesis.csv`` where nothing else is asked for."""

@@ -25,7 +25,7 @@ from scipy.optimize import minimize_scalar
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
-from nmt_extract.response_curve import ResponseCurve
+from nmt_extract.curves.response_curve import ResponseCurve
 
 LEAST_CURVES = 4
 """Held amplitudes without which nothing is interpolated."""

@@ -32,9 +32,9 @@ import numpy as np
 
 from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.kinds import ResponseCurveTest
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_core.vocabulary import CurveParameter
-from nmt_extract.modal_point import ModalPoint, Status
+from nmt_core.vocabulary import CurveParameter, PointStatus
 
 LEAST_POINTS = 5
 """Fewer points of a curve say nothing of its folds."""
@@ -264,8 +264,8 @@ def response_curves(points: Sequence[ModalPoint]) -> tuple[ResponseCurve, ...]:
     curves = []
     for _, each in groupby(points, key=lambda point: point.level):
         group = list(each)
-        good = {point.held_phase: point for point in group if point.status is Status.OK}
-        bad = tuple(point for point in group if point.status is not Status.OK and point.held_phase not in good)
+        good = {point.held_phase: point for point in group if point.status is PointStatus.OK}
+        bad = tuple(point for point in group if point.status is not PointStatus.OK and point.held_phase not in good)
         if good:
             measured = list(good.values())
             if any(point.parameter != CurveParameter.LAG for point in measured):

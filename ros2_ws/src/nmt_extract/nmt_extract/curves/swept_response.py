@@ -31,7 +31,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_extract.uncertainty import sub_window_count
+from nmt_extract.judgement.uncertainty import sub_window_count
 from nmt_signals.harmonics import (
     harmonic_amplitudes,
     resolvable_harmonics,

@@ -15,10 +15,10 @@ from nmt_core.files.whole_file import csv_text
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.text.number_words import significant
-from nmt_extract.linear_residuals import Residuals
-from nmt_extract.linear_results import LinearTest
-from nmt_extract.modal import estimated_mass
-from nmt_extract.stabilisation import DAMPING_TOLERANCE, FREQUENCY_TOLERANCE, MINIMUM_RUN
+from nmt_extract.linear.residuals import Residuals
+from nmt_extract.linear.results import LinearTest
+from nmt_extract.linear.stabilisation import DAMPING_TOLERANCE, FREQUENCY_TOLERANCE, MINIMUM_RUN
+from nmt_extract.modal.quantities import estimated_mass
 
 LINEAR_FREQUENCY_CHANGE = 2e-4
 """Relative change of the target's frequency to half the level beyond which the structure is not called linear."""

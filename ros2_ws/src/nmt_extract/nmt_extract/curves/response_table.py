@@ -16,7 +16,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_rows
 from nmt_core.files.whole_file import csv_text, write_result
-from nmt_extract.swept_response import FrequencyResponseTable
+from nmt_extract.curves.swept_response import FrequencyResponseTable
 
 FIXED_COLUMNS = ("segment", "level", "level_unit", "rate_hz_s", "frequency_hz", "force_n", "voltage_v")
 _PARTS = ("_real", "_imag", "_std")

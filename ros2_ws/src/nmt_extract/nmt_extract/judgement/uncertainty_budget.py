@@ -23,10 +23,11 @@ import numpy as np
 from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.vocabulary import PointStatus
+from nmt_extract.judgement.student import two_sided_quantile
 from nmt_extract.judgement.window_judge import phase_part
-from nmt_extract.modal_point import ModalPoint, Status
-from nmt_extract.student import two_sided_quantile
 from nmt_record.exchange.sidecar.channel_tolerances import Tolerances
 
 FORMAT = "nmt uncertainty budget 1"
@@ -81,7 +82,7 @@ class MethodError:
         """
         rows = []
         for point in points:
-            if point.status is Status.OK:
+            if point.status is PointStatus.OK:
                 omega, damping = expected(point.modal_amplitude)
                 row = point.modal_amplitude, point.omega_rad_s / omega - 1.0, point.damping_ratio / damping - 1.0
                 if all(math.isfinite(value) for value in row):
@@ -180,7 +181,7 @@ def uncertainty_budget(points: Sequence[ModalPoint], inputs: BudgetInputs) -> li
             point.level_index, point.level, point.level_unit, _point_budgets(point, inputs, repeats.get(id(point), {}))
         )
         for point in points
-        if point.status is Status.OK
+        if point.status is PointStatus.OK
     ]
 
 
@@ -331,7 +332,7 @@ def _repeats(points: Sequence[ModalPoint]) -> dict[int, dict[str, float]]:
     """Scatter beyond the noise of levels that were visited more than once, by point."""
     groups: dict[tuple[str, str], list[ModalPoint]] = {}
     for point in points:
-        if point.status is Status.OK:
+        if point.status is PointStatus.OK:
             groups.setdefault((f"{point.level:.9g}", point.level_unit), []).append(point)
     found: dict[int, dict[str, float]] = {}
     for group in groups.values():

@@ -11,7 +11,7 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_extract.linear_results import LinearMode, PlantEstimate
+from nmt_extract.linear.results import LinearMode, PlantEstimate
 from nmt_signals.frequency_responses import FrfEstimate
 
 

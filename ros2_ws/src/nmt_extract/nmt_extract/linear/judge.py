@@ -17,7 +17,7 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.text.number_words import significant
 from nmt_extract.judgement.thresholds import THRESHOLDS
-from nmt_extract.linear_results import LinearMode
+from nmt_extract.linear.results import LinearMode
 from nmt_signals.channel_faults.mains_lines import MAINS_HZ
 from nmt_signals.frequency_responses import FrfEstimate
 

@@ -10,8 +10,8 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_extract.linear_residuals import Residuals, modal_receptance
-from nmt_extract.stabilisation import OrderPoles, StablePole
+from nmt_extract.linear.residuals import Residuals, modal_receptance
+from nmt_extract.linear.stabilisation import OrderPoles, StablePole
 from nmt_signals.frequency_responses import FrfEstimate
 from nmt_signals.rational_fit import RationalFit
 

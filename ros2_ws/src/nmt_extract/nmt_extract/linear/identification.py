@@ -1,9 +1,9 @@
 """Linear modal test: from one record of random excitation to modes, residuals and the plant with its exciters.
 
 Averaged spectra (:mod:`nmt_signals.frequency_responses`) give the frequency responses, the coherence and, through the
-stabilisation diagram (:mod:`nmt_extract.stabilisation`), the modes to look for. Every mode is then fitted to the whole
-record without window (:mod:`nmt_signals.rational_fit`) and scaled by the drive points. No model of the structure
-enters. Exciters that drive at once, each with a noise of its own, are as many inputs.
+stabilisation diagram (:mod:`nmt_extract.linear.stabilisation`), the modes to look for. Every mode is then fitted
+to the whole record without window (:mod:`nmt_signals.rational_fit`) and scaled by the drive points. No model of the
+structure enters. Exciters that drive at once, each with a noise of its own, are as many inputs.
 """
 
 from __future__ import annotations
@@ -17,11 +17,18 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_extract.linear_judge import drive_points, hum_findings, phase_findings, with_phase_error
-from nmt_extract.linear_plant import plant_estimate
-from nmt_extract.linear_residuals import fit_residuals
-from nmt_extract.linear_results import LinearMode, LinearTest, LinearTestSettings, modal_term, receptance_of
-from nmt_extract.stabilisation import HIGHEST_DAMPING, SAME_POLE, OrderPoles, StablePole, order_poles, stable_poles
+from nmt_extract.linear.judge import drive_points, hum_findings, phase_findings, with_phase_error
+from nmt_extract.linear.plant import plant_estimate
+from nmt_extract.linear.residuals import fit_residuals
+from nmt_extract.linear.results import LinearMode, LinearTest, LinearTestSettings, modal_term, receptance_of
+from nmt_extract.linear.stabilisation import (
+    HIGHEST_DAMPING,
+    SAME_POLE,
+    OrderPoles,
+    StablePole,
+    order_poles,
+    stable_poles,
+)
 from nmt_record.windows.segments import Signals
 from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.frequency_responses import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate

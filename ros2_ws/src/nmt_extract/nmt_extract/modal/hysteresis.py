@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_extract.modal_point import ModalPoint, Status
+from nmt_core.vocabulary import PointStatus
 
 _SAMPLES = 4096
 
@@ -143,7 +144,7 @@ def loop_of_point(layout: HysteresisLayout, point: ModalPoint) -> HysteresisLoop
     took its shape from accelerometers, the loop is the one that gave ``hysteresis_damping``.
     """
     wanted = (layout.excited_point, layout.middle_point, layout.free_point)
-    if point.status != Status.OK or not set(wanted) <= set(point.points):
+    if point.status != PointStatus.OK or not set(wanted) <= set(point.points):
         return None
     orders = np.arange(point.harmonics + 1)
     square = -((orders * point.omega_rad_s) ** 2)

@@ -1,0 +1,1 @@
+"""Linear modal tests: random excitation to modes, residuals and the plant with its exciters."""

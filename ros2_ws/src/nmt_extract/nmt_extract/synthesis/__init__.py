@@ -1,0 +1,1 @@
+"""Frequency responses and secondary resonances that a measured backbone predicts."""

@@ -697,8 +697,8 @@ def _diagnosed(
         share_of_signal, whose = findings.unexplained
         text = (f"The model leaves {100.0 * share_of_signal:.2g} % of the signal of {whose}, which is no noise.", *text)
     if findings.factors:
-        seen = (found.sentence for found in findings.factors)
-        text, warnings = (*seen, "Effects are judged once units and signs of the recording are right."), ()
+        named_factors = (found.sentence for found in findings.factors)
+        text, warnings = (*named_factors, "Effects are judged once units and signs of the recording are right."), ()
         where = tuple(found.place for found in findings.factors)
     elif findings.inadequate:
         text = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *text[1:2])

@@ -36,7 +36,8 @@ _KNOWN = (
     (1.0 / 4.4482216, "pounds-force that were read as newtons"),
 )
 """Factors of units over what was meant, and what was mistaken."""
-_NEAR = 0.05
+_UNIT_TOLERANCE = 0.05
+"""Of ln of a factor."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Factor:
     def sentence(self) -> str:
         """What is seen and what it may be."""
         size = abs(self.factor)
-        known = [words for value, words in _KNOWN if abs(math.log(size / value)) < _NEAR]
+        known = [words for value, words in _KNOWN if abs(math.log(size / value)) < _UNIT_TOLERANCE]
         guess = f": {' or '.join(known)}?" if known else "; look at its unit, its gain and its range."
         if self.factor < 0.0 and abs(math.log(size)) < math.log(THRESHOLDS.verdict.factor_ratio):
             return f"{self.test}: {self.channel} has the other sign than the model predicts; turn it, or its sensor."

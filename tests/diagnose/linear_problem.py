@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Observations, Part, Rows
@@ -70,9 +72,12 @@ def rows_of(m, levels=None, test=0, part=Part.REAL):
     )
 
 
+SENSOR = MeasuredChannel("a1", Quantity.ACCELERATION, 1)
+
+
 def observations_of(values, std, levels=None, part=Part.REAL, tests=("run",)):
     m = len(values)
-    kinds = tuple(LockedWindows(name, (1,), "a1", (), 1, "voltage", ()) for name in tests)
+    kinds = tuple(LockedWindows(name, (1,), "a1", (SENSOR,), 1, "voltage", ()) for name in tests)
     return Observations(
         kinds,
         rows_of(m, levels, part=part),

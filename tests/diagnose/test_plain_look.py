@@ -20,7 +20,6 @@ from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.forward import Forward
 
 CHANNEL = {
-    "locked windows": "x1",
     "random responses": "x1",
     "random responses over force": "x1",
     "stepped responses": "a2",
@@ -116,6 +115,12 @@ def test_all_channels_over_the_voltage_are_a_matter_of_the_drive() -> None:
     observed = healthy("random responses")
     smaller = observed.values - math.log(5.0) * (observed.rows.part == Part.LOG_MAGNITUDE)
     assert looked(replace(observed, values=smaller)) == {}
+
+
+def test_damping_at_phase_resonance_is_no_unit() -> None:
+    observed = healthy("locked windows")
+    smaller = (observed.rows.part == Part.LOG_MAGNITUDE) & (observed.rows.channel == 1)
+    assert looked(replace(observed, values=observed.values - math.log(4.0) * smaller)) == {}
 
 
 def noisy(observed: Observations, sigmas: float) -> Observations:

@@ -77,7 +77,7 @@ def factors(observations: Observations, predicted: FloatArray, used: BoolArray) 
     """Channels whose rows are all larger than predicted by one factor, or turned.
 
     Where a test refers to the voltage and all its channels have the same factor, the drive does, which is a matter of
-    amplifier and exciter: effects explain that.
+    amplifier and exciter: effects explain that. At phase resonance damping makes all motions smaller by one factor.
 
     Args:
         observations: the real side.
@@ -86,6 +86,8 @@ def factors(observations: Observations, predicted: FloatArray, used: BoolArray) 
     """
     limit, found = math.log(THRESHOLDS.verdict.factor_ratio), []
     for number, test in enumerate(observations.tests):
+        if test.locked_levels:
+            continue
         of_test = [
             (channel, factor)
             for index, channel in enumerate(test.channels)

@@ -61,7 +61,7 @@ def recorded(kind: str, factor: float) -> Observations:
 def looked(observed: Observations) -> dict[str, float]:
     predicted = Forward(observed.tests, observed.rows).predict(rig_of_kinds()).values
     used = np.isfinite(observed.values)
-    return {found.channel: found.factor for found in factors(observed, predicted, used)}
+    return {found.channel: found.factor for found in factors(observed, predicted, predicted, used)}
 
 
 def diagnosed(observed: Observations) -> Diagnosis:
@@ -108,6 +108,17 @@ def test_no_gap_is_not_said_beside_half_a_signal() -> None:
     found = diagnosed(replace(observed, values=values))
     assert found.verdict is Verdict.UNKNOWN
     assert "of the signal of x1 in record" in found.sentences[0] or "x1" in found.where[0].detail
+
+
+def test_a_stiffer_spring_is_no_unit() -> None:
+    """Four times the force of a motion that the spring alone takes is told by the spring where a re-fit reaches it."""
+    observed = recorded("imposed motion", 4.0)
+    predicted = Forward(observed.tests, observed.rows).predict(rig_of_kinds()).values
+    used, reached = np.isfinite(observed.values), observed.values.copy()
+    assert [it.channel for it in factors(observed, predicted, predicted, used)] == ["f1"]
+    assert factors(observed, predicted, reached, used) == ()
+    turned = recorded("imposed motion", -4.0)
+    assert factors(turned, predicted, turned.values, used)[0].factor < 0.0
 
 
 def test_all_channels_over_the_voltage_are_a_matter_of_the_drive() -> None:

@@ -264,7 +264,7 @@ def find(
     beyond_effects = modes.disordered or modes.lacking(
         data, null.fit, THRESHOLDS.modes.certain_sigmas, THRESHOLDS.modes.certain_channel_share
     )
-    scales = factors(observations, as_given.values, fitted)
+    scales = factors(observations, as_given.values, null.fit.prediction.values, fitted)
     candidates = () if beyond_effects or scales else library_candidates(rig, operating, settings.withheld)
     search = Search(data, rig, parameters, candidates, tell)
     scores = cache(partial(search.scores, null))

@@ -57,11 +57,16 @@ class Factor:
     force: bool = False
 
     @property
+    def units(self) -> tuple[str, ...]:
+        """Units that may have been mistaken; empty where the factor is none of two units."""
+        size = abs(self.factor)
+        return tuple(words for value, words in _KNOWN if abs(math.log(size / value)) < _UNIT_TOLERANCE)
+
+    @property
     def sentence(self) -> str:
         """What is seen and what it may be."""
         size = abs(self.factor)
-        known = [words for value, words in _KNOWN if abs(math.log(size / value)) < _UNIT_TOLERANCE]
-        guess = f": {' or '.join(known)}?" if known else "; look at its unit, its gain and its range."
+        guess = f": {' or '.join(self.units)}?" if self.units else "; look at its unit, its gain and its range."
         if self.factor < 0.0 and abs(math.log(size)) < math.log(THRESHOLDS.verdict.factor_ratio):
             return f"{self.test}: {self.channel} has the other sign than the model predicts; turn it, or its sensor."
         sign = "−" if self.factor < 0.0 else ""
@@ -73,16 +78,33 @@ class Factor:
         return PlaceShare("force_sensor" if self.force else "response_sensor", self.channel, 1.0, 1.0)
 
 
-def factors(observations: Observations, predicted: FloatArray, used: BoolArray) -> tuple[Factor, ...]:
-    """Channels whose rows are all larger than predicted by one factor, or turned.
+def factors(
+    observations: Observations, as_given: FloatArray, refitted: FloatArray, used: BoolArray
+) -> tuple[Factor, ...]:
+    """Channels that another unit or a turned sign explains before the model does.
 
-    Where a test refers to the voltage and all its channels have the same factor, the drive does, which is a matter of
-    amplifier and exciter: effects explain that. At phase resonance damping makes all motions smaller by one factor.
+    A factor between two units, or a sign, is told by the model as given. Any other factor has to be left by the model
+    with its parameters re-fitted: a spring that is four times as stiff takes four times the force.
 
     Args:
         observations: the real side.
-        predicted: by the model as given, (m,).
+        as_given: predicted by the model as given, (m,).
+        refitted: predicted with its parameters re-fitted, (m,).
         used: rows that take part, (m,).
+    """
+    left = {(found.test, found.channel) for found in _all_factors(observations, refitted, used)}
+    return tuple(
+        found
+        for found in _all_factors(observations, as_given, used)
+        if found.factor < 0.0 or found.units or (found.test, found.channel) in left
+    )
+
+
+def _all_factors(observations: Observations, predicted: FloatArray, used: BoolArray) -> tuple[Factor, ...]:
+    """Channels whose rows are all larger than predicted by one factor, or turned.
+
+    Where a voltage drives and all channels are smaller by a factor, the drive is, which is a matter of amplifier and
+    source: effects explain that. At phase resonance damping makes all motions smaller by one factor.
     """
     limit, found = math.log(THRESHOLDS.verdict.factor_ratio), []
     for number, test in enumerate(observations.tests):
@@ -94,8 +116,9 @@ def factors(observations: Observations, predicted: FloatArray, used: BoolArray) 
             if channel is not test.given_channel
             and math.isfinite(factor := _factor(observations, predicted, used, number, index))
         ]
-        plain = any(factor > 0.0 and abs(math.log(factor)) < limit for _, factor in of_test)
-        if not plain and test.over_voltage:
+        if test.driven_by_voltage and all(
+            0.0 < factor * THRESHOLDS.verdict.factor_ratio < 1.0 for _, factor in of_test
+        ):
             continue
         found += [
             Factor(test.name, channel.name, factor, channel.quantity is Quantity.FORCE)

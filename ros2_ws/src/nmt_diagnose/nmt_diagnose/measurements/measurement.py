@@ -50,6 +50,7 @@ class Measurement:
         locked_harmonics: highest order among the observables of those levels.
         commanded: the drive is the commanded voltage; else the recorded one.
         over_voltage: its rows refer to the voltage.
+        driven_by_voltage: the voltage is given, or its rows refer to it.
         timed_by_drive: a delay that all sensors share shows in it.
         over_force: its rows are responses over a force, or over what held its amplitude.
         referred_to: what its responses are divided by.
@@ -119,6 +120,11 @@ class Measurement:
     def over_voltage(self) -> bool:
         """Whether its rows refer to the voltage."""
         return False
+
+    @property
+    def driven_by_voltage(self) -> bool:
+        """Whether the voltage is given, or its rows refer to it."""
+        return self.over_voltage
 
     @property
     def timed_by_drive(self) -> bool:

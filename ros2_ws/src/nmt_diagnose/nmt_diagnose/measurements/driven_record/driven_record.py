@@ -73,6 +73,11 @@ class DrivenRecord(Driven):
         return RecordPredictor(self, rows, settings)
 
     @property
+    def driven_by_voltage(self) -> bool:
+        """Whether its input is the voltage."""
+        return self.input_channel.quantity is Quantity.VOLTAGE
+
+    @property
     def timed_by_drive(self) -> bool:
         """Whether a delay that all sensors share shows in it."""
         return True

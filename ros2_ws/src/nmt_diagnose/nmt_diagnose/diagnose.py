@@ -88,6 +88,17 @@ from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, load_rig
 
+# Times that the measuring chain is taken anew about the model's fit: it is linear, and the second round starts near.
+_CHAIN_ROUNDS = 2
+# Steps of a refit to a part of the rows, which starts at the optimum of all.
+_REFIT_STEPS = 8
+# Times that sensitivities are computed anew in a refit to a part of the rows.
+_REFIT_REFRESHES = 2
+# Order of the solution that shows what the harmonic balance leaves out: three times as many leave 2 % of it.
+_FINE_HARMONICS = 27
+# Most lines of a random test: neighbouring ones show the same.
+_RANDOM_LINES = 160
+
 
 @dataclass(frozen=True)
 class DiagnosisOutcome:
@@ -226,7 +237,7 @@ def observed(
 ) -> Observations:
     """Rows of the bags with the noise that they show; arguments as for :func:`diagnose_bags`."""
     settings = settings or DiagnosisSettings()
-    reading = ObservationSettings(calibration=settings.calibration, lines=THRESHOLDS.fits.random_lines)
+    reading = ObservationSettings(calibration=settings.calibration, lines=_RANDOM_LINES)
     readings = None if memory is None else memory.readings
     found = read_observations(bags, rig, floor_bags, reading, progress, settings.allow_own_model, readings)
     return replace(found, matters=dict(settings.matters))
@@ -495,7 +506,7 @@ def model_alone(
         if modes.far_from(rig):
             nearer = fit(data, parametrisation, modes.start(parametrisation, parametrisation.zero)[0])
             found = nearer if nearer.cost < found.cost else found
-        for _ in range(THRESHOLDS.fits.chain_rounds):
+        for _ in range(_CHAIN_ROUNDS):
             data = about(rig, observations, found, used)
             found = _from_credible(data, fit(data, parametrisation, found.theta, found.prediction))
     except (FitError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -520,7 +531,7 @@ def _from_credible(data: Data, found: FitResult) -> FitResult:
 
 def _with_solver_error(observations: Observations, rig: Rig, as_given: Prediction) -> Observations:
     """The observations with what harmonics that the harmonic balance leaves out change, as part of their floor."""
-    fine = Forward(observations.tests, observations.rows, PredictionSettings(harmonics=THRESHOLDS.fits.fine_harmonics))
+    fine = Forward(observations.tests, observations.rows, PredictionSettings(harmonics=_FINE_HARMONICS))
     change = np.abs(np.nan_to_num(fine.difference(fine.predict(rig).values, as_given.values)))
     return replace(observations, floor=np.hypot(observations.floor, change))
 
@@ -888,9 +899,9 @@ def _held_out_residual(
             fitted_before.theta,
             fitted_before.prediction,
             fitted_before.jacobian,
-            THRESHOLDS.fits.refit_steps,
+            _REFIT_STEPS,
             False,
-            THRESHOLDS.fits.refit_refreshes,
+            _REFIT_REFRESHES,
         )
     except FitError:
         return None

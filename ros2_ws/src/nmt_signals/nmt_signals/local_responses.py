@@ -21,6 +21,11 @@ from scipy.signal import csd, welch
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_signals.thresholds import SIGNAL_FITS
 
+# How often the place of a resonance within the lines is improved.
+_POLE_STEPS = 8
+# How many of these steps are linear.
+_LINEAR_STEPS = 3
+
 ORDER = 4
 """Degree of the local polynomials."""
 REACH = 10
@@ -171,8 +176,8 @@ class _LocalFit:
 def _resonance(plain: _LocalFit) -> _LocalFit:
     """The fit with the resonance that suits all responses best."""
     best = plain
-    for turn in range(SIGNAL_FITS.local_pole_steps):
-        linear = turn < SIGNAL_FITS.local_linear_steps
+    for turn in range(_POLE_STEPS):
+        linear = turn < _LINEAR_STEPS
         found = _LocalFit(plain.u, plain.y, best.linear_pole() if linear else best.better_pole())
         if not np.isfinite(found.log_likelihood) or found.log_likelihood <= best.log_likelihood:
             if linear:

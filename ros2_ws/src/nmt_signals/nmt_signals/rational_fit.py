@@ -33,7 +33,11 @@ from scipy.optimize import nnls
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_signals.thresholds import SIGNAL_FITS
+
+RATIONAL_MOST_LINES = 3000
+"""Most lines of a rational fit: more show the same and take longer."""
+# Steps of a rational fit at each precision.
+_STEPS = 40
 
 _PRECISIONS = (1e-4, 1e-6, 1e-9)
 _NOISE_ROUNDS = 8  # of weights, until the powers of the noise stand still
@@ -144,7 +148,7 @@ def fit_rational(
     """
     inputs = np.atleast_2d(input_spectrum)
     use = np.flatnonzero(np.abs(frequency_hz - centre_hz) <= half_width_hz)
-    use = use[:: 1 + use.size // SIGNAL_FITS.rational_most_lines]
+    use = use[:: 1 + use.size // RATIONAL_MOST_LINES]
     unknown = (1 + len(inputs)) * (poles + order + 1)
     lines = use.size
     if lines < 2 * unknown:
@@ -322,7 +326,7 @@ class _Problem:
         for precision in _PRECISIONS:
             q, r, residual = self.split(poles)
             cost = float(np.sum(np.abs(residual * weights) ** 2))
-            for _ in range(SIGNAL_FITS.rational_steps):
+            for _ in range(_STEPS):
                 table = self.table(q, r)
                 slopes = self.derivative(poles, table) * weights
                 slopes = slopes - q @ (q.conj().T @ slopes)

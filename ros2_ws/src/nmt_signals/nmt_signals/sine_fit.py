@@ -20,7 +20,13 @@ from nmt_signals.harmonics import (
     synthesise,
 )
 from nmt_signals.spectral_lines import strongest_line
-from nmt_signals.thresholds import SIGNAL_FITS
+
+# First piece of a sine of unknown frequency: its guess is right to a small part of a turn there.
+_FIRST_PERIODS = 6.0
+# Factor from piece to piece; the frequency is known to less than a turn of the next.
+_GROWTH = 4.0
+# Steps of a fit of frequency, amplitude and phase.
+_STEPS = 30
 
 
 def fit_frequency(signal: FloatArray, sample_rate: float, guess_hz: float, harmonics: int = 3) -> float:
@@ -44,7 +50,7 @@ def fit_frequency(signal: FloatArray, sample_rate: float, guess_hz: float, harmo
         raise BenchError("The force is constant, so the excitation frequency cannot be found; check the force sensor.")
     frequency = guess_hz if math.isfinite(guess_hz) and guess_hz > 0.0 else strongest_line(signal, sample_rate)
     harmonics = max(1, resolvable_harmonics(harmonics, sample_rate / frequency))
-    periods = SIGNAL_FITS.sine_first_periods
+    periods = _FIRST_PERIODS
     while True:
         samples = min(signal.shape[0], math.ceil(periods * sample_rate / frequency))
         complete = samples == signal.shape[0]
@@ -52,7 +58,7 @@ def fit_frequency(signal: FloatArray, sample_rate: float, guess_hz: float, harmo
         frequency = _gauss_newton(signal[start : start + samples], sample_rate, frequency, harmonics)
         if complete:
             return frequency
-        periods *= SIGNAL_FITS.sine_growth
+        periods *= _GROWTH
 
 
 def _gauss_newton(signal: FloatArray, sample_rate: float, frequency: float, harmonics: int) -> float:
@@ -64,7 +70,7 @@ def _gauss_newton(signal: FloatArray, sample_rate: float, frequency: float, harm
     orders = np.arange(harmonics + 1)
     start = frequency
     step = math.inf
-    for _ in range(SIGNAL_FITS.sine_steps):
+    for _ in range(_STEPS):
         cycles = frequency * time
         amplitudes = harmonic_amplitudes(cycles, row, harmonics)[0]
         residual = row[0] - synthesise(cycles, amplitudes)

@@ -39,8 +39,12 @@ from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_elements, build_structure
 from nmt_sequencer.level_plan import directed
+from nmt_signals.decays.decay_nodes import SEGMENT_MOST_PERIODS
+from nmt_signals.decays.decay_reading import DEMODULATION_WIDTHS
 from nmt_signals.harmonics import resolvable_harmonics
-from nmt_signals.thresholds import DECAYS
+
+# Lines of a random test that is computed ahead.
+_RANDOM_LINES = 80
 
 # Uncertainties of a kind of observable of which the tests at hand hold none.
 _TYPICAL = {
@@ -288,7 +292,7 @@ def _random(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
     frequencies = model_frequencies(rig)
     mode = mode_of(request, rig)
     top = min(0.35 * rig.sample_rate_hz, 3.0 * frequencies[min(frequencies.size - 1, mode + 1)])
-    lines = np.geomspace(0.4 * frequencies[mode - 1], top, THRESHOLDS.next_test.random_lines)
+    lines = np.geomspace(0.4 * frequencies[mode - 1], top, _RANDOM_LINES)
     table = RowTable()
     lowest = (level.drive for run in voltage_runs(at_hand) for level in run.locked_levels if math.isfinite(level.drive))
     rms = request.levels[0] if request.levels else min(lowest, default=_LOW_LEVEL_V)
@@ -327,7 +331,7 @@ def _decays(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
         if not math.isfinite(size * omega):
             raise BenchError(f"The model {rig.name} has no solution at the level of {request.levels[level]:g}.")
         lasts = min(request.kind.window_s or math.inf, math.log(_DECADES_OF_A_DECAY) / max(damping * omega, 1e-12))
-        most = lasts * omega / (2.0 * np.pi) / (DECAYS.segment_most_periods * float(np.median(DECAYS.widths)))
+        most = lasts * omega / (2.0 * np.pi) / (SEGMENT_MOST_PERIODS * float(np.median(DEMODULATION_WIDTHS)))
         count = int(np.clip(round(most), 1, _READ.decay_points))
         amplitudes = size * np.exp(-damping * omega * np.linspace(0.0, lasts, count + 1)[:-1])
         decay = RecordedDecay(

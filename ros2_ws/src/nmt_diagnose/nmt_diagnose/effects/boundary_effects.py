@@ -11,12 +11,14 @@ from nmt_diagnose.effects.location import Location, LocationKind
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.effects.structure_effects import spots
-from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.model.local_elements.friction import JenkinsSection
 from nmt_rig.model.local_elements.iwan import IwanSection
 from nmt_rig.model.local_elements.springs import LinearSpringSection
 from nmt_rig.rig import BeamSection, Rig
+
+# Neighbours differ by 8 % in slip displacement; fewer show as corners of the cost at small amplitudes.
+_JOINT_SLIDERS = 120
 
 # Slip displacement as multiples of the largest amplitude: above 1 the contact sticks and is a spring.
 SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
@@ -164,7 +166,7 @@ def _with_new_joint(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     joint = with_local(
         rig, IwanSection, site,
         tangential_stiffness_n_m=values["kt"], slip_force_n=_joint_slip_force(values), exponent=values["power"] - 1.0,
-        sliders=THRESHOLDS.candidates.joint_sliders, partition="ratio",
+        sliders=_JOINT_SLIDERS, partition="ratio",
     )  # fmt: skip
     return _taken(joint, site, values)
 

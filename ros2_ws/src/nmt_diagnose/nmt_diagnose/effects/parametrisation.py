@@ -18,6 +18,9 @@ from nmt_diagnose.effects.effect import Candidate, EffectParameter, Reported, Si
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
+# Beyond this a shape is as good as anywhere: keeps trial steps of a fit finite.
+_LARGEST_LOG_SHAPE = 20.0
+
 
 @dataclass(frozen=True)
 class Parametrisation:
@@ -154,5 +157,5 @@ def _unit_at(unit: str, site: Site, rig: Rig) -> str:
 
 def _value(parameter: EffectParameter, scale: float, theta: float, lower: float) -> float:
     if parameter.kind == "shape":
-        return scale * exp(min(max(theta, -THRESHOLDS.fits.largest_log_shape), THRESHOLDS.fits.largest_log_shape))
+        return scale * exp(min(max(theta, -_LARGEST_LOG_SHAPE), _LARGEST_LOG_SHAPE))
     return scale * max(theta, lower)

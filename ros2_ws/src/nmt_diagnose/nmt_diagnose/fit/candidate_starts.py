@@ -8,7 +8,9 @@ import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate, EffectParameter
-from nmt_diagnose.thresholds import THRESHOLDS
+
+# A shape without a grid of its own is looked at within a factor of two.
+_SHAPE_STARTS = (0.5, 1.0, 2.0)
 
 
 def strength_position(candidate: Candidate) -> int:
@@ -41,7 +43,7 @@ def starts_of(candidate: Candidate) -> list[FloatArray]:
     grids: list[tuple[float, ...]] = []
     for parameter in candidate.effect.parameters:
         if parameter.kind == "shape":
-            grids.append(tuple(float(np.log(value)) for value in parameter.grid or THRESHOLDS.search.shape_starts))
+            grids.append(tuple(float(np.log(value)) for value in parameter.grid or _SHAPE_STARTS))
         else:
             begun = [
                 value / candidate.site.scales[parameter.name] for value in candidate.site.starts.get(parameter.name, ())

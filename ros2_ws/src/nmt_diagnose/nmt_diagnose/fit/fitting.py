@@ -23,6 +23,23 @@ from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
+# Steps of a fit; one that needs more is continued as a finalist.
+_MOST_STEPS = 25
+# The first order holds for a few prior deviations at most.
+_LARGEST_STEP = 3.0
+# Shares of the size of each row that are added to its noise one after the other, so that no group is given up early.
+_APPROACH_SHARES = (0.1, 0.01, 0.001)
+# Steps of each stage of an approach from afar; it only has to come near.
+_APPROACH_STEPS = 10
+# Actual over promised fall below which sensitivities are computed anew after a step.
+_BROYDEN_LEAST_GAIN_RATIO = 0.75
+# Actual over promised fall below which the next step is damped, as usual for Levenberg's method.
+_DAMPING_GAIN_RATIO = 0.25
+# Reweightings of chain and scales for one prediction; near the optimum three suffice.
+_MOST_REWEIGHTINGS = 20
+# Damped trials of one step before the fit ends.
+_MOST_TRIALS = 6
+
 
 class FitError(ArithmeticError):
     """The model has no solution where the fit would have to start."""
@@ -273,14 +290,14 @@ def best_chain_errors(data: Data, values: FloatArray, start: ChainErrors | None 
         if start.key is data.key:
             slopes, products = start.slopes, start.products
     known, exact = bool(products.size), False
-    for _ in range(THRESHOLDS.fits.most_reweightings):
+    for _ in range(_MOST_REWEIGHTINGS):
         if not known:
             slopes, exact = data.chain_slopes(best.values), True
             products = groups.products(slopes)
         fresh, known = not known, True
         normal = np.tensordot(groups.weights(best.squares, counts), products, 1) + np.eye(count)
         gradient = slopes.T @ (best.weights * best.residual) - best.chain
-        for _ in range(THRESHOLDS.fits.most_trials):
+        for _ in range(_MOST_TRIALS):
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
             trial = at(best.chain + step)
             if trial.cost < best.cost or not fresh:
@@ -425,9 +442,9 @@ def fit(
     theta: FloatArray,
     start: Prediction | FitResult | None = None,
     jacobian: FloatArray | None = None,
-    steps: int = THRESHOLDS.fits.most_steps,
+    steps: int = _MOST_STEPS,
     exact: bool = True,
-    refreshes: int = THRESHOLDS.fits.most_steps,
+    refreshes: int = _MOST_STEPS,
 ) -> FitResult:
     """Fit an explanation.
 
@@ -460,9 +477,9 @@ def fit(
     for _ in range(steps if theta.size else 0):
         normal, gradient = _normal(slopes, errors, theta, std)
         trial = None
-        for _ in range(THRESHOLDS.fits.most_trials):
+        for _ in range(_MOST_TRIALS):
             step = _bounded(normal, gradient, damping, theta, lower)
-            step *= min(1.0, THRESHOLDS.fits.largest_step / max(float(np.max(np.abs(step) / std)), 1e-300))
+            step *= min(1.0, _LARGEST_STEP / max(float(np.max(np.abs(step) / std)), 1e-300))
             moved = np.maximum(theta + step, lower)
             step = moved - theta
             promised = float(2.0 * gradient @ step - step @ normal @ step)
@@ -492,9 +509,9 @@ def fit(
         fresh = False
         theta, prediction, errors, cost = moved, trial, chain_errors, total
         # A step that gains far less than it promised went over a bend: undamped ones would swing about the optimum.
-        damping = 0.1 * damping if gained > THRESHOLDS.fits.damping_gain_ratio * promised else 10.0 * max(damping, 1e-3)
+        damping = 0.1 * damping if gained > _DAMPING_GAIN_RATIO * promised else 10.0 * max(damping, 1e-3)
         # Broyden's update follows what a step showed; sensitivities are computed anew where one fell short of it.
-        if gained < THRESHOLDS.fits.broyden_least_gain_ratio * promised and refreshes > 0:
+        if gained < _BROYDEN_LEAST_GAIN_RATIO * promised and refreshes > 0:
             slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True
             refreshes -= 1
         if gained < 0.1 * THRESHOLDS.fits.converged_cost_fall:
@@ -567,9 +584,9 @@ def approach(
     Raises:
         FitError: the model cannot be solved at the start.
     """
-    for share in THRESHOLDS.fits.approach_shares:
+    for share in _APPROACH_SHARES:
         near = replace(data, sigma=np.hypot(data.sigma, share * _natural_size(data.observations)))
-        found = fit(near, parametrisation, theta, start, steps=THRESHOLDS.fits.approach_steps, exact=False)
+        found = fit(near, parametrisation, theta, start, steps=_APPROACH_STEPS, exact=False)
         theta, start = found.theta, found.prediction
     return fit(data, parametrisation, theta, start)
 

@@ -30,6 +30,15 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
+# Relocations of the poles (Gustavsen and Semlyen 1999).
+_VECTOR_FITTING_ROUNDS = 20
+# Pairs of poles beside those of the modes: what noise and modes outside of the band need.
+_EXTRA_POLE_PAIRS = 3
+# Most steps of a search that brings modes together.
+_START_STEPS = 40
+# Residual of a model that has no such modes: larger than any that has.
+_UNPAIRED_RESIDUAL = 1e3
+
 
 @dataclass(frozen=True)
 class Modes:
@@ -76,12 +85,10 @@ def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: 
     scale = 2.0 * np.pi * frequency_hz[-1]
     s = 2j * np.pi * frequency_hz / scale
     poles = (
-        np.geomspace(frequency_hz[0], frequency_hz[-1], expected + THRESHOLDS.modes.extra_pole_pairs)
-        / frequency_hz[-1]
-        * (-0.01 + 1j)
+        np.geomspace(frequency_hz[0], frequency_hz[-1], expected + _EXTRA_POLE_PAIRS) / frequency_hz[-1] * (-0.01 + 1j)
     )
     known = np.isfinite(responses)
-    for _ in range(THRESHOLDS.modes.vector_fitting_rounds):
+    for _ in range(_VECTOR_FITTING_ROUNDS):
         basis = _basis(s, poles)
         columns, right = [], []
         for response, present in zip(responses, known, strict=True):
@@ -356,7 +363,7 @@ class LowLevelModes:
                 known[key] = None if rig is None else self.modes(rig, test)
             modes = known[key]
             if modes is None or which.max() >= modes.poles.size:
-                result.append(np.full(2 * which.size, THRESHOLDS.modes.unpaired_residual))
+                result.append(np.full(2 * which.size, _UNPAIRED_RESIDUAL))
                 continue
             result.append(np.log(found.frequencies_hz / modes.frequencies_hz[which]) / THRESHOLDS.modes.frequency_std)
             ratio = np.maximum(found.dampings, 1e-9) / np.maximum(modes.dampings[which], 1e-9)
@@ -376,7 +383,7 @@ class LowLevelModes:
         solved = least_squares(
             lambda values: self.residual(parametrisation, values), begin, bounds=(parametrisation.lower, np.inf),
             x_scale=parametrisation.prior_std,
-            max_nfev=THRESHOLDS.modes.start_steps,
+            max_nfev=_START_STEPS,
         )  # fmt: skip
         return solved.x, 2.0 * float(solved.cost)
 

@@ -10,6 +10,11 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
+# The 5 % ends of an interval then rest on fifty resamples each.
+_RESAMPLES = 1000
+# Fewer resamples with a gap have no 5 % ends.
+_FEWEST_RESAMPLES = 50
+
 NOISE = 1.0
 """Root mean square of residuals in standard deviations that the stated uncertainties allow."""
 
@@ -71,13 +76,13 @@ def closed(
         return ClosedShare(nan, nan, floor, nan, nan, nan)
     b, a, n = np.array(before_squares), np.array(after_squares), np.array(counts)
     generator = np.random.default_rng(seed)
-    draws = generator.integers(0, n.size, size=(THRESHOLDS.verdict.bootstrap_resamples, n.size))
+    draws = generator.integers(0, n.size, size=(_RESAMPLES, n.size))
     total = n[draws].sum(axis=1)
     sample = _share(np.sqrt(b[draws].sum(axis=1) / total), np.sqrt(a[draws].sum(axis=1) / total), floor)
     sample = sample[np.isfinite(sample)]
     low, high = (
         (float(x) for x in np.quantile(sample, [0.05, 0.95]))
-        if sample.size > THRESHOLDS.verdict.bootstrap_fewest
+        if sample.size > _FEWEST_RESAMPLES
         else (float("nan"),) * 2
     )
     before_rms, after_rms = float(np.sqrt(b.sum() / n.sum())), float(np.sqrt(a.sum() / n.sum()))

@@ -13,6 +13,9 @@ from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.say.residual_map import KINDS, channel_name, unit_of_kind
 from nmt_diagnose.thresholds import THRESHOLDS
 
+# Observables that are named with what is left.
+_NAMED_OBSERVABLES = 3
+
 _BANDS = ("lowest", "middle", "highest")
 
 
@@ -47,7 +50,7 @@ def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: Boo
     found.sort(key=lambda item: -item[0])
     where = tuple(
         RemainderPart(left.observable, left.levels, size / total, left.rms, left.rms_unit, left.unit)
-        for size, left in found[: THRESHOLDS.verdict.remainder_observables]
+        for size, left in found[:_NAMED_OBSERVABLES]
         if total > 0.0 and size > 0.0
     )
     return Remainder(1.0 - gap.closed, 1.0 - gap.high, 1.0 - gap.low, where)

@@ -10,7 +10,9 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.ledger.diagnosis import ResidualGroup
 from nmt_diagnose.ledger.gap import rms
 from nmt_diagnose.observations.observables import Observations, Part
-from nmt_diagnose.thresholds import THRESHOLDS
+
+# Bands of lines in the map of residuals.
+_BANDS = 10
 
 
 def channel_name(observations: Observations, test: int, channel: int) -> str:
@@ -25,9 +27,7 @@ def level_groups(observations: Observations) -> FloatArray:
         selected = observations.rows.test == number
         if test.over_frequency and selected.any():
             groups[selected] = np.floor(
-                observations.rows.level[selected]
-                * THRESHOLDS.verdict.map_bands
-                / (observations.rows.level[selected].max() + 1)
+                observations.rows.level[selected] * _BANDS / (observations.rows.level[selected].max() + 1)
             )
     return groups
 

@@ -23,6 +23,9 @@ from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
+# Explanations that are reported.
+_RANKED_EXPLANATIONS = 8
+
 
 def ranked_rows(
     data: Data, comparison: Comparison, shares: Mapping[Explanation, ClosedShare], partial: bool = False
@@ -36,7 +39,7 @@ def ranked_rows(
         partial: state probabilities among the explanations of the library alone.
     """
     result = []
-    for group in comparison.classes[: THRESHOLDS.verdict.ranked_explanations]:
+    for group in comparison.classes[:_RANKED_EXPLANATIONS]:
         head = group.head
         share = shares.get(head.explanation)
         locations = head.explanation.locations

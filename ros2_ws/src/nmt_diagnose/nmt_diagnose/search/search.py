@@ -37,6 +37,13 @@ from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
+# Times that a fit which has not converged is continued.
+_CONTINUATIONS = 3
+# Times that sensitivities are computed anew in the first fit of a candidate; finalists are fitted to the end.
+_FIRST_REFRESHES = 3
+# Little, and more than rounding.
+_INITIAL_STRENGTH = 0.01
+
 ProgressSentence = Callable[[str], None]
 
 
@@ -220,7 +227,7 @@ class Search:
                         base.fit.prediction,
                         jacobian,
                         exact=False,
-                        refreshes=THRESHOLDS.fits.first_refreshes,
+                        refreshes=_FIRST_REFRESHES,
                     )
                 )
                 break
@@ -258,7 +265,7 @@ class Search:
         """
         fitted = found.fit
         try:
-            for _ in range(1 + THRESHOLDS.fits.continuations):
+            for _ in range(1 + _CONTINUATIONS):
                 fitted = fit(self.data, fitted.parametrisation, fitted.theta, fitted)
                 if fitted.converged:
                     break
@@ -334,7 +341,7 @@ class Search:
             found.prediction,
             found.jacobian,
             exact=False,
-            refreshes=THRESHOLDS.fits.first_refreshes,
+            refreshes=_FIRST_REFRESHES,
         )
         return again if again.log_evidence > found.log_evidence else found
 
@@ -431,7 +438,7 @@ class Search:
                 found.fit.prediction,
                 jacobian,
                 exact=False,
-                refreshes=THRESHOLDS.fits.first_refreshes,
+                refreshes=_FIRST_REFRESHES,
             )
             return FittedExplanation((other,), self.widened(fitted))
         except FitError:
@@ -515,7 +522,7 @@ class Search:
         begun = [
             (
                 self.parametrisation((candidate,)),
-                np.concatenate([theta, at_strength(candidate, first, THRESHOLDS.search.initial_strength)]),
+                np.concatenate([theta, at_strength(candidate, first, _INITIAL_STRENGTH)]),
             )
             for candidate in self.candidates
             for first in starts_of(candidate)[:1]

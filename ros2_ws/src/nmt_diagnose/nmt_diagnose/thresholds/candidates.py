@@ -56,11 +56,6 @@ class CandidateThresholds:
         "Exponents of a power law beyond 1 that a rig file takes.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[candidates.largest_power_excess]",
     )  # fmt: skip
-    joint_sliders: int = threshold(
-        120, "1",
-        "Neighbours differ by 8 % in slip displacement; fewer show as corners of the cost at small amplitudes.",
-        "",
-    )  # fmt: skip
     least_motion_share: float = threshold(
         1e-3, "1",
         "Motion of a point over the largest below which an effect of the structure does nothing there.",

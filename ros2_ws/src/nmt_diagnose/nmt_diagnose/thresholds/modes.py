@@ -77,16 +77,6 @@ class ModeThresholds:
         "Share of the channels that have to show it for that.",
         "",
     )  # fmt: skip
-    vector_fitting_rounds: int = threshold(
-        20, "1",
-        "Relocations of the poles (Gustavsen and Semlyen 1999).",
-        "",
-    )  # fmt: skip
-    extra_pole_pairs: int = threshold(
-        3, "1",
-        "Pairs of poles beside those of the modes: what noise and modes outside of the band need.",
-        "",
-    )  # fmt: skip
     highest_measured_damping: float = threshold(
         0.05, "1",
         "Damping ratio beyond which a pole of a response is no mode.",
@@ -100,16 +90,6 @@ class ModeThresholds:
     fewest_lines: int = threshold(
         20, "1",
         "Fewer lines do not determine poles.",
-        "",
-    )  # fmt: skip
-    unpaired_residual: float = threshold(
-        1e3, "σ",
-        "Residual of a model that has no such modes: larger than any that has.",
-        "",
-    )  # fmt: skip
-    start_steps: int = threshold(
-        40, "1",
-        "Most steps of a search that brings modes together.",
         "",
     )  # fmt: skip
     least_width_lines: float = threshold(

@@ -38,11 +38,6 @@ class NextTestThresholds:
         "Probability of no effect at all from which that competes.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[next_test.doubtful_probability]",
     )  # fmt: skip
-    random_lines: int = threshold(
-        80, "1",
-        "Lines of a random test that is computed ahead.",
-        "",
-    )  # fmt: skip
     random_seconds: float = threshold(
         123.0, "s",
         "Bench time of './nmt linear' as it comes: two records of a minute and what they need to begin and to end.",

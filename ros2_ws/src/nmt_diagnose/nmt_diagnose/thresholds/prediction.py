@@ -76,11 +76,6 @@ class PredictionThresholds:
         "Poles beyond the band by that factor hardly move those in it.",
         "",
     )  # fmt: skip
-    decay_largest_step: float = threshold(
-        0.05, "ln amplitude",
-        "Step of a decay over which frequency and damping are as good as constant.",
-        "",
-    )  # fmt: skip
     unit_source_share: float = threshold(
         0.01, "1",
         "Share of the fundamental that a unit source is: small enough for the first order.",

@@ -88,11 +88,6 @@ class ReadingThresholds:
         "Steps between samples of the drive.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[reading.record_finest_steps]",
     )  # fmt: skip
-    record_padding_samples: int = threshold(
-        512, "samples",
-        "Mirrored samples at either end of a resampled drive.",
-        "",
-    )  # fmt: skip
     record_longest_start: float = threshold(
         0.1, "1",
         "Share of a record that its start may take.",

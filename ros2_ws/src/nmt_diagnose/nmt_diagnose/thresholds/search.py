@@ -89,18 +89,8 @@ class SearchThresholds:
         "Learnt scale of a group of rows from which an explanation is fitted again from the model as given.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[search.noise_scale]",
     )  # fmt: skip
-    initial_strength: float = threshold(
-        0.01, "scales",
-        "Little, and more than rounding.",
-        "",
-    )  # fmt: skip
     first_order_sigmas: float = threshold(
         1.0, "σ",
         "Change by a strength of one scale below which an effect shows at finite strength only.",
-        "",
-    )  # fmt: skip
-    shape_starts: tuple[float, ...] = threshold(
-        (0.5, 1.0, 2.0), "1",
-        "A shape without a grid of its own is looked at within a factor of two.",
         "",
     )  # fmt: skip

@@ -55,11 +55,6 @@ class VerdictThresholds:
         "Explanations whose predictions of held-out rows are judged; each takes a fit for each split.",
         "",
     )  # fmt: skip
-    ranked_explanations: int = threshold(
-        8, "1",
-        "Explanations that are reported.",
-        "",
-    )  # fmt: skip
     as_likely_share: float = threshold(
         1.0 / 3.0, "1",
         "Share of the likeliest detail's probability from which another is named beside it.",
@@ -103,11 +98,6 @@ class VerdictThresholds:
         "A gap of which less is left is closed.",
         "",
     )  # fmt: skip
-    remainder_observables: int = threshold(
-        3, "1",
-        "Observables that are named with what is left.",
-        "",
-    )  # fmt: skip
     remainder_third_share: float = threshold(
         0.5, "1",
         "Share of the squares in one third of the levels from which most of what is left lies there.",
@@ -138,16 +128,6 @@ class VerdictThresholds:
         "Levels of a frequency response from which the highest two are held out, not the highest one.",
         "",
     )  # fmt: skip
-    bootstrap_resamples: int = threshold(
-        1000, "1",
-        "The 5 % ends of an interval then rest on fifty resamples each.",
-        "",
-    )  # fmt: skip
-    map_bands: int = threshold(
-        10, "1",
-        "Bands of lines in the map of residuals.",
-        "",
-    )  # fmt: skip
     least_location_probability: float = threshold(
         0.005, "1",
         "A location below it is not listed: it would read 0 %.",
@@ -157,11 +137,6 @@ class VerdictThresholds:
         0.05, "1",
         "Probability from which a sentence names another location, too.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.other_location_probability]",
-    )  # fmt: skip
-    bootstrap_fewest: int = threshold(
-        50, "resamples",
-        "Fewer resamples with a gap have no 5 % ends.",
-        "",
     )  # fmt: skip
     least_gap_ratio: float = threshold(
         1.02, "1",

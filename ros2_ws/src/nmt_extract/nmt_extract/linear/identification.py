@@ -32,8 +32,7 @@ from nmt_extract.linear.stabilisation import (
 from nmt_record.windows.segments import Signals
 from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.frequency_responses import AveragedSpectra, FrfEstimate, averaged_spectra, frf_estimate
-from nmt_signals.rational_fit import RationalFit, StructureMode, fit_rational, structure_mode
-from nmt_signals.thresholds import SIGNAL_FITS
+from nmt_signals.rational_fit import RATIONAL_MOST_LINES, RationalFit, StructureMode, fit_rational, structure_mode
 
 LOWEST_COHERENCE = 0.8
 """Share of a response's power around a mode that the fit must explain, in the best channel."""
@@ -320,7 +319,7 @@ class _Record:
         room = min(sorted(0.7 * gap for gap in gaps if gap > 0.0)[len(self.references) - 1 :], default=math.inf)
         width = min(width, max(room, 3.0 * pole.damping_ratio * frequency))
         width = min(width, max(frequency - low, 0.02 * frequency), max(high - frequency, 0.02 * frequency))
-        return float(min(width, max(resonance, 0.5 * SIGNAL_FITS.rational_most_lines * spacing)))
+        return float(min(width, max(resonance, 0.5 * RATIONAL_MOST_LINES * spacing)))
 
 
 def _apart(record: _Record, stable: list[StablePole]) -> list[StablePole]:

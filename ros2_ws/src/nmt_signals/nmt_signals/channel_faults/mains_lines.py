@@ -10,6 +10,9 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_signals.thresholds import CHANNEL_FAULTS
 
+# Order of the drive up to which a harmonic folded at half the rate may lie on the mains.
+_HIGHEST_FOLDED_ORDER = 60
+
 MAINS_HZ = (50.0, 60.0)
 """Frequencies of the mains, the one of most countries first, Hz."""
 _NEIGHBOURS = np.concatenate((np.arange(-12, -1), np.arange(2, 13))).astype(np.float64)
@@ -61,10 +64,7 @@ def mains_line(
         fundamental = float(cycles[-1] - cycles[0]) / (samples - 1) * sample_rate
         orders = np.arange(math.ceil(line_hz / fundamental) + len(_NEIGHBOURS)) * fundamental
         # High orders of a joint that slips are folded at the sampling rate, and may come down beside the line.
-        high = (
-            np.arange(math.floor(0.5 * sample_rate / fundamental) + 1, CHANNEL_FAULTS.folded_highest_order + 1)
-            * fundamental
-        )
+        high = np.arange(math.floor(0.5 * sample_rate / fundamental) + 1, _HIGHEST_FOLDED_ORDER + 1) * fundamental
         orders = np.concatenate((orders, np.abs(high - np.round(high / sample_rate) * sample_rate)))
     if np.abs(orders - line_hz).min() < CHANNEL_FAULTS.mains_clearance_lines * resolution:
         return None

@@ -20,6 +20,15 @@ from nmt_signals.decays.decay_nodes import span
 from nmt_signals.decays.decay_signal import Ridge, SlowAmplitude, slow_amplitude
 from nmt_signals.thresholds import DECAYS
 
+# Orders of the mains that are taken out of a decay: supplies make the first three.
+_MAINS_ORDERS = (1, 2, 3)
+# Over the mode's frequency, the widest band of the demodulation.
+_BAND_RATIOS = (0.5, 1.5)
+# Degree of the smooth course of the mode beside the hum.
+_MOST_DEGREE = 7
+# Passes between hum and mode.
+_PASSES = 4
+
 _WANDERS_HZ = np.linspace(-0.06, 0.06, 13)
 
 
@@ -55,14 +64,13 @@ def without_hum(
     lines = [
         order * hz
         for hz in MAINS_HZ
-        for order in DECAYS.hum_orders
-        if DECAYS.hum_band_ratios[0] * low < order * hz < DECAYS.hum_band_ratios[1] * high
-        and order * hz < 0.5 * sample_rate
+        for order in _MAINS_ORDERS
+        if _BAND_RATIOS[0] * low < order * hz < _BAND_RATIOS[1] * high and order * hz < 0.5 * sample_rate
     ]
     clean, found = samples, tuple[Hum, ...]()
     if not lines:
         return samples, ()
-    for _ in range(DECAYS.hum_passes):
+    for _ in range(_PASSES):
         try:
             slow = slow_amplitude(clean, sample_rate, ridge, 1)
         except BenchError:
@@ -88,7 +96,7 @@ def _smooth(
         where the decay does not stand out for some beats with any of the lines.
     """
     first, stop = span(slow, switched_off)
-    if stop - first < DECAYS.hum_most_degree:
+    if stop - first < _MOST_DEGREE:
         return None
     time, turned = slow.time_s[first:stop], slow.phase[first:stop]
     hertz = np.gradient(turned, time) / (2.0 * math.pi)
@@ -100,7 +108,7 @@ def _smooth(
     apart = [line for line in lines if beats[line] > DECAYS.hum_fewest_beats]
     if not apart:
         return None
-    degree = min(DECAYS.hum_most_degree, int(min(beats[line] for line in apart)))
+    degree = min(_MOST_DEGREE, int(min(beats[line] for line in apart)))
     weights = np.abs(slow.values[first:stop])
     all_times = np.arange(count) / sample_rate
     log = _continued(time, slow.log[first:stop], weights, degree, all_times)

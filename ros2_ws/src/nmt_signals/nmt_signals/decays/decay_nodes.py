@@ -19,6 +19,21 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_signals.decays.decay_signal import SlowAmplitude
 from nmt_signals.thresholds import DECAYS
 
+# Degrees of the phase over a segment: odd ones, so that the middle is a frequency.
+_DEGREES = (1, 3, 5)
+# Periods that a degree of the polynomial takes.
+_PERIODS_PER_DEGREE = 2
+# Periods of a segment where the decay is fast.
+_SEGMENT_FEWEST_PERIODS = 4
+SEGMENT_MOST_PERIODS = 7
+"""Periods of a segment of a decay that is not fast."""
+# Fall of the amplitude in a segment that is shorter.
+_SEGMENT_LOG_STEP = 1.2
+# What rings beside the mode may take so long to fade.
+_SETTLING_PERIODS = (0, 1, 2, 3, 4, 6, 8, 10)
+# Range below the largest amplitude in which segments are half as long.
+_LARGE_LOG_RANGE = 1.0
+
 _BOXCARS = 4
 
 
@@ -75,7 +90,7 @@ def span(slow: SlowAmplitude, skipped: int) -> tuple[int, int]:
     An amplitude that grows at first is that before the impact; then the whole window has to lie behind its largest.
     """
     size = np.abs(slow.values)
-    if size.size < DECAYS.segment_fewest_periods:
+    if size.size < _SEGMENT_FEWEST_PERIODS:
         return 0, 0
     top = int(np.argmax(size))
     first = top + 2 * slow.width + 1 if size[0] < 0.5 * size[top] else skipped
@@ -121,15 +136,15 @@ def nodes(slow: SlowAmplitude, wanted: int, skipped: int) -> list[Node]:
 
 def _cut(slow: SlowAmplitude, first: int, stop: int, wanted: int) -> list[tuple[int, int]]:
     """Segments of equal steps of ln A, none shorter than a few periods; a beginning that rings is one of its own."""
-    if stop - first < DECAYS.segment_fewest_periods * slow.width:
+    if stop - first < _SEGMENT_FEWEST_PERIODS * slow.width:
         return []
     falling = np.minimum.accumulate(slow.log[first:stop])
     per_period = max(float(falling[0] - falling[-1]) / (stop - first), 1e-9)
     shortest = slow.width * int(
         np.clip(
-            math.ceil(DECAYS.segment_log_step / per_period),
-            DECAYS.segment_fewest_periods,
-            DECAYS.segment_most_periods,
+            math.ceil(_SEGMENT_LOG_STEP / per_period),
+            _SEGMENT_FEWEST_PERIODS,
+            SEGMENT_MOST_PERIODS,
         )
     )
     found: list[tuple[int, int]] = []
@@ -157,7 +172,7 @@ def _marks(top: float, end: float, wanted: int) -> FloatArray:
     """
     steps = np.linspace(top, end, wanted + 1)
     halves = 0.5 * (steps[1:] + steps[:-1])
-    return np.sort(np.concatenate((steps[1:-1], halves[halves > top - DECAYS.large_log_range])))[::-1]
+    return np.sort(np.concatenate((steps[1:-1], halves[halves > top - _LARGE_LOG_RANGE])))[::-1]
 
 
 def _unsettled(slow: SlowAmplitude, first: int, stop: int) -> int:
@@ -165,16 +180,16 @@ def _unsettled(slow: SlowAmplitude, first: int, stop: int) -> int:
 
     In a fast decay they may as well be the bend of a friction that ends; there nothing is said.
     """
-    length = 2 * DECAYS.segment_most_periods * slow.width
+    length = 2 * SEGMENT_MOST_PERIODS * slow.width
     if (
-        stop - first < length + DECAYS.settling_periods[-1]
+        stop - first < length + _SETTLING_PERIODS[-1]
         or slow.log[first] - slow.log[first + length] > DECAYS.fast_log_fall
     ):
         return 0
-    noise = [_segment(slow, first + late, first + late + length).noise for late in DECAYS.settling_periods]
+    noise = [_segment(slow, first + late, first + late + length).noise for late in _SETTLING_PERIODS]
     return next(
         late
-        for late, residual in zip(DECAYS.settling_periods, noise, strict=True)
+        for late, residual in zip(_SETTLING_PERIODS, noise, strict=True)
         if residual <= DECAYS.unsettled_ratio * noise[-1]
     )
 
@@ -183,12 +198,12 @@ def _design(slow: SlowAmplitude, first: int, stop: int) -> tuple[FloatArray, flo
     """Legendre polynomials of scaled time (k, 6), the middle and half of the time."""
     t = slow.time_s[first:stop]
     middle, half = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
-    return np.polynomial.legendre.legvander((t - middle) / half, DECAYS.segment_degrees[-1]), middle, half
+    return np.polynomial.legendre.legvander((t - middle) / half, _DEGREES[-1]), middle, half
 
 
 def _degrees(periods: int, width: int) -> list[int]:
     """Degrees that a segment can bear."""
-    return [d for d in DECAYS.segment_degrees if periods > DECAYS.periods_per_degree * d * width] or [1]
+    return [d for d in _DEGREES if periods > _PERIODS_PER_DEGREE * d * width] or [1]
 
 
 def correlation(count: int, width: float) -> FloatArray:

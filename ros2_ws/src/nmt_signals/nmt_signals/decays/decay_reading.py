@@ -20,6 +20,11 @@ from nmt_signals.decays.decay_nodes import Node, nodes
 from nmt_signals.decays.decay_signal import Ridge, SlowAmplitude, ridges, slow_amplitude
 from nmt_signals.thresholds import DECAYS
 
+DEMODULATION_WIDTHS = (1, 2, 4)
+"""Widths of the demodulation that are tried, in periods."""
+# Amplitudes at which two widths are compared.
+_COMPARED_AMPLITUDES = 60
+
 
 @dataclass(frozen=True)
 class DecayReading:
@@ -69,7 +74,7 @@ def read_decay(
     samples, hum = without_hum(samples, sample_rate, ridge, DECAYS.switch_off_periods)
     best: DecayReading | None = None
     reason = ""
-    for width in DECAYS.widths:
+    for width in DEMODULATION_WIDTHS:
         try:
             slow = slow_amplitude(samples, sample_rate, ridge, width)
         except BenchError as error:
@@ -113,7 +118,7 @@ def _pays(narrower: DecayReading, wider: DecayReading, floor: float) -> bool:
     observables have, relative, tells nothing more either: else quiet small amplitudes outvote the large ones.
     """
     ends = [end for decay in (narrower, wider) for node in decay.good for end in _reach(decay, node)]
-    grid = np.linspace(min(ends), max(ends), DECAYS.compared_amplitudes)
+    grid = np.linspace(min(ends), max(ends), _COMPARED_AMPLITUDES)
     gain = _covered(narrower, grid, floor) > _covered(wider, grid, floor) / DECAYS.narrower_gain**2
     return float(np.mean(gain)) > 0.5
 

@@ -21,6 +21,23 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, Quantity
 from nmt_signals.thresholds import DECAYS
 
+# Boxcars that are folded to the window: side lobes fall with the fourth power.
+_WINDOW_BOXCARS = 4
+# Frames without overlap into which a decay is cut.
+_MOST_FRAMES = 256
+# Bins on either side of a peak that belong to it: the window's main lobe.
+_HALF_WIDTH_BINS = 2
+# Lower bins are the mean and its leakage.
+_LOWEST_BIN = 3
+# Ridges that are followed.
+_MOST_RIDGES = 3
+# Passes between phase and demodulated signal.
+_PASSES = 3
+# Values of the filter that smooths the frequency between passes.
+_SMOOTHED_VALUES = 5
+# Values of a slow signal that are kept.
+_MOST_VALUES = 3000
+
 
 @dataclass(frozen=True)
 class Ridge:
@@ -65,12 +82,12 @@ def ridges(samples: FloatArray, sample_rate: float, quantity: Quantity) -> list[
         raise BenchError(f"{samples.size} samples are too few; {2 * DECAYS.frame_fewest_samples} are needed")
     best: tuple[FloatArray, FloatArray, FloatArray] | None = None
     most = -1.0
-    size = max(DECAYS.frame_fewest_samples, 2 ** int(math.log2(samples.size / DECAYS.most_frames)))
+    size = max(DECAYS.frame_fewest_samples, 2 ** int(math.log2(samples.size / _MOST_FRAMES)))
     while size <= max(DECAYS.frame_fewest_samples, min(samples.size // 4, 2**14)):
         frequency, time, power = _power(samples, sample_rate, quantity, size)
         total = float(np.sum(power))
         # The lowest lines hold no ridge, but their power is missing in the others.
-        power[: DECAYS.fewest_bins] = 0.0
+        power[:_LOWEST_BIN] = 0.0
         concentration = float(np.sum(power**2)) / max(total**2, 1e-300)
         if concentration > most:
             best, most = (frequency, time, power), concentration
@@ -96,7 +113,7 @@ def _ridges_of(frequency: FloatArray, time: FloatArray, power: FloatArray) -> li
     """The strongest ridges, strongest first."""
     found: list[Ridge] = []
     remaining_power = power.copy()
-    for _ in range(DECAYS.most_ridges):
+    for _ in range(_MOST_RIDGES):
         if not remaining_power.max() > 0.0:
             break
         found.append(_followed(remaining_power, power, frequency, time))
@@ -113,7 +130,7 @@ def _followed(remaining_power: FloatArray, power: FloatArray, frequency: FloatAr
     for way in (range(int(anchor) + 1, time.size), range(int(anchor) - 1, -1, -1)):
         last = int(top)
         for frame in way:
-            low = max(DECAYS.fewest_bins, math.floor(last * (1.0 - DECAYS.ridge_log_change)) - 1)
+            low = max(_LOWEST_BIN, math.floor(last * (1.0 - DECAYS.ridge_log_change)) - 1)
             high = min(frequency.size, math.ceil(last * (1.0 + DECAYS.ridge_log_change)) + 2)
             peak = low + int(np.argmax(remaining_power[low:high, frame]))
             # In noise it stays where it was, and so it does where another ridge has gone.
@@ -129,15 +146,15 @@ def _followed(remaining_power: FloatArray, power: FloatArray, frequency: FloatAr
     clear[anchor] = True
     for frame, middle in enumerate(bins):
         near = slice(
-            max(1, middle - DECAYS.ridge_half_width_bins),
-            min(frequency.size, middle + DECAYS.ridge_half_width_bins + 1),
+            max(1, middle - _HALF_WIDTH_BINS),
+            min(frequency.size, middle + _HALF_WIDTH_BINS + 1),
         )
         peak_power = remaining_power[near, frame].copy()
         energy[frame] = peak_power.sum()
         hertz[frame] = (
             float(frequency[near] @ peak_power / peak_power.sum()) if peak_power.sum() > 0.0 else middle * step
         )
-        reach = max(DECAYS.ridge_half_width_bins, math.ceil(DECAYS.ridge_log_change * middle))
+        reach = max(_HALF_WIDTH_BINS, math.ceil(DECAYS.ridge_log_change * middle))
         remaining_power[max(0, middle - reach) : middle + reach + 1, frame] = 0.0
     return Ridge(time, hertz, energy, clear)
 
@@ -147,8 +164,8 @@ def _clear(power: FloatArray, middle: int) -> bool:
     low, high = max(1, middle // 2), min(power.size, 2 * middle + 1)
     around = np.concatenate(
         (
-            power[low : max(low, middle - DECAYS.ridge_half_width_bins)],
-            power[middle + DECAYS.ridge_half_width_bins + 1 : high],
+            power[low : max(low, middle - _HALF_WIDTH_BINS)],
+            power[middle + _HALF_WIDTH_BINS + 1 : high],
         )
     )
     return bool(around.size and power[middle] > DECAYS.ridge_peak_ratio * np.median(around))
@@ -189,7 +206,7 @@ class SlowAmplitude:
 
 def middles(cycles: FloatArray, width: int) -> FloatArray:
     """Phases, one a period, around which the whole window lies within the samples, cycles, shape (k,)."""
-    half = 0.5 * DECAYS.window_boxcars * width
+    half = 0.5 * _WINDOW_BOXCARS * width
     count = math.floor(cycles[-1] - cycles[0] - 2.0 * half) + 1
     return np.asarray(cycles[0] + half + np.arange(max(0, count)))
 
@@ -213,7 +230,7 @@ def demodulated(samples: FloatArray, cycles: FloatArray, width: int) -> ComplexA
     share = np.gradient(cycles)
     turned = 2.0 * samples * np.exp(-2j * math.pi * cycles) * share
     at = middles(cycles, width)
-    half = 0.5 * DECAYS.window_boxcars * width
+    half = 0.5 * _WINDOW_BOXCARS * width
     first = np.searchsorted(cycles, at - half)
     stop = np.searchsorted(cycles, at + half, side="right")
     result = np.empty(at.size, dtype=np.complex128)
@@ -248,20 +265,18 @@ def slow_amplitude(samples: FloatArray, sample_rate: float, ridge: Ridge, width:
     cycles = np.concatenate(([0.0], np.cumsum(0.5 * (hertz[1:] + hertz[:-1])))) / sample_rate
     if cycles[-1] < DECAYS.fewest_periods:
         raise BenchError(f"{cycles[-1]:.3g} periods of decay are too few; {DECAYS.fewest_periods} are needed")
-    for number in range(DECAYS.demodulation_passes):
+    for number in range(_PASSES):
         at = middles(cycles, width)
         if not at.size:
-            raise BenchError(
-                f"{cycles[-1]:.3g} periods of decay are too few for a window of {DECAYS.window_boxcars * width}"
-            )
+            raise BenchError(f"{cycles[-1]:.3g} periods of decay are too few for a window of {_WINDOW_BOXCARS * width}")
         values = demodulated(samples, cycles, width)
-        if number + 1 == DECAYS.demodulation_passes or values.size < DECAYS.fewest_periods // 2:
+        if number + 1 == _PASSES or values.size < DECAYS.fewest_periods // 2:
             break
         moved = _moved(cycles, at, values)
         if moved is None:
             break
         cycles = moved
-    stride = -(-values.size // DECAYS.most_values)
+    stride = -(-values.size // _MOST_VALUES)
     return SlowAmplitude(cycles, width, np.interp(at, cycles, time)[::stride], values[::stride], stride)
 
 
@@ -277,8 +292,8 @@ def _moved(cycles: FloatArray, at: FloatArray, values: ComplexArray) -> FloatArr
     noise = float(np.median(size[-max(3, size.size // 20) :]))
     strong = np.flatnonzero(size > min(3.0 * noise, 1e-2 * size.max()))
     left = np.unwrap(np.angle(values[strong])) / (2.0 * math.pi)
-    if strong.size > DECAYS.smoothed_values:
-        left = savgol_filter(left, DECAYS.smoothed_values, 2)
+    if strong.size > _SMOOTHED_VALUES:
+        left = savgol_filter(left, _SMOOTHED_VALUES, 2)
     phase = at[strong] + left
     new = np.interp(cycles, at[strong], phase)
     if strong.size > 2:

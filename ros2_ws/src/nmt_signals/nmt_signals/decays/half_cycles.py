@@ -18,6 +18,13 @@ from nmt_signals.band_limited import finer
 from nmt_signals.decays.decay_nodes import Node
 from nmt_signals.thresholds import DECAYS
 
+# Smoothing before turning points are looked for.
+_SMOOTHING_PERIODS = 0.2
+# Either side of a turning point that the parabola is fitted to: a sine is one there within 0.4 %.
+_VERTEX_HALF_WIDTH_PERIODS = 0.1
+# Times that the piece is centred on its vertex.
+_VERTEX_PASSES = 3
+
 
 def half_cycle_nodes(samples: FloatArray, sample_rate: float, frequency_hz: float) -> list[Node]:
     """Nodes from large to small amplitude.
@@ -87,11 +94,11 @@ def strongest_frequency(samples: FloatArray, sample_rate: float) -> float:
 
 def _turning_points(samples: FloatArray, period: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Times in samples and values of the turning points of the decay, and their standard uncertainties, each (k,)."""
-    length = max(5, 2 * int(0.5 * DECAYS.turning_smoothing_periods * period) + 1)
+    length = max(5, 2 * int(0.5 * _SMOOTHING_PERIODS * period) + 1)
     smooth = savgol_filter(samples, length, 3)
     noise = float(np.std(samples - smooth))
     slope = savgol_filter(samples, length, 3, deriv=1)
-    half = max(3, round(DECAYS.vertex_half_width_periods * period))
+    half = max(3, round(_VERTEX_HALF_WIDTH_PERIODS * period))
     places = np.flatnonzero(np.diff(np.signbit(slope)))
     places = places[(places >= half) & (places < samples.size - half)]
     largest = 0.5 * float(np.ptp(smooth))
@@ -122,7 +129,7 @@ def _vertex(values: FloatArray, middle: int) -> tuple[float, float, float, float
     """
     x = np.arange(values.size) - 0.5 * (values.size - 1)
     at, solution, norms = 0.0, np.zeros(4), np.zeros(4)
-    for _ in range(DECAYS.vertex_passes):
+    for _ in range(_VERTEX_PASSES):
         apart = x - at
         columns = np.stack((np.ones_like(x), apart, np.minimum(apart, 0.0) ** 2, np.maximum(apart, 0.0) ** 2), axis=1)
         inverse = np.linalg.pinv(columns)

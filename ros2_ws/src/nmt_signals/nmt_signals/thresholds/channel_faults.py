@@ -82,11 +82,6 @@ class ChannelFaultThresholds:
         "Fewer neighbouring lines do not show the noise.",
         "",
     )  # fmt: skip
-    folded_highest_order: int = threshold(
-        60, "1",
-        "Order of the drive up to which a harmonic folded at half the rate may lie on the mains.",
-        "",
-    )  # fmt: skip
     repeats_fewest: int = threshold(
         5, "samples",
         "Fewer repeated samples happen by chance.",

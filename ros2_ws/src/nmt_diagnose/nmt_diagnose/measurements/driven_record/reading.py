@@ -36,6 +36,9 @@ from nmt_rig.model.linear_modes import damped_modes
 from nmt_signals.band_limited import finer
 from nmt_signals.channel_faults.clipping import clipping_level
 
+# Mirrored samples at either end of a resampled drive.
+_PADDING_SAMPLES = 512
+
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
@@ -156,7 +159,7 @@ def _one(
         drive_point=view.rig.drive_point,
         sample_rate=factor * stretch.sample_rate,
         input_channel=model_channel,
-        input=finer(source_samples, factor, THRESHOLDS.reading.record_padding_samples),
+        input=finer(source_samples, factor, _PADDING_SAMPLES),
         channels=tuple(present),
         segment_bounds=factor * bounds.astype(np.float64),
         start_s=stretch.start_s,

@@ -28,9 +28,11 @@ from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.predictor import Predictor
 from nmt_diagnose.prediction.rig_parts import RigParts, sliding
 from nmt_diagnose.prediction.rig_tables import sensor_gain
-from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
+
+# Step of a decay over which frequency and damping are as good as constant.
+_LARGEST_STEP = 0.05
 
 if TYPE_CHECKING:
     from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
@@ -145,7 +147,7 @@ class RingDownPredictor(Predictor):
 
     def _newton(self, parts: RigParts, z: FloatArray, amplitude: float) -> PeriodicState | None:
         closing, targets, *how = self._arguments(parts, z[None], np.array([amplitude]))
-        limits = Limits(self.settings.iterations, _TOLERANCE, THRESHOLDS.prediction.decay_largest_step)
+        limits = Limits(self.settings.iterations, _TOLERANCE, _LARGEST_STEP)
         done = at_pole(z, closing, targets[0], parts.kernel_tables)
         try:
             if not done:

@@ -25,7 +25,7 @@ from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_signals.decays.decay_hum import without_hum
 from nmt_signals.decays.decay_nodes import Node, ratio_at
-from nmt_signals.decays.decay_reading import DecayReading, read_decay
+from nmt_signals.decays.decay_reading import DEMODULATION_WIDTHS, DecayReading, read_decay
 from nmt_signals.decays.decay_signal import Ridge, demodulated
 from nmt_signals.decays.half_cycles import half_cycle_nodes
 from nmt_signals.thresholds import DECAYS
@@ -192,7 +192,7 @@ def _short_decay(
 def _close_mode(view: ModelView, frequency_hz: float) -> str:
     """Which mode several exciters let ring that no window tells from the one that decays; empty = none."""
     away = sorted(view.modes_hz, key=lambda hertz: abs(hertz / frequency_hz - 1.0))[1:2]
-    if len(view.rig.all_exciters) < 2 or not away or abs(away[0] / frequency_hz - 1.0) > 1.0 / max(DECAYS.widths):
+    if len(view.rig.all_exciters) < 2 or not away or abs(away[0] / frequency_hz - 1.0) > 1.0 / max(DEMODULATION_WIDTHS):
         return ""
     return f"the model's mode at {away[0]:.4g} Hz rings so close to {frequency_hz:.4g} Hz that neither decays alone"
 

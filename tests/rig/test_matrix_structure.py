@@ -11,7 +11,7 @@ from nmt_core.errors import BenchError
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.beam import euler_bernoulli_beam
 from nmt_rig.model.linear_modes import modal_damping_matrix, sticking_modes
-from nmt_rig.model.matrix_structure import Matrices, craig_bampton
+from nmt_rig.model.matrix_structure import Matrices, condensed, craig_bampton
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_structure
@@ -170,7 +170,8 @@ def two(**changes):
 @pytest.mark.parametrize(
     ("name", "matrix", "says"),
     [
-        ("mass", [[1.0, 0.0], [0.0, 0.0]], "mass must be positive definite"),
+        ("mass", [[0.0, 0.0], [0.0, 0.0]], "mass must be positive definite"),
+        ("mass", [[1.0, 0.0], [0.0, -1.0]], "mass must be positive definite"),
         ("mass", [[1.0, 2.0], [2.0, 1.0]], "mass must be positive definite"),
         ("mass", [[0.0, 1.0], [1.0, 0.0]], "mass must be positive definite"),
         ("mass", [[1.0]], "mass must be 2 x 2, as the stiffness, got 1 x 1"),
@@ -200,7 +201,7 @@ def test_free_structures_are_accepted_and_rounding_is_forgiven(kind):
         ("file: beam.npz", "structure.points_at must be a list of points"),
         ("file: none.npz, {points}", "there is no file"),
         ("file: rig.yaml, {points}", "structure.file must be .npz or .mat"),
-        ("file: broken.npz, {points}", "broken.npz: it is not an NPZ archive"),
+        ("file: broken.npz, {points}", "broken.npz: The matrix file broken.npz is cut off or damaged"),
         ("file: other.npz, {points}", "it has none of M, K, C; it has stuff"),
         ("file: beam.npz, points_at: [{{point: 2, row: 99}}], modes: 2", "names row 99, but the rows are 0 to 13"),
         ("file: beam.npz, points_at: [{{point: 2, row: 99}}]", "names row 99, but the rows are 0 to 13"),
@@ -219,3 +220,71 @@ def test_matrices_sections_that_are_wrong_are_named(tmp_path, beam, structure, s
     np.savez(tmp_path / "large.npz", M=np.eye(100), K=np.eye(100))
     with pytest.raises(BenchError, match=says.replace(".", r"\.")):
         rig_of(tmp_path, structure.format(points=points_at(beam)))
+
+
+def lumped_frame():
+    """A beam of nine elements on a clamp with its mass at the deflections: rotations have none."""
+    full = build_structure(BEAM)
+    mass = np.zeros_like(full.mass)
+    for row in range(0, full.mass.shape[0], 2):
+        mass[row, row] = 0.02 + 0.001 * row
+    return Matrices(mass, full.stiffness)
+
+
+def finite_frequencies(mass, stiffness, count=4):
+    """Lowest angular frequencies by the inverse problem, in which rows without mass have the eigenvalue zero."""
+    return np.sqrt(1.0 / eigh(mass, stiffness, eigvals_only=True)[::-1][:count])
+
+
+def test_rows_without_mass_are_condensed_without_an_error():
+    frame = lumped_frame().checked()
+    small, left = condensed(frame, [0])
+    assert not set(left) & set(frame.massless())
+    assert small.size + frame.massless().size == frame.size
+    np.testing.assert_allclose(
+        finite_frequencies(small.mass, small.stiffness), finite_frequencies(frame.mass, frame.stiffness), rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        np.linalg.inv(small.stiffness), np.linalg.inv(frame.stiffness)[np.ix_(left, left)], rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize("form", [np.asarray, sparse.csr_matrix])
+def test_rows_without_mass_follow_in_a_reduction(form):
+    frame = lumped_frame()
+    frame = Matrices(form(frame.mass), form(frame.stiffness)).checked()
+    small = craig_bampton(frame, [4, 7], 6)  # all that have mass; 7 is a rotation
+    plain = frame.dense()
+    np.testing.assert_allclose(
+        finite_frequencies(small.mass, small.stiffness, 7),
+        finite_frequencies(plain.mass, plain.stiffness, 7),
+        rtol=1e-7,
+    )
+    with pytest.raises(ValueError, match="modes are left beside the points"):
+        craig_bampton(frame, [4, 7], 7)
+
+
+def test_a_rig_says_what_was_condensed(tmp_path, beam):
+    frame = lumped_frame()
+    np.savez(tmp_path / "beam.npz", M=frame.mass, K=frame.stiffness)
+    ratios = ", ".join(["0.01"] * 7)
+    rig = rig_of(tmp_path, f"file: beam.npz, damping_ratios: [{ratios}], {points_at(beam)}")
+    assert rig.structure.source.endswith("; 7 rows without mass follow the others statically")
+    with pytest.raises(BenchError, match="row 1 moves a point or a damper and has no mass"):
+        rig_of(tmp_path, f"file: beam.npz, damping_ratios: [{ratios}], points_at: [{{point: 2, row: 1}}]")
+
+
+def test_a_large_reduction_is_kept_beside_its_file(tmp_path, beam, monkeypatch):
+    export(tmp_path, beam)
+    monkeypatch.setattr("nmt_rig.structure_files._SMALL_FILE", 0)
+    text = f"file: beam.npz, modes: 2, {points_at(beam)}"
+    first = rig_of(tmp_path, text)
+    (stored,) = (tmp_path / ".nmt-reduced").iterdir()
+    with monkeypatch.context() as patch:
+        patch.setattr("nmt_rig.matrix_files.read_matrices", None)
+        assert rig_of(tmp_path, text) == first
+    stored.write_text("{")
+    assert rig_of(tmp_path, text) == first
+    export(tmp_path, beam, stuff=1.0)
+    assert rig_of(tmp_path, text).structure.mass_kg == first.structure.mass_kg
+    assert len(list((tmp_path / ".nmt-reduced").iterdir())) == 2

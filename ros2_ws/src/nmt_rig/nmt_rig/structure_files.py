@@ -5,7 +5,9 @@ The rig then holds the numbers, so that it travels in bags and result folders wi
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -14,12 +16,19 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
+from nmt_core.files.hardened import json_value, read_text
+from nmt_core.files.whole_file import write_whole
 from nmt_core.files.yaml_document import YamlDocument
 from nmt_rig.file_errors import BadFileError
 from nmt_rig.modal_files import read_modal_csv, read_uff55
 
 # Larger structures are integrated too slowly, and their rig files become too long.
 LARGEST = 60
+_LARGEST_CONDENSED = 2000
+# The reduction of smaller files takes less time than a node's start.
+_SMALL_FILE = 2**18
+# Changes where the reduction gives other numbers for the same files.
+_REDUCTION = "1"
 _FILE_KEYS = ("file", "mass_file", "stiffness_file", "damping_file")
 _MATRIX_KEYS = ("mass_kg", "stiffness_n_m", "damping_ns_m")
 
@@ -159,75 +168,138 @@ def _modal(document: YamlDocument, structure: Mapping[str, Any], folder: Path) -
 
 
 def _matrices(document: YamlDocument, structure: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    # Late: scipy's sparse matrices and file formats take a third of a second, in every node that loads a rig.
-    from nmt_rig.matrix_files import read_matrices, read_matrix
-    from nmt_rig.model.matrix_structure import Matrices, craig_bampton
-
     key = next((key for key in _FILE_KEYS if structure.get(key) is not None), "modes")
     place = document.place(("structure", key))
     paths = {name: _path(document, structure, name, folder) for name in _FILE_KEYS}
+    points_at, kept = _kept_rows(document, structure.get("points_at"))
+    source = _source(*paths.values())
+    stored = _stored_reduction(structure, paths, kept)
+    found = _read_reduction(stored, len(kept))
+    if not found:
+        try:
+            found = _reduced(_quantities(document, structure, key, paths), kept, structure.get("modes"))
+        except ValueError as error:
+            raise BenchError(f"{place}: {error}.") from error
+        if stored is not None:
+            # A folder that cannot be written only costs the time of the next reduction.
+            with contextlib.suppress(OSError):
+                stored.parent.mkdir(exist_ok=True)
+                write_whole(stored, json.dumps(found))
+    number, note = dict(zip(kept, found.pop("rows"), strict=True)), found.pop("note")
+    points_at = [
+        {name: value if name == "point" or value is None else number[value] for name, value in entry.items()}
+        for entry in points_at
+    ]
+    rest = {k: v for k, v in structure.items() if k not in (*_FILE_KEYS, *_MATRIX_KEYS, "modes", "base_vector")}
+    source = f"{source}; {note}" if source and note else source or structure.get("source", "")
+    return rest | {"points_at": points_at, **found, "source": source}
+
+
+def _quantities(
+    document: YamlDocument, structure: Mapping[str, Any], key: str, paths: Mapping[str, Path | None]
+) -> dict[str, Any]:
+    """Matrices and vectors by quantity, from the files and from what stands in the rig file itself."""
+    # Late: file formats of scipy take a third of a second, in every node that loads a rig.
+    from nmt_rig.matrix_files import read_matrices, read_matrix
+
+    place = document.place(("structure", key))
     found: dict[str, Any] = {}
-    whole = paths["file"]
-    if whole is not None:
-        found = _reading(place, whole, read_matrices)
     for name, path in paths.items():
-        if name != "file" and path is not None:
-            quantity = name.removesuffix("_file")
-            if quantity in found:
-                raise BenchError(f"{place}: structure.file and structure.{name} both give the {quantity}; remove one.")
-            found[quantity] = _reading(document.place(("structure", name)), path, read_matrix)
+        if path is None:
+            continue
+        read = read_matrices if name == "file" else read_matrix
+        content = _reading(document.place(("structure", name)), path, read)
+        given = content if name == "file" else {name.removesuffix("_file"): content}
+        _once(found, given, place, key, name)
     for name in (*_MATRIX_KEYS, "base_vector", "base_load_kg"):
-        quantity = name.removesuffix("_kg").removesuffix("_ns_m").removesuffix("_n_m")
         if structure.get(name) is None or structure[name] == []:
             continue
-        if quantity in found:
-            raise BenchError(f"{place}: structure.{key} and structure.{name} both give the {quantity}; remove one.")
+        quantity = name.removesuffix("_kg").removesuffix("_ns_m").removesuffix("_n_m")
         try:
-            found[quantity] = np.array(structure[name], dtype=float)
+            value = np.array(structure[name], dtype=float)
         except (TypeError, ValueError) as error:
             raise BenchError(
                 f"{document.place(('structure', name))}: structure.{name} must be rows of numbers of equal length."
             ) from error
+        _once(found, {quantity: value}, place, key, name)
     for quantity in ("mass", "stiffness"):
         if quantity not in found:
             raise BenchError(f"{place}: the {quantity} matrix is missing; give structure.file, or {quantity}_file.")
     if "damping" in found and structure.get("damping_ratios") is not None:
         raise BenchError(f"{place}: the files give a damping matrix, and structure.damping_ratios too; remove one.")
-    points_at, kept = _kept_rows(document, structure.get("points_at"))
-    try:
-        matrices = Matrices(**found).checked()
-        beyond = [row for row in kept if row >= matrices.size]
-        if beyond:
-            raise ValueError(f"structure.points_at names row {beyond[0]}, but the rows are 0 to {matrices.size - 1}")
-        if structure.get("modes") is not None:
-            modes = structure["modes"]
-            if not isinstance(modes, int) or isinstance(modes, bool):
-                raise ValueError(f"structure.modes must be a whole number, got {modes!r}")
-            matrices = craig_bampton(matrices, kept, modes)
-            number = {row: position for position, row in enumerate(kept)}
-            points_at = [
-                {name: value if name == "point" or value is None else number[value] for name, value in entry.items()}
-                for entry in points_at
-            ]
-        if matrices.size > LARGEST:
-            raise ValueError(
-                f"the structure has {matrices.size} degrees of freedom, and {LARGEST} is the limit; reduce it with "
-                "structure.modes, the number of modes to keep beside the points"
-            )
-    except ValueError as error:
-        raise BenchError(f"{place}: {error}.") from error
+    return found
+
+
+def _once(found: dict[str, Any], given: Mapping[str, Any], place: str, key: str, name: str) -> None:
+    """Take quantities that nothing else gives."""
+    for quantity in given:
+        if quantity in found:
+            raise BenchError(f"{place}: structure.{key} and structure.{name} both give the {quantity}; remove one.")
+    found.update(given)
+
+
+def _reduced(quantities: Mapping[str, Any], kept: list[int], modes: Any) -> dict[str, Any]:
+    """Matrices of at most ``LARGEST`` rows as lists, the new rows of the kept ones, what was condensed in words.
+
+    Raises:
+        ValueError: matrices that are no passive structure, or too large without `modes`.
+    """
+    # Late: scipy's sparse matrices take a third of a second, in every node that loads a rig.
+    from nmt_rig.model.matrix_structure import Matrices, condensed, craig_bampton
+
+    matrices = Matrices(**quantities).checked()
+    if beyond := [row for row in kept if row >= matrices.size]:
+        raise ValueError(f"structure.points_at names row {beyond[0]}, but the rows are 0 to {matrices.size - 1}")
+    massless = int(matrices.massless().size)
+    if modes is not None:
+        if not isinstance(modes, int) or isinstance(modes, bool):
+            raise ValueError(f"structure.modes must be a whole number, got {modes!r}")
+        matrices, rows = craig_bampton(matrices, kept, modes), list(range(len(kept)))
+    elif matrices.size - massless > LARGEST or matrices.size > _LARGEST_CONDENSED:
+        raise ValueError(
+            f"the structure has {matrices.size} degrees of freedom, and {LARGEST} is the limit; reduce it with "
+            "structure.modes, the number of modes to keep beside the points"
+        )
+    else:
+        matrices, left = condensed(matrices, kept)
+        rows = np.searchsorted(left, kept).tolist()
     plain = matrices.dense()
-    load = matrices.load()
-    result = {k: v for k, v in structure.items() if k not in (*_FILE_KEYS, *_MATRIX_KEYS, "modes", "base_vector")}
-    result |= {"points_at": points_at, "mass_kg": plain.mass.tolist(), "stiffness_n_m": plain.stiffness.tolist()}
-    if plain.damping is not None:
-        result["damping_ns_m"] = plain.damping.tolist()
-    if matrices.base_vector is not None:
-        result["base_vector"] = np.asarray(matrices.base_vector, dtype=float).tolist()
-    if load is not None:
-        result["base_load_kg"] = np.asarray(load, dtype=float).tolist()
-    result["source"] = _source(*paths.values()) or structure.get("source", "")
-    return result
+    if without := np.flatnonzero(~np.asarray(plain.mass).any(axis=1)).tolist():
+        raise ValueError(
+            f"row {kept[rows.index(without[0])] if without[0] in rows else without[0]} moves a point or a damper and "
+            "has no mass; reduce the structure with structure.modes"
+        )
+    found = {"mass_kg": plain.mass, "stiffness_n_m": plain.stiffness, "damping_ns_m": plain.damping,
+             "base_vector": matrices.base_vector, "base_load_kg": matrices.load()}  # fmt: skip
+    lists = {name: np.asarray(value, dtype=float).tolist() for name, value in found.items() if value is not None}
+    note = f"{massless} rows without mass follow the others statically" if massless else ""
+    return {**lists, "rows": rows, "note": note}
+
+
+def _stored_reduction(structure: Mapping[str, Any], paths: Mapping[str, Path | None], kept: list[int]) -> Path | None:
+    """Where the reduction of large files is kept, named by the digest of all that it follows from; None without one."""
+    files = [path for path in paths.values() if path is not None]
+    if structure.get("modes") is None or not files or sum(path.stat().st_size for path in files) < _SMALL_FILE:
+        return None
+    digest = hashlib.sha256(f"{_REDUCTION} {kept} {structure['modes']}".encode())
+    for name, path in paths.items():
+        if path is not None:
+            digest.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}".encode())
+    for name in (*_MATRIX_KEYS, "base_vector", "base_load_kg", "damping_ratios"):
+        digest.update(repr(structure.get(name)).encode())
+    return files[0].parent / ".nmt-reduced" / f"{files[0].name}-{digest.hexdigest()[:16]}.json"
+
+
+def _read_reduction(path: Path | None, kept: int) -> dict[str, Any]:
+    """What was kept of a reduction; empty where there is none, or it is damaged."""
+    if path is None or not path.is_file():
+        return {}
+    try:
+        found = json_value(read_text(path, "reduced structure"), path.name, bounded=False)
+    except BenchError:
+        return {}
+    good = isinstance(found, dict) and {"mass_kg", "stiffness_n_m", "rows", "note"} <= set(found)
+    return found if good and isinstance(found["rows"], list) and len(found["rows"]) == kept else {}
 
 
 def _kept_rows(document: YamlDocument, points_at: Any) -> tuple[list[dict[str, Any]], list[int]]:

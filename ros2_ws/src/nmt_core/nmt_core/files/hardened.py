@@ -13,6 +13,7 @@ import math
 import os
 import re
 import stat
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -39,7 +40,11 @@ _DEEPEST = 40
 YAML_FAULTS = (ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError)
 
 _DAMAGED_NPZ = (zipfile.BadZipFile, zlib.error, EOFError, KeyError, NotImplementedError, RuntimeError)
-_NOT_PLAIN = (ValueError, SyntaxError, TypeError, OverflowError, MemoryError, AttributeError, IndexError)
+# numpy takes the header of an array apart as Python's source.
+_NOT_PLAIN = (
+    ValueError, SyntaxError, TypeError, OverflowError, MemoryError, AttributeError, IndexError, tokenize.TokenError,
+    RecursionError,
+)  # fmt: skip
 
 
 def open_regular(path: Path, what: str, largest: int) -> IO[bytes]:
@@ -264,7 +269,7 @@ def read_arrays(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> Mapping
     try:
         with open_regular(path, what, largest) as file:
             with zipfile.ZipFile(file) as archive:
-                sizes = {item.filename: _claimed_bytes(archive, item) for item in archive.infolist()}
+                sizes = {item.filename: _claimed_in_archive(archive, item) for item in archive.infolist()}
             total = sum(sizes.values())
             if total > largest:
                 raise BenchError(
@@ -287,26 +292,53 @@ def read_arrays(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> Mapping
         ) from error
 
 
-def _claimed_bytes(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> int:
-    """Bytes that an entry needs in memory as double precision, by its header."""
+def read_array(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> np.ndarray[Any, Any]:
+    """The array of an NPY file, its claim compared with the file first; arguments and errors as :func:`read_arrays`."""
+    import numpy as np
+
+    try:
+        with open_regular(path, what, largest) as file:
+            needed = _claimed_bytes(file, "it", path.stat().st_size)
+            if needed > largest:
+                raise BenchError(
+                    f"The array of the {what} {path} needs {needed / 2**20:.4g} MiB, more than the "
+                    f"{largest / 2**20:g} MiB that are read."
+                )
+            file.seek(0)
+            array: np.ndarray[Any, Any] = np.load(file, allow_pickle=False)
+            return array
+    except BenchError:
+        raise
+    except (OSError, EOFError, *_NOT_PLAIN) as error:
+        raise BenchError(
+            f"The {what} {path.name} is not a NumPy array of numbers ({_first_line(error)}); save it with numpy.save."
+        ) from error
+
+
+def _claimed_bytes(entry: IO[bytes], name: str, size: int) -> int:
+    """Bytes that an array of `size` bytes with its header needs in memory as double precision, by its header."""
     from numpy.lib import format as npy
 
+    version = npy.read_magic(entry)
+    reader = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}.get(version)
+    if reader is None:
+        raise ValueError(f"{name} has version {version} of the format")
+    shape, _, kind = reader(entry)
+    head = entry.tell()
+    if kind.hasobject:
+        raise ValueError(f"{name} holds objects")
+    values = math.prod(int(n) for n in shape)
+    claimed = values * int(kind.itemsize)
+    if claimed != size - head or any(n < 0 for n in shape):
+        raise ValueError(f"{name} claims {claimed} bytes and has {size - head}")
+    return max(claimed, 8 * values)
+
+
+def _claimed_in_archive(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> int:
     if not item.filename.endswith(".npy"):
         raise ValueError(f"'{item.filename}' in it is no array")
     with archive.open(item) as entry:
-        version = npy.read_magic(entry)
-        reader = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}.get(version)
-        if reader is None:
-            raise ValueError(f"'{item.filename}' has version {version} of the format")
-        shape, _, kind = reader(entry)
-        head = entry.tell()
-    if kind.hasobject:
-        raise ValueError(f"'{item.filename}' holds objects")
-    values = math.prod(int(n) for n in shape)
-    claimed = values * int(kind.itemsize)
-    if claimed != item.file_size - head or any(n < 0 for n in shape):
-        raise ValueError(f"'{item.filename}' claims {claimed} bytes and has {item.file_size - head}")
-    return max(claimed, 8 * values)
+        return _claimed_bytes(entry, f"'{item.filename}'", item.file_size)
 
 
 def _first_line(error: Exception) -> str:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import eigh
-from scipy.sparse.linalg import eigsh, splu
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from nmt_rig.model.structure import Array
 
@@ -46,8 +47,8 @@ class Matrices:
         """The same, made exactly symmetric.
 
         Raises:
-            ValueError: not square, of different sizes, not finite, not symmetric, a mass that is not positive definite,
-                or a stiffness or damping with negative eigenvalues (of the lowest ones where the matrices are large).
+            ValueError: not square, of different sizes, not finite, not symmetric, a mass that is not positive definite
+                but for rows of zeros, or a stiffness or damping with negative eigenvalues.
         """
         n = self.size
         result: dict[str, Any] = {}
@@ -73,15 +74,21 @@ class Matrices:
             vector = getattr(self, name)
             if vector is not None and (vector.shape != (n,) or not np.all(np.isfinite(vector))):
                 raise ValueError(f"{name} must have {n} finite entries")
-        if not _positive_definite(result["mass"]):
+        massive = np.setdiff1d(np.arange(n), _empty_rows(result["mass"]))
+        if not massive.size or not _positive_definite(_block(result["mass"], massive, massive)):
             raise ValueError(
-                "the mass must be positive definite; condense degrees of freedom without mass (Lagrange multipliers, "
-                "rotations of lumped masses) before the export"
+                "the mass must be positive definite but for rows of zeros; export it without Lagrange multipliers and "
+                "with the rigid elements eliminated"
             )
         for name in ("stiffness", "damping"):
             if name in result and not _positive_definite(result[name], lift=True):
                 raise ValueError(f"{name} has a negative eigenvalue; a passive structure at rest has none")
         return Matrices(result["mass"], result["stiffness"], result.get("damping"), self.base_vector, self.base_load)
+
+    def massless(self) -> NDArray[np.int64]:
+        """Rows without mass and damping, as the rotations of a lumped mass have them."""
+        empty = _empty_rows(self.mass)
+        return empty if self.damping is None else np.intersect1d(empty, _empty_rows(self.damping))
 
     def load(self) -> Array | None:
         """(n,) base load p, None where neither it nor r is known."""
@@ -98,6 +105,65 @@ class Matrices:
         return Matrices(plain(self.mass), plain(self.stiffness), plain(self.damping), self.base_vector, self.base_load)
 
 
+def _empty_rows(matrix: Any) -> NDArray[np.int64]:
+    """Rows of zeros of a symmetric matrix."""
+    return np.flatnonzero(np.asarray(abs(matrix).sum(axis=1)).reshape(-1) == 0.0)
+
+
+def _block(matrix: Any, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Any:
+    return matrix.tocsr()[rows][:, columns] if sparse.issparse(matrix) else matrix[np.ix_(rows, columns)]
+
+
+def condensed(matrices: Matrices, kept: Sequence[int]) -> tuple[Matrices, NDArray[np.int64]]:
+    """The same structure without its rows of no mass but the kept ones: K_rr − K_rz K_zz⁻¹ K_zr, which is exact.
+
+    Args:
+        matrices: checked matrices of n degrees of freedom, few enough for dense ones.
+        kept: rows that stay, whatever their mass.
+
+    Returns:
+        Dense matrices, and the rows of the old ones that are left.
+
+    Raises:
+        ValueError: rows without mass that no stiffness holds, or that the base loads.
+    """
+    out = np.setdiff1d(matrices.massless(), np.asarray(kept, dtype=np.int64))
+    left = np.setdiff1d(np.arange(matrices.size), out)
+    plain = matrices.dense()
+    if not out.size:
+        return plain, left
+    load = plain.base_load
+    if _held(_block(plain.stiffness, out, out)) is None or (load is not None and np.any(load[out] != 0.0)):
+        raise ValueError(
+            f"row {out[0]} has no mass and cannot be condensed: no stiffness holds it, or the base loads it"
+        )
+    coupled = plain.stiffness[np.ix_(left, out)]
+    follows = np.linalg.solve(plain.stiffness[np.ix_(out, out)], coupled.T)
+    stiffness = plain.stiffness[np.ix_(left, left)] - coupled @ follows
+    return Matrices(
+        plain.mass[np.ix_(left, left)],
+        0.5 * (stiffness + stiffness.T),
+        None if plain.damping is None else plain.damping[np.ix_(left, left)],
+        None if plain.base_vector is None else plain.base_vector[left],
+        None if load is None else load[left],
+    ), left
+
+
+def _factor(matrix: Any) -> Any:
+    """L and U of a symmetric matrix by an ordering for symmetric ones, without exchanges of rows; None with one.
+
+    The pivots then have the signs of the eigenvalues (Sylvester).
+    """
+    try:
+        factor = splu(
+            sparse.csc_matrix(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )  # fmt: skip
+    except RuntimeError:
+        return None
+    return factor if np.array_equal(factor.perm_r, factor.perm_c) else None
+
+
 def _positive_definite(matrix: Any, lift: bool = False) -> bool:
     """Whether a symmetric matrix is positive definite; with `lift` positive semidefinite within rounding."""
     largest = float(np.max(np.abs(matrix.diagonal()), initial=0.0))
@@ -110,19 +176,15 @@ def _positive_definite(matrix: Any, lift: bool = False) -> bool:
         except np.linalg.LinAlgError:
             return False
         return True
-    lifted = (matrix + shift * sparse.identity(matrix.shape[0])).tocsc()
-    # Without row exchanges the pivots of a symmetric matrix have the signs of its eigenvalues (Sylvester).
-    try:
-        factor = splu(lifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    except RuntimeError:
-        return False
-    return bool(np.array_equal(factor.perm_r, factor.perm_c) and np.all(factor.U.diagonal() > 0.0))
+    factor = _factor(matrix + shift * sparse.identity(matrix.shape[0]))
+    return factor is not None and bool(np.all(factor.U.diagonal() > 0.0))
 
 
 def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matrices:
     """Reduction to physical degrees of freedom and fixed-interface modes (Craig and Bampton, AIAA J. 6 (1968) 1313).
 
-    Static deflections under forces at the kept degrees of freedom are exact whatever the number of modes.
+    Static deflections under forces at the kept degrees of freedom are exact whatever the number of modes. Rows without
+    mass follow the others statically, which is exact.
 
     Args:
         matrices: checked matrices of n degrees of freedom.
@@ -141,20 +203,21 @@ def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matric
     if own.size == 0 or own.min() < 0 or own.max() >= n or np.unique(own).size != own.size:
         raise ValueError(f"the kept degrees of freedom must be different rows of 0 to {n - 1}")
     inner = np.setdiff1d(np.arange(n), own)
-    if not 0 <= modes <= inner.size:
-        raise ValueError(f"{inner.size} modes are left beside the points, {modes} are asked for")
-    stiffness, mass = (sparse.csc_matrix(matrix) for matrix in (matrices.stiffness, matrices.mass))
-    k_ii, m_ii = stiffness[inner][:, inner].tocsc(), mass[inner][:, inner].tocsc()
-    k_ib = stiffness[inner][:, own].toarray()
+    heavy = inner.size - np.intersect1d(inner, matrices.massless()).size
+    if not 0 <= modes <= heavy:
+        raise ValueError(f"{heavy} modes are left beside the points, {modes} are asked for")
+    stiffness, mass = (sparse.csr_matrix(matrix) for matrix in (matrices.stiffness, matrices.mass))
+    k_ii, m_ii = stiffness[inner][:, inner], mass[inner][:, inner]
     basis = np.zeros((n, own.size + modes))
     basis[own, np.arange(own.size)] = 1.0
     if inner.size:
-        if not _held(k_ii):
+        factor = _held(k_ii)
+        if factor is None:
             raise ValueError(
                 "with the points held the structure can still move freely; name more points, or a rotation of one"
             )
-        basis[np.ix_(inner, np.arange(own.size))] = splu(k_ii).solve(-k_ib)
-        basis[inner, own.size :] = _lowest(k_ii, m_ii, modes)
+        basis[np.ix_(inner, np.arange(own.size))] = factor.solve(-stiffness[inner][:, own].toarray())
+        basis[inner, own.size :] = _lowest(k_ii, m_ii, factor, modes)
 
     def projected(matrix: Any) -> Any:
         if matrix is None:
@@ -172,21 +235,23 @@ def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matric
     )
 
 
-def _held(stiffness: Any) -> bool:
-    """Whether a stiffness without rigid-body motions is left: regular within rounding."""
+def _held(stiffness: Any) -> Any:
+    """Factor of a stiffness that leaves no rigid-body motion, regular within rounding; None where it leaves one."""
+    factor = _factor(stiffness)
     largest = float(np.max(np.abs(stiffness.diagonal())))
-    lowered = (stiffness - _FREE * largest * sparse.identity(stiffness.shape[0])).tocsc()
-    return _positive_definite(lowered)
+    return factor if factor is not None and factor.U.diagonal().min() > _FREE * largest else None
 
 
-def _lowest(stiffness: Any, mass: Any, count: int) -> Array:
-    """(n, count) mass-normalised modes of the lowest frequencies."""
+def _lowest(stiffness: Any, mass: Any, factor: Any, count: int) -> Array:
+    """(n, count) mass-normalised modes of the lowest frequencies; `factor` is that of the stiffness."""
     n = int(stiffness.shape[0])
     if count == 0:
         return np.zeros((n, 0))
     if n <= _DENSE or count >= n - 1:
-        _, vectors = eigh(stiffness.toarray(), mass.toarray(), subset_by_index=[0, count - 1])
-        return np.asarray(vectors)
+        # Of the inverse problem, in which rows without mass have the eigenvalue 0.
+        values, vectors = eigh(mass.toarray(), stiffness.toarray(), subset_by_index=[n - count, n - 1])
+        return np.asarray(vectors[:, ::-1] / np.sqrt(values[::-1]))
     # A fixed start vector: the same file gives the same numbers.
-    values, vectors = eigsh(stiffness, k=count, M=mass, sigma=0.0, v0=np.ones(n))
+    inverse = LinearOperator((n, n), matvec=factor.solve, dtype=float)
+    values, vectors = eigsh(stiffness, k=count, M=mass, sigma=0.0, OPinv=inverse, v0=factor.solve(mass @ np.ones(n)))
     return np.asarray(vectors[:, np.argsort(values)])

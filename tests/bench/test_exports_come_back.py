@@ -71,7 +71,7 @@ def results(bag: Path, folder: Path) -> Any:
         assert points
         write_csv(points, folder / "modal.csv")
         return (folder / "modal.csv").read_bytes()
-    if all(kind.is_noise for kind in kinds):
+    if all(kind.is_broad_band for kind in kinds):
         return evaluate_linear_test(opened).to_mapping()
     if holds_decays_only(opened):
         decays = free_decays(opened)

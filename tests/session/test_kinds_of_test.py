@@ -37,11 +37,11 @@ def test_the_page_has_it(kind: TestKind) -> None:
 
 
 @EACH
-def test_what_is_noise_has_no_phase(kind: TestKind) -> None:
+def test_what_has_no_phase_is_not_judged_by_it(kind: TestKind) -> None:
     judged = POLICIES[kind].effects[WindowFault.PHASE_JUMP]
     found = CLASSES[kind]
-    assert not found.is_noise or judged is Consequence.NONE
-    assert not (found.is_noise and (found.closes_phase_loop or found.gives_modal_points))
+    assert found.has_phase or judged is Consequence.NONE
+    assert found.has_phase or not (found.closes_phase_loop or found.gives_modal_points)
 
 
 def test_noise_has_levels_of_voltage_and_no_frequencies() -> None:

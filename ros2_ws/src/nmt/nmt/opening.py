@@ -35,7 +35,7 @@ def covers(test: DrivenTest) -> str:
     if kind.gives_modal_points:
         return ""
     writer = "'./nmt sweep' writes frf.csv where it measures"
-    if kind.is_noise:
+    if kind.is_broad_band:
         writer = "'./nmt linear --bag' writes linear.json and frf.csv"
     elif kind.closes_phase_loop:
         writer = "'./nmt extract' writes decay.csv"

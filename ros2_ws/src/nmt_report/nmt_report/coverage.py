@@ -12,7 +12,7 @@ def covers(test: DrivenTest) -> str:
     if kind.gives_modal_points:
         return ""
     instead = "say in the sidecar what drove it"
-    if kind.is_noise:
+    if kind.is_broad_band:
         instead = "'./nmt linear RIG --bag BAG' writes a report with figures"
     elif kind.needs_frequencies:
         instead = "'./nmt sweep' writes a report with figures"

@@ -140,9 +140,9 @@ class LevelLimits:
             kind, ("its limit of the response", "")
         )
         highest = max(checked)
-        if not limit or highest * (PEAK_FACTOR if test.is_noise else 1.0) <= limit:
+        if not limit or highest * (PEAK_FACTOR if test.levels_are_rms else 1.0) <= limit:
             return checked
-        if test.is_noise:
+        if test.levels_are_rms:
             raise BenchError(
                 f"{where}: peaks of a random drive of {highest:g} V rms reach {PEAK_FACTOR:g} times as much, beyond "
                 f"the limit of the rig (limits.voltage_v: {limit:g} V); lower the level."

@@ -69,9 +69,9 @@ class LiveSignals:
         self.level, self._frf = level, None
 
     @property
-    def is_noise(self) -> bool:
-        """Whether the level is driven by noise."""
-        return self.level is not None and kind_class(self.level.test).is_noise
+    def is_broad_band(self) -> bool:
+        """Whether the drive of the level has a band and no one frequency."""
+        return self.level is not None and kind_class(self.level.test).is_broad_band
 
     def take(self, block: SampleBlock) -> bool:
         """Take a block; whether the channels are others now."""
@@ -87,7 +87,7 @@ class LiveSignals:
         elif block.first_sample > signals.recent.end_sample:
             self.gaps += 1
         signals.add(block)
-        if block.quantity in RESPONSES and self.is_noise:
+        if block.quantity in RESPONSES and self.is_broad_band:
             self._average(signals)
         return changed
 
@@ -283,7 +283,7 @@ class LiveSignals:
         status = self.status
         fundamental = status.frequency_hz if status is not None and status.frequency_hz > 0 else math.nan
         top = (HARMONICS + 1.5) * fundamental if math.isfinite(fundamental) else math.inf
-        if self.is_noise and self.level is not None:
+        if self.is_broad_band and self.level is not None:
             top, fundamental = 1.2 * self.level.band_high_hz, math.nan
         shown = [("force", self.topics.get(Quantity.FORCE)), ("response", self.response)]
         data = {

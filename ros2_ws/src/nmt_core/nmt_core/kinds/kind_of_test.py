@@ -40,7 +40,9 @@ class KindOfTest:
         FROM_RIG: settings that a rig's section ``test`` may give.
         closes_phase_loop: the frequency is controlled by the phase, which needs a linear description.
         gives_modal_points: its windows are extracted while the test runs.
-        is_noise: the drive is noise: levels are V rms, there is no excitation phase and no one frequency.
+        levels_are_rms: levels are the drive's root mean square, and its peaks are larger by :data:`PEAK_FACTOR`.
+        has_phase: the drive has an excitation phase, and windows are counted in its periods.
+        is_broad_band: the drive has a band and no one frequency; frequency responses are averages of spectra.
         sweeps: the frequency moves through the window.
         needs_frequencies: every level needs a frequency.
         is_curve: its windows are points of response curves: any phase is held, and orbits may be unstable without the
@@ -48,6 +50,7 @@ class KindOfTest:
         one_exciter: how a sentence begins that says it drives one exciter; empty = it drives several.
         beyond_paper_loop: what the paper's loop does instead, and what it is to be left for; empty = it does it.
         beyond_backbone: sentence about ``{words}`` that says why no backbone is its reference; empty = one is.
+        damps_at_end: the loop damps the motion after the last level, and says how that went.
         stops_without_answer: a run ends where a higher level would follow one that had no force or no response.
     """
 
@@ -57,10 +60,13 @@ class KindOfTest:
     FROM_RIG: ClassVar[tuple[str, ...]] = ()
     closes_phase_loop: ClassVar[bool] = False
     gives_modal_points: ClassVar[bool] = False
-    is_noise: ClassVar[bool] = False
+    levels_are_rms: ClassVar[bool] = False
+    has_phase: ClassVar[bool] = True
+    is_broad_band: ClassVar[bool] = False
     sweeps: ClassVar[bool] = False
     needs_frequencies: ClassVar[bool] = False
     stops_without_answer: ClassVar[bool] = False
+    damps_at_end: ClassVar[bool] = False
     is_curve: ClassVar[bool] = False
     one_exciter: ClassVar[str] = ""
     beyond_paper_loop: ClassVar[tuple[str, str] | tuple[()]] = ()
@@ -103,6 +109,11 @@ class KindOfTest:
     def controlled_harmonics(self) -> int:
         """Highest harmonic of the force that is controlled; 0 = none, 1 = as many as can be."""
         return 0
+
+    @property
+    def puts_levels_in(self) -> bool:
+        """Whether levels are put between those of the plan while it runs."""
+        return False
 
     @property
     def window_s(self) -> float:

@@ -90,6 +90,11 @@ class PhaseResonanceTest(PhaseLockedTest):
     refinement: float = of_goal(0.0)
     strategy: str = of_plan("stepped")
 
+    @property
+    def puts_levels_in(self) -> bool:
+        """Whether the backbone is refined."""
+        return self.refinement > 0.0
+
     def check(self, frequencies_hz: Sequence[float], levels: int, control: int, sample_rate: float) -> None:
         """Refuse (BenchError) an unknown strategy, and levels put in where levels are ramps or not alike."""
         super().check(frequencies_hz, levels, control, sample_rate)

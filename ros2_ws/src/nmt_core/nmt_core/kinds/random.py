@@ -24,7 +24,9 @@ class RandomTest(KindOfTest):
     """
 
     NUMBER: ClassVar[TestKind] = TestKind.RANDOM
-    is_noise: ClassVar[bool] = True
+    levels_are_rms: ClassVar[bool] = True
+    has_phase: ClassVar[bool] = False
+    is_broad_band: ClassVar[bool] = True
 
     band_low_hz: float = 0.0
     band_high_hz: float = 0.0

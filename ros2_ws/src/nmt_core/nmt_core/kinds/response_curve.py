@@ -65,6 +65,11 @@ class ResponseCurveTest(PhaseLockedTest):
     along: int = of_goal(0)
 
     @property
+    def puts_levels_in(self) -> bool:
+        """True: a curve has two points in the plan."""
+        return True
+
+    @property
     def follows_secant(self) -> bool:
         """Whether the lag is not what the curve is stepped along."""
         return ALONG[self.along] == "secant"

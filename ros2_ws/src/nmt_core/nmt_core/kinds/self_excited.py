@@ -27,6 +27,7 @@ class SelfExcitedTest(KindOfTest):
     CONTROL: ClassVar[ControlKind] = ControlKind.RESPONSE
     closes_phase_loop: ClassVar[bool] = True
     gives_modal_points: ClassVar[bool] = True
+    damps_at_end: ClassVar[bool] = True
     one_exciter: ClassVar[str] = "The loop holds a self-excited motion with"
     beyond_paper_loop: ClassVar[tuple[str, str] | tuple[()]] = ("cannot hold such a motion", "a self-excited test")
 

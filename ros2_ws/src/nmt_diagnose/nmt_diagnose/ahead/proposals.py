@@ -83,7 +83,7 @@ class Proposals:
     def request(self, name: str, **settings: Any) -> TestRequest:
         """A test of the recorded rig, with windows as they were recorded."""
         kind = settings.setdefault("kind", kinds.PhaseResonanceTest())
-        settings.setdefault("periods", 0 if kind.window_s or kind.is_noise else self._periods)
+        settings.setdefault("periods", self._periods if kind.has_phase and not kind.window_s else 0)
         return TestRequest(name=name, rig=self._file, **settings)
 
     def all(self, with_plan: bool = False, further: bool = False) -> list[Proposal]:

@@ -290,15 +290,15 @@ def _signals(
                 )
                 levels = len(parts[-1].tests[0].locked_levels) if parts[-1].tests else 0
                 notes += _few_levels(test_name, levels)
-    noises = [kind for kind in TestKind if kind_class(kind).is_noise]
-    for kind in (*noises, TestKind.RING_DOWN):
+    broad_band = [kind for kind in TestKind if kind_class(kind).is_broad_band]
+    for kind in (*broad_band, TestKind.RING_DOWN):
         windows_of_kind = [window for window in windows if window.segment.kind is kind]
         for window in windows_of_kind:
             test_name = f"{name}/{kind.label}" if len(windows) > len(windows_of_kind) else name
             test_name = f"{test_name} {window.segment.level_index}" if len(windows_of_kind) > 1 else test_name
             notes += clipping_notes(test_name, [(window.segment.level_index, window.stretch)])
             notes += repeats_notes(test_name, [window.stretch])
-            if kind in noises:
+            if kind in broad_band:
                 parts += _random(test_name, window.stretch, view, channels, settings, rate)
             else:
                 guess = window.segment.frequency_hz

@@ -106,7 +106,7 @@ def evaluate_linear_test(
     if band_hz is not None and not 0.0 < band_hz[0] < band_hz[1] < math.inf:
         raise BenchError(f"The band must be two rising frequencies in Hz, got {band_hz[0]:g} and {band_hz[1]:g}.")
     refuse_other_tests(bag, covers)
-    windows = [segment for segment in segments(bag) if kind_class(segment.kind).is_noise]
+    windows = [segment for segment in segments(bag) if kind_class(segment.kind).is_broad_band]
     whole = [segment for segment in windows if not segment.fault]
     if not whole:
         fault = f" ({windows[0].fault})" if windows else ""
@@ -163,7 +163,7 @@ def _band(bag: Bag, run: Mapping[str, Any], main: Segment) -> tuple[float, float
 
 def covers(test: DrivenTest) -> str:
     """What the linear modal test does not take of a test, and what to use instead; empty = it takes it."""
-    if kind_class(test.kind).is_noise:
+    if kind_class(test.kind).is_broad_band:
         return ""
     return (
         f"The linear test needs random excitation, and this is a {kind_class(test.kind).words()} test; record one with "

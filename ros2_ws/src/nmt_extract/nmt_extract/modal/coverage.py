@@ -22,7 +22,7 @@ def covers(test: DrivenTest) -> str:
     if test.kind is TestKind.RING_DOWN:
         return f"Windows of {test.words} give free decays and no modal points; './nmt extract' writes decay.csv."
     instead = "compare it with a model by './nmt diagnose'"
-    if kind.is_noise:
+    if kind.is_broad_band:
         instead = "evaluate it with './nmt linear'"
     elif kind.sweeps:
         instead = "'./nmt sweep' writes its responses to frf.csv while it measures"

@@ -122,7 +122,7 @@ _BROKEN = (
 _CHANNEL_FAULTS = {WindowFault.UNIT: Consequence.CHANNELS, WindowFault.VALUE: Consequence.CHANNELS}
 _NO_PHASE = {WindowFault.SILENT: Consequence.NONE, WindowFault.PHASE_JUMP: Consequence.NONE}
 # Noise has no phase, and any part of it is as good as another.
-_OF_NOISE = {WindowFault.MISSING: Consequence.PARTS, **_NO_PHASE}
+_WITHOUT_PHASE = {WindowFault.MISSING: Consequence.PARTS, **_NO_PHASE}
 _EXCEPTIONS: dict[TestKind, dict[WindowFault, Consequence]] = {
     # A sweep that was given up half way has measured the first half.
     TestKind.SWEEP: {
@@ -166,7 +166,7 @@ class WindowPolicy:
 
 
 def _policy(kind: TestKind) -> WindowPolicy:
-    exceptions = _EXCEPTIONS.get(kind, _OF_NOISE if kind_class(kind).is_noise else {})
+    exceptions = _EXCEPTIONS.get(kind, {} if kind_class(kind).has_phase else _WITHOUT_PHASE)
     effects = {**dict.fromkeys(WindowFault, Consequence.WINDOW), **_CHANNEL_FAULTS, **exceptions}
     return WindowPolicy(kind, effects, kind_class(kind).gives_modal_points)
 

@@ -288,7 +288,7 @@ def _segment_entries(bag: Bag, extent: Extent, rate: float) -> list[dict[str, An
             head["level_unit"] = span.unit
         head["index"] = span.index
         command = span.command
-        if command is not None and kind_class(span.test).is_noise and command.band_high_hz > 0.0:
+        if command is not None and kind_class(span.test).is_broad_band and command.band_high_hz > 0.0:
             head["band_hz"] = [command.band_low_hz, command.band_high_hz]
         if command is not None and kind_class(span.test).sweeps:
             head["rate_hz_s"] = command.rate_hz_s

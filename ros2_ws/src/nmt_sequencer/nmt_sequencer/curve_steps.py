@@ -34,10 +34,10 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.kinds import KindOfTest, ResponseCurveTest
+from nmt_core.kinds import ResponseCurveTest
 from nmt_core.kinds.response_curve import LEAST_LAG
 from nmt_core.messages.records import LoopStatus
-from nmt_core.vocabulary import ControlKind, CurveParameter
+from nmt_core.vocabulary import CurveParameter
 
 MOST_PARTS = 256
 """Parts that the lags of a curve are cut into at most, and points that are put into one where the lag is not held."""
@@ -345,8 +345,3 @@ class CurveSteps:
         if len(speeds) < 2:
             return speeds[-1]
         return speeds[-1] * min(max(speeds[-1] / speeds[-2], 0.5), 2.0)
-
-
-def curve_steps(kind: KindOfTest, control: int) -> CurveSteps | None:
-    """Step control of a response curve at levels of a `ControlKind`; None for other kinds of test."""
-    return CurveSteps(kind, control == ControlKind.FORCE) if isinstance(kind, ResponseCurveTest) else None

@@ -16,14 +16,12 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 
 from nmt_core.errors import BenchError
-from nmt_core.kinds import PhaseResonanceTest, SelfExcitedTest
 from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.records import LevelCommand, LoopStatus, Steering
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct
-from nmt_sequencer.curve_steps import CurveSteps, curve_steps
 from nmt_sequencer.level_plan import NO_LIMITS, LevelLimits, check_levels
-from nmt_sequencer.refinement import LevelRefinement
+from nmt_sequencer.schedule import Schedule, Steps, schedule_of
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest
 
 NO_HORIZON = 2**62
@@ -62,13 +60,8 @@ class RunPlan(RunSettings):
             raise BenchError(f"The time-out must be finite and >= 0 s, got {self.timeout}.")
         if self.window_periods < 1:
             raise BenchError(f"A window needs at least one period, got {self.window_periods}.")
-        if (self.refinement or self.phases) and self.levels_without:
+        if (self.kind.puts_levels_in or self.phases) and self.levels_without:
             raise BenchError("Levels can be put in only where all are done alike: leave out --compare.")
-
-    @property
-    def refinement(self) -> float:
-        """Relative deviation of the frequency above which levels are put in between; 0 = none."""
-        return self.kind.refinement if isinstance(self.kind, PhaseResonanceTest) else 0.0
 
     def check(self, sample_rate: float, limits: LevelLimits = NO_LIMITS) -> None:
         """Refuse (BenchError) what a bench of this sample rate (Hz) cannot do, and what its rig does not allow."""
@@ -161,8 +154,7 @@ class RunMachine:
     _acts: list[Steering] = field(default_factory=list)
     _act_count: int = 0
     _decided: int = 0
-    _refinement: LevelRefinement | None = None
-    _curve: CurveSteps | None = None
+    _schedule: Schedule = field(default_factory=Schedule)
 
     @property
     def active(self) -> bool:
@@ -223,8 +215,7 @@ class RunMachine:
         self._steering.clear()
         self._end_request = None
         self._act_count = 0
-        self._refinement = LevelRefinement(plan.refinement, plan.levels) if plan.refinement else None
-        self._curve = curve_steps(plan.kind, plan.control)
+        self._schedule = schedule_of(plan.kind, plan.levels, plan.control)
         tick = self.pacing.tick
         begin = self.horizon if self.pacing.lockstep else self.newest + 1
         self._next_tick = (begin // tick + 1) * tick
@@ -442,8 +433,8 @@ class RunMachine:
             # The phase is not a number where force or response is missing.
             (self._unanswered.add if math.isnan(report.phase_error) else self._unanswered.discard)(report.level_index)
         if report.last_sample > self.newest:
-            if self._curve is not None and report.state == LoopState.LOCKED:
-                self._curve.hear(report)
+            if report.state == LoopState.LOCKED:
+                self._schedule.hear(report)
             self.newest = report.last_sample
             self.report = report
             if self.phase == RunPhase.PAUSED and report.flags & _TRIPPED:
@@ -577,77 +568,20 @@ class RunMachine:
             record.ended = report.last_sample
         else:
             return
-        if self._refinement is not None:
-            self._refine(self._refinement, record, report, effective)
-        if self._curve is not None:
-            self._step_along(self._curve, record, report, effective)
+        self._put_in(record, report, effective)
         self._next_level(effective)
 
-    def _refine(self, refinement: LevelRefinement, record: LevelRecord, report: LoopStatus, effective: int) -> None:
-        """Put a level before the next one if the backbone bends; noted as any change of the plan."""
-        plan = self.plan
+    def _put_in(self, record: LevelRecord, report: LoopStatus, effective: int) -> None:
+        """Let the schedule say what follows a level that has ended; noted as any change of the plan."""
+        plan, index = self.plan, record.index
         assert plan is not None
-        rest = plan.levels[record.index + 1 :]
-        if record.complete:
-            refinement.add(record.amplitude, report.frequency_hz)
-            level = refinement.before(rest[0]) if rest else None
-        else:
-            level = refinement.after_loss(record.amplitude)
-            rest = (record.amplitude, *rest)
-        if level is None:
+        done = Steps((record.amplitude,), plan.phases[index : index + 1])
+        rest = Steps(plan.levels[index + 1 :], plan.phases[index + 1 :])
+        steps = self._schedule.following(done, record.complete, rest, report)
+        if steps is None:
             return
-        request = SteeringRequest(SteeringAct.CHANGE_LEVELS, levels=(level, *rest), source="the step control")
-        self.plan = with_rest(plan, record.index, request.levels, ())
-        self._note(request, report.last_sample + 1, effective)
-
-    def _step_along(self, curve: CurveSteps, record: LevelRecord, report: LoopStatus, effective: int) -> None:
-        """Put a point before the next one of the plan where the response curve is longer than a step."""
-        plan = self.plan
-        assert plan is not None
-        present, rest = plan.phases[record.index], slice(record.index + 1, None)
-        levels, phases = plan.levels[rest], plan.phases[rest]
-        follows = bool(levels) and levels[0] == record.amplitude
-        if record.complete:
-            curve.add(record.amplitude, present, report)
-            step = curve.before(phases[0]) if follows else None
-            phase = None if step is None else step.phase
-            if curve.is_finished and follows:  # the point of the plan lies where there is one
-                self._put_in(levels[1:], phases[1:], record, report, effective)
-                return
-        else:
-            if follows and curve.begins_at_other_end(record.amplitude):
-                levels = (levels[0], record.amplitude, *levels[1:])
-                phases = (phases[0], present, *phases[1:])
-                self._put_in(levels, phases, record, report, effective)
-                return
-            phase = curve.after_loss(record.amplitude, present)
-            if phase is None:
-                phase = curve.from_rest(record.amplitude, present)
-            if phase is None and follows and curve.turns_back(record.amplitude):
-                self._put_in((levels[0], *levels), (phases[0], present, *phases[1:]), record, report, effective)
-                return
-            if phase is None and follows and curve.is_given_up:
-                self._put_in(levels[1:], phases[1:], record, report, effective)
-                return
-            if phase is not None and not follows:  # the end of the curve, which is tried again
-                levels, phases = (record.amplitude, *levels), (present, *phases)
-        if phase is None:
-            return
-        levels, phases = (record.amplitude, *levels), (phase, *phases)
-        self._put_in(levels, phases, record, report, effective)
-
-    def _put_in(
-        self,
-        levels: tuple[float, ...],
-        phases: tuple[float, ...],
-        record: LevelRecord,
-        report: LoopStatus,
-        effective: int,
-    ) -> None:
-        plan = self.plan
-        assert plan is not None
-        request = SteeringRequest(SteeringAct.CHANGE_LEVELS, levels=levels, source="the step control")
-        self.plan = with_rest(plan, record.index, levels, (), phases)
+        request = SteeringRequest(SteeringAct.CHANGE_LEVELS, levels=steps.levels, source="the step control")
+        self.plan = with_rest(plan, index, steps.levels, (), steps.phases)
         self._note(request, report.last_sample + 1, effective)
 
     def _next_level(self, effective: int) -> None:
@@ -668,7 +602,7 @@ class RunMachine:
 
     def _note_ending(self, report: LoopStatus) -> None:
         """How the loop of a self-excited rig ended the motion belongs to the reason of the run's end."""
-        if self.plan is not None and isinstance(self.plan.kind, SelfExcitedTest) and "damp" in report.reason:
+        if self.plan is not None and self.plan.kind.damps_at_end and "damp" in report.reason:
             self.reason = f"{self.reason.rstrip()} At the end {report.reason}."
 
     def _quiet(self, effective: int, code: ResultCode, reason: str) -> None:
@@ -699,8 +633,7 @@ class RunMachine:
         )
         if plan.phases and amplitude > 0.0:
             phase = plan.phases[index]
-            fields = {"held_phase": phase} if self._curve is None else self._curve.level_fields(amplitude, phase)
-            order = replace(order, **fields)
+            order = replace(order, **self._schedule.level_fields(amplitude, phase))
         if index in plan.levels_without:
             order = replace(order, harmonics_control=0)
         self._orders.append(order)

@@ -12,24 +12,10 @@ import numpy as np
 from nmt_core.files.whole_file import csv_text
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import HARMONICS, Observations, Part
 from nmt_diagnose.say.residual_map import channel_name
 from nmt_report.quantity_format import engineering_exponent, power_of_ten
 
-_PARTS = {
-    Part.LOG_FREQUENCY: "ln_angular_frequency",
-    Part.PHASE_ERROR: "phase_error_rad",
-    Part.LOG_MAGNITUDE: "ln_magnitude",
-    Part.PHASE: "phase_rad",
-    Part.REAL: "real",
-    Part.IMAG: "imaginary",
-    Part.DAMPING: "damping_ratio",
-    Part.SAMPLE: "sample",
-    Part.LINE: "line_amplitude",
-    Part.STEP: "converter_step",
-    Part.LIMIT: "inverse_clipping_level",
-    Part.REPEATS: "share_of_repeated_samples",
-}
 _FEW_LINES = 12
 _TAU = 2.0 * math.pi
 
@@ -163,45 +149,36 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
     channel = int(rows.channel[which[0]])
     own = kind.channels[channel] if channel >= 0 else None
     x = kind.abscissa(rows, which)
-    title = own.name if own is not None else ""
+    facts = part.facts
+    unit_of_channel = own.unit if own is not None else ""
+    unit, deviation_unit = facts.axis or unit_of_channel, facts.unit or unit_of_channel
     differences = np.array([values - measured for values in computed] + [sigma])
-    logarithmic = False
-    if part is Part.LOG_FREQUENCY:
-        title, unit, deviation_unit, factor = "frequency", "Hz", "%", 100.0
-        measured, *computed = (np.exp(values) / _TAU for values in (measured, *computed))
-    elif part is Part.LOG_MAGNITUDE:
-        unit, deviation_unit, factor = "" if own is None else kind.magnitude_unit(own), "%", 100.0
-        measured, *computed = (np.exp(values) for values in (measured, *computed))
-        logarithmic = True
-    elif part in (Part.PHASE, Part.PHASE_ERROR):
-        title = title or "phase error of the loop"
-        unit, deviation_unit, factor = "°", "°", math.degrees(1.0)
-        turns = np.round(differences[:3] / _TAU) * _TAU
-        differences[:3] -= turns
-        measured = np.degrees(np.unwrap(measured))
+    if facts.angle:
+        deviation_unit = unit
+        differences[:3] -= np.round(differences[:3] / _TAU) * _TAU
+        measured = facts.drawn(measured)
         computed = [measured + np.degrees(row) for row in differences[:3]]
-    elif part is Part.DAMPING:
-        title, unit, deviation_unit, factor = "damping ratio", "%", "% of critical", 100.0
-        measured, *computed = (100.0 * values for values in (measured, *computed))
     else:
-        unit = own.unit if own is not None else ""
-        deviation_unit, factor = unit, 1.0
+        measured, *computed = (facts.drawn(values) for values in (measured, *computed))
+    if facts.logarithmic:
+        unit = "" if own is None else kind.magnitude_unit(own)
     joined = not kind.over_frequency or x.size >= _FEW_LINES
-    exponent = engineering_exponent(measured) if logarithmic or part in (Part.SAMPLE, Part.LINE) else 0
+    exponent = engineering_exponent(measured) if facts.scaled else 0
     if exponent:
         unit = f"{power_of_ten(exponent)} {unit}"
         measured, *computed = (values / 10.0**exponent for values in (measured, *computed))
     given, refitted, final = computed
     return Course(
-        title, x, kind.axis, unit, measured, sigma, given, refitted, final, deviation_unit,
-        factor * differences, logarithmic, joined, exponent, 360.0 if part in (Part.PHASE, Part.PHASE_ERROR) else 0.0,
+        facts.title or (own.name if own is not None else ""), x, kind.axis, unit, measured, sigma, given, refitted,
+        final, deviation_unit, facts.factor * differences, facts.logarithmic, joined, exponent,
+        360.0 if facts.angle else 0.0,
     )  # fmt: skip
 
 
 def harmonic_courses(observations: Observations, models: Models, test: int) -> list[HarmonicCourse]:
     """Harmonics of every channel of a test that has some."""
     rows, kind = observations.rows, observations.tests[test]
-    higher = (rows.test == test) & ((rows.part == Part.REAL) | (rows.part == Part.IMAG))
+    higher = (rows.test == test) & np.isin(rows.part, HARMONICS)
     found = []
     for channel in np.unique(rows.channel[higher]):
         mine = higher & (rows.channel == channel)
@@ -228,11 +205,6 @@ def harmonic_courses(observations: Observations, models: Models, test: int) -> l
     return found
 
 
-def has(observations: Observations, test: int, part: Part) -> bool:
-    """Whether a test has observables of a part."""
-    return bool(np.any((observations.rows.test == test) & (observations.rows.part == part)))
-
-
 def observables_csv(observations: Observations, models: Models) -> str:
     """Text of ``observables.csv``: every observable, measured and of the three models."""
     rows = observations.rows
@@ -252,7 +224,7 @@ def observables_csv(observations: Observations, models: Models) -> str:
             [
                 observations.tests[int(rows.test[k])].name, int(rows.level[k]), repr(float(rows.amplitude[k])),
                 repr(float(rows.frequency_hz[k])), repr(float(rows.time_s[k])), name,
-                harmonic if harmonic >= 0 else "", _PARTS[Part(int(rows.part[k]))],
+                harmonic if harmonic >= 0 else "", Part(int(rows.part[k])).facts.column,
                 *(repr(float(value)) for value in numbers),
             ]
         )  # fmt: skip

@@ -31,7 +31,7 @@ from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDeca
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, joined
+from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part, Place, RowTable, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -45,17 +45,6 @@ from nmt_signals.harmonics import resolvable_harmonics
 
 # Lines of a random test that is computed ahead.
 _RANDOM_LINES = 80
-
-# Uncertainties of a kind of observable of which the tests at hand hold none.
-_TYPICAL = {
-    Part.LOG_FREQUENCY: 3e-5,
-    Part.PHASE_ERROR: 3e-3,
-    Part.LOG_MAGNITUDE: 1e-3,
-    Part.PHASE: 1e-3,
-    Part.REAL: 1e-3,
-    Part.IMAG: 1e-3,
-    Part.DAMPING: 1e-4,
-}
 
 _READ = ObservationSettings()
 _LEVEL_S = 6.0
@@ -171,7 +160,7 @@ def _typical(
             selected |= observations.rows.test == number
     selected &= (observations.rows.part == part) & (observations.rows.harmonic == harmonic)
     if not selected.any():
-        return _TYPICAL[part]
+        return part.facts.typical_std
     amplitude = observations.rows.amplitude[selected]
     order = np.argsort(amplitude, kind="stable")
     sigma = observations.sigma[selected][order]
@@ -299,7 +288,7 @@ def _random(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
     for number, line in enumerate(lines):
         place = Place(number, 0.0, float(line), rms)
         for channel in range(len(channels)):
-            for part in (Part.LOG_MAGNITUDE, Part.PHASE):
+            for part in FUNDAMENTAL:
                 table.add(part, 0.0, THRESHOLDS.next_test.typical_response_std, 0.0, place, channel)
     point = drive_point_of(request, rig, at_hand)
     test = RandomResponses("proposed", point, channels, "voltage", lines, 0.1, "none", rms, 0.0, 60.0)
@@ -391,7 +380,7 @@ def _curves(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
     parts = []
     for number, level in enumerate(request.levels):
         forces = level / np.abs(motion[lines] / force[lines]) if held == "response" else np.full(lines.size, level)
-        noise = np.full(lines.size, math.hypot(_TYPICAL[Part.PHASE], _READ.floors.stepped))
+        noise = np.full(lines.size, math.hypot(Part.PHASE.facts.typical_std, _READ.floors.stepped))
         order = slice(None, None, -1 if number % 2 else 1)  # there and back
         test = SteppedResponses(
             f"proposed {number + 1}", point, tuple(channels), "force", held, grid[lines][order], forces[order],
@@ -401,7 +390,7 @@ def _curves(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
         for k, line in enumerate(test.lines_hz):
             place = Place(k, k * _LEVEL_S, float(line), float(test.levels[k]))
             for channel in range(len(channels)):
-                for part in (Part.LOG_MAGNITUDE, Part.PHASE):
+                for part in FUNDAMENTAL:
                     std = _typical(at_hand, _holds_amplitude, part, 1, 0.5)
                     table.add(part, 0.0, std, _READ.floors.stepped, place, channel, 1)
         parts.append(replace(table.observations(test), chains=_chains(at_hand, _holds_amplitude)))

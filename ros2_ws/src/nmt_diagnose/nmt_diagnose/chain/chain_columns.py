@@ -23,7 +23,6 @@ from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.chain.chain_tests import (
     DELAY_STEP_S,
-    FUNDAMENTAL,
     PHASE_STEP,
     ChainTests,
     edited,
@@ -39,7 +38,7 @@ from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part
 from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.thresholds import THRESHOLDS

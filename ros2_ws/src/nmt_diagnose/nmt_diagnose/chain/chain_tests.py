@@ -16,11 +16,10 @@ from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import FUNDAMENTAL, HARMONICS, Observations, Part
 from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_rig.rig import Rig, SensorSection
 
-FUNDAMENTAL = (Part.LOG_MAGNITUDE, Part.PHASE)
 DELAY_STEP_S = 1e-6
 PHASE_STEP = 1e-4
 _RIGID = 1e-6  # of the highest frequency, below which a body is free
@@ -139,7 +138,7 @@ class ChainTests:
         keys = list(zip(rows.test, rows.level, rows.channel, rows.harmonic, strict=True))
         found = {(*keys[row], int(rows.part[row])): int(row) for row in range(len(rows))}
         at, of, partner = [], [], []
-        for row in np.flatnonzero(np.isin(rows.part, (Part.REAL, Part.IMAG))):
+        for row in np.flatnonzero(np.isin(rows.part, HARMONICS)):
             test, level, channel, order = keys[row]
             fundamental = found.get((test, level, channel, 1, int(Part.LOG_MAGNITUDE)), -1)
             if fundamental >= 0:

@@ -7,11 +7,11 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_diagnose.chain.chain_tests import FUNDAMENTAL, ChainTests
+from nmt_diagnose.chain.chain_tests import ChainTests
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.observations.observables import FUNDAMENTAL, parts_where
 from nmt_diagnose.prediction.forward import Prediction
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import ModalSection
@@ -59,7 +59,7 @@ class ModesLeftOut:
                 part = self.rows.part[selected]
                 relative = np.isin(part, FUNDAMENTAL)
                 added[relative] /= self._between(test, number, selected, base)[relative]
-                changed = np.where(np.isin(part, (Part.PHASE, Part.IMAG)), added.imag, added.real)
+                changed = np.where(np.isin(part, parts_where(lambda facts: facts.half == "im")), added.imag, added.real)
                 share = frequency / np.max(frequency, initial=1.0)
                 columns[:3, selected] = (
                     THRESHOLDS.misfit.static_share_above * changed * share ** np.array([[0.0], [2.0], [4.0]])

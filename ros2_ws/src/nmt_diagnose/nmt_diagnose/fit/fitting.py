@@ -18,7 +18,7 @@ from nmt_diagnose.chain.chain_columns import is_tolerance, linear_chain
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.misfit import Whitening, misfit_of
 from nmt_diagnose.fit.noise import Groups, beyond_noise, groups_of, sigma_of
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import ANGLES, FUNDAMENTAL, Natural, Observations, Part, with_natural
 from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -144,7 +144,7 @@ class Data:
 
     @cached_property
     def _phases(self) -> BoolArray:
-        return np.isin(self.observations.rows.part, (Part.PHASE, Part.PHASE_ERROR))
+        return np.isin(self.observations.rows.part, ANGLES)
 
     @cached_property
     def _chain_over_sigma(self) -> tuple[FloatArray, ComplexArray, FloatArray]:
@@ -198,7 +198,7 @@ def lines_of(observations: Observations) -> IntArray:
     rows = observations.rows
     random = [number for number, test in enumerate(observations.tests) if test.broad_band]
     pairs: dict[tuple[int, int, int], dict[int, int]] = {}
-    for row in np.flatnonzero(np.isin(rows.test, random) & np.isin(rows.part, (Part.LOG_MAGNITUDE, Part.PHASE))):
+    for row in np.flatnonzero(np.isin(rows.test, random) & np.isin(rows.part, FUNDAMENTAL)):
         key = int(rows.test[row]), int(rows.level[row]), int(rows.channel[row])
         pairs.setdefault(key, {})[int(rows.part[row])] = int(row)
     both = [(parts[int(Part.LOG_MAGNITUDE)], parts[int(Part.PHASE)]) for parts in pairs.values() if len(parts) == 2]
@@ -596,9 +596,8 @@ def _natural_size(observations: Observations) -> FloatArray:
     part, values = observations.rows.part, observations.values
     size = np.ones(len(observations.rows))
     size[part == Part.LOG_FREQUENCY] = THRESHOLDS.fits.large_log_frequency
-    size[part == Part.DAMPING] = np.abs(values[part == Part.DAMPING])
-    size[np.isin(part, (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS))] = 0.0
-    samples = part == Part.SAMPLE
-    if samples.any():
-        size[samples] = float(np.sqrt(np.mean(values[samples] ** 2)))
+    of_value, of_rms, none = (np.isin(part, with_natural(it)) for it in (Natural.VALUE, Natural.RMS, Natural.NONE))
+    size[of_value], size[none] = np.abs(values[of_value]), 0.0
+    if of_rms.any():
+        size[of_rms] = float(np.sqrt(np.mean(values[of_rms] ** 2)))
     return size

@@ -21,7 +21,7 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.fitting import Data, FitResult
 from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part
 from nmt_diagnose.prediction.lateness import lateness
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import rig_parts
@@ -294,7 +294,7 @@ class LowLevelModes:
         for frequency, sentence in self._lacking:
             with np.errstate(divide="ignore", invalid="ignore"):
                 near = np.abs(np.log(rows.frequency_hz / frequency)) < THRESHOLDS.modes.around_log_frequency
-            near &= data.used & np.isin(rows.part, (Part.LOG_MAGNITUDE, Part.PHASE)) & (rows.harmonic < 0)
+            near &= data.used & np.isin(rows.part, FUNDAMENTAL) & (rows.harmonic < 0)
             missed = []
             for channel in np.unique(rows.channel[near]):
                 selected = near & (rows.channel == channel)

@@ -17,11 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Natural, Observations, parts_where, with_natural
 from nmt_diagnose.thresholds import THRESHOLDS
 
-_RESPONSE = (Part.LOG_MAGNITUDE, Part.PHASE, Part.SAMPLE)
-_HARMONICS = (Part.REAL, Part.IMAG)
 _SMALLEST = 1e-6  # share of an eigenvalue's largest below which it is rounding
 
 
@@ -44,25 +42,18 @@ def misfit_of(observations: Observations) -> Misfit:
     size = np.zeros(len(rows))
     for kind, size_that_matters in observations.matters.items():
         selected = rows_of_kind(observations, kind)
-        size[selected] = size_that_matters * (np.abs(observations.values[selected]) if kind == "damping" else 1.0)
+        of_value = np.isin(rows.part[selected], with_natural(Natural.VALUE))
+        size[selected] = size_that_matters * np.where(of_value, np.abs(observations.values[selected]), 1.0)
     chains = (*observations.chains, *[None] * len(observations.tests))
     exact = [number for number, test in enumerate(observations.tests) if chains[number] is None and not test.reduced]
     size[np.isin(rows.test, exact)] = 0.0
-    size[rows.part == Part.SAMPLE] = 0.0
     return Misfit(THRESHOLDS.misfit.shared_share * size, THRESHOLDS.misfit.independent_share * size)
 
 
 def rows_of_kind(observations: Observations, kind: str) -> BoolArray:
-    """Rows of a kind of what matters: frequency, damping, response or harmonics, (m,)."""
-    rows = observations.rows
-    harmonics = np.isin(rows.part, _HARMONICS)
-    if kind == "frequency":
-        return np.asarray(rows.part == Part.LOG_FREQUENCY)
-    if kind == "damping":
-        return np.asarray(rows.part == Part.DAMPING)
-    if kind == "harmonics":
-        return np.asarray(harmonics & (rows.harmonic != 1))
-    return np.asarray(np.isin(rows.part, _RESPONSE) | (harmonics & (rows.harmonic == 1)))
+    """Rows of a kind of what matters in which a model may be smoothly off, (m,)."""
+    parts = parts_where(lambda facts: facts.smooth and facts.matters == kind)
+    return np.asarray(np.isin(observations.rows.part, parts))
 
 
 class Whitening:

@@ -23,10 +23,8 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.fit.misfit import least_scale
 from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.observables import OF_THE_CHANNEL, Observations, Part
+from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
-
-_HARMONICS = (Part.REAL, Part.IMAG)
 
 
 @dataclass(frozen=True)
@@ -163,33 +161,23 @@ def groups_of(observations: Observations, share: FloatArray) -> Groups:
     known: dict[int, bool] = {}
     for index in range(len(rows)):
         test = observations.tests[rows.test[index]]
-        part = Part(rows.part[index])
-        kind = _kind(test, part, int(rows.harmonic[index]), int(rows.channel[index]))
+        part = Part(int(rows.part[index]))
+        kind = _kind(test, part, int(rows.channel[index]))
         name = f"{test.name}: {kind}"
         of[index] = names.setdefault(name, len(names))
-        known[int(of[index])] = part in OF_THE_CHANNEL
+        known[int(of[index])] = not part.facts.excited
     degrees = np.array([np.inf if known[k] else THRESHOLDS.fits.scale_degrees_of_freedom for k in range(len(names))])
     return Groups(of, tuple(names), degrees, least_scale(of, len(names), share), _rank_of(observations))
 
 
-def _kind(test: Measurement, part: Part, harmonic: int, channel: int) -> str:
-    force = channel >= 0 and test.channels[channel].quantity is Quantity.FORCE
-    if part is Part.LOG_FREQUENCY:
-        return "frequency"
-    if part is Part.PHASE_ERROR:
-        return "phase of the loop"
-    if part is Part.DAMPING:
-        return "damping"
-    if part in _HARMONICS and harmonic != 1:
-        return "harmonics of the force" if force else "harmonics"
-    if part in OF_THE_CHANNEL:
-        return "converter"
-    if part is Part.SAMPLE:
-        return f"samples {channel}"
-    if lines := test.line_group(channel):
+def _kind(test: Measurement, part: Part, channel: int) -> str:
+    if part in FUNDAMENTAL and (lines := test.line_group(channel)):
         return lines
+    if part is Part.SAMPLE:
+        return f"{part.facts.noise} {channel}"
     # Phases of all responses of a window are off together where the loop stood elsewhere, that of the force hardly.
-    return f"{'phase' if part is Part.PHASE else 'fundamental'}{' of the force' if force else ''}"
+    force = part.facts.half and channel >= 0 and test.channels[channel].quantity is Quantity.FORCE
+    return f"{part.facts.noise}{' of the force' if force else ''}"
 
 
 def sigma_of(observations: Observations) -> FloatArray:

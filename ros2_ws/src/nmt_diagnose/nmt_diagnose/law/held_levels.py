@@ -16,7 +16,7 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.observations.observables import FUNDAMENTAL, HARMONICS, Observations, Part, Rows
 
 _MOST_NODES = 12
 """Amplitudes of a decay or a table: more say the same again."""
@@ -140,8 +140,8 @@ def complex_amplitudes(
     """Complex amplitudes (levels, channels, harmonics + 1) in the units of the channels, and their uncertainties."""
     parts = {part: np.full((levels, channels, harmonics + 1), np.nan) for part in (0, 1)}
     spread = {part: np.full((levels, channels, harmonics + 1), np.nan) for part in (0, 1)}
-    names = {Part.LOG_MAGNITUDE: 0, Part.REAL: 0, Part.PHASE: 1, Part.IMAG: 1}
-    for kind, part in names.items():
+    for kind in (*FUNDAMENTAL, *HARMONICS):
+        part = int(kind.facts.half == "im")
         where = np.flatnonzero(here & (rows.part == kind) & (rows.harmonic > 0))
         at = (rows.level[where], rows.channel[where], rows.harmonic[where])
         parts[part][at] = observations.values[where]

@@ -17,15 +17,9 @@ from nmt_diagnose.fit.fitting import Data, predicted
 from nmt_diagnose.fit.noise import sigma_of
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.rules import LEFT, MATTERS, NEEDED, OF_EFFECTS, pass_all
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Natural, Observations, Part, parts_where, with_natural
 from nmt_diagnose.thresholds import THRESHOLDS
 
-_KINDS: dict[str, tuple[Part, ...]] = {
-    "frequency": (Part.LOG_FREQUENCY,),
-    "damping": (Part.DAMPING,),
-    "response": (Part.LOG_MAGNITUDE, Part.PHASE, Part.PHASE_ERROR, Part.SAMPLE),
-    "harmonics": (Part.REAL, Part.IMAG),
-}
 _PERCENT = 100.0
 
 
@@ -56,6 +50,11 @@ SIZE_NAMES = {
     "response": "a response",
     "harmonics": "the fundamental in harmonics",
 }
+
+
+def _parts_of(kind: str) -> tuple[Part, ...]:
+    """Parts of a kind of what matters."""
+    return parts_where(lambda facts: facts.matters == kind)
 
 
 def measured_size(data: Data, found: FittedExplanation) -> Size:
@@ -131,7 +130,7 @@ def left_sizes(
         selected = data.used & (groups.of == number)
         if not loop and np.all(rows.part[selected] == Part.PHASE_ERROR):
             continue
-        kind = next((k for k, parts in _KINDS.items() if np.isin(rows.part[selected], parts).any()), "")
+        kind = next((kind for kind in SIZE_NAMES if np.isin(rows.part[selected], _parts_of(kind)).any()), "")
         if not kind:
             continue
         keys = np.stack([rows.channel[selected], _band(rows.level[selected], rows.test[selected])])
@@ -140,9 +139,10 @@ def left_sizes(
         count = np.bincount(block).astype(np.float64)
         beyond = np.bincount(block, residual**2 - 1.0)
         beyond = np.where(beyond > THRESHOLDS.verdict.excess_sigmas * np.sqrt(2.0 * count), beyond, 0.0)
-        unit = np.abs(data.observations.values[selected]) if kind == "damping" else np.ones(residual.size)
+        natural = Part(int(rows.part[selected][0])).facts.natural
+        unit = np.abs(data.observations.values[selected]) if natural is Natural.VALUE else np.ones(residual.size)
         sizes = np.sqrt(beyond / np.maximum(np.bincount(block, (unit / data.sigma[selected]) ** 2), 1e-300))
-        if np.any(rows.part[selected] == Part.SAMPLE):
+        if natural is Natural.RMS:
             sizes = sizes / max(float(np.sqrt(np.mean(data.observations.values[selected] ** 2))), 1e-300)
         size = float(sizes.max())
         if size > 0.0:
@@ -155,7 +155,7 @@ def largest_left(data: Data, found: FittedExplanation, wanted: Mapping[str, floa
 
     Lines of the mains, steps, limits and lost samples count over what stands out.
     """
-    sized = np.isin(data.observations.rows.part, [part for parts in _KINDS.values() for part in parts])
+    sized = np.isin(data.observations.rows.part, parts_where(lambda facts: bool(facts.matters)))
     other = np.abs(data.residual(found.fit.prediction.values, found.fit.errors.chain)[data.used & ~sized])
     stands_out = float(other.max(initial=0.0)) / THRESHOLDS.verdict.visible_sigmas
     return max([stands_out, *(left.over for left in left_sizes(data, found, wanted, loop))])
@@ -315,20 +315,20 @@ def size_of_change(observations: Observations, used: BoolArray, sigma: FloatArra
     change = np.nan_to_num(change)
     values: dict[str, float] = {}
     known = np.zeros(len(rows), dtype=bool)
-    for kind, parts in _KINDS.items():
-        selected = used & np.isin(rows.part, parts)
+    for kind in SIZE_NAMES:
+        selected = used & np.isin(rows.part, _parts_of(kind))
         known |= selected
         if not selected.any():
             continue
         relative_change = np.abs(change[selected])
         keys = np.stack([rows.test[selected], rows.channel[selected], _band(rows.level[selected], rows.test[selected])])
-        if kind == "damping":
-            relative_change = relative_change / np.maximum(np.abs(measured[selected]), 1e-12)
+        of_value = np.isin(rows.part[selected], with_natural(Natural.VALUE))
+        relative_change = relative_change / np.where(of_value, np.maximum(np.abs(measured[selected]), 1e-12), 1.0)
         _, group = np.unique(keys, axis=1, return_inverse=True)
         group = group.ravel()
         weight = sigma[selected] ** -2.0
         squares = np.bincount(group, weight * relative_change**2) / np.bincount(group, weight)
-        records = rows.part[selected] == Part.SAMPLE
+        records = np.isin(rows.part[selected], with_natural(Natural.RMS))
         if records.any():
             mean_squares = np.bincount(group, np.where(records, measured[selected] ** 2, 0.0)) / np.bincount(group)
             squares = np.where(mean_squares > 0.0, squares / np.maximum(mean_squares, 1e-300), squares)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.observations.observables import ANGLES, Part, Rows
 from nmt_diagnose.prediction.influence import Source, SourceColumn
 from nmt_diagnose.prediction.parts_cache import PartsCache, joint_setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
@@ -54,7 +54,7 @@ class Forward:
         self.tests = tuple(tests)
         self.rows = rows
         self.settings = PredictionSettings() if settings is None else settings
-        self._phases = np.flatnonzero(np.isin(rows.part, (Part.PHASE, Part.PHASE_ERROR)))
+        self._phases = np.flatnonzero(np.isin(rows.part, ANGLES))
         self._where = [np.flatnonzero(rows.test == index) for index in range(len(self.tests))]
         self._twins = [
             test.predictor(rows.take(where), self.settings) for test, where in zip(self.tests, self._where, strict=True)

@@ -10,7 +10,7 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.ledger.diagnosis import Gap, Remainder, RemainderPart
 from nmt_diagnose.ledger.gap import NOISE, rms
 from nmt_diagnose.observations.observables import Observations
-from nmt_diagnose.say.residual_map import KINDS, channel_name, unit_of_kind
+from nmt_diagnose.say.residual_map import observables_of, unit_of_channel
 from nmt_diagnose.thresholds import THRESHOLDS
 
 # Observables that are named with what is left.
@@ -32,20 +32,17 @@ def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: Boo
         return None
     found: list[tuple[float, RemainderPart]] = []
     good = rows & np.isfinite(after)
-    for number, test in enumerate(observations.tests):
-        for name, unit, factor, parts in KINDS:
-            kind = good & (observations.rows.test == number) & np.isin(observations.rows.part, parts)
-            for channel in np.unique(observations.rows.channel[kind]):
-                selected = np.flatnonzero(kind & (observations.rows.channel == channel))
-                beyond = float(np.sum(after[selected] ** 2)) - selected.size * gap.floor**2
-                tail = f" {channel_name(observations, number, int(channel))}" if channel >= 0 else ""
-                left = RemainderPart(
-                    f"{test.name}: {name}{tail}", _levels(observations, number, after, selected), 0.0,
-                    rms(after[selected]),
-                    rms(after[selected] * observations.sigma[selected] * factor),
-                    unit or unit_of_kind(observations, number, int(channel)),
-                )  # fmt: skip
-                found.append((max(beyond, 0.0), left))
+    for name, number, channel, facts, kind in observables_of(observations):
+        selected = np.flatnonzero(kind & good)
+        if not selected.size:
+            continue
+        beyond = float(np.sum(after[selected] ** 2)) - selected.size * gap.floor**2
+        left = RemainderPart(
+            name, _levels(observations, number, after, selected), 0.0, rms(after[selected]),
+            rms(after[selected] * observations.sigma[selected] * facts.factor),
+            facts.unit or unit_of_channel(observations, number, channel),
+        )  # fmt: skip
+        found.append((max(beyond, 0.0), left))
     total = sum(size for size, _ in found)
     found.sort(key=lambda item: -item[0])
     where = tuple(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,7 @@ import numpy as np
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.ledger.diagnosis import ResidualGroup
 from nmt_diagnose.ledger.gap import rms
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Observations, Part, PartFacts
 
 # Bands of lines in the map of residuals.
 _BANDS = 10
@@ -64,20 +66,17 @@ def residual_map(
     return tuple(result)
 
 
-KINDS: tuple[tuple[str, str, float, tuple[Part, ...]], ...] = (
-    ("frequency", "%", 100.0, (Part.LOG_FREQUENCY,)),
-    ("phase error", "deg", 180.0 / np.pi, (Part.PHASE_ERROR,)),
-    ("amplitude of", "%", 100.0, (Part.LOG_MAGNITUDE,)),
-    ("phase of", "deg", 180.0 / np.pi, (Part.PHASE,)),
-    ("harmonics of", "% of the fundamental", 100.0, (Part.REAL, Part.IMAG)),
-    ("damping", "% of critical", 100.0, (Part.DAMPING,)),
-    ("line of the mains in", "", 1.0, (Part.LINE,)),
-    ("converter step of", "", 1.0, (Part.STEP,)),
-    ("inverse clipping level of", "", 1.0, (Part.LIMIT,)),
-    ("repeated samples of", "% of the samples", 100.0, (Part.REPEATS,)),
-    ("record of", "", 1.0, (Part.SAMPLE,)),
-)
-"""Kinds of observables: name, unit (empty = that of the channel), factor to that unit, parts of rows."""
+def observables_of(observations: Observations) -> Iterator[tuple[str, int, int, PartFacts, BoolArray]]:
+    """Observables: name, number of the test, of the channel (−1 = none), what is said of it, and its rows, (m,)."""
+    rows = observations.rows
+    for number, test in enumerate(observations.tests):
+        for words, parts in itertools.groupby(Part, lambda part: part.facts.words):
+            alike = tuple(parts)
+            kind = (rows.test == number) & np.isin(rows.part, alike)
+            for channel in np.unique(rows.channel[kind]):
+                tail = f" {channel_name(observations, number, int(channel))}" if channel >= 0 else ""
+                name = f"{test.name}: {words}{tail}"
+                yield name, number, int(channel), alike[0].facts, kind & (rows.channel == channel)
 
 
 def per_observable(
@@ -91,28 +90,24 @@ def per_observable(
         held_out: rows to judge by.
     """
     result: dict[str, dict[str, Any]] = {}
-    rows = observations.rows
-    for test in range(len(observations.tests)):
-        for name, unit, factor, parts in KINDS:
-            kind = held_out & (rows.test == test) & np.isin(rows.part, parts)
-            for channel in np.unique(rows.channel[kind]):
-                selected = kind & (rows.channel == channel) & np.isfinite(before) & np.isfinite(after)
-                if not selected.any():
-                    continue
-                tail = f" {channel_name(observations, test, int(channel))}" if channel >= 0 else ""
-                scale = observations.sigma[selected] * factor
-                result[f"{observations.tests[test].name}: {name}{tail}"] = {
-                    "before": rms(before[selected]),
-                    "after": rms(after[selected]),
-                    "floor": 1.0,
-                    "before_unit": rms(before[selected] * scale),
-                    "after_unit": rms(after[selected] * scale),
-                    "unit": unit or unit_of_kind(observations, test, int(channel)),
-                    "rows": int(selected.sum()),
-                }
+    judged = held_out & np.isfinite(before) & np.isfinite(after)
+    for name, number, channel, facts, kind in observables_of(observations):
+        selected = kind & judged
+        if not selected.any():
+            continue
+        scale = observations.sigma[selected] * facts.factor
+        result[name] = {
+            "before": rms(before[selected]),
+            "after": rms(after[selected]),
+            "floor": 1.0,
+            "before_unit": rms(before[selected] * scale),
+            "after_unit": rms(after[selected] * scale),
+            "unit": facts.unit or unit_of_channel(observations, number, channel),
+            "rows": int(selected.sum()),
+        }
     return result
 
 
-def unit_of_kind(observations: Observations, test: int, channel: int) -> str:
+def unit_of_channel(observations: Observations, test: int, channel: int) -> str:
     """Unit of the rows of a channel that have that of the channel; empty for those that belong to none."""
     return observations.tests[test].channels[channel].unit if channel >= 0 else ""

@@ -15,7 +15,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.observations.observables import FUNDAMENTAL, HARMONICS, Part, Rows
 from nmt_diagnose.prediction.gaussian_motion import forces_in_motion
 from nmt_diagnose.prediction.linear_model import Fractions
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
@@ -109,7 +109,7 @@ class RandomPredictor(Predictor):
         self.seconds = 0.5 * (test.start_s + test.stop_s)
         self._parts = {
             part: (which, rows.level[which], rows.channel[which])
-            for part in (Part.LOG_MAGNITUDE, Part.PHASE, Part.REAL, Part.IMAG)
+            for part in (*FUNDAMENTAL, *HARMONICS)
             if (which := np.flatnonzero(rows.part == part)).size
         }
         rate = test.drive_hold_hz

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.observations.observables import Part, Rows
+from nmt_diagnose.observations.observables import FUNDAMENTAL, Part, Rows
 from nmt_diagnose.prediction.decay_kernel import free_rows, observed_ratios
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.periodic_kernel import (
@@ -90,7 +90,7 @@ class RingDownPredictor(Predictor):
         solved = [position for position, state in enumerate(states) if state is not None]
         ratio = np.full(len(states), np.nan)
         shapes = np.full((len(states), len(self.channels)), np.nan, dtype=np.complex128)
-        shape = np.isin(self.rows.part, (Part.LOG_MAGNITUDE, Part.PHASE))
+        shape = np.isin(self.rows.part, FUNDAMENTAL)
         if solved:
             z = np.array([state.z for state in states if state is not None])
             # Not at the pole of the linear system itself, where transfer functions are infinite.

@@ -11,16 +11,8 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.observations.observables import ANGLES, Natural, Observations, Part, Rows, parts_where
 from nmt_diagnose.thresholds import THRESHOLDS
-
-# Key of a sidecar's ``repeatability`` by part.
-_STATED = {
-    Part.LOG_FREQUENCY: "frequency",
-    Part.DAMPING: "damping",
-    Part.LOG_MAGNITUDE: "amplitude",
-    Part.PHASE: "phase_deg",
-}
 
 
 @dataclass(frozen=True)
@@ -84,10 +76,10 @@ def with_stated_repeatability(observations: Observations, run: Mapping[str, Any]
     if not isinstance(stated, dict):
         return observations
     part, floor = observations.rows.part, observations.floor
-    for kind, key in _STATED.items():
-        size = float(stated.get(key) or 0.0)
-        size = math.radians(size) if kind is Part.PHASE else size
-        of_value = np.abs(observations.values) if kind is Part.DAMPING else 1.0
+    for kind in parts_where(lambda facts: bool(facts.stated)):
+        size = float(stated.get(kind.facts.stated) or 0.0)
+        size = math.radians(size) if kind.facts.angle else size
+        of_value = np.abs(observations.values) if kind.facts.natural is Natural.VALUE else 1.0
         floor = np.where(part == kind, np.hypot(floor, size * of_value), floor)
     return replace(observations, floor=floor)
 
@@ -114,7 +106,7 @@ def repeatability(observations: Observations, repeats: Observations) -> tuple[Fl
         return floor, ("The floor bags hold no repeat of a test of the real side; the floors are the default ones.",)
     difference = np.full(paired.shape[0], np.nan)
     difference[found] = observations.values[found] - repeats.values[paired[found]]
-    angles = np.isin(observations.rows.part, (Part.PHASE, Part.PHASE_ERROR))
+    angles = np.isin(observations.rows.part, ANGLES)
     difference[angles] = (difference[angles] + np.pi) % (2.0 * np.pi) - np.pi
     stated = np.full(paired.shape[0], np.nan)
     stated[found] = 0.5 * (observations.std[found] ** 2 + repeats.std[paired[found]] ** 2)

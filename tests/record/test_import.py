@@ -219,8 +219,11 @@ def test_displacement_and_acceleration_are_compared(tmp_path: Path) -> None:
     values["channels"].append({"column": "x2", "quantity": "displacement", "unit": "m", "point": 2})
     assert read_import(write(tmp_path, values, data)).notes == []
     values["channels"][-1]["unit"] = "mm"
+    with pytest.raises(BenchError, match=r"column x2 \(x2\) is 0\.001 times column a2 .*thousandths.*'scale: …'"):
+        read_import(write(tmp_path, values, data))
+    values["channels"][-1]["scale"] = 1.0
     notes = read_import(write(tmp_path, values, data)).notes
-    assert any("x2 and a2 at point 2 differ by a factor 0.000997" in note for note in notes)
+    assert any("is 0.001 times column a2" in note for note in notes)
 
 
 def test_a_force_out_of_phase_is_no_reason_to_refuse(tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ import pytest
 from record.foreign_data import RATE, recording, sidecar, write, write_csv
 
 from nmt_core.errors import BenchError
-from nmt_record.exchange.imports.import_continuity import doubled_blocks, phase_jump
 from nmt_record.exchange.imports.imported_run import read_import
+from nmt_record.exchange.judgement.row_continuity import doubled_blocks, phase_jump
 
 OMEGA = 2 * np.pi * 21.7 / RATE
 

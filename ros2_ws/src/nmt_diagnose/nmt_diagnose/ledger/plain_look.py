@@ -13,31 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.messages.blocks import Quantity
+from nmt_core.mistaken_units import mistaken_units
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_core.text.number_words import significant
 from nmt_diagnose.ledger.diagnosis import PlaceShare
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
-
-_KNOWN = (
-    (180.0 / math.pi, "degrees that were read as radians"),
-    (math.pi / 180.0, "radians that were read as degrees"),
-    (9.80665, "m/s² that were read as g, or newtons as kilograms-force"),
-    (1.0 / 9.80665, "g that were read as m/s², or kilograms-force as newtons"),
-    (30.0 / math.pi, "revolutions per minute that were read as rad/s"),
-    (math.pi / 30.0, "rad/s that were read as revolutions per minute"),
-    (2.0 * math.pi, "rad/s that were read as Hz"),
-    (0.5 / math.pi, "Hz that were read as rad/s"),
-    (1e3, "thousandths of a unit that were read as the unit, such as mm as m"),
-    (1e-3, "a unit that was read as thousandths of it, such as m as mm"),
-    (1e6, "millionths of a unit that were read as the unit, such as µm as m"),
-    (1e-6, "a unit that was read as millionths of it, such as m as µm"),
-    (1.0 / 0.0254, "inches that were read as metres"),
-    (1.0 / 4.4482216, "pounds-force that were read as newtons"),
-)
-"""Factors of units over what was meant, and what was mistaken."""
-_UNIT_TOLERANCE = 0.05
-"""Of ln of a factor."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +40,7 @@ class Factor:
     @property
     def units(self) -> tuple[str, ...]:
         """Units that may have been mistaken; empty where the factor is none of two units."""
-        size = abs(self.factor)
-        return tuple(words for value, words in _KNOWN if abs(math.log(size / value)) < _UNIT_TOLERANCE)
+        return mistaken_units(self.factor)
 
     @property
     def sentence(self) -> str:

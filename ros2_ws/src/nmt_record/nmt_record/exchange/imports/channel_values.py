@@ -15,13 +15,16 @@ from nmt_record.exchange.unit_table import channel_factor
 _HALF = 32  # samples on either side that a delayed sample is made of
 
 
-def channel_values(channel: ChannelSection, table: SourceTable, index: int, place: str, notes: list[str]) -> FloatArray:
+def channel_values(
+    channel: ChannelSection, table: SourceTable, index: int, values: FloatArray, place: str, notes: list[str]
+) -> FloatArray:
     """Values of one column, shape (rows,): force in N where a current counts as one.
 
     Args:
         channel: what the sidecar says.
         table: the file.
         index: of the column.
+        values: of the column as they were judged, shape (rows,).
         place: of the channel in the sidecar, for messages.
         notes: where sentences go.
 
@@ -32,7 +35,6 @@ def channel_values(channel: ChannelSection, table: SourceTable, index: int, plac
     factor = channel_factor(channel.quantity, channel.unit, where) * (channel.force_factor or 1.0)
     stated, scaling = "scale" in channel.model_fields_set, table.scalings[index]
     sign = _sign(channel, table, index, where, notes)
-    values = table.columns[index]
     scale = channel.scale if stated else scaling.scale
     if scaling.has_scale and stated and not math.isclose(scale, scaling.scale, rel_tol=1e-9):
         notes.append(

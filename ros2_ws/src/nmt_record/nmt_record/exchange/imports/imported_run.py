@@ -27,14 +27,16 @@ from nmt_record.exchange.clocks.column_clock import Clock, find_clock
 from nmt_record.exchange.clocks.message_clock import ClockChoice
 from nmt_record.exchange.import_table import read_table
 from nmt_record.exchange.imports.channel_values import channel_values, without_delay
-from nmt_record.exchange.imports.import_checks import (
+from nmt_record.exchange.judgement.channel_checks import (
     CheckedStretch,
     ImportedChannel,
     check_columns,
     check_names,
     check_physics,
 )
-from nmt_record.exchange.imports.import_continuity import doubled_blocks, phase_jump
+from nmt_record.exchange.judgement.column_faults import check_zeros, judged_columns
+from nmt_record.exchange.judgement.motions import check_motions
+from nmt_record.exchange.judgement.row_continuity import doubled_blocks, phase_jump
 from nmt_record.exchange.messages.ros_bag_table import is_bag, read_bag
 from nmt_record.exchange.reduced.frf_checks import ShapeSign, check_responses
 from nmt_record.exchange.reduced.observables import (
@@ -275,14 +277,15 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
     indices = [table.index(channel.column, place) for channel, place in zip(sidecar.channels, places, strict=True)]
     _refuse_shared_columns(indices, places, table.names)
     scaled: list[str] = []
-    for channel, index, place in zip(sidecar.channels, indices, places, strict=True):
-        values = clock.spread(channel_values(channel, table, index, place, scaled))
+    columns, found = judged_columns(sidecar.channels, indices, table, places)
+    for channel, index, column, place in zip(sidecar.channels, indices, columns, places, strict=True):
+        values = clock.spread(channel_values(channel, table, index, column, place, scaled))
         if channel.delay_s != 0.0:
             values = without_delay(values, channel.delay_s * clock.sample_rate)
         run.channels.append(ImportedChannel(channel, channel.channel, table.names[index] or str(index + 1), values))
     run.sample_rate, run.clock_std = clock.sample_rate, clock.std
     run.first_sample = sidecar.first_sample
-    run.notes += [*table.notes, *clock.notes, *scaled]
+    run.notes += [*table.notes, *clock.notes, *found, *scaled]
     run.segments = _segments(run, clock, document)
     run.notes += check_columns(run.channels, table, places)
     stretches = [
@@ -294,7 +297,11 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
     _check_continuity(run, table, clock, stretches)
     if not run.sidecar.loop:
         run.loop = _made_states(run)
+    run.notes += check_motions(run.channels, stretches, places, run.sample_rate)
     run.notes += check_physics(run.channels, stretches, run.sample_rate, run.linear)
+    run.notes += check_zeros(
+        [c.source for c in run.channels], [c.quantity for c in run.channels], [c.data for c in run.channels]
+    )
     if sidecar.oscillator is not None:
         side = run.beside(sidecar.oscillator, document.place(("oscillator",)))
         run.blocks = read_block_table(side, run.first_sample, run.samples)

@@ -57,6 +57,9 @@ class ChannelSection(_Section):
             netCDF, scale in a heading), else 1.
         sign: −1 for a sensor mounted the other way round; left out = as the file says (direction of UFF), else 1.
         delay_s: by how much the channel is late, s; it is taken out.
+        wrap: range after which its numbers begin again (65536 of 16 bits, 360 of degrees); they then go on, about zero
+            as far as may be. 0 = they do not begin again. Left out = whole turns of an angle are found.
+        no_value: number that stands for no value; left out = the usual codes are found.
         force_factor: of a current that is to serve as a force: N per A (N·m per A with ``force_unit``). It then stands
             wherever a measured force does.
         force_factor_std: its relative standard uncertainty; left out = 3 %.
@@ -75,6 +78,8 @@ class ChannelSection(_Section):
     scale: float = 1.0
     sign: Literal[1, -1] | None = None
     delay_s: float = 0.0
+    wrap: Annotated[float, Field(ge=0)] | None = None
+    no_value: float | None = None
     force_factor: Positive | None = None
     force_factor_std: Annotated[float, Field(ge=0, lt=1)] | None = None
     force_unit: Literal["N", "N*m"] = "N"

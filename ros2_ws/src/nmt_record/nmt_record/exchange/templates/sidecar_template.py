@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,8 +25,9 @@ from nmt_record.exchange.clocks.column_clock import (
     time_unit_of,
 )
 from nmt_record.exchange.import_table import kind_of, read_table
-from nmt_record.exchange.imports.import_checks import hinted_quantity, looks_like_counts
 from nmt_record.exchange.imports.imported_run import check_proposal
+from nmt_record.exchange.judgement.channel_checks import hinted_quantity, looks_like_counts
+from nmt_record.exchange.judgement.column_faults import value_codes, wrap_of_counts
 from nmt_record.exchange.messages.ros_bag_table import bag_tables, is_bag
 from nmt_record.exchange.reduced.uff_observables import frequency_responses
 from nmt_record.exchange.sidecar.import_sidecar import Sidecar
@@ -84,7 +86,7 @@ def _checked(text: str, path: Path) -> str:
     Raises:
         BenchError: the data themselves are refused, whatever a sidecar says.
     """
-    while ASK not in text:
+    while not any(ASK in line for line in text.splitlines() if not line.lstrip().startswith("#")):
         sidecar = path.with_suffix(".yaml")
         try:
             check_proposal(text, sidecar)
@@ -187,6 +189,11 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
     rate = None if clock is None else clock.sample_rate
     start = 0.0 if clock is None else clock.start
     channels = [i for i in columns if i not in time][:_MOST_CHANNELS]
+    codes = {index: value_codes(table.columns[index]) for index in channels}
+    table = dataclasses.replace(table, columns=tuple(
+        np.where(codes[i], np.nan, column) if i in codes and codes[i].any() else column
+        for i, column in enumerate(table.columns)
+    ))  # fmt: skip
     guesses = {index: _guess(table, index) for index in channels}
     # Volts are the drive's or a sensor's; which, a name may say.
     kept = [i for i in channels if guesses[i].quantity != "voltage" or _is_drive(bare_name(table, i))]
@@ -200,6 +207,7 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
     taken: set[tuple[Quantity | str, int]] = set()
     for index in channels:
         guess, values, scaling = guesses[index], table.columns[index], table.scalings[index]
+        begins_again = None if guess.quantity in ("angle", "displacement") else wrap_of_counts(values)
         point, measured = guess.point, guess.quantity and measured_quantity(guess.quantity)
         if table.judged and not guess.quantity:
             point = 1  # whatever it measures, no other channel measures the same there
@@ -215,6 +223,7 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
             *([f"scale: {ASK}"] if not scaling.has_scale and looks_like_counts(values[np.isfinite(values)]) else []),
             *([f"scale: {guess.scale:.9g}"] if guess.scale != 1.0 else []),
             *(["sign: -1"] if scaling.sign < 0 else []),
+            *([f"wrap: {ASK}"] if begins_again is not None else []),
             *([f"point: {point}"] if point else []),
         ]
         still = not np.nanmax(values) > np.nanmin(values)
@@ -229,10 +238,19 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
         why = "" if index in kept else left_out
         why += f"; scale {scaling.scale:g} by {scaling.words}" if scaling.has_scale else ""
         why += f"; by {scaling.words}" if scaling.sign < 0 else ""
+        why += f"; without {int(codes[index].sum())} codes of no value" if codes[index].any() else ""
+        if begins_again is not None:
+            why += f"; it jumps by {begins_again.period:.0f}: wrap of numbers without their sign or of a counter, or 0"
         why += _CURRENT if guess.quantity == "current" else ""
         why += _unknown_unit(table, index) if not guess.unit else ""
         why = why or ("; the model's coordinate is then in rad or a strain" if coordinate_of_unit(guess.unit) else "")
         lines.append(f"{mark}{{{', '.join(words)}}}   # from {np.nanmin(values):.4g} to {np.nanmax(values):.4g}{why}")
+    if any(
+        table.names[i].endswith(".y") and table.names[i][:-1] + "x" in map(table.names.__getitem__, kept) for i in kept
+    ):
+        lines.append(
+            "# x, y and z of one sensor are one point in three directions; a point of the model is one direction."
+        )
     lines.append("segments:")
     rows = table.rows if clock is None else clock.samples
     for first, last in (table.stretches if rate else ()) or ((0, rows),):

@@ -108,6 +108,8 @@ class _Text:
         width = len(form.cells(lines[0]))
         one = width == 1 and form.delimiter is None  # the name of a single column may have spaces
         heads = [[line.strip().strip('"').strip()] if one else form.cells(line) for line in header]
+        if not any(len(cells) >= width for cells in heads):
+            heads += self._commented_heading(width)
         if width > 1 and not form.cells(lines[0])[-1] and (not heads or len(heads[-1]) < width or not heads[-1][-1]):
             # A delimiter at the end of every line.
             width -= 1
@@ -140,6 +142,18 @@ class _Text:
             sample_rate=rate, step=heading.step or step, start=heading.start, scalings=scalings,
             parts=tuple(sorted({*words, *heading.empty, *([heading.counter] if heading.counter >= 0 else [])})),
         )  # fmt: skip
+
+    def _commented_heading(self, width: int) -> list[list[str]]:
+        """Names of the columns in the last comment above the numbers, as numpy.savetxt writes them; empty if none."""
+        above = self.everything[: self.numbers[self.first]]
+        comment = next((line for line in reversed(above) if line.strip()), "")
+        text = re.sub(r"^[#%/\s]+", "", comment)
+        forms = [self.form, TextForm(",", self.form.decimal), TextForm("\t", self.form.decimal), TextForm(";", ".")]
+        for form in forms if text and _is_comment(comment) else ():
+            cells = form.cells(text)
+            if len(cells) == width and not any(map(self.form.is_value, cells)):
+                return [cells]
+        return []
 
     def _first_row(self) -> int:
         """Line of the first numbers; among words a line above the heading may have some, too."""

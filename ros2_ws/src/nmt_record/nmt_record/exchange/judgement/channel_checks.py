@@ -216,7 +216,7 @@ def check_physics(
     sample_rate: float,
     linear: LinearDescription | None,
 ) -> list[str]:
-    """Power, kinematics and damping of driven segments.
+    """Power and damping of driven segments.
 
     A passive structure takes power from its exciter. Exchanging force and response turns the sign of the power, as
     does a sensor mounted the other way round; errors of phase below 120° do not.
@@ -238,7 +238,6 @@ def check_physics(
         for response in channels:
             if response.quantity in MOTIONS and (response.point == force.point or not force.point):
                 _check_power(force, response, stretches, sample_rate)
-    notes += _kinematic_notes(channels, stretches, sample_rate)
     if linear is not None:
         notes += _damping_notes(channels, stretches, sample_rate, linear)
     return notes
@@ -290,32 +289,6 @@ def _power_factor(
 def _amplitude(channel: ImportedChannel, stretch: CheckedStretch, sample_rate: float) -> tuple[float, float] | None:
     """Frequency and amplitude of the strongest line of a steady segment."""
     return line_amplitude(channel.data[stretch.first : min(stretch.stop, stretch.first + 2_000_000)], sample_rate)
-
-
-def _kinematic_notes(
-    channels: Sequence[ImportedChannel], stretches: Sequence[CheckedStretch], sample_rate: float
-) -> list[str]:
-    """Displacement, velocity and acceleration at one point and one frequency are bound by powers of ω."""
-    steady = next((s for s in stretches if s.segment.test in STEADY_KINDS), None)
-    if steady is None:
-        return []
-    notes = []
-    responses = [channel for channel in channels if channel.quantity in MOTIONS and channel.point]
-    for number, one in enumerate(responses):
-        for other in responses[:number]:
-            if one.point != other.point:
-                continue
-            first, second = _amplitude(one, steady, sample_rate), _amplitude(other, steady, sample_rate)
-            if first is None or second is None or not second[1] > 0.0:
-                continue
-            orders = MOTIONS[one.quantity] - MOTIONS[other.quantity]
-            ratio = first[1] / second[1] / (2.0 * math.pi * second[0]) ** orders
-            if not 1.0 / 30.0 < ratio < 30.0:
-                notes.append(
-                    f"{one.name} and {other.name} at point {one.point} differ by a factor {ratio:.3g} at "
-                    f"{second[0]:.4g} Hz; check their units ({one.section.unit}, {other.section.unit})."
-                )
-    return notes
 
 
 def _damping_notes(

@@ -1,0 +1,1 @@
+"""What imported numbers say of themselves and of each other, before any model."""

@@ -9,7 +9,7 @@ written by hand. KIND is ``message`` (a .msg, .srv or .action file), ``parameter
 (a section of the rig file), ``elements`` (a file of local elements), ``devices`` (the sections of the
 converters), ``keys`` (attributes of a class by its
 docstring), ``options`` (a command), ``python`` (the public names of a package), ``effects`` (a place of the
-diagnosis), ``matrix`` (tests and consumers), ``priors`` or ``quantities`` (of a modal point).
+diagnosis), ``matrix`` (tests and consumers), ``statements``, ``priors`` or ``quantities`` (of a modal point).
 The tables of parameters stand in the node modules, so
 they need ROS 2.
 """
@@ -539,6 +539,17 @@ def quantities_table(name: str) -> str:
     return "\n".join(lines)
 
 
+def statements(name: str) -> str:
+    """Every statement with the check that stops it.
+
+    Args:
+        name: ``all``.
+    """
+    from nmt_diagnose.ledger.statements import statements_table
+
+    return statements_table()
+
+
 def thresholds_table(theme: str) -> str:
     """Thresholds of one theme: of the diagnosis (``signals.decays``), loops (``loops.phase``), ``judgement.gain``."""
     from nmt_core.threshold import thresholds_of
@@ -606,6 +617,7 @@ def matrix_table(name: str) -> str:
 
 KINDS: dict[str, Callable[[str], str]] = {
     "matrix": matrix_table,
+    "statements": statements,
     "thresholds": thresholds_table,
     "effects": effects_table,
     "priors": priors_table,

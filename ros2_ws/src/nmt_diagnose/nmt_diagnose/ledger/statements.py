@@ -1,0 +1,209 @@
+"""Every statement that the bench makes about data, with the plain check that stops it.
+
+An inference is believed only beside a look at the data that could contradict it. Each statement names that look in
+code, what is said where it fails, and the test that shows it. The page docs/reference/statements.md comes from here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A statement and what stops it.
+
+    Attributes:
+        name: of the statement.
+        says: what it says.
+        check: what has to hold in the data for it to be said.
+        otherwise: what is said where that fails.
+        function: that looks, ``module:name``; empty where there is none yet.
+        test: that fails without it, ``file::test``; empty where there is none yet.
+    """
+
+    name: str
+    says: str
+    check: str
+    otherwise: str
+    function: str = ""
+    test: str = ""
+
+
+_DIAGNOSE = "tests/diagnose/"
+
+STATEMENTS = (
+    Statement(
+        "no gap",
+        "Noise and repeatability explain what lies between model and data.",
+        "No channel leaves half of its signal, whatever scale its noise has learnt.",
+        "`unknown`, with the channel and the share of its signal.",
+        "nmt_diagnose.ledger.plain_look:share_left",
+        f"{_DIAGNOSE}test_plain_look.py::test_no_gap_is_not_said_beside_half_a_signal",
+    ),
+    Statement(
+        "calibration",
+        "Parameters that the model already has were off.",
+        "Re-fitting them changes predictions by what matters and lowers the cost by 25.",
+        "`none`, with the parameters that moved, or an effect.",
+        "nmt_diagnose.ledger.rules:verdict_of",
+        f"{_DIAGNOSE}test_rules.py::test_the_rules_make_a_verdict",
+    ),
+    Statement(
+        "effect",
+        "An effect of the library acts.",
+        "Without it more is left than noise that matters, or model and measuring chain are strained.",
+        "No effect; what shows is told with its size.",
+        "nmt_diagnose.ledger.size:beside_simpler",
+        f"{_DIAGNOSE}test_what_is_asked.py::test_no_effect_is_needed_where_the_model_alone_lies_within_the_noise",
+    ),
+    Statement(
+        "second effect",
+        "Another effect acts beside the first.",
+        "The same, beside the explanation by the first alone.",
+        "The first alone.",
+        "nmt_diagnose.ledger.size:needed",
+        f"{_DIAGNOSE}test_what_is_asked.py::test_an_effect_is_needed_where_the_fit_without_it_leaves_something_that_matters",
+    ),
+    Statement(
+        "place",
+        "The effect acts at a point.",
+        "Other points leave more than what 2 % of error of a model's shapes do.",
+        "All points that are as likely, with their probabilities.",
+        "nmt_diagnose.ledger.comparison:Hypotheses.compared",
+        f"{_DIAGNOSE}test_place_probability.py::test_places_are_weighed_as_with_the_covariance_of_the_model_s_form",
+    ),
+    Statement(
+        "closed",
+        "The explanation closes so much of the gap.",
+        "Rows that its fit did not see are predicted so much better; no better than silence counts as a gap.",
+        "No share; what predicts them worse is not stated.",
+        "nmt_diagnose.ledger.gap:closed",
+        f"{_DIAGNOSE}test_held_out.py::test_closed_is_the_share_of_the_reachable_gap",
+    ),
+    Statement(
+        "adequate",
+        "The explanation is the whole of the gap.",
+        "What it leaves is noise or smaller than what matters, and no parameter is where nobody believes it.",
+        "A part, with what is left.",
+        "nmt_diagnose.ledger.size:left_over",
+        f"{_DIAGNOSE}test_rules.py::test_a_part_is_asked_after_the_whole",
+    ),
+    Statement(
+        "partial",
+        "The gap acts like an effect, which is a part of it.",
+        "It closes 80 % of the gap on data held out, two effects 95 %.",
+        "`unknown`, with what comes nearest.",
+        "nmt_diagnose.ledger.comparison:by_plain_effect",
+        f"{_DIAGNOSE}test_plain_effect.py::test_what_closes_most_of_a_gap_alone_is_named_first",
+    ),
+    Statement(
+        "unknown",
+        "Something acts that the library lacks.",
+        "Rows leave what matters beyond the noise, or model and measuring chain are where nobody believes them.",
+        "`none` or `calibration`.",
+        "nmt_diagnose.ledger.size:leaves_something",
+        f"{_DIAGNOSE}test_what_is_asked.py::test_an_error_of_the_chain_counts_where_it_is_incredible_and_matters",
+    ),
+    Statement(
+        "law",
+        "The missing force has this form.",
+        "Levels that were left out, the top two among them, are predicted by it.",
+        "The reason why it is not told.",
+        "nmt_diagnose.law.reading:read_law",
+        f"{_DIAGNOSE}test_law.py::test_a_wrong_gain_alone_is_no_law",
+    ),
+    Statement(
+        "none of an investigation",
+        "The plan shows no gap.",
+        "Its levels were climbed to the top.",
+        "Up to which level nothing was found.",
+    ),
+    Statement(
+        "end of an investigation",
+        "The cause has a name.",
+        "Its levels were climbed to the top, or the answer says up to which it holds.",
+        "What is open, and the next test.",
+    ),
+    Statement(
+        "fold",
+        "The response turns back at a frequency.",
+        "Measured points lie on both sides of it.",
+        "Between which points a fold may lie.",
+    ),
+    Statement(
+        "unstable",
+        "Points of a response are unstable.",
+        "The force falls with the amplitude there, by more than its uncertainty.",
+        "Stability is open.",
+    ),
+    Statement(
+        "isola",
+        "A closed branch is born at a force.",
+        "A point on it was reached, or both of its folds.",
+        "No isola is foretold.",
+    ),
+    Statement(
+        "force surface",
+        "The force between measured amplitudes.",
+        "Their bands of frequency overlap there.",
+        "Where they do not.",
+    ),
+    Statement(
+        "settled",
+        "A point of a response is a steady state.",
+        "Its amplitude and phase do not change over the window.",
+        "It had not settled.",
+    ),
+    Statement(
+        "limit cycle",
+        "The structure moves by itself at an amplitude.",
+        "Growth changes its sign between measured levels.",
+        "Between which levels one may lie.",
+        "nmt_extract.curves.limit_cycles:limit_cycles",
+        "tests/extract/test_free_motion.py::test_a_limit_cycle_between_lost_levels_is_uncertain",
+    ),
+    Statement(
+        "linear",
+        "Modes of a random test are those of a passive structure.",
+        "Residues have the phase that a passive structure can have, and peaks follow the excitation.",
+        "The channel that is turned, late or hums.",
+        "nmt_extract.linear.judge:phase_findings",
+        "tests/extract/test_linear_judge.py::test_what_no_passive_structure_does_is_named",
+    ),
+    Statement(
+        "hum",
+        "A line of the mains is in a channel.",
+        "It stands out of the noise at its frequency and at no order of the drive.",
+        "Nothing; a line at an order is a harmonic.",
+        "nmt_diagnose.ledger.size:large_lines",
+        f"{_DIAGNOSE}test_spectral_lines.py::test_a_harmonic_at_the_mains_hides_it",
+    ),
+    Statement(
+        "faulty channel",
+        "A channel has another unit, sign or gain.",
+        "All its rows are larger by one factor, and others are not.",
+        "The gap is judged for effects.",
+        "nmt_diagnose.ledger.plain_look:factors",
+        f"{_DIAGNOSE}test_plain_look.py::test_a_factor_is_seen_and_an_ordinary_gain_is_not",
+    ),
+    Statement(
+        "delay",
+        "Channels of a kind are late.",
+        "Their phases fall with frequency by one time, at all levels.",
+        "A phase of single channels, or an effect.",
+        "nmt_diagnose.chain.chain_columns:shared_delays",
+        f"{_DIAGNOSE}test_late_channels.py::test_late_channels_are_no_gap",
+    ),
+)
+"""All statements."""
+
+
+def statements_table() -> str:
+    """The statements as a table in Markdown."""
+    lines = ["| statement | says | has to hold | else | check | test |", "|---|---|---|---|---|---|"]
+    for it in STATEMENTS:
+        check = f"`{it.function.partition(':')[2]}` in `{it.function.partition(':')[0]}`" if it.function else "none yet"
+        test = f"`{it.test.partition('::')[2]}` in `{it.test.partition('::')[0]}`" if it.test else "none yet"
+        lines.append(f"| {it.name} | {it.says} | {it.check} | {it.otherwise} | {check} | {test} |")
+    return "\n".join(lines)

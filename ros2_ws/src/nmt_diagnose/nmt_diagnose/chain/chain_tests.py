@@ -15,14 +15,13 @@ from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.model_view import RIGID, ModelView
 from nmt_diagnose.observations.observables import FUNDAMENTAL, HARMONICS, Observations, Part
 from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_rig.rig import Rig, SensorSection
 
 DELAY_STEP_S = 1e-6
 PHASE_STEP = 1e-4
-_RIGID = 1e-6  # of the highest frequency, below which a body is free
 
 
 class ChainTests:
@@ -170,9 +169,15 @@ class ChainTests:
         return float(np.median(self.rows.frequency_hz[selected])) if selected.any() else self.resonance()
 
     def resonance(self) -> float:
-        """First frequency of the model at which it strains, Hz: a free body moves at 0 Hz, too."""
+        """First frequency of the model at which it strains, Hz: a free body moves at 0 Hz, too.
+
+        Of one that never swings the middle of the rows', where they have any.
+        """
         frequencies = ModelView.of(self.rig, self.tests[0].drive_points).frequencies_hz
-        return next((value for value in frequencies if value > _RIGID * frequencies[-1]), frequencies[-1])
+        if not frequencies:
+            known = self.rows.frequency_hz[self.rows.frequency_hz > 0.0]
+            return float(np.median(known)) if known.size else 1.0
+        return next((value for value in frequencies if value > RIGID * frequencies[-1]), frequencies[-1])
 
 
 def with_phase_step(level: LockedLevel) -> LockedLevel:
@@ -185,8 +190,9 @@ def edited(rig: Rig, channel: MeasuredChannel, change: Callable[[SensorSection],
     sensors = list(rig.sensors)
     if all(rig.sensor_channel(s) != channel.name for s in sensors):
         place: Any = "drive" if channel.quantity is Quantity.FORCE else channel.point
-        values = {"quantity": channel.quantity.name.lower(), "point": place, "channel": channel.name}
-        sensors.append(SensorSection.model_validate(values))
+        # Its name is that of a recording, which a rig file need not allow.
+        quantity: Any = channel.quantity.name.lower()
+        sensors.append(SensorSection.model_construct(quantity=quantity, point=place, channel=channel.name))
     changed = [change(s) if rig.sensor_channel(s) == channel.name else s for s in sensors]
     return rig.model_copy(update={"sensors": changed})
 

@@ -18,9 +18,12 @@ from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import ElectromechanicalSystem
-from nmt_rig.model.linear_modes import damped_modes
+from nmt_rig.model.linear_modes import damped_modes, sticking_modes
 from nmt_rig.rig import Rig
-from nmt_rig.rig_model import build_system, inputs_per_volt
+from nmt_rig.rig_model import build_elements, build_structure, build_system, inputs_per_volt
+
+RIGID = 1e-6
+"""Of the highest frequency, below which a body is free."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,12 @@ class ModelView:
         rig = with_exciters_at(rig, drive_points)
         try:
             linear = linear_description(rig)
-        except BenchError:  # it swings in no mode: what needs one says so
-            return cls(rig, build_system(rig), 0.0, (), ())
+        except BenchError:  # its target mode does not swing: what needs one that does says so
+            system, structure = build_system(rig), build_structure(rig)
+            alone = sticking_modes(structure, build_elements(rig, structure)).frequencies
+            plant = np.abs(damped_modes(system).eigenvalues.imag)
+            modes, swinging = (_swinging(found) for found in (alone, np.concatenate([alone, plant])))
+            return cls(rig, system, 0.0, swinging, modes)
         modes = tuple(value / (2.0 * math.pi) for value in linear.frequencies_rad_s)
         hertz = (*modes, linear.plant_frequency_rad_s / (2.0 * math.pi))
         return cls(rig, build_system(rig), linear.drive_point_shape, tuple(sorted(hertz)), modes)
@@ -137,6 +144,12 @@ class ModelView:
         """Number of the exciter, from 0, that a voltage or current of the model belongs to."""
         sensors = (s for s in self.rig.sensors if self.rig.sensor_channel(s) == channel.name)
         return next(((sensor.exciter or 1) - 1 for sensor in sensors), 0)
+
+
+def _swinging(frequencies: FloatArray) -> tuple[float, ...]:
+    """Those of some angular frequencies, rad/s, that are not of a body at rest or drifting, Hz, ascending."""
+    hertz = np.sort(frequencies) / (2.0 * math.pi)
+    return tuple(float(value) for value in hertz if value > RIGID * hertz[-1])
 
 
 def _solved(impedance: ComplexArray, load: ComplexArray) -> ComplexArray:

@@ -145,7 +145,9 @@ class RingDownPredictor(Predictor):
         between = self._continued(parts, guess, math.sqrt(amplitude * guess.drive), depth - 1)
         return None if between is None else self._continued(parts, between, amplitude, depth - 1)
 
-    def _newton(self, parts: RigParts, z: FloatArray, amplitude: float) -> PeriodicState | None:
+    def _newton(self, parts: RigParts, z: FloatArray | None, amplitude: float) -> PeriodicState | None:
+        if z is None:
+            return None
         closing, targets, *how = self._arguments(parts, z[None], np.array([amplitude]))
         limits = Limits(self.settings.iterations, _TOLERANCE, _LARGEST_STEP)
         done = at_pole(z, closing, targets[0], parts.kernel_tables)
@@ -156,8 +158,10 @@ class RingDownPredictor(Predictor):
             return None
         return PeriodicState(z, parts.keys, amplitude, _NO_CHANNELS) if done else None
 
-    def _linear_start(self, parts: RigParts, amplitude: float, tangents: tuple[FloatArray, FloatArray]) -> FloatArray:
-        """Pole of the linearised system nearest to the frequency of the switch-off, and its shape.
+    def _linear_start(
+        self, parts: RigParts, amplitude: float, tangents: tuple[FloatArray, FloatArray]
+    ) -> FloatArray | None:
+        """Pole of the linearised system nearest to the frequency of the switch-off, and its shape; None without one.
 
         Args:
             parts: of the rig.
@@ -167,7 +171,10 @@ class RingDownPredictor(Predictor):
         basis = self.setup.basis
         s = 2j * np.pi * self.test.frequency_hz * parts.clock
         # Not at the pole itself: without tangents at rest it is one of the transfer functions too.
-        s = self._pole(parts, s, tangents) * (1.0 + 1e-5)
+        pole = self._pole(parts, s, tangents)
+        if pole is None:
+            return None
+        s = pole * (1.0 + 1e-5)
         w, outputs = resting_response(s, *tangents, parts.first_input[basis.fundamental], parts.kernel_tables)
         gain, _ = sensor_gain(1j * s.imag, parts.channels[self._own])
         amplitudes = np.zeros((parts.coordinates, basis.orders.size), dtype=np.complex128)
@@ -175,7 +182,7 @@ class RingDownPredictor(Predictor):
         return np.concatenate((basis.to_real(amplitudes).ravel(), [s.imag, -s.real / s.imag]))
 
     @staticmethod
-    def _pole(parts: RigParts, near: complex, tangents: tuple[FloatArray, FloatArray]) -> complex:
+    def _pole(parts: RigParts, near: complex, tangents: tuple[FloatArray, FloatArray]) -> complex | None:
         system = parts.system
         n, mechanical = system.size, system.mechanical_size
         stiffness, damping = system.stiffness.copy(), system.damping.copy()
@@ -189,7 +196,7 @@ class RingDownPredictor(Predictor):
         a[n:, n:] = b[n:, :mechanical] = np.eye(mechanical)
         poles = np.linalg.eigvals(np.linalg.solve(b, a))
         poles = poles[poles.imag > 0.0]
-        return complex(poles[np.argmin(np.abs(poles.imag - near.imag))])
+        return complex(poles[np.argmin(np.abs(poles.imag - near.imag))]) if poles.size else None
 
     def _carried(self, parts: RigParts, state: PeriodicState, amplitude: float) -> FloatArray:
         z = state.z.copy()

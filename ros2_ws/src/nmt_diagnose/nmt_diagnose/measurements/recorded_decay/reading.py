@@ -81,6 +81,8 @@ def ring_down_observations(
             break
         except BenchError as error:
             reason = reason or str(error)
+    if decay is None and not view.frequencies_hz:
+        return empty((f"{name}: the ring-down is left out: {reason}.",))
     if decay is None:
         lowest = float(min(view.frequencies_hz))
         periods = stretch.samples / stretch.sample_rate * lowest

@@ -42,6 +42,6 @@ def test_a_pendulum_with_friction_is_one_thing_in_headline_and_table(tmp_path: P
     assert head["effect"] == "cubic_stiffness"
     assert head["given_library"]
     assert both["effect"] == "cubic_stiffness + second_friction_contact"
-    assert "with second friction contact beside it" in found["sentences"][1]
+    assert "with friction contact beside it" in found["sentences"][1]
     assert found["probabilities"]["unknown"] > 0.9
     assert contradictions(found) == ()

@@ -278,7 +278,7 @@ def test_values_with_their_uncertainty(value: float, std: float, unit: str, text
         ("structure", "3-5", "the structure, between points 3 and 5"),
         ("response_sensor", "x4", "a response sensor, channel x4"),
         ("response_sensor", "x2<4", "a response sensor, channel x2 picking up point 4"),
-        ("joint + force_sensor", "6 + f2", "the joint and the force sensor, point 6 and channel f2"),
+        ("joint + force_sensor", "6 + f2", "a joint or contact and the force sensor, point 6 and channel f2"),
         ("boundary", "rotation", "the clamping, rotation"),
         ("boundary", "clamp", "the clamping"),
         ("time", "cycles", "a change over time, over the number of periods"),
@@ -353,6 +353,17 @@ def test_the_probability_bar_is_whole(verdict: Verdict) -> None:
     shares = probability_shares(fixture.report(verdict).diagnosis)
     assert sum(share for _, _, share, _ in shares) == pytest.approx(1.0, abs=5e-3)
     assert len({colour for *_, colour in shares}) == len(shares)
+
+
+def test_causes_that_two_places_share_stand_as_one() -> None:
+    """Whichever of the two a place names first."""
+    found = fixture.report(Verdict.EFFECT).diagnosis
+    first = replace(found.ranking[0], effect="low_pass", equivalents=("channel_skew",), probability=0.5)
+    other = replace(first, effect="channel_skew", equivalents=("low_pass",), probability=0.4)
+    shares = probability_shares(replace(found, ranking=(first, other), probabilities={}))
+    assert shares[0][0] == "low pass or channel skew"
+    assert shares[0][2] == pytest.approx(0.9)
+    assert effect_text("second_friction_contact@1 + mains_hum") == "friction contact + mains hum"
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from nmt_core.text.number_words import value_text
+from nmt_diagnose.effects.location import effect_words
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_report.diagnosis_words import key_text
 from nmt_report.quantity_format import significant
@@ -60,7 +61,7 @@ def assumptions(given: Rig, model: Rig, diagnosis: Diagnosis) -> list[str]:
             added.append(f"{key_text(key, given)} = {_brief(new)}")
     result = []
     if added and diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
-        effect = diagnosis.ranking[0].effect.replace("_", " ")
+        effect = effect_words(diagnosis.ranking[0].effect)
         result.append(f"Effect added {by}: {effect}; {'; '.join(added[:_LISTED])}.")
     elif added:
         result.append(f"Changed {by}: {'; '.join(added[:_LISTED])}.")

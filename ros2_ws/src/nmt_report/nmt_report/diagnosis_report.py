@@ -83,8 +83,8 @@ def diagnosis_page(report: DiagnosisReport) -> str:
             residual_figure(d.residual_map, name, number, report.with_effect, _level_label(report.observations, name))
             for number, name in enumerate(dict.fromkeys(group.test for group in d.residual_map))
         ]
-        curves = _curves(report)
-        drawing = _drawing(d, report.rig)
+        curves = course_figures(report)
+        drawing = place_drawing(d, report.rig)
         stated = d.law if d.law is not None and d.law.is_stated else None
         laws = [law_figure(law, number) for number, law in enumerate(stated.laws)] if stated is not None else []
     page = ResponsePage(
@@ -111,8 +111,8 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         no_gap=d.verdict is Verdict.NONE,
         closed=closed_text(d.gap) if claimed and math.isfinite(d.gap.closed) else "",
         gap_table=_gap(d),
-        observable_table=_per_observable(d.gap, d.verdict),
-        remainder_table=_remainder(d.remainder),
+        observable_table=observable_table(d.gap, d.verdict),
+        remainder_table=remainder_table(d.remainder),
         law_table=law_table(stated) if stated is not None else None,
         laws=laws,
         next_table=_next(d),
@@ -128,7 +128,8 @@ def diagnosis_page(report: DiagnosisReport) -> str:
     )
 
 
-def _drawing(d: Diagnosis, rig: Rig) -> ReportFigure:
+def place_drawing(d: Diagnosis, rig: Rig) -> ReportFigure:
+    """The rig with the place of the gap marked, where one is known."""
     if d.verdict is Verdict.EFFECT and d.ranking:
         head = d.ranking[0]
         return rig_figure(rig, head.place, head.detail, place_text(head.place, head.detail))
@@ -147,7 +148,15 @@ def probability_shares(d: Diagnosis) -> list[tuple[str, str, float, str]]:
 
     Those of a partial explanation are probabilities among the library alone.
     """
-    named = [(class_text(item), item.probability) for item in d.ranking if not is_within_first(d, item)]
+    # Causes that two places share stand as one, in whatever order each names them.
+    sums: dict[frozenset[str], float] = {}
+    texts: dict[frozenset[str], str] = {}
+    for item in d.ranking:
+        if not is_within_first(d, item):
+            key = frozenset((item.effect, *item.equivalents))
+            sums[key] = sums.get(key, 0.0) + item.probability
+            texts.setdefault(key, class_text(item))
+    named = [(texts[key], p) for key, p in sums.items()]
     if not is_partial(d):
         named += [(effect_text(NULL), d.probabilities.get(NULL, 0.0)), rest_text(d)]
     largest = sorted(((text, p) for text, p in named if p > 0.0), key=lambda item: -item[1])[:_LARGEST_SHARES]
@@ -310,7 +319,8 @@ def _gap(d: Diagnosis) -> Table:
     return Table((Column("Residual, rms", kind="text"), Column("standard deviations", kind="text")), rows, held)
 
 
-def _per_observable(gap: Gap, verdict: Verdict) -> Table | None:
+def observable_table(gap: Gap, verdict: Verdict) -> Table | None:
+    """What the model leaves of each observable, before and after; None where nothing is left to judge."""
     if not gap.per_observable:
         return None
     after = verdict in (Verdict.EFFECT, Verdict.CALIBRATION)
@@ -336,7 +346,7 @@ def _per_observable(gap: Gap, verdict: Verdict) -> Table | None:
     return Table([*head, Column("Values")], rows, note, "By observable, on held-out data")
 
 
-def _remainder(rest: Remainder | None) -> Table | None:
+def remainder_table(rest: Remainder | None) -> Table | None:
     """What the explanation leaves, observable by observable."""
     if rest is None or not rest.where:
         return None
@@ -574,7 +584,8 @@ _BELOW = (
 )
 
 
-def _curves(report: DiagnosisReport) -> list[ReportFigure]:
+def course_figures(report: DiagnosisReport) -> list[ReportFigure]:
+    """Measured values beside those of the model before and after, test by test."""
     result: list[ReportFigure] = []
     shown = Shown.of(report.with_effect)
     tests = report.observations.tests

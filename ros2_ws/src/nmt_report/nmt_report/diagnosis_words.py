@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from nmt_core.errors import BenchError
 from nmt_core.text.number_words import percent, plain, share_with_interval, value_text
 from nmt_diagnose.effects.library import effect_named
+from nmt_diagnose.effects.location import effect_words, joined
 from nmt_diagnose.ledger.diagnosis import NULL, TOO_WEAK, UNKNOWN, Answer, Diagnosis, Gap, Ranked, Value, Verdict
 from nmt_diagnose.say.sentences import PLACES
 from nmt_rig.rig import Rig
@@ -69,7 +70,7 @@ def effect_text(name: str) -> str:
         return "something not in the library"
     if name == TOO_WEAK:
         return "an effect too weak to see"
-    return " + ".join(part.split("@")[0].replace("_", " ") for part in name.split(" + "))
+    return effect_words(joined(part.split("@")[0] for part in name.split(" + ")))
 
 
 def class_text(item: Ranked) -> str:

@@ -21,6 +21,15 @@ def joined(words: Iterable[str]) -> str:
     return " + ".join(words)
 
 
+_WORDS = {"second_friction_contact": "friction contact"}
+"""Effects whose words are not those of their name: of a model without friction a contact is the first."""
+
+
+def effect_words(name: str) -> str:
+    """``cubic stiffness`` for ``cubic_stiffness``, and the same of several that are joined."""
+    return joined(_WORDS.get(part, part.replace("_", " ")) for part in name.split(" + "))
+
+
 @dataclass(frozen=True)
 class Location:
     """Where an effect or a source sits.

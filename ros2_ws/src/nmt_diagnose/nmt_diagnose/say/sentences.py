@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from nmt_core.text.number_words import percent, share_with_interval, significant, value_text
-from nmt_diagnose.effects.location import Explanation, joined
+from nmt_diagnose.effects.location import Explanation, effect_words, joined
 from nmt_diagnose.ledger.diagnosis import (
     NULL,
     Gap,
@@ -25,7 +25,7 @@ from nmt_diagnose.thresholds import THRESHOLDS
 PLACES = {
     "structure": "the structure",
     "boundary": "the clamping",
-    "joint": "the joint",
+    "joint": "a joint or contact",
     "exciter": "the exciter",
     "force_sensor": "the force sensor",
     "response_sensor": "a response sensor",
@@ -201,7 +201,7 @@ def _ahead(ahead: Sequence[NextTest]) -> tuple[str, ...]:
 
 
 def _title(effect: str) -> str:
-    return effect.replace("_", " ") if effect != NULL else "the model without any effect"
+    return effect_words(effect) if effect != NULL else "the model without any effect"
 
 
 def _at(explanation: Explanation | None) -> str:

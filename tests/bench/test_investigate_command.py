@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from nmt_bench.cli import main
+from nmt_bench.commands.investigate_command import reason_of_failure
 from nmt_diagnose.investigation.investigation_record import InvestigationRecord
 
 RIG = ("--rig", "joint_resonator")
@@ -22,6 +23,12 @@ RIG = ("--rig", "joint_resonator")
         ((*RIG, "--periods", "1"), "--periods must be 2 or more"),
         (("--real", "bag", "--page"), "--page is of an investigation with --rig"),
         ((*RIG, "--calibration", "nowhere.yaml"), "nowhere.yaml"),
+        ((*RIG, "--random", "inf"), "--random positive and finite"),
+        ((*RIG, "--random", "1e9"), "duration"),
+        ((*RIG, "--device", "evil"), "--device 'evil' is not known"),
+        ((*RIG, "--levels", "0.1,51"), "51 V"),
+        ((*RIG, "--latency-blocks", "-1"), "latency"),
+        (RIG, "--allow-own-model"),
     ],
 )
 def test_refusals_are_sentences(
@@ -31,6 +38,28 @@ def test_refusals_are_sentences(
     error = capsys.readouterr().err
     assert sentence in error
     assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["file/out", "x" * 300])
+def test_a_folder_that_cannot_be_is_refused_in_a_sentence(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    words = ["investigate", "joint_resonator", *RIG, "--allow-own-model", "--out", str(tmp_path / name)]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert "choose another one" in error
+    assert error.count("\n") == 1
+
+
+def test_a_failed_test_is_told_by_its_first_refusal() -> None:
+    log = "ready\nnmt: The level of 51 V is above the limit of 20 V.\n[plant] closed\nsee run.json\n"
+    assert reason_of_failure(log, {}) == "The level of 51 V is above the limit of 20 V."
+    died = {"code": "FAILED", "message": "The node pll died."}
+    assert reason_of_failure("ready\n[recorder] closed\n", died) == "The node pll died."
+    assert reason_of_failure("ready\n[recorder] closed\n", {}) == "[recorder] closed"
+    assert reason_of_failure("", {}) == ""
 
 
 @pytest.mark.parametrize("other", ["model", "real", "calibration", "changes"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -89,14 +90,14 @@ class Bench:
     fails_at: int = 0
     empty: tuple[str, ...] = ()
 
-    def measure(self, test: AskedTest) -> float:
+    def measure(self, test: AskedTest) -> tuple[float, float]:
         if asked_levels(test) in self.empty:
             raise EmptyTestError("no level locked", self.seconds)
         if len(self.made) + 1 == self.fails_at:
             self.fails_at = 0
             raise BenchError("a node died")
         self.made.append(test)
-        return self.seconds
+        return self.seconds, math.nan if test.is_random else test.request.top
 
     def think(self, names: Sequence[str]) -> tuple[Any, float]:
         self.thought.append(tuple(names))
@@ -123,7 +124,8 @@ def test_a_linear_test_and_the_lowest_levels_come_first(tmp_path: Path) -> None:
     assert words[:4] == ("run", "real.yaml", "--levels", "0.1,0.2")
     assert words[4:6] == ("--periods", "20")
     assert words[6:] == ("--linear", str(tmp_path / "01_linear" / "linear.json"))
-    assert (record.ended, record.conclusion) == ("named", "which: effect")
+    assert record.ended == "named"
+    assert record.conclusion.startswith("which: effect Of effects that act above 0.2 V only nothing is known")
     assert record.bench_s == 60.0
     assert bench.thought == [("01_linear", "02_levels")]
 
@@ -177,6 +179,57 @@ def test_no_gap_is_said_at_the_end_of_the_plan_only(tmp_path: Path) -> None:
     levels = [asked_levels(test) for test in bench.made if not test.is_random]
     assert levels == ["0.1,0.2", "0.3,0.4", "0.5,0.6"]
     assert record.ended == "no_gap"
+
+
+GAIN = diagnosis(Verdict.EFFECT, {"response_gain@a3": 0.99, "sensor_mass@a3": 0.01}, equivalents=("sensor_mass",))
+BOTH = diagnosis(Verdict.EFFECT, {"cubic_stiffness@2 + response_gain@a3": 0.99})
+
+
+def test_a_gain_that_is_found_at_low_level_hides_nothing_of_the_plan(tmp_path: Path) -> None:
+    """It acts alike at every level: the plan is climbed to its top, or until what grows is found beside it."""
+    bench = Bench([GAIN])
+    alone = investigated(tmp_path, bench)
+    assert [asked_levels(test) for test in bench.made[1:]] == ["0.1,0.2", "0.3,0.4", "0.5,0.6"]
+    assert (alone.ended, alone.conclusion, alone.bound) == ("named", "which: effect", "")
+    bench = Bench([GAIN, BOTH])
+    (tmp_path / "both").mkdir()
+    both = investigated(tmp_path / "both", bench)
+    assert [asked_levels(test) for test in bench.made[1:]] == ["0.1,0.2", "0.3,0.4"]
+    assert "above 0.4 V only nothing is known" in both.conclusion
+
+
+def test_a_gain_is_named_with_its_bound_where_the_time_is_used_up(tmp_path: Path) -> None:
+    record = investigated(tmp_path, Bench([GAIN]), replace(SETTINGS, budget_s=70.0))
+    assert (record.ended, len(record.measured)) == ("named", 2)
+    assert record.conclusion == f"which: effect {record.bound}"
+    values = json.loads((tmp_path / "investigate.json").read_text(encoding="utf-8"))
+    assert (values["reached"], values["bound"]) == (0.2, record.bound)
+
+
+def test_a_level_that_did_not_lock_is_not_known(tmp_path: Path) -> None:
+    """Of the last test half its levels: what is said holds as far as they locked."""
+    bench = Bench([NOTHING])
+    record = investigated(tmp_path, bench)
+    assert (record.ended, record.bound) == ("no_gap", "")
+    last = replace(record.tests[-1], reached=0.5)
+    assert "above 0.5 V only" in replace(record, tests=(*record.tests[:-1], last)).bound
+
+
+def test_what_only_moved_parameters_explain_is_no_lack_of_a_gap(tmp_path: Path) -> None:
+    moved = diagnosis(Verdict.CALIBRATION, {"none": 0.99, "unknown": 0.01})
+    record = investigated(tmp_path, Bench([moved]))
+    assert record.ended == "recalibrated"
+    page = investigation_page(record)
+    assert "The model&#39;s own parameters were off" in page
+    assert "There is no gap" not in page
+
+
+def test_no_gap_is_not_said_against_a_plain_look(tmp_path: Path) -> None:
+    bench = Bench([NOTHING])
+    begun = InvestigationRecord("beam", "real.yaml")
+    look = "The frequency moves by 3 % more than the model says."
+    record = Investigation(begun, SETTINGS, tmp_path, bench.measure, bench.think, look=lambda: look).run()
+    assert (record.ended, record.conclusion) == ("unknown", look)
 
 
 def test_what_no_test_sets_apart_is_said(tmp_path: Path) -> None:

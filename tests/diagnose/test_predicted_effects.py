@@ -16,7 +16,7 @@ from rig.effect_rigs import harmonic, run
 from scipy.linalg import eigvalsh
 
 from nmt_diagnose.effects.effect import Candidate
-from nmt_diagnose.effects.library import candidates, library
+from nmt_diagnose.effects.library import ALIKE_AT_EVERY_LEVEL, candidates, library
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.observations.observables import Part
@@ -230,3 +230,26 @@ def test_hum_is_a_line_of_its_channel():
     np.testing.assert_allclose(jacobian[:, 0], [0.0, size, 0.0])
     elsewhere = Forward([test], rows_of(table, 60.0), SETTINGS)
     np.testing.assert_array_equal(elsewhere.predict(parametrisation.rig(np.array([3.0]))).values, 0.0)
+
+
+@pytest.mark.parametrize("label", ON_THE_CHAIN)
+def test_what_acts_alike_at_every_level_is_known(label: str) -> None:
+    """Frequency, responses for each volt and their phases at twice the drive, on a linear chain."""
+    rig, operating = surroundings("plain chain")
+    found = next((it for it in candidates(rig, operating) if it.label == label and not it.cause.form), None)
+    if found is None or (found.effect.place == "time" and found.effect.name != "clock_error"):
+        pytest.skip("needs friction in the model, or time")
+    changed = Parametrisation(rig, (), (found,)).rig(np.array(ON_THE_CHAIN[label]))
+    test, table = locked(changed, [level(drive, CHAIN_HZ) for drive in (CHAIN_DRIVE, 2.0 * CHAIN_DRIVE)], "x1")
+    first = {Part.LOG_FREQUENCY, Part.LOG_MAGNITUDE, Part.PHASE}
+    values = {
+        row[1:]: value
+        for row, value in zip(table, Forward([test], rows_of(table)).predict(changed).values, strict=True)
+        if row[4] in first
+    }
+    moved = [
+        abs(value - values[(1, *key[1:])] + math.log(2.0) * (key[3] == Part.LOG_MAGNITUDE))
+        for key, value in values.items()
+        if key[0] == 0
+    ]
+    assert (max(moved) < 1e-6) == (found.effect.name in ALIKE_AT_EVERY_LEVEL), max(moved)

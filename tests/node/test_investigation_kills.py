@@ -39,7 +39,7 @@ LINEAR = AskedTest(
 _LONGEST = 240.0  # s of wall time until a bag has begun
 
 
-def levels_alone(test: AskedTest, out: Path) -> float:
+def levels_alone(test: AskedTest, out: Path) -> tuple[float, float]:
     """Levels without the file of a linear test, which counts as made."""
     return measure(replace(test, request=replace(test.request, linear="")), out)
 

@@ -189,7 +189,7 @@ def run_rig(
         if trouble:
             raise BenchError(f"The rig {rig.name} cannot be driven: {trouble}")
     words = ["investigate", str(rig.model), "--rig", str(rig.real), "--out", str(place / _INVESTIGATION)]
-    words += ["--until", f"{until:g}", "--jobs", "1", "--quiet", *_calibration(rig)]
+    words += ["--until", f"{until:g}", "--jobs", "1", "--quiet", "--allow-own-model", *_calibration(rig)]
     _, trouble = child([*command, *words], limit, _DONE)
     result["investigation"] = {"trouble": trouble}
     result["plan"] = {"bench_s": 0.0, "tests": 0, "seconds": 0.0, "trouble": NOT_RUN}

@@ -53,9 +53,14 @@ def write_diagnosis(
     except BenchError as error:
         remark = f"There is no model.yaml: the fitted values are no rig ({error})"
     write_whole(folder / "observables.csv", observables_csv(outcome.observations, models))
-    report = DiagnosisReport(diagnosis, outcome.observations, models, outcome.initial_model)
-    write_whole(folder / "report.html", diagnosis_page(report))
+    write_whole(folder / "report.html", diagnosis_page(replace(drawn(outcome), diagnosis=diagnosis)))
     return remark
+
+
+def drawn(outcome: DiagnosisOutcome) -> DiagnosisReport:
+    """What pages draw of a diagnosis."""
+    models = Models(outcome.as_given, outcome.refitted, outcome.final)
+    return DiagnosisReport(outcome.diagnosis, outcome.observations, models, outcome.initial_model)
 
 
 def _complete_inputs(

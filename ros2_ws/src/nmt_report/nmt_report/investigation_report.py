@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
 from markupsafe import Markup
 
+from nmt_diagnose.diagnose import DiagnosisOutcome
+from nmt_diagnose.effects.location import effect_words
 from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord
+from nmt_report.diagnosis_files import drawn
+from nmt_report.diagnosis_report import course_figures, observable_table, place_drawing, remainder_table
+from nmt_report.diagnosis_words import verdict_text
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.html_page import Table, part
 from nmt_report.quantity_format import plain, significant
@@ -18,6 +24,7 @@ from nmt_report.svg import GRID, INK, MUTED, ReportFigure, figure_style, level_c
 ENDS = {
     "named": ("The cause has a name", "good"),
     "no_gap": ("There is no gap", "good"),
+    "recalibrated": ("The model's own parameters were off", "good"),
     "unknown": ("There is a gap, and nothing in the library explains all of it", "bad"),
     "not_told_apart": ("Some causes cannot be told apart here", "partly"),
     "budget": ("The bench time is used up", "partly"),
@@ -31,8 +38,19 @@ _SHOWN_ANSWERS = 6
 _LEAST_SHOWN = 0.02
 
 
-def investigation_page(record: InvestigationRecord) -> str:
-    """The whole HTML page."""
+_COURSES = ("frequency", "amplitude", "frf")
+"""Figures of a diagnosis that a person looks at first, by the key that their names begin with."""
+DIAGNOSIS, REPORT = "diagnosis", "report.html"
+"""Folder of the last diagnosis, and the page in it and in that of each test."""
+
+
+def investigation_page(record: InvestigationRecord, outcome: DiagnosisOutcome | None = None) -> str:
+    """The whole HTML page.
+
+    Args:
+        record: of the investigation.
+        outcome: the last diagnosis; None = nothing has been diagnosed. Its report is in the folder `DIAGNOSIS`.
+    """
     with figure_style():
         figures = [timeline_figure(record)] if record.turns else []
     verdict = ENDS[record.ended]
@@ -51,12 +69,44 @@ def investigation_page(record: InvestigationRecord) -> str:
             ),
         ],
         sections=[
+            *(_looked_at(outcome) if outcome is not None else ()),
             ("timeline", "What was believed over bench time", html_figures(figures)),
-            ("tests", "Tests and what they told", part("table", tests_table(record)) if record.tests else Markup()),
+            ("tests", "Tests and what they told", part("table", _linked(record)) if record.tests else Markup()),
         ],
         footer="Information in nats: what the entropy of the two answers falls by that the test is to set apart.",
     )
     return page.html()
+
+
+def _looked_at(outcome: DiagnosisOutcome) -> list[tuple[str, str, Markup]]:
+    """What a person looks at: where the gap lies, the course of what was measured and predicted, and what remains."""
+    report = drawn(outcome)
+    found = outcome.diagnosis
+    with figure_style():
+        drawing = place_drawing(found, report.rig)
+        courses = [it for it in course_figures(report) if it.name.rsplit("-", 1)[0] in _COURSES]
+    left = [remainder_table(found.remainder), observable_table(found.gap, found.verdict)]
+    tables = Markup().join(part("table", table) for table in left if table is not None)
+    words = Markup('<p>{} <a href="{}/{}">The whole diagnosis</a>.</p>').format(
+        f"{verdict_text(found)[0].capitalize()}.", DIAGNOSIS, REPORT
+    )
+    return [
+        ("place", "Where", words + html_figures([drawing])),
+        ("courses", "Measured and predicted", html_figures(courses)),
+        ("left", "What remains", tables),
+    ]
+
+
+def _linked(record: InvestigationRecord) -> Table:
+    """The table of tests with links to the report of each that was measured."""
+    table = tests_table(record)
+    rows = [
+        replace(row, cells=[Markup('<a href="{0}/{1}">{0}</a>').format(test.name, REPORT), *row.cells[1:]])
+        if test.state == "measured"
+        else row
+        for row, test in zip(table.rows, record.tests, strict=True)
+    ]
+    return replace(table, rows=rows)
 
 
 def _last(path: str) -> str:
@@ -77,7 +127,7 @@ def timeline_figure(record: InvestigationRecord) -> ReportFigure:
     names = shown_answers(record)
     for name, colour in zip(names, [INK, *level_colours(max(1, len(names) - 1))], strict=False):
         values = [turn.answers.get(name, 0.0) for turn in record.turns]
-        axes.plot(times, values, "o-", color=colour, label=name.replace("_", " "), clip_on=False)
+        axes.plot(times, values, "o-", color=colour, label=effect_words(name), clip_on=False)
     axes.set_ylim(0.0, 1.0)
     axes.set_xlim(0.0, max([begun, *times, 1.0]))
     axes.set_xlabel("bench time (s)")

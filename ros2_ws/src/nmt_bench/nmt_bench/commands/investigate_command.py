@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import os
@@ -9,7 +10,7 @@ import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,6 +74,9 @@ class InvestigateOptions:
     )
     device: str = device_option()
     latency_blocks: int = latency_option()
+    allow_own_model: bool = option(
+        False, "take a rig, or recordings, that are the model itself, too: they show what no gap looks like"
+    )
     seed: int = option(0, "seed of the real rig's noise (default: 0); each test adds its number", metavar="N")
     jobs: int | None = jobs_option()
     quiet: bool = option(False, "no progress display")
@@ -93,8 +97,8 @@ def run(options: InvestigateOptions) -> int:
         raise BenchError(f"--until is a probability between 0.5 and 1, got {options.until:g}.")
     if options.budget is not None and not options.budget > 0.0:
         raise BenchError(f"--budget must be positive, got {options.budget:g} s.")
-    if options.periods < 2 or not options.random > 0.0 or options.seed < 0:
-        raise BenchError("--periods must be 2 or more, --random positive and --seed not negative.")
+    if options.periods < 2 or not 0.0 < options.random < math.inf or options.seed < 0:
+        raise BenchError("--periods must be 2 or more, --random positive and finite and --seed not negative.")
     jobs = worker_count(options)
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
@@ -108,29 +112,32 @@ def run(options: InvestigateOptions) -> int:
     bags = tuple(str(path.resolve()) for path in options.real)
     known = "" if options.calibration is None else str(options.calibration.resolve())
     asked = InvestigationRecord(options.model, options.rig or "", options.set, bags, known)
+    try:
+        made = not options.out.exists()
+    except OSError as error:
+        raise _no_folder(options.out, error) from error
     record = read_record(options.out) or asked
+    if options.page and options.real:
+        raise BenchError("--page is of an investigation with --rig; with --real nothing is run.")
+    calibration = None if options.calibration is None else read_calibration(options.calibration)
     same = all(getattr(record, key) == getattr(asked, key) for key in ("model", "real", "changes", "calibration"))
     if not same or not set(record.bags) <= set(bags):
         raise BenchError(
             f"{options.out / RECORD_FILE} is of another model, rig, calibration file or other recordings; give another "
             "folder with --out."
         )
-    made = not options.out.exists()
+    settings = None if options.rig is None else _settings(options, model)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BenchError(f"The folder {options.out} cannot be made ({error.strerror}); choose another one.") from error
+        raise _no_folder(options.out, error) from error
     if not made and not (options.out / RECORD_FILE).exists() and any(options.out.iterdir()):
         raise BenchError(f"The folder {options.out} holds something else; choose another one with --out.")
-    if options.page and options.real:
-        raise BenchError("--page is of an investigation with --rig; with --real nothing is run.")
-    calibration = None if options.calibration is None else read_calibration(options.calibration)
     bench = _Bench(options, model, jobs, console, calibration)
-    if options.real:
+    if settings is None:
         record = bench.propose(replace(record, bags=bags, ended="", conclusion=""))
         bench.show(record)
         return EXIT_DONE
-    settings = _settings(options, load_rig(str(options.rig), options.set))
     # What ended for want of time or by a person may go on.
     reopened = replace(record, ended="", conclusion="") if record.ended in ("budget", "stopped") else record
     try:
@@ -143,21 +150,59 @@ def run(options: InvestigateOptions) -> int:
         )
         return EXIT_INTERRUPTED
     bench.show(record)
-    return EXIT_DONE if record.ended in ("named", "no_gap") else EXIT_PARTLY
+    return EXIT_DONE if record.ended in ("named", "no_gap", "recalibrated") else EXIT_PARTLY
 
 
-def _settings(options: InvestigateOptions, rig: Rig) -> InvestigationSettings:
+def _no_folder(folder: Path, error: OSError) -> BenchError:
+    return BenchError(f"The folder {folder} cannot be made ({error.strerror}); choose another one.")
+
+
+def _settings(options: InvestigateOptions, model: Rig) -> InvestigationSettings:
+    """How it goes about, once the rig takes its tests.
+
+    Raises:
+        BenchError: the rig is the model itself, or refuses a level, a window or its device.
+    """
+    from nmt_bench.commands.hardware_options import device_settings
     from nmt_diagnose.investigation.investigation import InvestigationSettings
+    from nmt_diagnose.observations.origin import same_rig
+    from nmt_rig.device_sections import DEVICE_KINDS
+    from nmt_rig.rig import load_rig
     from nmt_sequencer.level_plan import parse_levels
+    from nmt_session.planning import plan_test
 
+    name = str(options.rig)
+    rig = load_rig(name, options.set)
+    levels = tuple(sorted(set(parse_levels(options.levels or rig.test.levels))))
+    bench = device_settings(_Driven(name, options.set, options.device), options.latency_blocks)
+    plan_test(name, levels, overrides=options.set, window_periods=options.periods, **bench)
+    band = 0.1 * rig.sample_rate_hz, 0.2 * rig.sample_rate_hz
+    plan_test(name, [levels[0]], overrides=options.set, test="random", band_hz=band, duration=options.random, **bench)
+    hardware = bench.get("device", "") in DEVICE_KINDS
+    if not hardware and not options.allow_own_model and same_rig(model, rig):
+        raise BenchError(
+            f"The rig {name} is the model itself, so there is no gap to look for: change something of it with --set, "
+            "or give --allow-own-model to see what a rig without a gap looks like."
+        )
     return InvestigationSettings(
         until=options.until,
         budget_s=math.inf if options.budget is None else options.budget,
-        levels=tuple(sorted(set(parse_levels(options.levels or rig.test.levels)))),
+        levels=levels,
         periods=options.periods,
         random_s=options.random,
-        fixed_exciter=not options.ask and (rig.device is not None or options.device not in ("", "simulated")),
+        fixed_exciter=not options.ask and hardware,
     )
+
+
+@dataclass(frozen=True)
+class _Driven:
+    """What every test drives, as a command of the bench is told."""
+
+    rig: str
+    set: tuple[str, ...]
+    device: str
+    exciter: int | None = None
+    pacing: str = "lockstep"
 
 
 class _Bench:
@@ -204,7 +249,7 @@ class _Bench:
             self._answers = TaskAnswers(self._feed.answers)
             found = Investigation(
                 record, settings, self._options.out, self._measure, self._think, agree, self._command, self._say,
-                self._tell_page,
+                self._tell_page, self._look,
             )  # fmt: skip
             self._tell_page(record)
             try:
@@ -215,12 +260,13 @@ class _Bench:
 
     def _tell_page(self, record: InvestigationRecord) -> None:
         """What was asked and learnt so far."""
+        from nmt_diagnose.effects.location import effect_words
         from nmt_report.investigation_report import shown_answers, tests_table
 
         names = shown_answers(record) if record.turns else []
         self._feed.tell(
             timeline={
-                name.replace("_", " "): [
+                effect_words(name): [
                     [round(turn.bench_s, 1), round(turn.answers.get(name, 0.0), 3)] for turn in record.turns[-20:]
                 ]
                 for name in names
@@ -238,7 +284,7 @@ class _Bench:
         self._write(record)
         return record
 
-    def _measure(self, test: AskedTest) -> float:
+    def _measure(self, test: AskedTest) -> tuple[float, float]:
         return measure(test, self._options.out, self._options.seed, self._say, self._bench_words(test.request))
 
     def _bench_words(self, request: TestRequest) -> tuple[str, ...]:
@@ -264,9 +310,17 @@ class _Bench:
             calibration=self._calibration,
             put_off_detectable=True,
             command=command_text,
+            allow_own_model=self._options.allow_own_model,
         )
         self._outcome = diagnose_bags(self._model, bags, settings=settings, memory=self._memory)
         return self._outcome.diagnosis, _processor_time() - began
+
+    def _look(self) -> str:
+        """What the recordings of the last diagnosis say against having no gap."""
+        from nmt_diagnose.investigation.checks import none_contradicted
+
+        found = self._outcome
+        return none_contradicted(found.observations, found.final, found.observations.matters)
 
     def _agree(self, test: AskedTest) -> str:
         seconds = f", {test.seconds:.0f} s" if math.isfinite(test.seconds) else ""
@@ -291,7 +345,9 @@ class _Bench:
             (out / "diagnosis").mkdir(exist_ok=True)
             self._outcome = self._outcome.completed()
             write_diagnosis(self._outcome, out / "diagnosis", self._options.model)
-        write_result(out / "report.html", investigation_page(record))
+        elif record.ended and (out / "report.html").exists():
+            return  # nothing was done, and the page of the call that ended it has what it drew
+        write_result(out / "report.html", investigation_page(record, self._outcome))
 
     def show(self, record: InvestigationRecord) -> None:
         """Print the tests with what they told, and how it ended."""
@@ -325,8 +381,8 @@ def measure(
     seed: int = 0,
     say: Callable[[str], None] = lambda _: None,
     options: Sequence[str] = (),
-) -> float:
-    """Run the command of a test in a process of its own; its bench time, s.
+) -> tuple[float, float]:
+    """Run the command of a test in a process of its own; its bench time, s, and the highest level that locked.
 
     Args:
         test: its name is that of the folder.
@@ -344,7 +400,7 @@ def measure(
     folder, log = out / test.name, out / f"{test.name}.log"
     number = int(test.name.split("_")[0])
     words = [*command_words(test.request), *options, "--out", str(folder), "--quiet", "--seed", str(seed + number)]
-    words += ["--reference", "none", *(() if test.is_random else ("--no-report",))]
+    words += ["--reference", "none"]
     with log.open("w", encoding="utf-8") as file:
         process = subprocess.Popen(
             [sys.executable, "-m", "nmt_bench", *words], stdin=subprocess.DEVNULL, stdout=file, stderr=file,
@@ -358,18 +414,41 @@ def measure(
             process.wait()
             raise
     if code not in (EXIT_DONE, EXIT_PARTLY):
-        lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         result = _result(folder)
         if result.get("code") == "SUCCEEDED" and str(result.get("message", "")).startswith("0 of "):
             raise EmptyTestError(
                 f"No level of test {test.name} locked; it is left out. See {log}.", _bench_time(folder)
             )
-        why = lines[-1].removeprefix("nmt: ") if lines else f"it ended with {code}"
+        why = reason_of_failure(log.read_text(encoding="utf-8", errors="replace"), result) or f"it ended with {code}"
         raise BenchError(
             f"Test {test.name} failed: {why.rstrip('.')}; its drive is at zero, and what it recorded is left out. See "
             f"{log}; the same command tries it again."
         )
-    return _bench_time(folder)
+    return _bench_time(folder), math.nan if test.is_random else _highest_locked(folder)
+
+
+def reason_of_failure(log: str, result: Mapping[str, Any]) -> str:
+    """Why a command failed; empty where nothing says so.
+
+    Args:
+        log: what it printed. Its first refusal is the cause of whatever follows.
+        result: of ``run.json``.
+    """
+    lines = [line.strip() for line in log.splitlines() if line.strip()]
+    refused = next((line.removeprefix("nmt: ") for line in lines if line.startswith("nmt: ")), "")
+    failed = str(result.get("message", "")) if result.get("code") != "SUCCEEDED" else ""
+    return refused or failed or (lines[-1] if lines else "")
+
+
+def _highest_locked(folder: Path) -> float:
+    """Highest level of a run that has a frequency; NaN where none has."""
+    try:
+        with (folder / "modal.csv").open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        levels = [float(row["level"]) for row in rows if math.isfinite(float(row["frequency_hz"]))]
+    except (OSError, ValueError, KeyError):
+        return math.nan
+    return max(levels, default=math.nan)
 
 
 def _begin_test() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from scipy.special import entr
 
+from nmt_diagnose.effects.location import effect_words
 from nmt_diagnose.investigation.investigation_record import AskedTest
 from nmt_diagnose.ledger.diagnosis import HIDDEN, NULL, UNKNOWN, Diagnosis, NextTest, Verdict
 
@@ -27,6 +28,13 @@ def answers_of(diagnosis: Diagnosis) -> dict[str, float]:
     if hidden > 0.0:
         found = {name: (1.0 - hidden) * p for name, p in found.items()} | {HIDDEN: hidden * sum(found.values())}
     return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def end_of(diagnosis: Diagnosis) -> str:
+    """How an investigation ends where nothing is left to measure and no rival is left."""
+    if diagnosis.verdict is Verdict.EFFECT:
+        return "named" if diagnosis.adequate else "unknown"
+    return {Verdict.NONE: "no_gap", Verdict.CALIBRATION: "recalibrated"}.get(diagnosis.verdict, "unknown")
 
 
 def entropy_of(answers: Mapping[str, float], names: Sequence[str], verdict: str) -> float:
@@ -55,5 +63,5 @@ def worth(test: AskedTest) -> tuple[float, float]:
 
 def reason(item: NextTest) -> str:
     """Why a test is proposed."""
-    apart = " from ".join(name.replace("_", " ") for name in item.separates[:2])
+    apart = " from ".join(effect_words(name) for name in item.separates[:2])
     return f"tells {apart} by {item.expected_sigma:.0f} standard deviations"

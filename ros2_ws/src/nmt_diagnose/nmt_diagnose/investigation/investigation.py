@@ -13,7 +13,9 @@ from pathlib import Path
 from nmt_core.errors import BenchError
 from nmt_core.kinds import RandomTest
 from nmt_core.kinds.request import TestRequest
-from nmt_diagnose.investigation.answers import answers_of, entropy_of, reason, worth
+from nmt_diagnose.effects.library import ALIKE_AT_EVERY_LEVEL
+from nmt_diagnose.effects.location import effect_words
+from nmt_diagnose.investigation.answers import answers_of, end_of, entropy_of, reason, worth
 from nmt_diagnose.investigation.investigation_record import AskedTest, EmptyTestError, InvestigationRecord, Turn
 from nmt_diagnose.ledger.diagnosis import HIDDEN, Diagnosis, NextTest, Verdict
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -42,13 +44,15 @@ class InvestigationSettings:
     fixed_exciter: bool = False
 
 
-Measure = Callable[[AskedTest], float]
-"""Carries a test out and returns its bench time in s; raises BenchError where it failed, EmptyTestError where it
-showed nothing."""
+Measure = Callable[[AskedTest], tuple[float, float]]
+"""Carries a test out and returns its bench time in s and the highest level that locked, NaN of a random test; raises
+BenchError where it failed, EmptyTestError where it showed nothing."""
 Think = Callable[[Sequence[str]], tuple[Diagnosis, float]]
 """Diagnoses the tests of these names; the diagnosis and the processor time that it took in s."""
 Agree = Callable[[AskedTest], str]
 """What a person says to a test: yes, no or stop."""
+Look = Callable[[], str]
+"""What a plain look at the recordings says against having no gap; empty where it says nothing."""
 
 
 class Investigation:
@@ -58,7 +62,7 @@ class Investigation:
         record: how far it has come.
         settings: how it goes about.
         folder: where tests and record are kept.
-        measure, think, agree: do the work.
+        measure, think, agree, look: do the work.
         command: writes the command of a test for the record; empty where none does it.
         tell: called with a sentence as it goes on.
         changed: called with the record whenever it has grown.
@@ -75,12 +79,14 @@ class Investigation:
         command: Callable[[TestRequest], str] = lambda _: "",
         tell: Callable[[str], None] = lambda _: None,
         changed: Callable[[InvestigationRecord], None] = lambda _: None,
+        look: Look = lambda: "",
     ) -> None:
         # What was under way when an earlier call ended was not measured: it is asked for again.
         tests = [replace(test, state="failed", seconds=0.0) if test.state == "asked" else test for test in record.tests]
-        self.record, self.settings, self.folder = replace(record, tests=tuple(tests)), settings, folder
+        self.record = replace(record, tests=tuple(tests), plan=tuple(sorted(settings.levels)))
+        self.settings, self.folder = settings, folder
         self._measure, self._think, self._agree, self._tell, self._changed = measure, think, agree, tell, changed
-        self._command = command
+        self._command, self._look = command, look
         self.diagnosis: Diagnosis | None = None
 
     def run(self) -> InvestigationRecord:
@@ -165,7 +171,8 @@ class Investigation:
     def _next_levels(self) -> AskedTest | None:
         """The next levels of the plan above what was measured; None at its end, and above levels that were declined.
 
-        None, too, where rivals are left that all of them would not set apart.
+        None, too, where rivals are left that all of them would not set apart, unless they act alike at every level:
+        what else acts at levels that are left such rivals hide.
         """
         if any(test.state == "declined" and not test.is_random for test in self.record.tests):
             return None
@@ -173,7 +180,7 @@ class Investigation:
         if self.diagnosis is not None:
             found = self.diagnosis.next_levels
             explained = self.diagnosis.verdict is Verdict.EFFECT and self.diagnosis.adequate
-            if explained and found is not None and found.tells_little:
+            if explained and found is not None and found.tells_little and not self._acts_alike():
                 return None
         top = self._highest_level()
         more = [level for level in self.settings.levels if level > 1.001 * top]
@@ -188,10 +195,10 @@ class Investigation:
     def _expected_of_levels(self, test: AskedTest) -> AskedTest:
         """The next levels of the plan with what the last diagnosis expects of them."""
         ahead = None if self.diagnosis is None else self.diagnosis.next_levels
-        if ahead is None or not math.isfinite(ahead.information):
+        if ahead is None or not math.isfinite(ahead.information) or (ahead.tells_little and self._acts_alike()):
             return test
         if ahead.grows:
-            small = ahead.grows.replace("_", " ")
+            small = effect_words(ahead.grows)
             why = f"whether {small}, too small to matter so far, grows to what matters, {100.0 * ahead.hidden:.0f} %"
         elif HIDDEN in ahead.separates:
             why = f"what is too weak to show so far, {100.0 * ahead.hidden:.0f} %"
@@ -204,6 +211,9 @@ class Investigation:
     def _choose(self) -> AskedTest | None:
         """The test that is expected to tell most for its bench time; None where none is left that may be made."""
         assert self.diagnosis is not None
+        if self._is_named():
+            levels = self._next_levels()
+            return levels if levels is not None and self._affordable(levels) else None
         least = THRESHOLDS.next_test.least_information
         proposed = [self._asked(item) for item in self._possible() if not item.information < least]
         levels = self._next_levels()
@@ -250,7 +260,7 @@ class Investigation:
         self._tell(f"test {len(self.record.made) + 1}: {test.text} ({test.why})")
         self._keep(test)
         try:
-            seconds = self._measure(test)
+            seconds, reached = self._measure(test)
         except EmptyTestError as nothing:
             # Asked again it would show nothing again.
             self._tell(str(nothing))
@@ -259,7 +269,7 @@ class Investigation:
         except BenchError:
             self._keep(replace(test, state="failed", seconds=0.0))
             raise
-        self._keep(replace(test, state="measured", seconds=seconds))
+        self._keep(replace(test, state="measured", seconds=seconds, reached=reached))
 
     def _keep(self, test: AskedTest) -> None:
         self.record = self.record.with_test(test)
@@ -283,11 +293,39 @@ class Investigation:
         turn = Turn(len(names), self.record.bench_s, seconds, self.diagnosis.verdict.value, answers, text)
         self.record = replace(self.record, turns=(*self.record.turns, turn))
         self._written()
-        verdict, sure = self.diagnosis.verdict, self._sure(answers)
-        if sure and verdict is Verdict.EFFECT and self.diagnosis.adequate:
-            self._end("named", text)
-        elif sure and verdict in (Verdict.NONE, Verdict.CALIBRATION) and not (self._next_levels() or self._declined()):
-            self._end("no_gap", text)
+        if self._is_named():
+            # Such a cause is found at low level, and whatever grows with the level is not.
+            if not (self._acts_alike() and self._next_levels()):
+                self._end("named", text)
+        elif self._has_no_gap() and self._sure(answers) and not (self._next_levels() or self._declined()):
+            self._end_without_gap()
+
+    def _has_no_gap(self) -> bool:
+        assert self.diagnosis is not None
+        return self.diagnosis.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+
+    def _is_named(self) -> bool:
+        """Whether a cause explains everything and is sure enough."""
+        found = self.diagnosis
+        named = found is not None and found.verdict is Verdict.EFFECT and found.adequate
+        return named and self._sure(self.record.turns[-1].answers)
+
+    def _acts_alike(self) -> bool:
+        """Whether the first explanation and all that is taken for it act alike at every level."""
+        if self.diagnosis is None or not self.diagnosis.ranking:
+            return False
+        first = self.diagnosis.ranking[0]
+        names = {name for effect in (first.effect, *first.equivalents) for name in effect.split(" + ")}
+        return names <= ALIKE_AT_EVERY_LEVEL
+
+    def _end_without_gap(self) -> None:
+        """No gap, unless a plain look at the recordings says otherwise."""
+        assert self.diagnosis is not None
+        contradicted = self._look()
+        if contradicted:
+            self._end("unknown", contradicted)
+        else:
+            self._end(end_of(self.diagnosis), self.diagnosis.sentences[1])
 
     def _declined(self) -> bool:
         return any(test.state == "declined" for test in self.record.tests)
@@ -306,20 +344,22 @@ class Investigation:
         assert self.diagnosis is not None
         found = self.diagnosis
         left = self._possible()
-        if self._next_levels() is not None or any(not self._affordable(self._asked(item)) for item in left):
+        if self._is_named():
+            self._end("named", found.sentences[1])
+        elif self._next_levels() is not None or any(not self._affordable(self._asked(item)) for item in left):
             self._end("budget", f"The bench time is used up. So far: {found.sentences[1]}")
         elif self._declined():
             self._end("stopped", f"What is left to measure was declined. So far: {found.sentences[1]}")
-        elif found.verdict is Verdict.UNKNOWN or (found.verdict is Verdict.EFFECT and not found.adequate):
+        elif self._has_no_gap():
+            self._end_without_gap()
+        elif end_of(found) == "unknown":
             self._end("unknown", " ".join(found.sentences[:2]))
-        elif found.verdict in (Verdict.NONE, Verdict.CALIBRATION):
-            self._end("no_gap", found.sentences[1])
         else:
             first = found.ranking[0]
             least = THRESHOLDS.next_test.second_class_share * first.probability
             second = [it.effect for it in found.ranking[1:2] if it.probability > least]
             rivals = dict.fromkeys((first.effect, *first.equivalents, *second))
-            apart = " or ".join(name.replace("_", " ") for name in rivals)
+            apart = " or ".join(effect_words(name) for name in rivals)
             self._end(
                 "not_told_apart",
                 f"Whether it is {apart} cannot be told with these sensors and exciters: no level of the plan, other "
@@ -340,7 +380,9 @@ class Investigation:
         return f"{best.test} would, by {best.expected_sigma:.0f}" + (f"; also {' or '.join(others)}" if others else "")
 
     def _end(self, why: str, sentence: str) -> None:
-        self.record = replace(self.record, ended=why, conclusion=sentence)
+        """End with a sentence; one that rests on a diagnosis has the bound of what was measured."""
+        bound = self.record.bound if self.record.turns else ""
+        self.record = replace(self.record, ended=why, conclusion=f"{sentence} {bound}".rstrip())
         self._written()
 
 
@@ -363,5 +405,5 @@ def proposed(record: InvestigationRecord, think: Think) -> InvestigationRecord:
         for number, item in enumerate(diagnosis.next_test, 1)
     ]  # fmt: skip
     tests.sort(key=worth, reverse=True)
-    ended = "proposed" if tests else {"effect": "named", "unknown": "unknown"}.get(diagnosis.verdict.value, "no_gap")
+    ended = "proposed" if tests else end_of(diagnosis)
     return replace(record, tests=tuple(tests), turns=(*record.turns, turn), ended=ended, conclusion=text)

@@ -15,7 +15,7 @@ from nmt_core.files.whole_file import write_whole
 from nmt_core.kinds import RandomTest
 from nmt_core.kinds.request import TestRequest
 
-FORMAT = "nmt investigation 2"
+FORMAT = "nmt investigation 3"
 RECORD_FILE = "investigate.json"
 
 
@@ -48,6 +48,7 @@ class AskedTest:
         seconds: bench time, s; the expected one until it is measured.
         command: what carries it out, for people; empty where no command does.
         state: ``asked``, ``measured``, ``empty`` (no level of it locked), ``declined`` or ``failed``.
+        reached: highest level of which a window locked; NaN until it is measured, and of a random test.
     """
 
     name: str
@@ -61,6 +62,7 @@ class AskedTest:
     seconds: float = math.nan
     command: str = ""
     state: str = "asked"
+    reached: float = math.nan
 
     @property
     def is_random(self) -> bool:
@@ -101,9 +103,10 @@ class InvestigationRecord:
         calibration: calibration file of the real side; empty where its recordings say what is known of its sensors.
         tests: in the order in which they were asked.
         turns: diagnoses in their order.
-        ended: why it ended: ``named``, ``no_gap``, ``unknown``, ``not_told_apart``, ``budget``, ``stopped``,
-            ``proposed``; empty while it goes on.
-        conclusion: the end in a sentence.
+        plan: levels of the real side's plan, V, from low to high; empty where its recordings are given.
+        ended: why it ended: ``named``, ``no_gap``, ``recalibrated``, ``unknown``, ``not_told_apart``, ``budget``,
+            ``stopped``, ``proposed``; empty while it goes on.
+        conclusion: the end in a sentence, with its bound where the top of the plan was not reached.
     """
 
     model: str
@@ -113,6 +116,7 @@ class InvestigationRecord:
     calibration: str = ""
     tests: tuple[AskedTest, ...] = ()
     turns: tuple[Turn, ...] = ()
+    plan: tuple[float, ...] = ()
     ended: str = ""
     conclusion: str = ""
     format: str = field(default=FORMAT)
@@ -132,6 +136,21 @@ class InvestigationRecord:
         """Tests that were carried out, also those of which no level locked."""
         return tuple(test for test in self.tests if test.state in ("measured", "empty"))
 
+    @property
+    def reached(self) -> float:
+        """Highest level of which a window locked, V; 0 where none has."""
+        return max((test.reached for test in self.measured if math.isfinite(test.reached)), default=0.0)
+
+    @property
+    def bound(self) -> str:
+        """What the recordings say nothing of; empty where the top of the plan was reached."""
+        if not self.plan or self.plan[-1] <= 1.001 * self.reached:
+            return ""
+        return (
+            f"Of effects that act above {self.reached:.3g} V only nothing is known: no higher level of the plan, up to "
+            f"{self.plan[-1]:.3g} V, was measured."
+        )
+
     def with_test(self, test: AskedTest) -> InvestigationRecord:
         """The record with a test added, or in place of the one with its name."""
         others = [it for it in self.tests if it.name != test.name]
@@ -139,8 +158,8 @@ class InvestigationRecord:
         return replace(self, tests=(*others[:position], test, *others[position:]))
 
     def write(self, folder: Path) -> None:
-        """Write ``investigate.json`` whole; what is not finite becomes null."""
-        values = asdict(self)
+        """Write ``investigate.json`` whole, with what follows from it; what is not finite becomes null."""
+        values = asdict(self) | {name: getattr(self, name) for name in _DERIVED}
         for test, of_test in zip(self.tests, values["tests"], strict=True):
             of_test["request"] = test.request.to_mapping()
         write_whole(folder / RECORD_FILE, json.dumps(_finite(values), indent=2, ensure_ascii=False) + "\n")
@@ -161,8 +180,9 @@ def read_record(folder: Path) -> InvestigationRecord | None:
             raise ValueError(f"its format is {values['format']}")
         tests = tuple(AskedTest(**_read(test)) for test in values["tests"])
         turns = tuple(Turn(**turn) for turn in values["turns"])
-        lists = {key: tuple(values[key]) for key in ("changes", "bags")}
-        return InvestigationRecord(**{**values, **lists, "tests": tests, "turns": turns})
+        lists = {key: tuple(values[key]) for key in ("changes", "bags", "plan")}
+        kept = {key: value for key, value in values.items() if key not in _DERIVED}
+        return InvestigationRecord(**{**kept, **lists, "tests": tests, "turns": turns})
     except (BenchError, KeyError, TypeError, ValueError) as error:
         raise BenchError(
             f"{path} is no record of an investigation that can be gone on with ({error}); give another folder with "
@@ -170,7 +190,8 @@ def read_record(folder: Path) -> InvestigationRecord | None:
         ) from error
 
 
-_NUMBERS = ("expected_sigma", "expected", "received", "seconds")
+_NUMBERS = ("expected_sigma", "expected", "received", "seconds", "reached")
+_DERIVED = ("reached", "bound")
 
 
 def _read(test: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,8 +11,6 @@ from nmt_diagnose.ledger.statements import STATEMENTS, Statement, statements_tab
 
 ROOT = Path(__file__).resolve().parents[2]
 WITHOUT_CHECK = {
-    "none of an investigation",
-    "end of an investigation",
     "fold",
     "unstable",
     "isola",

@@ -116,14 +116,18 @@ STATEMENTS = (
     Statement(
         "none of an investigation",
         "The plan shows no gap.",
-        "Its levels were climbed to the top.",
-        "Up to which level nothing was found.",
+        "Its levels were climbed to the top, and over them nothing moves by what matters beyond the model.",
+        "`unknown`, with what moves; up to which level nothing was found.",
+        "nmt_diagnose.investigation.checks:none_contradicted",
+        f"{_DIAGNOSE}test_investigation_checks.py::test_a_course_over_the_levels_is_no_lack_of_a_gap",
     ),
     Statement(
         "end of an investigation",
         "The cause has a name.",
         "Its levels were climbed to the top, or the answer says up to which it holds.",
         "What is open, and the next test.",
+        "nmt_diagnose.investigation.checks:end_contradicted",
+        f"{_DIAGNOSE}test_investigation_checks.py::test_ends_that_their_own_record_contradicts_do_not",
     ),
     Statement(
         "fold",

@@ -32,11 +32,13 @@ class DiagnoseOptions:
     the library at every place, and says where the gap lies, which effect causes it and how far it shrinks on data
     kept out of the fit; or that there is no gap, or that nothing in the library explains it."""
 
-    model: str = needed_option("name of a rig (for example beam) or path of a rig file", metavar="RIG")
+    model: str = needed_option(
+        "name of a rig (for example beam), path of a rig file, or a robot's MJCF or URDF file", metavar="RIG"
+    )
     real: tuple[Path, ...] = needed_option(
         "results folder or bag of './nmt run', 'linear' or 'import' on the real rig; may be repeated: "
         "different "
-        "tests tell more effects apart",
+        "tests tell more effects apart; of a robot: a log of its joints, or that log's sidecar",
         metavar="BAG",
     )
     floor: tuple[Path, ...] = option(
@@ -95,6 +97,10 @@ def run(options: DiagnoseOptions) -> int:
     Raises:
         BenchError: the rig, a bag or an option is refused.
     """
+    from nmt_bench.commands.robot_diagnosis import diagnose_robot_log, is_robot
+
+    if is_robot(options.model):
+        return diagnose_robot_log(options)
     if options.why and not options.force and (options.out / DIAGNOSIS).is_file():
         return _asked_again(options)
     check_output(options.out, options.force)

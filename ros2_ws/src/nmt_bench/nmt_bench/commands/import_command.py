@@ -39,6 +39,9 @@ class ImportOptions:
         metavar="FILE",
         exclusive=True,
     )
+    robot: Path | None = option(
+        None, "with --init: MJCF or URDF file of the robot whose joints FILE is a log of", metavar="ROBOT.xml"
+    )
     out: Path = dated_folder_option("bag/", "import")
     force: bool = replace_option()
 
@@ -49,6 +52,12 @@ def run(options: ImportOptions) -> int:
     Raises:
         BenchError: the sidecar or the data is wrong, or the bag cannot be written.
     """
+    if options.init is not None and options.robot is not None:
+        from nmt_bench.commands.robot_diagnosis import propose_robot_sidecar
+
+        return propose_robot_sidecar(options.init, options.robot, options.force)
+    if options.robot is not None:
+        raise BenchError("--robot goes with --init: ./nmt import --init LOG --robot ROBOT.xml.")
     if options.init is not None:
         return _init(options.init, options.force)
     sidecar = options.sidecar

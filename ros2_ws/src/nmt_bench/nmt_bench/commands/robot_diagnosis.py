@@ -1,0 +1,105 @@
+"""What ``./nmt diagnose`` and ``./nmt import --init`` do where the model is a robot's file."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nmt_bench.command_parser import EXIT_DONE
+from nmt_bench.commands.output_folder import OutputFolder, check_output
+from nmt_core.errors import BenchError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from nmt_bench.commands.diagnose_command import DiagnoseOptions
+    from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
+
+_ONLY_RIGS = ("floor", "set", "without", "hold_out", "matters", "why", "calibration")
+
+
+def is_robot(model: str) -> bool:
+    """Whether a model is a robot's file."""
+    from nmt_robots.model.robot_model import is_robot_file
+
+    return is_robot_file(model)
+
+
+def diagnose_robot_log(options: DiagnoseOptions) -> int:
+    """Diagnose a robot by a log of its joints, write the results, print the verdict.
+
+    Raises:
+        BenchError: an option, the model or the log is refused.
+    """
+    from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.diagnose_command import DiagnosisProgress
+    from nmt_robots.report.robot_files import write_robot_diagnosis
+    from nmt_robots.verdict.robot_diagnosis import diagnose_robot
+
+    unused = [name for name in _ONLY_RIGS if getattr(options, name)]
+    if unused:
+        raise BenchError(f"--{unused[0].replace('_', '-')} belongs to rigs and says nothing of a robot; leave it out.")
+    if len(options.real) != 1:
+        raise BenchError("A robot is diagnosed by one log at a time; give --real once.")
+    check_output(options.out, options.force)
+    console = make_console()
+    started = time.monotonic()
+    with DiagnosisProgress(console, options.quiet) as progress:
+        diagnosis = diagnose_robot(Path(options.model), options.real[0], progress.update)
+        progress.update("writing the report")
+        with OutputFolder(options.out, options.force) as folder:
+            write_robot_diagnosis(diagnosis, folder)
+    _show(diagnosis, console)
+    console.print(f"Diagnosed in {time.monotonic() - started:.0f} s.", soft_wrap=True)
+    console.print(f"Report: {(options.out / 'report.html').resolve()}", soft_wrap=True)
+    return EXIT_DONE
+
+
+def propose_robot_sidecar(data: Path, robot: Path, force: bool) -> int:
+    """Write a sidecar for a log of joints beside it, or here where that folder takes no files.
+
+    Raises:
+        BenchError: the log or the robot cannot be read, or there is a sidecar already.
+    """
+    import os
+
+    from nmt_core.files.whole_file import write_whole, writing
+    from nmt_robots.log.proposal import propose_sidecar
+
+    folder = data.parent if os.access(data.parent, os.W_OK) else Path()
+    proposal = propose_sidecar(data, robot, folder)
+    target = folder / f"{data.stem}.yaml"
+    if target.exists() and not force:
+        raise BenchError(f"{target} exists already; move it away or give --force to write it anew.")
+    with writing(target):
+        write_whole(target, proposal.text)
+    asks = f"Answer: {'; '.join(proposal.questions)}; then" if proposal.questions else "Check it, then"
+    sys.stdout.write(
+        f"{proposal.text}\nWritten to {target}. {asks}: ./nmt diagnose --model {robot} --real {target} --out DIR\n"
+    )
+    return EXIT_DONE
+
+
+def _show(diagnosis: RobotDiagnosis, console: Console) -> None:
+    """Print the findings on the log and a row for each joint."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    console.print()
+    console.print(Text(f"Verdict: {diagnosis.verdict}", style="bold"), soft_wrap=True)
+    for finding in diagnosis.findings:
+        style = "yellow" if finding.fault else ""
+        console.print(Text(f"Log: {finding.sentence}", style=style), soft_wrap=True)
+    table = Table(box=SIMPLE_HEAD)
+    for head in ("joint", "what differs", "closed", "left (N·m)", "what remains"):
+        table.add_column(head, justify="right" if head in ("closed", "left (N·m)") else "left")
+    for joint in diagnosis.joints:
+        if joint.mechanics is None:
+            table.add_row(joint.joint.name, "not judged", "", "", joint.remains)
+            continue
+        differing = "; ".join(term.text() for term in joint.terms if term.differs) or "nothing: as in the model"
+        table.add_row(joint.joint.name, differing, f"{100 * joint.closed:.0f} %", f"{joint.left:.3f}", joint.remains)
+    console.print(table)

@@ -1,0 +1,1 @@
+"""Logs of joints: what their columns are (a sidecar), and the columns themselves."""

@@ -1,0 +1,57 @@
+"""A log of joints as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class JointLog:
+    """What was logged of J joints in N rows.
+
+    Attributes:
+        source: file.
+        joints: names, one for each column.
+        time: N, s, as the log has it.
+        position: N × J, rad (m of a slide).
+        velocity: N × J, rad/s; None where it was not logged.
+        position_command: N × J, rad; None without one.
+        velocity_command: N × J, rad/s; None = zero.
+        torque_command: N × J, N·m, added by the drive to its control law; None = zero.
+        torque: N × J, N·m, measured; None where it follows from the control law.
+        position_gain, velocity_gain: J, N·m/rad and N·m·s/rad; None where they are not known.
+        notes: sentences on how it was read.
+    """
+
+    source: str
+    joints: tuple[str, ...]
+    time: Array
+    position: Array
+    velocity: Array | None = None
+    position_command: Array | None = None
+    velocity_command: Array | None = None
+    torque_command: Array | None = None
+    torque: Array | None = None
+    position_gain: Array | None = None
+    velocity_gain: Array | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def rows(self) -> int:
+        """N."""
+        return len(self.time)
+
+    @property
+    def step_s(self) -> float:
+        """Mean time between rows, s."""
+        return float(self.time[-1] - self.time[0]) / (self.rows - 1)
+
+    @property
+    def is_arithmetic(self) -> bool:
+        """Whether the torque is computed by the control law, because none was measured."""
+        return self.torque is None

@@ -1,0 +1,1 @@
+"""What is wrong with a log itself, looked at before any mechanics."""

@@ -1,0 +1,189 @@
+"""Torque of a log: computed or measured, at its limit, late; and the order, sign and unit of the joints."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nmt_robots.log.joint_log import Array, JointLog
+from nmt_robots.log_faults.finding import Finding
+from nmt_robots.mechanics.motion import Motion
+from nmt_robots.mechanics.readings import HELD, SMOOTH
+from nmt_robots.mechanics.shared_reading import ReadingScores
+from nmt_robots.model.robot_model import Joint
+from nmt_robots.thresholds import THRESHOLDS
+
+
+def torque_findings(log: JointLog, joints: tuple[Joint, ...], torque: Array) -> list[Finding]:
+    """Where the torque comes from, and whether it is at the drive's limit."""
+    found = []
+    if log.is_arithmetic:
+        found.append(
+            Finding(
+                "torque_computed",
+                "No torque was measured: it is computed by the control law with the stated gains, so a wrong gain, "
+                "another loop in the drive or a limit of its current would look like friction or mass.",
+                fault=False,
+            )
+        )
+    else:
+        found += _law_in_measured(log)
+    beyond = []
+    for number, joint in enumerate(joints):
+        share = float(np.mean(np.abs(torque[:, number]) > 0.999 * joint.effort))
+        if share > 0.002:
+            beyond.append((joint.name, share))
+    if beyond:
+        listed = ", ".join(f"{name} in {100 * share:.0f} % of the rows" for name, share in beyond)
+        how = "would be beyond" if log.is_arithmetic else "is at"
+        found.append(
+            Finding(
+                "saturation",
+                f"The torque {how} the limit that the model states for the drive: {listed}.",
+                max(share for _, share in beyond), 0.0, "share of rows", joints=tuple(name for name, _ in beyond),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _law_in_measured(log: JointLog) -> list[Finding]:
+    """A torque given as measured that is the control law itself."""
+    assert log.torque is not None
+    if log.position_command is None:
+        return []
+    left = []
+    for joint in range(log.torque.shape[1]):
+        terms = [log.position_command[:, joint] - log.position[:, joint], np.ones(log.rows)]
+        if log.velocity is not None:
+            terms.append(log.velocity[:, joint])
+        if log.velocity_command is not None:
+            terms.append(log.velocity_command[:, joint])
+        matrix = np.column_stack(terms)
+        size = float(np.std(log.torque[:, joint]))
+        if size > 0.0:
+            solution = np.linalg.lstsq(matrix, log.torque[:, joint], rcond=None)[0]
+            left.append(float(np.std(log.torque[:, joint] - matrix @ solution)) / size)
+    if not left or float(np.median(left)) > THRESHOLDS.exact:
+        return []
+    return [
+        Finding(
+            "torque_is_law",
+            "The torque that is given as measured is the control law of the drives to "
+            f"{100 * float(np.median(left)):.2g} %: it was computed, not measured.",
+            float(np.median(left)), 0.0, "1",
+        )
+    ]  # fmt: skip
+
+
+def reading_findings(scores: ReadingScores) -> list[Finding]:
+    """What all joints together say of how commands and torques are to be read."""
+    best = scores.best
+    plain, least = scores.relative[scores.plain], float(np.min(scores.relative))
+    share = 1.0 - float(np.sqrt(least / plain))
+    alike = scores.fit_as_well()
+    found = []
+    kinds = {reading.command for reading in scores.readings}
+    if len(kinds) > 1:
+        apart = float(np.sqrt(_least(scores, SMOOTH) / _least(scores, HELD))) - 1.0
+        better = best.command
+        both = {reading.command for reading in alike} == kinds
+        words = "both fit as well, and every ± spans both" if both else f"as {better} it fits better"
+        found.append(
+            Finding(
+                "command_reading",
+                f"Command read as held or as running straight between its changes: {words} (torque left over "
+                f"{100 * abs(apart):.0f} % {'more' if apart > 0 else 'less'} if straight).",
+                apart, float("nan"), "1", fault=False,
+            )
+        )  # fmt: skip
+    late = "torque_lag_s" if best.torque_lag_s else "command_lag_s"
+    lag, std = scores.lag(best.command, late)
+    others = [getattr(reading, late) for reading in alike if getattr(reading, late)]
+    if others:
+        std = float(np.hypot(std, max(abs(other - lag) for other in others) / np.sqrt(3.0)))
+    if abs(lag) > max(THRESHOLDS.lag_s, 2.0 * std) and share > 0.5 * THRESHOLDS.fits_as_well:
+        what = "torque (or the whole control loop)" if late == "torque_lag_s" else "command"
+        sense = "late" if lag > 0.0 else "early"
+        joints = _agreeing(scores, best.command, late)
+        found.append(
+            Finding(
+                late.removesuffix("_s"),
+                f"The {what} is {1e3 * abs(lag):.3g} ± {1e3 * std:.2g} ms {sense} against the motion in all joints "
+                f"({joints}); read so, {100 * share:.0f} % of what the plain reading leaves over is gone. To first "
+                "order such a delay is a damping of −kp·δ and an armature of −kd·δ, so neither is told without it.",
+                lag, std, "s", share,
+            )
+        )  # fmt: skip
+    return found
+
+
+def _least(scores: ReadingScores, command: str) -> float:
+    numbers = [number for number, reading in enumerate(scores.readings) if reading.command == command]
+    return float(np.min(scores.relative[numbers]))
+
+
+def _agreeing(scores: ReadingScores, command: str, late: str) -> str:
+    """What single joints say of a lag, in words."""
+    lags, numbers = scores.among(command, late)
+    each = scores.by_joint[numbers]
+    known = np.all(np.isfinite(each), axis=0)
+    each_lag = 1e3 * lags[np.argmin(each[:, known], axis=0)]
+    if len(each_lag) < 2:
+        return "one joint"
+    low, high = np.quantile(each_lag, (0.1, 0.9))
+    return f"single joints say {low:.3g} to {high:.3g} ms"
+
+
+def order_findings(log: JointLog, joints: tuple[Joint, ...], motion: Motion, torque: Array) -> list[Finding]:
+    """Joints that are not what the names say: range, sign of gravity, unit."""
+    found = []
+    outside = []
+    for number, joint in enumerate(joints):
+        low, high = float(np.min(log.position[:, number])), float(np.max(log.position[:, number]))
+        room = 0.05 * max(joint.upper - joint.lower, 1e-9) if np.isfinite(joint.upper - joint.lower) else 0.0
+        if low < joint.lower - room or high > joint.upper + room:
+            outside.append(f"{joint.name} ({low:.3g} to {high:.3g}, range {joint.lower:.3g} to {joint.upper:.3g})")
+    if outside:
+        found.append(
+            Finding(
+                "out_of_range",
+                f"Angles are beyond the joint's range in the model: {', '.join(outside)}; check order, sign, unit and "
+                "zero of these joints.",
+                len(outside), 0.0, "joints", joints=tuple(word.split(" ")[0] for word in outside),
+            )
+        )  # fmt: skip
+    jumps = np.max(np.abs(np.diff(log.position, axis=0)), axis=0)
+    turns = np.array([joint.turns for joint in joints])
+    wrapped = [joints[n].name for n in np.flatnonzero(turns & (np.abs(jumps - 2.0 * np.pi) < 0.5))]
+    if wrapped:
+        found.append(
+            Finding("wrap", f"Angles jump by a whole turn: {', '.join(wrapped)}; unwrap them.", joints=tuple(wrapped))
+        )
+    return [*found, *_mirrored(joints, motion, torque)]
+
+
+def _mirrored(joints: tuple[Joint, ...], motion: Motion, torque: Array) -> list[Finding]:
+    """Joints whose steady torque holds against gravity with the wrong sign."""
+    wrong = []
+    for number, joint in enumerate(joints):
+        gravity = motion.gravity[:, number]
+        size = float(np.sqrt(np.mean(gravity**2)))
+        if size < 0.3 * float(np.sqrt(np.mean(torque[:, number] ** 2))):
+            continue
+        v = motion.v[:, number]
+        matrix = np.column_stack([gravity, np.sign(v), v, motion.a[:, number]])
+        rows = motion.moving[:, number]
+        if np.count_nonzero(rows) < 50:
+            continue
+        factor = float(np.linalg.lstsq(matrix[rows], motion.smooth_twice(torque)[rows, number], rcond=None)[0][0])
+        if factor < -0.3:
+            wrong.append(joint.name)
+    if not wrong:
+        return []
+    return [
+        Finding(
+            "gravity_sign",
+            f"The torque holds against gravity with the wrong sign in {', '.join(wrong)}: sign or order of the joints, "
+            "or the way gravity points.",
+            len(wrong), 0.0, "joints", joints=tuple(wrong),
+        )
+    ]  # fmt: skip

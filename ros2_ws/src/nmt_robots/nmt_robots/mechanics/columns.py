@@ -1,0 +1,101 @@
+"""Columns that a joint's torque may be a sum of, beyond that of the rigid bodies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_robots.log.joint_log import Array
+from nmt_robots.mechanics.motion import Motion
+
+_LARGEST_SCALE = 0.5
+"""Of gravity or inertia: no link of a model is wrong by more than half."""
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """What may act in a joint.
+
+    Attributes:
+        key: name in files.
+        words: name in sentences.
+        unit: of each coefficient.
+        columns: N × K, N·m per unit, unfiltered; made of a motion.
+        never_negative: whether a negative coefficient is impossible.
+        shape: number that is fixed in the columns, such as a speed; in sentences.
+        largest: size of a coefficient beyond which it is not what its words say; infinite without one.
+        made_of_torque: whether the columns are part of the drive's torque itself, so that they can make it small.
+    """
+
+    key: str
+    words: str
+    unit: str
+    columns: Array
+    never_negative: bool = False
+    shape: str = ""
+    largest: float = np.inf
+    made_of_torque: bool = False
+
+    @property
+    def parameters(self) -> int:
+        """K."""
+        return int(self.columns.shape[1])
+
+
+def usual_effects(motion: Motion, joint: int) -> list[Effect]:
+    """Coulomb and viscous friction, armature and an offset: the plain fit."""
+    v, a = motion.v[:, joint], motion.a[:, joint]
+    return [
+        Effect("coulomb", "Coulomb friction", "N·m", np.sign(v)[:, None], never_negative=True),
+        Effect("viscous", "viscous friction", "N·m·s/rad", v[:, None], never_negative=True),
+        Effect("armature", "armature", "kg·m²", a[:, None], never_negative=True),
+        Effect("offset", "offset of the torque", "N·m", np.ones((len(v), 1))),
+    ]
+
+
+def rival_effects(motion: Motion, joint: int, error: Array | None) -> list[Effect]:
+    """What may come on top of the usual effects, one at a time.
+
+    Args:
+        motion: of all joints.
+        joint: number of the column.
+        error: N; command minus position where the torque is computed of it; None = it was measured.
+    """
+    q, v, a = motion.q[:, joint], motion.v[:, joint], motion.a[:, joint]
+    direction = np.sign(v)
+    gravity, rigid = motion.gravity[:, joint], motion.rigid[:, joint]
+    found: list[Effect] = []
+
+    def add(key: str, words: str, unit: str, *columns: Array, shape: str = "", largest: float = np.inf) -> None:
+        found.append(Effect(key, words, unit, np.column_stack(columns), shape=shape, largest=largest))
+
+    for speed in (0.05, 0.1, 0.2, 0.5):
+        if speed < 0.3 * float(np.max(np.abs(v))):
+            fading = direction * np.exp(-np.abs(v) / speed)
+            add("stribeck", "friction that falls with speed (Stribeck)", "N·m", fading, shape=f"{speed:g} rad/s")
+    add("quadratic_friction", "friction that grows with the square of speed", "N·m·s²/rad²", v * np.abs(v))
+    add("root_friction", "friction that grows with the root of speed", "N·m·√(s/rad)", direction * np.sqrt(np.abs(v)))
+    add("viscous_by_direction", "viscous friction that depends on the direction", "N·m·s/rad", np.abs(v))
+    add("load_friction", "friction that grows with the load, or efficiency by direction", "1",
+        direction * np.abs(rigid), largest=_LARGEST_SCALE)  # fmt: skip
+    if np.std(gravity) > 0.0:
+        add("gravity_scale", "mass or its distance (all of gravity scaled)", "1", gravity, largest=_LARGEST_SCALE)
+    if np.std(rigid - gravity) > 0.0:
+        add("inertia_scale", "inertia of the links (all of the inertial torque scaled)", "1", rigid - gravity,
+            largest=_LARGEST_SCALE)  # fmt: skip
+    add("spring", "spring or counterbalance", "N·m/rad", q - np.mean(q))
+    if np.std(gravity) > 0.0:
+        add("mass_centre", "mass or centre of mass in the plane of the joint", "N·m", np.cos(q), np.sin(q),
+            largest=_LARGEST_SCALE * float(np.max(np.abs(gravity))))  # fmt: skip
+    if error is not None:
+        words = "position gain or torque constant of the drive"
+        found.append(Effect("gain", words, "N·m/rad", -error[:, None], made_of_torque=True))
+    reach = float(np.ptp(q))
+    for order in range(1, 61):
+        if order * reach > 2.0 * np.pi:
+            add("ripple", "torque that changes with the angle", "N·m", np.cos(order * q), np.sin(order * q),
+                shape=f"{order} per turn")  # fmt: skip
+    jerk = np.gradient(a, motion.step_s)
+    add("jerk", "elastic transmission, backlash or a delay of this joint alone", "kg·m²·s", jerk)
+    return found

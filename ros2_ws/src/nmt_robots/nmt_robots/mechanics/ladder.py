@@ -1,0 +1,291 @@
+"""Mechanics of one joint: the usual effects, and rivals that earn their place on motion that no fit has seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nmt_robots.log.joint_log import Array
+from nmt_robots.mechanics.columns import Effect, rival_effects, usual_effects
+from nmt_robots.mechanics.least_squares import Fit, fitted, solve
+from nmt_robots.mechanics.motion import Motion
+from nmt_robots.thresholds import THRESHOLDS
+
+USUAL = ("coulomb", "viscous", "armature", "offset")
+_RIVALS_AT_MOST = 3
+_LAST_PART = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class Share:
+    """An effect as found in a joint.
+
+    Attributes:
+        effect: which.
+        values, std: of its coefficients.
+        rms: torque that it takes, N·m.
+        alike: words of effects whose columns say the same in this log.
+        impossible: what a coefficient would be that may not be negative; zero where it is allowed.
+    """
+
+    effect: Effect
+    values: Array
+    std: Array
+    rms: float
+    alike: tuple[str, ...] = ()
+    impossible: float = 0.0
+
+    @property
+    def size(self) -> float:
+        """The coefficient; the length of a pair of them."""
+        return float(self.values[0]) if len(self.values) == 1 else float(np.linalg.norm(self.values))
+
+    @property
+    def size_std(self) -> float:
+        """Its standard uncertainty."""
+        if len(self.values) == 1 or self.size == 0.0:
+            return float(self.std[0])
+        return float(np.sqrt(np.sum((self.values * self.std) ** 2)) / self.size)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Torque left on rows that no fit has seen, rms in N·m.
+
+    Attributes:
+        interleaved: every other second.
+        last: the last part, which in a chirp is another motion.
+        torque: of the drive in the same rows, about its mean, with the gain that was found.
+    """
+
+    interleaved: float
+    last: float
+    torque: float
+
+
+@dataclass(frozen=True, eq=False)
+class JointMechanics:
+    """What acts in a joint.
+
+    Attributes:
+        shares: effects, the usual ones first.
+        held_out, plain: torque left by these, and by the usual effects alone.
+        rivals: words and gain of rivals that were not taken but also improve, best first.
+        sticking_excess: share of sticking rows whose torque is beyond Coulomb friction.
+    """
+
+    shares: tuple[Share, ...]
+    held_out: HeldOut
+    plain: HeldOut
+    rivals: tuple[tuple[str, float], ...]
+    sticking_excess: float
+
+    def share(self, key: str) -> Share | None:
+        """An effect by its key."""
+        return next((share for share in self.shares if share.effect.key == key), None)
+
+
+class JointProblem:
+    """Torque and columns of one joint.
+
+    Args:
+        motion: of all joints.
+        joint: number of the column.
+        torque: N, N·m, of the drive as it is read, unfiltered.
+        error: N; command minus position, where the torque is computed of it.
+    """
+
+    def __init__(self, motion: Motion, joint: int, torque: Array, error: Array | None) -> None:
+        self.motion, self.joint = motion, joint
+        smooth = motion.smooth_twice(torque)
+        self._rows = motion.moving[:, joint]
+        self.torque = smooth[self._rows]
+        self._every = smooth - motion.rigid[:, joint]
+        self.left = self._every[self._rows]
+        self.blocks = motion.blocks[self._rows]
+        self.usual = usual_effects(motion, joint)
+        self.rivals = rival_effects(motion, joint, error)
+        self._filtered: dict[int, Array] = {}
+
+    def columns(self, effects: list[Effect]) -> Array:
+        """Filtered columns of effects in the rows that move."""
+        parts = []
+        for effect in effects:
+            if id(effect) not in self._filtered:
+                self._filtered[id(effect)] = self.motion.smooth(effect.columns)[self._rows]
+            parts.append(self._filtered[id(effect)])
+        return np.column_stack(parts)
+
+    def held_out(self, effects: list[Effect]) -> HeldOut:
+        """What effects leave on rows that their fit has not seen."""
+        matrix, never = self.columns(effects), never_negative(effects)
+        lost = np.empty_like(self.left)
+        odd = self.blocks % 2 == 1
+        for test in (odd, ~odd):
+            values = solve(matrix[~test], self.left[~test], never)[0]
+            lost[test] = self.left[test] - matrix[test] @ values
+        late = np.arange(len(self.left)) >= int(_LAST_PART * len(self.left))
+        values = solve(matrix[~late], self.left[~late], never)[0]
+        last = self.left[late] - matrix[late] @ values
+        torque, place = self.torque, 0
+        for effect in effects:
+            part = slice(place, place + effect.parameters)
+            place += effect.parameters
+            if effect.made_of_torque:
+                torque = torque - matrix[:, part] @ values[part]
+        return HeldOut(_rms(lost), _rms(last), float(np.std(torque)))
+
+    def fit(self, effects: list[Effect]) -> Fit:
+        """Coefficients of effects by all rows; ± with what the model's own tolerances make of them."""
+        matrix = self.columns(effects)
+        fit = fitted(matrix, self.left, never_negative(effects), self.blocks)
+        free = ~fit.held
+        gravity = self.motion.gravity[self._rows, self.joint]
+        inertial = self.motion.rigid[self._rows, self.joint] - gravity
+        tolerated = np.column_stack(
+            [
+                THRESHOLDS.inertia_tolerance * inertial,
+                THRESHOLDS.mass_tolerance * gravity,
+                THRESHOLDS.torque_tolerance * self.torque,
+            ]
+        )
+        scale = np.maximum(np.linalg.norm(matrix[:, free], axis=0), 1e-300)
+        moved = np.linalg.lstsq(matrix[:, free] / scale, tolerated, rcond=1e-10)[0] / scale[:, None]
+        std = fit.std.copy()
+        std[free] = np.sqrt(std[free] ** 2 + np.sum(moved**2, axis=1))
+        return replace(fit, std=std)
+
+    def excess_in_stick(self, coulomb: float) -> float:
+        """Share of the rows that may stick in which the torque is beyond Coulomb friction by more than a tenth."""
+        still = np.abs(self.motion.v[:, self.joint]) < 0.3 * THRESHOLDS.sticking_rad_s
+        if np.count_nonzero(still) < 10 or coulomb <= 0.0:
+            return 0.0
+        centre = float(np.median(self._every[still]))
+        return float(np.mean(np.abs(self._every[still] - centre) > 1.1 * coulomb))
+
+
+def never_negative(effects: list[Effect]) -> Array:
+    """Which of the columns of effects may have no negative coefficient."""
+    return np.concatenate([[effect.never_negative] * effect.parameters for effect in effects]).astype(bool)
+
+
+def explain(problem: JointProblem, kept: Sequence[tuple[str, str]] | None = None) -> JointMechanics:
+    """The usual effects, and up to three rivals that earn their place.
+
+    Args:
+        problem: one joint.
+        kept: keys and shapes of effects that are taken without asking, instead of a choice.
+    """
+    effects = list(problem.usual)
+    plain = now = problem.held_out(effects)
+    gains: list[tuple[Effect, float, HeldOut]] = []
+    if kept is not None:
+        effects += [rival for rival in problem.rivals if (rival.key, rival.shape) in kept]
+        now = problem.held_out(effects)
+    for _ in range(_RIVALS_AT_MOST if kept is None else 0):
+        chosen = {effect.key for effect in effects}
+        gains = _gains(problem, effects, now, [rival for rival in problem.rivals if rival.key not in chosen])
+        taken = next((item for item in gains if _earns_its_place(problem, effects, item[0])), None)
+        if taken is None:
+            break
+        effects.append(taken[0])
+        now = taken[2]
+    shares = _shares(problem, effects, problem.fit(effects), named=kept is None)
+    coulomb = next(share.size for share in shares if share.effect.key == "coulomb")
+    runners_up: dict[str, float] = {}
+    for effect, gain, _ in gains:
+        if effect.key not in {share.effect.key for share in shares}:
+            runners_up.setdefault(effect.words, gain)
+    return JointMechanics(tuple(shares), now, plain, tuple(runners_up.items())[:3], problem.excess_in_stick(coulomb))
+
+
+def _gains(
+    problem: JointProblem, effects: list[Effect], now: HeldOut, rivals: list[Effect]
+) -> list[tuple[Effect, float, HeldOut]]:
+    """Rivals that improve both held-out parts by a claimable share of the torque, best first.
+
+    The gain is the torque that they take, as a share of the joint's.
+    """
+    matrix = problem.columns(effects)
+    basis = np.linalg.qr(matrix)[0]
+    unexplained = problem.left - basis @ (basis.T @ problem.left)
+    found = []
+    for rival in rivals:
+        # What a rival takes of the rows it is fitted to bounds what it can take of others.
+        column = problem.columns([rival])
+        beyond = np.linalg.qr(column - basis @ (basis.T @ column))[0]
+        bound = _rms(beyond @ (beyond.T @ unexplained)) / max(now.torque, 1e-300)
+        if bound < THRESHOLDS.smallest_share:
+            continue
+        after = problem.held_out([*effects, rival])
+        # What makes the torque itself smaller must shrink what is left by more than that.
+        fair = after.torque / max(now.torque, 1e-300)
+        gained = now.interleaved**2 - (after.interleaved / fair) ** 2
+        if gained > 0.0 and after.last / fair < now.last:
+            share = float(np.sqrt(gained)) / max(now.torque, 1e-300)
+            if share > THRESHOLDS.smallest_share:
+                found.append((rival, share, after))
+    return sorted(found, key=lambda item: -item[1])
+
+
+def _earns_its_place(problem: JointProblem, effects: list[Effect], rival: Effect) -> bool:
+    """Whether its coefficients are certain, and neither they nor those of the others become impossible."""
+    fit = problem.fit([*effects, rival])
+    place = 0
+    for effect in [*effects, rival]:
+        part = slice(place, place + effect.parameters)
+        place += effect.parameters
+        if float(np.linalg.norm(fit.values[part])) > effect.largest:
+            return False
+        added = _rms(problem.columns([effect]) @ fit.values[part])
+        if effect.key not in USUAL and added > float(np.std(problem.torque)):
+            return False
+    values, std = fit.values[-rival.parameters :], fit.std[-rival.parameters :]
+    size = float(np.linalg.norm(values))
+    spread = float(np.sqrt(np.sum((values * std) ** 2))) / max(size, 1e-300)
+    before = problem.fit(effects)
+    return size > THRESHOLDS.certain * spread and int(np.sum(fit.held)) <= int(np.sum(before.held))
+
+
+def _shares(problem: JointProblem, effects: list[Effect], fit: Fit, named: bool) -> list[Share]:
+    shares, place = [], 0
+    for effect in effects:
+        part = slice(place, place + effect.parameters)
+        place += effect.parameters
+        columns = problem.columns([effect])
+        torque = columns @ fit.values[part]
+        alike = _alike(problem, effects, effect) if named else ()
+        shares.append(
+            Share(effect, fit.values[part], fit.std[part], _rms(torque), alike, float(np.sum(fit.negative[part])))
+        )
+    return shares
+
+
+def _alike(problem: JointProblem, effects: list[Effect], effect: Effect) -> tuple[str, ...]:
+    """Effects of the library whose columns, beyond the other effects, point the way of this one."""
+    others = [item for item in effects if item is not effect]
+    basis = np.linalg.qr(problem.columns(others))[0]
+    column = problem.columns([effect])
+    beyond = column - basis @ (basis.T @ column)
+    size = np.linalg.norm(column)
+    if size == 0.0 or np.linalg.norm(beyond) < 1e-6 * size:
+        return ("the other effects together",)
+    direction = np.linalg.qr(beyond)[0]
+    found = []
+    for rival in [*problem.usual, *problem.rivals]:
+        if rival.key == effect.key or any(rival is item for item in others) or rival.words in found:
+            continue
+        if rival.parameters > effect.parameters:
+            continue
+        other = problem.columns([rival])
+        other = other - basis @ (basis.T @ other)
+        length = float(np.linalg.norm(other))
+        if length > 0.0 and np.linalg.norm(direction.T @ other) / length > THRESHOLDS.alike:
+            found.append(rival.words)
+    return tuple(found)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0

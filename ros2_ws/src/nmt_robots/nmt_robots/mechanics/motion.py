@@ -1,0 +1,99 @@
+"""Smoothed motion of a log and the torque that its rigid bodies need.
+
+Torque and columns pass the same filter, so smoothing takes nothing from one side that it leaves on the other: the
+motion is smoothed once and what is computed of it once more, the torque of the drives twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+from scipy.signal import savgol_filter
+
+from nmt_robots.log.joint_log import Array, JointLog
+from nmt_robots.model.robot_model import RobotModel
+from nmt_robots.thresholds import THRESHOLDS
+
+_ROWS = 11
+_SPAN_S = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Motion of J joints on an even grid of N rows.
+
+    Attributes:
+        step_s: between rows.
+        window: rows of the filter, odd.
+        q, v, a: N × J, smoothed once; differences of the position.
+        rigid: N × J, N·m: torque of the rigid bodies at that motion, smoothed once more.
+        gravity: N × J, N·m: the same at rest.
+        moving: N × J; rows in which a joint is fast enough not to stick.
+        blocks: N; number of the second that a row belongs to.
+    """
+
+    step_s: float
+    window: int
+    q: Array
+    v: Array
+    a: Array
+    rigid: Array
+    gravity: Array
+    moving: Array
+    blocks: Array
+
+    def smooth(self, values: Array) -> Array:
+        """What the filter leaves of values that were computed of the motion, N or N × J."""
+        return smoothed(values, self.window)
+
+    def smooth_twice(self, values: Array) -> Array:
+        """The same of values that were logged."""
+        return self.smooth(self.smooth(values))
+
+    @property
+    def moves(self) -> Array:
+        """J: whether a joint moves in enough rows to be judged."""
+        return np.asarray(np.mean(self.moving, axis=0) >= THRESHOLDS.moving_rows)
+
+
+def smoothed(values: Array, window: int) -> Array:
+    """Local parabolas over ``window`` rows."""
+    result: Array = savgol_filter(values, window, 2, axis=0)
+    return result
+
+
+def window_of(step_s: float) -> int:
+    """Rows of the filter: at least 11 and 20 ms, odd."""
+    return max(_ROWS, round(_SPAN_S / step_s) | 1)
+
+
+def motion_of(model: RobotModel, log: JointLog) -> Motion:
+    """The motion of a log, and what it asks of the rigid bodies."""
+    step, window = log.step_s, window_of(log.step_s)
+    q = smoothed(log.position, window)
+    v: Array = np.gradient(q, step, axis=0)
+    a: Array = np.empty_like(q)
+    a[1:-1] = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / step**2
+    a[[0, -1]] = a[[1, -2]]
+    still = np.zeros_like(q)
+    moving = np.abs(v) > THRESHOLDS.sticking_rad_s
+    edge = window // 2
+    # What lies within half a window of a reversal has been smoothed over it.
+    turned = np.zeros_like(moving)
+    turned[1:] = np.sign(v[1:]) != np.sign(v[:-1])
+    moving &= ~maximum_filter1d(turned, window, axis=0)
+    moving[:edge] = False
+    moving[len(moving) - edge :] = False
+    return Motion(
+        step, window, q, v, a, smoothed(model.torque(log.joints, q, v, a), window),
+        smoothed(model.torque(log.joints, q, still, still), window), moving,
+        np.floor(np.arange(len(q)) * step).astype(int),
+    )  # fmt: skip
+
+
+def with_yielding_base(model: RobotModel, log: JointLog, motion: Motion) -> Motion:
+    """The same motion on a base that is pushed away by the limbs."""
+    rigid = model.torque(log.joints, motion.q, motion.v, motion.a, yielding=True)
+    return replace(motion, rigid=motion.smooth(rigid))

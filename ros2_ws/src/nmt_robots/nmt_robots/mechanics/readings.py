@@ -1,0 +1,115 @@
+"""Ways to read what a drive did from what the log says it was told.
+
+A command in a log may be held until the next one arrives or smoothed in the drive, and command or torque may be late.
+Each reading gives a torque; which one fits is asked of all joints together, for a drive's clock is no joint's friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nmt_robots.log.joint_log import Array, JointLog
+
+HELD = "held"
+SMOOTH = "smooth"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a log is read.
+
+    Attributes:
+        command: ``held`` or ``smooth`` between its changes.
+        command_lag_s: by how much the drive has a command later than its row, s.
+        torque_lag_s: by how much the torque acts later than its row, s.
+    """
+
+    command: str = HELD
+    command_lag_s: float = 0.0
+    torque_lag_s: float = 0.0
+
+    def text(self) -> str:
+        """In words."""
+        words = [f"command {self.command}"]
+        if self.command_lag_s:
+            words.append(f"{1e3 * self.command_lag_s:.3g} ms late")
+        if self.torque_lag_s:
+            words.append(f"torque {1e3 * self.torque_lag_s:.3g} ms late")
+        return ", ".join(words)
+
+
+def changes_of(command: Array) -> Array:
+    """Rows in which any joint's command changes, the first one included."""
+    return np.flatnonzero(np.r_[True, np.any(np.diff(command, axis=0) != 0.0, axis=1)])
+
+
+def late(values: Array, lag_s: float, step_s: float) -> Array:
+    """Values as they were ``lag_s`` before each row; between rows on the line that joins them."""
+    if lag_s == 0.0:
+        return values
+    rows = np.clip(np.arange(len(values)) - lag_s / step_s, 0.0, len(values) - 1.0)
+    lower = np.floor(rows).astype(int)
+    upper = np.minimum(lower + 1, len(values) - 1)
+    share = (rows - lower)[:, None]
+    result: Array = (1.0 - share) * values[lower] + share * values[upper]
+    return result
+
+
+def joined(command: Array) -> Array:
+    """A command that runs straight from change to change instead of being held."""
+    rows = changes_of(command)
+    every = np.arange(len(command))
+    return np.column_stack([np.interp(every, rows, command[rows, joint]) for joint in range(command.shape[1])])
+
+
+class DriveTorque:
+    """Torque of the drives of a log, under any reading.
+
+    Args:
+        log: with gains and commands, or a measured torque.
+    """
+
+    def __init__(self, log: JointLog) -> None:
+        self._log, self._step = log, log.step_s
+        self.arithmetic = log.is_arithmetic
+        self._between = {HELD: log.position_command}
+        if self.arithmetic and log.position_command is not None:
+            self._between[SMOOTH] = joined(log.position_command)
+
+    def error(self, reading: Reading) -> Array:
+        """Command minus position under a reading, N × J, rad; what the position gain multiplies."""
+        command = self._between.get(reading.command)
+        assert command is not None
+        return late(command, reading.command_lag_s, self._step) - self._log.position
+
+    def torque(self, reading: Reading) -> Array:
+        """N × J, N·m."""
+        log = self._log
+        if log.torque is not None:
+            return late(log.torque, reading.torque_lag_s, self._step)
+        assert log.position_gain is not None
+        torque: Array = log.position_gain * self.error(reading)
+        if log.velocity_gain is not None:
+            velocity = np.gradient(log.position, self._step, axis=0) if log.velocity is None else log.velocity
+            commanded = 0.0 if log.velocity_command is None else log.velocity_command
+            torque = torque + log.velocity_gain * (commanded - velocity)
+        if log.torque_command is not None:
+            torque = torque + log.torque_command
+        return late(torque, reading.torque_lag_s, self._step)
+
+    def candidates(self, longest_s: float = 0.04) -> list[Reading]:
+        """Readings that the log allows: each lag of command and of torque, not both at once."""
+        step = max(0.5 * self._step, 1e-3)
+        lags = np.arange(-2, int(longest_s / step) + 1) * step
+        kinds = [HELD, SMOOTH] if self._is_held() else [HELD]
+        found = [replace(Reading(kind), torque_lag_s=round(float(lag), 6)) for kind in kinds for lag in lags]
+        if self.arithmetic:
+            found += [replace(Reading(kind), command_lag_s=round(float(lag), 6)) for kind in kinds for lag in lags]
+        return list(dict.fromkeys(found))
+
+    def _is_held(self) -> bool:
+        """Whether the command stays the same over rows, so that it matters how it runs between its changes."""
+        command = self._log.position_command
+        return self.arithmetic and command is not None and len(changes_of(command)) < 0.9 * len(command)

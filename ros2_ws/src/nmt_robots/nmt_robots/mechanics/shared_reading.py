@@ -1,0 +1,125 @@
+"""Which reading of the log fits all joints together, and which others fit as well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmt_robots.log.joint_log import Array
+from nmt_robots.mechanics.columns import usual_effects
+from nmt_robots.mechanics.least_squares import solve_normal
+from nmt_robots.mechanics.motion import Motion
+from nmt_robots.mechanics.readings import DriveTorque, Reading
+from nmt_robots.thresholds import THRESHOLDS
+
+_GROUPS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingScores:
+    """How well each reading lets the usual effects explain the torque of all joints.
+
+    Attributes:
+        readings: R.
+        relative: R; mean over joints of residual over torque, both squared, on seconds that no fit has seen.
+        by_group: R × G; the same, of groups of seconds each by itself.
+        by_joint: R × J.
+    """
+
+    readings: tuple[Reading, ...]
+    relative: Array
+    by_group: Array
+    by_joint: Array
+
+    @property
+    def best(self) -> Reading:
+        """The one with the least relative residual."""
+        return self.readings[int(np.argmin(self.relative))]
+
+    @property
+    def plain(self) -> int:
+        """Number of the reading that takes the log at its word."""
+        return self.readings.index(Reading())
+
+    def among(self, command: str, late: str) -> tuple[Array, Array]:
+        """Lags (s) and numbers of the readings with one kind of command and one thing late."""
+        other = "torque_lag_s" if late == "command_lag_s" else "command_lag_s"
+        numbers = np.array(
+            [n for n, r in enumerate(self.readings) if r.command == command and getattr(r, other) == 0.0], dtype=int
+        )
+        lags = np.array([getattr(self.readings[n], late) for n in numbers])
+        order = np.argsort(lags)
+        return lags[order], numbers[order]
+
+    def lag(self, command: str, late: str) -> tuple[float, float]:
+        """Best lag of a kind and its standard uncertainty by groups of seconds, s."""
+        lags, numbers = self.among(command, late)
+        groups = np.array([_lowest(lags, self.by_group[numbers, g]) for g in range(self.by_group.shape[1])])
+        std = float(np.std(groups, ddof=1) / np.sqrt(len(groups)))
+        return _lowest(lags, self.relative[numbers]), std
+
+    def fit_as_well(self) -> list[Reading]:
+        """Readings that cannot be told from the best one: the best itself comes first."""
+        first = int(np.argmin(self.relative))
+        found = [self.readings[first]]
+        for number, reading in enumerate(self.readings):
+            apart = np.log(self.by_group[number] / self.by_group[first])
+            std = float(np.std(apart, ddof=1) / np.sqrt(len(apart)))
+            allowed = THRESHOLDS.fits_as_well + 2.0 * min(std, THRESHOLDS.fits_as_well)
+            if number != first and self.relative[number] <= self.relative[first] * (1.0 + allowed):
+                found.append(reading)
+        return found
+
+
+def _lowest(lags: Array, scores: Array) -> float:
+    """Where scores are lowest, by the parabola through the lowest and its neighbours."""
+    lowest = int(np.argmin(scores))
+    if lowest in (0, len(lags) - 1):
+        return float(lags[lowest])
+    left, middle, right = scores[lowest - 1 : lowest + 2]
+    bend = left - 2.0 * middle + right
+    shift = 0.5 * (left - right) / bend if bend > 0.0 else 0.0
+    return float(lags[lowest] + shift * (lags[1] - lags[0]))
+
+
+def compare_readings(motion: Motion, drive: DriveTorque) -> ReadingScores:
+    """Score every reading that the log allows."""
+    readings = drive.candidates()
+    joints = np.flatnonzero(motion.moves)
+    sides = [_Sides(motion, int(joint)) for joint in joints]
+    by_joint = np.full((len(readings), motion.q.shape[1]), np.nan)
+    groups = np.full((len(readings), _GROUPS, len(joints)), np.nan)
+    for number, reading in enumerate(readings):
+        torque = motion.smooth_twice(drive.torque(reading))
+        for place, joint in enumerate(joints):
+            by_joint[number, joint], groups[number, :, place] = sides[place].scores(torque[:, joint])
+    return ReadingScores(tuple(readings), np.nanmean(by_joint, axis=1), np.nanmean(groups, axis=2), by_joint)
+
+
+class _Sides:
+    """The usual columns of one joint, in groups of seconds."""
+
+    def __init__(self, motion: Motion, joint: int) -> None:
+        rows = motion.moving[:, joint]
+        effects = usual_effects(motion, joint)
+        columns = motion.smooth(np.column_stack([effect.columns for effect in effects]))
+        self._never = np.concatenate([[e.never_negative] * e.parameters for e in effects]).astype(bool)
+        self._rigid = motion.rigid[:, joint]
+        self._groups = [np.flatnonzero(rows & (motion.blocks % _GROUPS == group)) for group in range(_GROUPS)]
+        self._columns = [columns[numbers] for numbers in self._groups]
+        self._grams = [part.T @ part for part in self._columns]
+
+    def scores(self, torque: Array) -> tuple[float, Array]:
+        """Relative residual on seconds left out of the fit: of all, and of each group."""
+        left = torque - self._rigid
+        parts = [left[numbers] for numbers in self._groups]
+        moments = [part @ column for part, column in zip(parts, self._columns, strict=True)]
+        gram, moment = sum(self._grams), sum(moments)
+        lost, size = np.zeros(_GROUPS), np.zeros(_GROUPS)
+        for group, numbers in enumerate(self._groups):
+            values, _, _ = solve_normal(gram - self._grams[group], moment - moments[group], self._never)
+            leftover = parts[group] - self._columns[group] @ values
+            lost[group] = float(leftover @ leftover)
+            size[group] = float(np.sum((torque[numbers] - np.mean(torque[numbers])) ** 2)) if len(numbers) else 0.0
+        return float(np.sum(lost) / max(np.sum(size), 1e-300)), lost / np.maximum(size, 1e-300)

@@ -1,0 +1,1 @@
+"""A robot as its file says: joints, limits, and the torque of its rigid bodies."""

@@ -1,0 +1,1 @@
+"""Files of a robot's diagnosis: page, tables, and the robot as found."""

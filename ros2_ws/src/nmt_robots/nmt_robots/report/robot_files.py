@@ -1,0 +1,55 @@
+"""``diagnosis.json``, ``joints.csv``, ``report.html``, ``robot.xml`` and ``changes.csv`` of a robot."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from nmt_core.bench_version import bench_version
+from nmt_core.files.plain_json import plain_json
+from nmt_core.files.whole_file import csv_text, write_result
+from nmt_robots.report.robot_page import robot_page
+from nmt_robots.report.written_back import changes, robot_text
+from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
+
+JOINT_COLUMNS = (
+    "joint", "cause", "value", "value_std", "unit", "in_model", "torque_rms", "left_as_logged", "left_by_model",
+    "left_by_plain_fit", "left", "closed", "last_part_plain", "last_part", "remains",
+)  # fmt: skip
+
+
+def write_robot_diagnosis(diagnosis: RobotDiagnosis, folder: Path) -> None:
+    """Write all files to a folder that exists.
+
+    Raises:
+        BenchError: one cannot be written.
+    """
+    mapping = {**diagnosis.to_mapping(), "version": f"nmt {bench_version()}".strip()}
+    write_result(folder / "diagnosis.json", json.dumps(plain_json(mapping), indent=1, ensure_ascii=False) + "\n")
+    write_result(folder / "joints.csv", joints_csv(diagnosis))
+    changed = changes(diagnosis)
+    write_result(folder / diagnosis.model.path.with_stem("robot").name, robot_text(diagnosis, changed))
+    heads = ("joint", "term", "value", "std", "unit", "in_model", "written_to_robot_file")
+    rows = [
+        (item.joint, item.key, f"{item.value:.6g}", f"{item.std:.2g}", item.unit, f"{item.in_model:.6g}",
+         "yes" if item.attribute else "no word for it")
+        for item in changed
+    ]  # fmt: skip
+    write_result(folder / "changes.csv", csv_text([heads, *rows]))
+    write_result(folder / "report.html", robot_page(diagnosis))
+
+
+def joints_csv(diagnosis: RobotDiagnosis) -> str:
+    """A row for each joint."""
+    rows: list[tuple[object, ...]] = [JOINT_COLUMNS]
+    for joint in diagnosis.joints:
+        first = next((term for term in joint.terms if term.differs), None)
+        value = ("", "", "", "") if first is None else (
+            f"{first.value:.6g}", f"{first.std:.2g}", first.unit, f"{first.in_model:.6g}"
+        )  # fmt: skip
+        numbers = (
+            joint.torque, joint.as_logged, joint.unchanged, joint.plain, joint.left, joint.closed, joint.last_plain,
+            joint.last,
+        )  # fmt: skip
+        rows.append((joint.joint.name, joint.cause, *value, *(f"{x:.4g}" for x in numbers), joint.remains))
+    return csv_text(rows)

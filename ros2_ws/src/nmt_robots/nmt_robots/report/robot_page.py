@@ -1,0 +1,184 @@
+"""``report.html`` of a robot: the log first, then a row for each joint."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib
+import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from nmt_core.text.number_words import percent, value_text
+from nmt_report.quantity_format import significant
+from nmt_report.response_page import ResponsePage, html_figures, html_table
+from nmt_report.svg import BLUE, MUTED, ORANGE, ReportFigure, figure_style, svg_text
+from nmt_robots.log_faults.finding import is_known
+from nmt_robots.verdict.joint_verdict import JointVerdict
+from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
+
+
+def robot_page(diagnosis: RobotDiagnosis) -> str:
+    """The whole page."""
+    with figure_style():
+        figures = [_drawing(diagnosis), _bars(diagnosis)]
+    faults = [finding for finding in diagnosis.findings if finding.fault]
+    differing = [joint for joint in diagnosis.joints if joint.differs]
+    page = ResponsePage(
+        kicker="Diagnosis of a robot",
+        heading=diagnosis.model.name,
+        subtitle=f"{len(diagnosis.joints)} joints, {diagnosis.log.rows} rows at "
+        f"{1.0 / diagnosis.log.step_s:.4g} Hz of {diagnosis.log.source}",
+        verdict=(diagnosis.verdict, "partly" if faults or differing else "good"),
+        answers=[("How the log is read", diagnosis.reading.text())],
+        cards=_cards(diagnosis),
+        sections=[
+            ("log", "The log", _log(diagnosis)),
+            ("joints", "Joints", html_figures(figures[:1]) + _joints(diagnosis)),
+            ("held-out", "Held-out motion", html_figures(figures[1:]) + _held_out(diagnosis)),
+            ("terms", "Terms of each joint", _terms(diagnosis)),
+            ("limits", "What this log cannot tell", _limits(diagnosis)),
+        ],
+        footer="Torque left: rms on seconds that no fit has seen. ± is a standard uncertainty; it spans all readings "
+        "of the log that fit as well. Nothing is claimed below 3 % of a joint's torque. SI units.",
+    )
+    return page.html()
+
+
+def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:
+    values = {name: diagnosis.left_over(name) for name in ("torque", "as_logged", "left")}
+    return [
+        ("Torque", f"{significant(values['torque'], 3)} N·m", "rms over the joints"),
+        ("Left by the plain fit", f"{significant(values['as_logged'], 3)} N·m", "log at its word, held-out seconds"),
+        ("Left now", f"{significant(values['left'], 3)} N·m", "held-out seconds"),
+    ]
+
+
+def _log(diagnosis: RobotDiagnosis) -> Markup:
+    rows = []
+    for finding in diagnosis.findings:
+        size = value_text(finding.size, finding.std, finding.unit if finding.unit != "1" else "")
+        share = percent(finding.share) if is_known(finding.share) else ""
+        whose = ", ".join(finding.joints) or "all"
+        rows.append(("fault" if finding.fault else "note", finding.sentence, size if is_known(finding.size) else "",
+                     share, whose))  # fmt: skip
+    head = [("", ""), ("finding", ""), ("size", ""), ("share of what was left", ""), ("joints", "")]
+    others = ", or ".join(reading.text() for reading in diagnosis.as_well[1:])
+    note = f"Fits as well: {others}." if others else "No other reading fits as well."
+    return html_table(head, rows, note)
+
+
+def _joints(diagnosis: RobotDiagnosis) -> Markup:
+    rows = [_joint_row(joint) for joint in diagnosis.joints]
+    head = [("joint", ""), ("what differs", ""), ("closed", ""), ("torque left", "N·m"), ("what remains", "")]
+    return html_table(head, rows, "Closed: of what the model as given leaves over, on seconds that no fit has seen.")
+
+
+def _joint_row(joint: JointVerdict) -> tuple[str, ...]:
+    if joint.mechanics is None:
+        return (joint.joint.name, "not judged", "", "", joint.remains)
+    differing = "; ".join(term.text() for term in joint.terms if term.differs) or "nothing: as in the model"
+    impossible = "; ".join(term.text() for term in joint.terms if term.impossible < 0.0)
+    words = f"{differing}. {impossible}" if impossible else differing
+    closed = percent(joint.closed) if is_known(joint.closed) else ""
+    return (joint.joint.name, words, closed, significant(joint.left, 3), joint.remains)
+
+
+def _held_out(diagnosis: RobotDiagnosis) -> Markup:
+    rows = [
+        (joint.joint.name, *(significant(value, 3) for value in _figures(joint)))
+        for joint in diagnosis.joints
+        if joint.mechanics is not None
+    ]
+    head = [
+        ("joint", ""), ("torque", "N·m"), ("model as given", "N·m"), ("plain fit, log at its word", "N·m"),
+        ("plain fit", "N·m"), ("all terms", "N·m"), ("plain fit, last part", "N·m"), ("all terms, last part", "N·m"),
+    ]  # fmt: skip
+    return html_table(head, rows, "Last part: fitted to the first 70 % of the rows, judged by the others.")
+
+
+def _figures(joint: JointVerdict) -> tuple[float, ...]:
+    return (joint.torque, joint.unchanged, joint.as_logged, joint.plain, joint.left, joint.last_plain, joint.last)
+
+
+def _terms(diagnosis: RobotDiagnosis) -> Markup:
+    rows = [
+        (
+            joint.joint.name,
+            term.words,
+            value_text(term.value, term.std, term.unit) if term.impossible == 0.0 else term.text(),
+            significant(term.in_model, 3) if term.in_model else "",
+            percent(term.share),
+            ", ".join(term.alike),
+        )
+        for joint in diagnosis.joints
+        for term in joint.terms
+    ]
+    head = [("joint", ""), ("term", ""), ("value", ""), ("in the model", ""), ("difference, of the torque", ""),
+            ("same column as", "")]  # fmt: skip
+    return html_table(head, rows)
+
+
+def _limits(diagnosis: RobotDiagnosis) -> Markup:
+    rows = [
+        ("armature or inertia of a link that turns alone", "the same column in any log", "weigh the link"),
+        ("backlash, elastic transmission, pre-sliding", "need their own state; not told here",
+         "slow reversals, two amplitudes, a fast chirp"),
+        ("torque constant or all of mass, friction and armature scaled", "only beyond their tolerances",
+         "a known hung mass"),
+        ("temperature, bands of position, hoses", "leave a residual that nothing fits", "the same motion when warm"),
+    ]  # fmt: skip
+    if diagnosis.log.is_arithmetic:
+        rows.insert(1, ("velocity gain or viscous friction", "the same column where the torque is computed",
+                        "measured current, or a velocity command that is not zero"))  # fmt: skip
+    return html_table([("what", ""), ("why", ""), ("what would tell", "")], rows)
+
+
+def _drawing(diagnosis: RobotDiagnosis) -> ReportFigure:
+    """Joints where the robot's kinematics has them, coloured by what is left."""
+    pose = np.median(diagnosis.motion.q, axis=0)
+    anchors, before = diagnosis.model.positions(diagnosis.log.joints, pose)
+    share = np.array(
+        [joint.left / joint.torque if joint.mechanics is not None else np.nan for joint in diagnosis.joints]
+    )
+    figure = Figure(figsize=(4.6, 3.4))
+    axes: Any = figure.add_axes((0.02, 0.02, 0.78, 0.96), projection="3d")
+    for anchor, parent in zip(anchors, before, strict=True):
+        axes.plot(*np.column_stack([parent, anchor]), color=MUTED, linewidth=2.5)
+    colours = matplotlib.colormaps["plasma"](np.clip(np.nan_to_num(share) / 0.25, 0.0, 0.9))
+    axes.scatter(*anchors.T, c=colours, s=45, depthshade=False)
+    for number, anchor in enumerate(anchors):
+        axes.text(*anchor, f" {number + 1}", fontsize=8)
+    spans = np.ptp(np.vstack([anchors, before]), axis=0)
+    axes.set_box_aspect(np.maximum(spans, 0.1 * max(float(np.max(spans)), 1e-3)))
+    axes.set_axis_off()
+    bar = figure.add_axes((0.86, 0.2, 0.03, 0.6))
+    bar.imshow(np.linspace(0.0, 0.9, 32)[:, None], cmap="plasma", vmin=0, vmax=1, aspect="auto", origin="lower",
+               extent=(0, 1, 0, 25))  # fmt: skip
+    bar.set_xticks([])
+    bar.set_title("left, %", fontsize=8)
+    bar.grid(False)
+    names = ", ".join(f"{number + 1} {name}" for number, name in enumerate(diagnosis.log.joints))
+    label = "The robot's joints, coloured by the share of torque that is left over"
+    return ReportFigure("robot", "The robot", f"Joints by what is left of their torque: {names}.",
+                        svg_text(figure, "robot", label))  # fmt: skip
+
+
+def _bars(diagnosis: RobotDiagnosis) -> ReportFigure:
+    """Torque left in each joint."""
+    judged = [joint for joint in diagnosis.joints if joint.mechanics is not None]
+    figure = Figure(figsize=(9.2, 3.0))
+    axes = figure.add_axes((0.07, 0.32, 0.91, 0.6))
+    places = np.arange(len(judged))
+    kinds = (
+        (-0.27, "as_logged", "plain fit, log at its word", MUTED),
+        (0.0, "plain", "plain fit, log read anew", ORANGE),
+        (0.27, "left", "all terms", BLUE),
+    )
+    for shift, name, label, colour in kinds:
+        axes.bar(places + shift, [getattr(joint, name) for joint in judged], 0.25, color=colour, label=label)
+    axes.set_xticks(places, [joint.joint.name for joint in judged], rotation=30, ha="right")
+    axes.set_ylabel("torque left (N·m)")
+    axes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    return ReportFigure("left", "Torque left on held-out seconds", "The lower, the more is explained.",
+                        svg_text(figure, "left", "Torque left in each joint"), wide=True)  # fmt: skip

@@ -1,0 +1,48 @@
+"""Numbers that decisions about robots hang on, with unit and reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Limits of a diagnosis of joints.
+
+    Attributes:
+        sticking_rad_s: speed below which a joint may stick; such rows are no equations, rad/s (m/s of a slide).
+        smallest_share: of a joint's torque (rms); nothing smaller is claimed, a user's own tolerances are as large.
+        certain: an effect is claimed beyond so many of its standard uncertainties.
+        alike: cosine between what two effects add beyond the usual terms; above it they are one class.
+        fits_as_well: a reading of the log whose pooled relative residual, squared, is larger by no more than this fits
+            as well.
+        moving_rows: share of rows; a joint that moves in fewer is not judged.
+        lag_s: a delay below this is within what rows of a log can tell, s.
+        velocity_gain: a logged velocity whose factor to the derivative of the position is off by less is right.
+        coulomb_tolerance, armature_tolerance, damping_tolerance: relative; what a model's own values may be off by
+            without a finding.
+        inertia_tolerance, mass_tolerance, torque_tolerance: relative standard uncertainties of a model's inertias and
+            masses and of a torque constant or gain; every ± has them in it.
+        held_rows: mean number of rows between changes of a command above which it is held over rows.
+        exact: relative residual below which a torque is computed from the other columns and not measured.
+    """
+
+    sticking_rad_s: float = 0.06
+    smallest_share: float = 0.03
+    certain: float = 3.0
+    alike: float = 0.95
+    fits_as_well: float = 0.06
+    moving_rows: float = 0.1
+    lag_s: float = 0.001
+    velocity_gain: float = 0.02
+    coulomb_tolerance: float = 0.10
+    armature_tolerance: float = 0.05
+    damping_tolerance: float = 0.15
+    inertia_tolerance: float = 0.05
+    mass_tolerance: float = 0.02
+    torque_tolerance: float = 0.02
+    held_rows: float = 1.5
+    exact: float = 1e-3
+
+
+THRESHOLDS = Thresholds()

@@ -1,0 +1,1 @@
+"""The answer for each joint and for the log."""

@@ -1,0 +1,199 @@
+"""The answer for one joint: what differs from its model, by how much, and what remains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nmt_core.text.number_words import percent, value_text
+from nmt_robots.log.joint_log import Array
+from nmt_robots.mechanics.ladder import JointMechanics, Share
+from nmt_robots.mechanics.motion import Motion
+from nmt_robots.model.robot_model import Joint
+from nmt_robots.thresholds import THRESHOLDS
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A term of a joint's torque.
+
+    Attributes:
+        key, words, unit: of its effect.
+        value, std: of its coefficient; the uncertainty spans all readings that fit as well.
+        in_model: what the model has of it.
+        share: of the joint's torque that the difference to the model takes, rms over rms.
+        differs: whether the difference is certain, beyond the model's tolerance, and large enough to matter.
+        alike: what the same column could be as well.
+        impossible: coefficient that would have been negative and may not be; zero elsewhere.
+    """
+
+    key: str
+    words: str
+    unit: str
+    value: float
+    std: float
+    in_model: float
+    share: float
+    differs: bool
+    alike: tuple[str, ...] = ()
+    impossible: float = 0.0
+
+    def text(self) -> str:
+        """The term in a sentence."""
+        if self.impossible < 0.0:
+            return f"{self.words}: {self.impossible:.3g} {self.unit} would fit, which is impossible: timing"
+        model = f" (model {self.in_model:.3g})" if self.in_model else ""
+        also = f"; the same column as {', '.join(self.alike)}" if self.alike else ""
+        return f"{self.words} {value_text(self.value, self.std, self.unit)}{model}{also}"
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As ``diagnosis.json`` has it."""
+        return {
+            "key": self.key, "words": self.words, "unit": self.unit, "value": self.value, "std": self.std,
+            "in_model": self.in_model, "share": self.share, "differs": self.differs, "alike": list(self.alike),
+            "impossible": self.impossible,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class JointVerdict:
+    """The answer for a joint.
+
+    Attributes:
+        joint: as the model has it.
+        mechanics: what was found; None where it does not move enough.
+        terms: of its torque, largest difference first.
+        torque: rms about the mean, N·m.
+        as_logged: left on held-out seconds by the plain fit of the log at its word, N·m.
+        unchanged: left by the model as it is, with the log read as chosen.
+        plain: left by the plain fit with the log read as chosen.
+        left: left by all terms.
+        last_plain, last: the same of the last part of the log.
+        remains: sentence on what is left over.
+    """
+
+    joint: Joint
+    mechanics: JointMechanics | None
+    terms: tuple[Term, ...]
+    torque: float
+    as_logged: float = float("nan")
+    unchanged: float = float("nan")
+    plain: float = float("nan")
+    left: float = float("nan")
+    last_plain: float = float("nan")
+    last: float = float("nan")
+    remains: str = ""
+
+    @property
+    def differs(self) -> bool:
+        """Whether anything differs from the model."""
+        return any(term.differs for term in self.terms)
+
+    @property
+    def closed(self) -> float:
+        """Share of what the model as given leaves over that is gone on held-out seconds."""
+        return 1.0 - self.left / self.unchanged if self.unchanged > 0.0 else float("nan")
+
+    @property
+    def cause(self) -> str:
+        """What differs, in a few words."""
+        if self.mechanics is None:
+            return "not judged"
+        differing = [term for term in self.terms if term.differs]
+        return differing[0].words if differing else "as in the model"
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As ``diagnosis.json`` has it."""
+        return {
+            "joint": self.joint.name, "cause": self.cause, "torque_rms": self.torque, "left_as_logged": self.as_logged,
+            "left_by_model": self.unchanged, "left_by_plain_fit": self.plain, "left": self.left, "closed": self.closed,
+            "last_part_plain": self.last_plain, "last_part": self.last, "remains": self.remains,
+            "terms": [term.to_mapping() for term in self.terms],
+        }  # fmt: skip
+
+
+def unjudged(joint: Joint, torque: float) -> JointVerdict:
+    """The answer for a joint that does not move."""
+    return JointVerdict(joint, None, (), torque, remains="does not move enough: move it alone over its range")
+
+
+_TOLERANCES = {
+    "coulomb": THRESHOLDS.coulomb_tolerance,
+    "viscous": THRESHOLDS.damping_tolerance,
+    "armature": THRESHOLDS.armature_tolerance,
+}
+
+
+def joint_verdict(
+    joint: Joint, motion: Motion, number: int, results: list[JointMechanics], plain: tuple[float, float]
+) -> JointVerdict:
+    """The answer from the mechanics under all readings that fit.
+
+    Args:
+        joint: as the model has it.
+        motion: of all joints.
+        number: column of the joint.
+        results: under each reading, that taken first.
+        plain: torque and what the plain fit leaves of the log at its word, N·m.
+    """
+    best = results[0]
+    in_model = {"coulomb": joint.coulomb, "viscous": joint.damping, "armature": joint.armature}
+    terms = []
+    for share in best.shares:
+        key = share.effect.key
+        others = [_size_in(result, share) for result in results[1:]]
+        deviation = max((abs(other - share.size) for other in others), default=0.0)
+        std = float(np.hypot(share.size_std, deviation))
+        reference = in_model.get(key, 0.0)
+        difference = share.size - reference
+        unit_rms = share.rms / abs(share.size) if share.size else 0.0
+        part = abs(difference) * unit_rms / max(best.held_out.torque, 1e-300)
+        tolerance = _TOLERANCES.get(key, 0.0) * abs(reference)
+        differs = (
+            part > THRESHOLDS.smallest_share
+            and abs(difference) > THRESHOLDS.certain * std
+            and abs(difference) > 2.0 * tolerance
+            and share.impossible == 0.0
+        )
+        words = share.effect.words + (f", {share.effect.shape}" if share.effect.shape else "")
+        terms.append(
+            Term(key, words, share.effect.unit, share.size, std, reference, part, differs, share.alike,
+                 share.impossible)
+        )  # fmt: skip
+    terms.sort(key=lambda term: (not term.differs, -term.share))
+    unchanged = _left_by_model(motion, number, best, in_model)
+    return JointVerdict(
+        joint, best, tuple(terms), best.held_out.torque, plain[1], unchanged, best.plain.interleaved,
+        best.held_out.interleaved, best.plain.last, best.held_out.last, _remains(best),
+    )  # fmt: skip
+
+
+def _size_in(result: JointMechanics, share: Share) -> float:
+    """Size of the same effect under another reading."""
+    other = result.share(share.effect.key)
+    return share.size if other is None else other.size
+
+
+def _left_by_model(motion: Motion, number: int, best: JointMechanics, in_model: dict[str, float]) -> float:
+    """Torque that the model as it is leaves over, rms about its mean, N·m."""
+    rows = motion.moving[:, number]
+    total: Array = np.zeros(int(np.count_nonzero(rows)))
+    for share in best.shares:
+        columns = motion.smooth(share.effect.columns)[rows]
+        total = total + columns @ (
+            share.values - (in_model.get(share.effect.key, 0.0) if len(share.values) == 1 else 0.0)
+        )
+    return float(np.hypot(np.sqrt(np.mean(total**2)), best.held_out.interleaved))
+
+
+def _remains(best: JointMechanics) -> str:
+    """What is left over, and what it may be."""
+    share = best.held_out.interleaved / max(best.held_out.torque, 1e-300)
+    words = f"{percent(share)} of the torque"
+    if best.rivals:
+        words += f"; improves a little, but is not claimed: {', '.join(name for name, _ in best.rivals)}"
+    if best.sticking_excess > 0.5:
+        words += "; torque in rows that stick is beyond Coulomb friction (breakaway or pre-sliding, not told)"
+    return words

@@ -1,0 +1,220 @@
+"""Diagnosis of a robot: the log first, then each joint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmt_core.errors import BenchError
+from nmt_core.text.number_words import percent
+from nmt_robots.log.columns_of_file import read_columns
+from nmt_robots.log.joint_log import Array, JointLog
+from nmt_robots.log.proposal import propose_sidecar
+from nmt_robots.log.robot_sidecar import read_robot_sidecar, sidecar_of_text
+from nmt_robots.log_faults.drive import order_findings, reading_findings, torque_findings
+from nmt_robots.log_faults.finding import Finding
+from nmt_robots.log_faults.rows import row_findings
+from nmt_robots.log_faults.velocity import velocity_findings
+from nmt_robots.mechanics.ladder import JointMechanics, JointProblem, explain
+from nmt_robots.mechanics.motion import Motion, motion_of, with_yielding_base
+from nmt_robots.mechanics.readings import DriveTorque, Reading
+from nmt_robots.mechanics.shared_reading import ReadingScores, compare_readings
+from nmt_robots.model.robot_model import RobotModel
+from nmt_robots.thresholds import THRESHOLDS
+from nmt_robots.verdict.joint_verdict import JointVerdict, joint_verdict, unjudged
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotDiagnosis:
+    """What a log says of a robot's model.
+
+    Attributes:
+        model: the robot.
+        log: as it was read.
+        motion: of the log.
+        findings: on the log, faults first.
+        reading: how the log is read in all that follows.
+        as_well: readings that fit as well, the chosen one included.
+        joints: a verdict for each column of the log.
+    """
+
+    model: RobotModel
+    log: JointLog
+    motion: Motion
+    findings: tuple[Finding, ...]
+    reading: Reading
+    as_well: tuple[Reading, ...]
+    joints: tuple[JointVerdict, ...]
+
+    def left_over(self, which: str) -> float:
+        """Torque left on held-out seconds, rms over the joints that were judged, N·m.
+
+        Args:
+            which: ``torque``, ``as_logged`` (plain fit of the log at its word), ``plain`` or ``left``.
+        """
+        values = [getattr(joint, which) for joint in self.joints if joint.mechanics is not None]
+        return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        judged = [joint for joint in self.joints if joint.mechanics is not None]
+        if not judged:
+            return "No joint moves enough to be judged."
+        faults = [finding for finding in self.findings if finding.fault]
+        closed = 1.0 - self.left_over("left") / self.left_over("as_logged")
+        log = "The log is as it should be" if not faults else f"The log has {len(faults)} faults" if len(
+            faults
+        ) > 1 else "The log has one fault"  # fmt: skip
+        differing = sum(joint.differs for joint in judged)
+        return (
+            f"{log}; {differing} of {len(judged)} joints differ from the model. Of the torque that the plain fit "
+            f"leaves over, {percent(max(closed, 0.0))} is gone on motion that no fit has seen "
+            f"({self.left_over('as_logged'):.3g} to {self.left_over('left'):.3g} N·m rms over the joints)."
+        )
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As ``diagnosis.json`` has it."""
+        return {
+            "kind": "robot",
+            "robot": str(self.model.path),
+            "log": self.log.source,
+            "verdict": self.verdict,
+            "rows": self.log.rows,
+            "step_s": self.log.step_s,
+            "log_findings": [finding.to_mapping() for finding in self.findings],
+            "reading": self.reading.text(),
+            "readings_that_fit_as_well": [reading.text() for reading in self.as_well],
+            "torque_rms": {name: self.left_over(name) for name in ("torque", "as_logged", "plain", "left")},
+            "joints": [joint.to_mapping() for joint in self.joints],
+            "notes": list(self.log.notes),
+        }
+
+
+def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None) -> RobotDiagnosis:
+    """Diagnose a robot by a log.
+
+    Args:
+        model: MJCF or URDF file.
+        real: a log, or its sidecar.
+        progress: is told what is being done.
+
+    Raises:
+        BenchError: the model or the log cannot be used; the sentence says what is needed.
+    """
+    progress("reading the model and the log")
+    robot = RobotModel(model)
+    log = read_log(real, model)
+    joints = robot.chosen(log.joints)
+    drive = DriveTorque(log)
+    progress("torque of the rigid bodies")
+    motion = motion_of(robot, log)
+    if not np.any(motion.moves):
+        raise BenchError(f"{log.source}: no joint moves in {100 * THRESHOLDS.moving_rows:.0f} % of the rows.")
+    progress("looking at the log")
+    plain_torque = drive.torque(Reading())
+    found = [
+        *row_findings(log, motion),
+        *velocity_findings(log, motion),
+        *torque_findings(log, joints, plain_torque),
+        *order_findings(log, joints, motion, plain_torque),
+    ]
+    scores = compare_readings(motion, drive)
+    found += reading_findings(scores)
+    plain = _plain_left(motion, plain_torque)
+    if robot.floating:
+        motion, scores, finding = with_base(robot, log, motion, drive, scores)
+        found += finding
+    reading = scores.best
+    as_well = _few(scores.fit_as_well())
+    torques = [drive.torque(item) for item in as_well]
+    errors = [drive.error(item) if drive.arithmetic else None for item in as_well]
+    verdicts = []
+    for number, joint in enumerate(joints):
+        progress(f"joint {joint.name}")
+        if not motion.moves[number]:
+            verdicts.append(unjudged(joint, float(np.std(plain_torque[:, number]))))
+            continue
+        results = _explained(motion, number, torques, errors)
+        verdicts.append(joint_verdict(joint, motion, number, results, plain[number]))
+    ordered = sorted(found, key=lambda item: not item.fault)
+    return RobotDiagnosis(robot, log, motion, tuple(ordered), reading, tuple(as_well), tuple(verdicts))
+
+
+def read_log(real: Path, model: Path) -> JointLog:
+    """A log by its sidecar, or by the sidecar that would be proposed for it.
+
+    Raises:
+        BenchError: it cannot be read, or a question must be answered in a sidecar first.
+    """
+    if real.suffix.lower() in (".yaml", ".yml"):
+        return read_robot_sidecar(real)
+    proposal = propose_sidecar(real, model, real.parent)
+    if proposal.questions:
+        raise BenchError(
+            f"{real} does not say {'; '.join(proposal.questions)}: make a sidecar and answer it there: "
+            f"./nmt import --init {real} --robot {model}."
+        )
+    return sidecar_of_text(proposal.text, real.parent, read_columns(real))
+
+
+def with_base(
+    robot: RobotModel, log: JointLog, motion: Motion, drive: DriveTorque, scores: ReadingScores
+) -> tuple[Motion, ReadingScores, list[Finding]]:
+    """Whether the base stood still or gave way, by all joints together."""
+    yielding = with_yielding_base(robot, log, motion)
+    other = compare_readings(yielding, drive)
+    still, gives = float(np.min(scores.relative)), float(np.min(other.relative))
+    apart = float(np.sqrt(gives / still)) - 1.0
+    alike = abs(apart) < 0.5 * THRESHOLDS.fits_as_well
+    better = gives < still
+    words = "gives way under the limbs" if better else "stands still"
+    sentence = (
+        f"The base floats in the model and has no sensor in the log. All joints together fit "
+        f"{100 * abs(apart):.0f} % better if it {words}"
+    )
+    sentence += ", which is too little to tell." if alike else "."
+    finding = Finding(
+        "base", sentence, -abs(apart), float("nan"), "1", abs(apart) if better else 0.0, fault=better and not alike
+    )
+    return (yielding, other, [finding]) if better and not alike else (motion, scores, [finding])
+
+
+def _few(readings: list[Reading]) -> list[Reading]:
+    """The best reading and those that differ most from it, of each kind."""
+    chosen = readings[:1]
+    for key in ("command", "command_lag_s", "torque_lag_s"):
+        for extreme in (min, max):
+            reading = extreme(readings, key=lambda item: getattr(item, key))
+            if reading not in chosen:
+                chosen.append(reading)
+    return chosen
+
+
+def _explained(motion: Motion, joint: int, torques: list[Array], errors: list[Array | None]) -> list[JointMechanics]:
+    """The mechanics of a joint under the reading taken, and of the same effects under the others."""
+    results: list[JointMechanics] = []
+    for torque, error in zip(torques, errors, strict=True):
+        problem = JointProblem(motion, joint, torque[:, joint], None if error is None else error[:, joint])
+        keys = None if not results else [(s.effect.key, s.effect.shape) for s in results[0].shares]
+        results.append(explain(problem, keys))
+    return results
+
+
+def _plain_left(motion: Motion, torque: Array) -> list[tuple[float, float]]:
+    """Torque of each joint and what the plain fit of the log at its word leaves on held-out seconds, N·m."""
+    found = []
+    for joint in range(torque.shape[1]):
+        if not motion.moves[joint]:
+            found.append((float(np.std(torque[:, joint])), float("nan")))
+            continue
+        problem = JointProblem(motion, joint, torque[:, joint], None)
+        held_out = problem.held_out(problem.usual)
+        found.append((held_out.torque, held_out.interleaved))
+    return found

@@ -1,0 +1,98 @@
+"""Planted friction is found, a held and a late command is named, a healthy log keeps silent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from robots.simulated_joint import log_columns, robot_file
+
+from nmt_core.errors import BenchError
+
+pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
+
+from nmt_robots.log.proposal import propose_sidecar
+from nmt_robots.report.robot_files import write_robot_diagnosis
+from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot
+
+
+def diagnosed(folder: Path, columns: dict[str, Any], **model: float) -> RobotDiagnosis:
+    path = folder / "log.npz"
+    np.savez(path, **columns)
+    return diagnose_robot(robot_file(folder, **model), path)
+
+
+def term(diagnosis: RobotDiagnosis, key: str) -> Any:
+    return next(term for term in diagnosis.joints[0].terms if term.key == key)
+
+
+def test_a_healthy_log_keeps_silent(tmp_path: Path) -> None:
+    diagnosis = diagnosed(tmp_path, log_columns())
+    (joint,) = diagnosis.joints
+    assert not joint.differs
+    assert joint.cause == "as in the model"
+    assert not [finding for finding in diagnosis.findings if finding.fault]
+    assert joint.left < 0.05 * joint.torque
+
+
+def test_planted_coulomb_friction_is_found(tmp_path: Path) -> None:
+    diagnosis = diagnosed(tmp_path, log_columns(coulomb=0.8))
+    found = term(diagnosis, "coulomb")
+    assert found.differs
+    assert found.value == pytest.approx(0.8, rel=0.1)
+    assert abs(found.value - 0.8) < 3.0 * found.std
+    assert diagnosis.joints[0].cause == "Coulomb friction"
+    assert diagnosis.joints[0].closed > 0.5
+
+
+def test_planted_armature_is_found(tmp_path: Path) -> None:
+    found = term(diagnosed(tmp_path, log_columns(armature=0.09)), "armature")
+    assert found.differs
+    assert found.value == pytest.approx(0.09, rel=0.1)
+
+
+def test_a_command_held_over_rows_is_named(tmp_path: Path) -> None:
+    diagnosis = diagnosed(tmp_path, log_columns(held=5))
+    (finding,) = [finding for finding in diagnosis.findings if finding.key == "command_held"]
+    assert finding.size == pytest.approx(5.0)
+    assert "held" in {reading.command for reading in diagnosis.as_well}
+    assert not diagnosis.joints[0].differs
+
+
+def test_files_are_written_and_the_robot_has_what_was_found(tmp_path: Path) -> None:
+    diagnosis = diagnosed(tmp_path, log_columns(coulomb=0.8))
+    write_robot_diagnosis(diagnosis, tmp_path)
+    text = (tmp_path / "robot.xml").read_text()
+    assert f'frictionloss="{term(diagnosis, "coulomb").value:.5g}"' in text
+    assert "(was 0.5) -->" in text
+    assert "elbow,Coulomb friction," in (tmp_path / "joints.csv").read_text()
+    assert 'id="log"' in (tmp_path / "report.html").read_text()
+
+
+def test_the_control_law_in_a_column_is_no_torque(tmp_path: Path) -> None:
+    columns = log_columns()
+    columns["tau_des"] = columns["kp"] * (columns["des_pos"] - columns["pos"]) - columns["kd"] * columns["vel"]
+    np.savez(tmp_path / "log.npz", **columns)
+    text = propose_sidecar(tmp_path / "log.npz", robot_file(tmp_path), tmp_path).text
+    assert "tau_des is the control law of the drives itself" in text
+
+
+def test_missing_gains_and_unknown_joints_are_a_sentence(tmp_path: Path) -> None:
+    columns = log_columns()
+    del columns["kp"], columns["kd"]
+    with pytest.raises(BenchError, match=r"gains.kp"):
+        diagnosed(tmp_path, columns)
+    path = tmp_path / "log.yaml"
+    path.write_text("robot_log: 1\ndata: log.npz\njoints: [knee]\ntime: {column: time}\nposition: {column: pos}\n"
+                    "command: {position: des_pos}\ngains: {kp: 60.0, kd: 1.5}\n")  # fmt: skip
+    with pytest.raises(BenchError, match=r"no joint knee; its joints are elbow"):
+        diagnose_robot(robot_file(tmp_path), path)
+
+
+def test_a_joint_that_stands_still_is_a_sentence(tmp_path: Path) -> None:
+    columns = log_columns()
+    columns["pos"][:] = 0.3
+    with pytest.raises(BenchError, match="no joint moves"):
+        diagnosed(tmp_path, columns)

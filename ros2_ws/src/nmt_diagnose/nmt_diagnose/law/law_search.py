@@ -148,7 +148,7 @@ class LawSearch:
                 costs = [problem.cost(*beside(block)) for block in family]
                 best = family[int(np.argmin(costs))]
                 if best.contact:
-                    best = _between(family, int(np.argmin(costs)), lambda block: problem.cost(*beside(block)))
+                    best = between(family, int(np.argmin(costs)), lambda block: problem.cost(*beside(block)))
             fit = problem.solve(*beside(best))
             if np.any(fit.coefficients[len(signs) :]):
                 found.append(Candidate((*parts, (place, best)), fit, (*motions, motion)))
@@ -228,7 +228,7 @@ class LawSearch:
             return problem.cost(*self._along(tuple(parts), motions))
 
         for parameter in block.refined if block.terms[0].first > 0.0 or 1 not in block.refined else ():
-            block = _best_moved(block, parameter, (-0.4, 0.4), cost)
+            block = best_moved(block, parameter, (-0.4, 0.4), cost)
         return place, block
 
     def seconds(self, first: Candidate) -> list[Candidate]:
@@ -265,7 +265,7 @@ def moves_enough(sizes: FloatArray) -> BoolArray:
     return np.asarray(sizes > THRESHOLDS.law.least_motion_share * sizes.max())
 
 
-def _between(family: Sequence[Block], number: int, cost: Callable[[Block], float]) -> Block:
+def between(family: Sequence[Block], number: int, cost: Callable[[Block], float]) -> Block:
     """The block of a family between the neighbours of its best one where the cost is least."""
     best = family[number]
     size = best.terms[0].first
@@ -282,7 +282,7 @@ def _between(family: Sequence[Block], number: int, cost: Callable[[Block], float
     return moved(best, 1, float(found.x)) if found.fun < cost(best) else best
 
 
-def _best_moved(block: Block, number: int, logs: tuple[float, float], cost: Callable[[Block], float]) -> Block:
+def best_moved(block: Block, number: int, logs: tuple[float, float], cost: Callable[[Block], float]) -> Block:
     """The block with a parameter moved, within logarithms of a factor, to where the cost is least."""
 
     def at(log_factor: float) -> Block:

@@ -159,9 +159,9 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
     best = fewest(finalists)
     best = _with_second(search, best)
     laws = tuple(_law(search, best, number, finalists) for number in range(len(best.parts)))
-    above = _closed(*_above(search, best))
+    above = closed_share(*_above(search, best))
     return LawReading(
-        levels.name, levels.count, laws, before, best.score, _closed(before, best.score), above,
+        levels.name, levels.count, laws, before, best.score, closed_share(before, best.score), above,
         _refusals(best, before, above),
     )  # fmt: skip
 
@@ -173,7 +173,7 @@ def _with_second(search: LawSearch, first: Candidate) -> Candidate:
     if not bent and first.score <= limits.second_from_score:
         return first
     # What a law leaves that closes nearly all is often its own form, and then falls by a part only.
-    enough = _closed(search.null.score, first.score) >= limits.single_closure
+    enough = closed_share(search.null.score, first.score) >= limits.single_closure
     ratio = limits.clear_score_ratio if enough else limits.second_score_ratio
     found = [search.again(pair) for pair in search.seconds(first)[:4]]
     pairs = [pair for pair in found if _is_better(pair, first, ratio)]
@@ -207,7 +207,7 @@ def _stds(candidate: Candidate) -> FloatArray:
     return result
 
 
-def _closed(before: float, after: float) -> float:
+def closed_share(before: float, after: float) -> float:
     """Share of a gap that is closed; what is within noise and tolerances counts as none."""
     if not before > 1.0:
         return math.nan

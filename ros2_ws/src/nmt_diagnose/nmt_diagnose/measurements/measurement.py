@@ -152,6 +152,12 @@ class Measurement:
         return None
 
     @property
+    def moved_as(self) -> tuple[FloatArray, float, float] | None:
+        """Motion that the drive point was moved by: displacement, velocity and acceleration, (3, n), m, m/s, m/s², at
+        its sampling rate in Hz from a time in s on; None where forces drove."""
+        return None
+
+    @property
     def over_base(self) -> bool:
         """Whether it was driven by the motion of its base."""
         return False

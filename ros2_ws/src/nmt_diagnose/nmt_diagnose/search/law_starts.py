@@ -13,6 +13,7 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.fit.explanations import FittedExplanation, best_of
 from nmt_diagnose.fit.fitting import FitError, FitResult, approach, fit
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, read_law
+from nmt_diagnose.law.record_law import read_record_law
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -22,9 +23,9 @@ _LARGEST_LOG = 8.0  # of a shape over its scale: beyond it the start says nothin
 
 
 def law_of(rig: Rig, observations: Observations) -> LawReading | None:
-    """The law of held levels; None where there is none to read."""
+    """The law of held levels, else of a record of an imposed motion; None where there is none to read."""
     try:
-        return read_law(rig, observations)
+        return read_law(rig, observations) or read_record_law(rig, observations)
     except (BenchError, ArithmeticError, np.linalg.LinAlgError):
         return None
 

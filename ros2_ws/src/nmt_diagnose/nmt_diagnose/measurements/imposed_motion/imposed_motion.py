@@ -69,6 +69,11 @@ class ImposedMotion(DrivenRecord):
         """Displacement (m) and force (N), the largest."""
         return self.size, self.force_n
 
+    @property
+    def moved_as(self) -> tuple[FloatArray, float, float] | None:
+        """The motion with its rate and start."""
+        return self.motion, self.sample_rate, self.start_s
+
     def motions(
         self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
     ) -> list[Motion]:

@@ -1,0 +1,103 @@
+"""The law of a missing force, read from a record of an imposed motion whose force was measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnose.one_of_each_kind import KINDS, rig_of_kinds
+from diagnose.test_imposed_motion import DRIVE, RATE, bag_of, jenkins, record, rig_of, sines
+from scipy.interpolate import CubicSpline
+
+from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.law.reading import LawReading
+from nmt_diagnose.law.record_law import read_record_law
+from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.search.law_starts import law_of
+
+TEXT = DRIVE.format(spring=12.0, damper=0.05)
+TIME = np.arange(4000) / RATE
+# Three sines that grow: displacement, velocity and acceleration by the spline of their sum.
+_SPLINE = CubicSpline(
+    TIME, (0.3 + 0.035 * TIME) * sines(TIME, (0.01, 1.0, 0.0), (0.004, 2.7, 1.0), (0.002, 6.1, 2.0))[0]
+)
+X, V, A = _SPLINE(TIME), _SPLINE(TIME, 1), _SPLINE(TIME, 2)
+
+
+def reading_of(folder: Path, missing: FloatArray, noise: float = 1e-3) -> LawReading:
+    """What is read of a mass of 2 g with a spring and a damper beside a missing force."""
+    random = np.random.default_rng(1)
+    force = 2e-3 * A + 0.05 * V + 12.0 * X + missing + noise * random.standard_normal(TIME.size)
+    columns = {"displacement 1": X + 1e-6 * random.standard_normal(TIME.size), "force 1": force}
+    rig = rig_of(folder, TEXT)
+    bag = bag_of(folder, RATE, columns, record(TIME.size, held="response"), TEXT)
+    reading = law_of(rig, read_observations([bag], rig))
+    assert reading is not None
+    return reading
+
+
+LAWS = {
+    "hardening spring": (4e5 * X**3, {"power": 4e5}),
+    "dry friction": (0.03 * np.tanh(V / 1e-4), {"friction": 0.03}),
+    "dry friction that weakens with speed": (
+        (0.02 + 0.03 * np.exp(-((V / 0.05) ** 2))) * np.tanh(V / 1e-3),
+        {"friction": 0.02, "weakening friction": 0.03},
+    ),
+    "friction of a slider behind a spring": (jenkins(X, 60.0, 0.05), {"slider": 60.0}),
+    "damping that grows with speed": (8.0 * V * np.abs(V), {"speed": 8.0}),
+    "clearance": (300.0 * np.sign(X) * np.maximum(np.abs(X) - 0.006, 0.0), {"gap": 300.0}),
+    "stop on one side": (300.0 * np.maximum(X - 0.006, 0.0), {"stop": 300.0}),
+}
+
+
+@pytest.mark.parametrize("words", LAWS)
+def test_a_law_is_read_with_its_strengths(tmp_path: Path, words: str) -> None:
+    missing, strengths = LAWS[words]
+    reading = reading_of(tmp_path, missing)
+    assert reading.is_stated
+    (law,) = reading.laws
+    assert (law.family, law.place) == (words, "1")
+    found = {term.kind: term for term in law.terms}
+    for kind, strength in strengths.items():
+        assert found[kind].coefficient == pytest.approx(strength, rel=0.03)
+        assert abs(found[kind].coefficient - strength) < 4.0 * found[kind].std
+    assert reading.closed_inside > 0.95
+    assert reading.closed_above > 0.95
+    assert law.valid_to_m == pytest.approx(np.abs(X).max(), rel=0.01)
+    for loop in law.loops:
+        np.testing.assert_allclose(loop.measured, loop.law, atol=0.15 * np.ptp(missing))
+
+
+def test_a_healthy_record_has_no_law(tmp_path: Path) -> None:
+    reading = reading_of(tmp_path, 0.0 * X)
+    assert not reading.laws
+    assert "no more than noise and tolerances" in reading.refusals[0]
+
+
+@pytest.mark.parametrize("error", [0.02 * 12.0 * X, 0.1 * 0.05 * V, 0.002 + 0.0 * X])
+def test_what_chain_and_model_are_off_by_is_no_law(tmp_path: Path, error: FloatArray) -> None:
+    """A spring 2 % stiffer, a damper 10 % stronger, a zero of the force."""
+    assert not reading_of(tmp_path, error).is_stated
+
+
+def test_what_no_law_explains_is_not_stated(tmp_path: Path) -> None:
+    """A force that knows nothing of the motion."""
+    assert not reading_of(tmp_path, 0.05 * np.sin(2.0 * np.pi * 11.3 * TIME)).is_stated
+
+
+def test_bands_widen_where_neighbours_say_the_same(tmp_path: Path) -> None:
+    """Noise of the same size that is slow tells less than white noise."""
+    random = np.random.default_rng(2)
+    slow = np.convolve(random.standard_normal(TIME.size + 99), np.ones(100) / 10.0, "valid")
+    (folder_a := tmp_path / "a").mkdir()
+    (folder_b := tmp_path / "b").mkdir()
+    (white,) = reading_of(folder_a, 4e5 * X**3 + 5e-3 * random.standard_normal(TIME.size)).laws
+    (coloured,) = reading_of(folder_b, 4e5 * X**3 + 5e-3 * slow).laws
+    assert coloured.terms[0].std > 2.0 * white.terms[0].std
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "imposed motion"])
+def test_other_kinds_of_test_have_none(kind: str) -> None:
+    rig = rig_of_kinds()
+    assert read_record_law(rig, KINDS[kind](rig)) is None

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from nmt_core.kinds.response_curve import RESONANT_LAG
 from nmt_core.messages.modal_point import QUANTITIES, ModalPoint
 from nmt_core.messages.modal_quantity import TableColumn
 from nmt_core.vocabulary import PointStatus
+from nmt_extract.curves.response_curve import is_of_curve, response_curves
 from nmt_report.quantity_format import engineering_exponent, power_of_ten, uncertain
 
 
@@ -66,8 +68,50 @@ _EXCITATION = ModalColumn(
 )  # of a secondary resonance, where it is not the modal frequency
 
 
+class _LagColumn(ModalColumn):
+    """Lag of the drive-point displacement behind the force, of points of a response curve."""
+
+    def cell(self, point: ModalPoint, exponent: int, write: Callable[[float, float, int], str] = uncertain) -> str:
+        lag, std = math.degrees(RESONANT_LAG + point.phase_error), math.degrees(point.phase_error_std)
+        return write(lag, std, self.shown.decimals)
+
+
+@dataclass(frozen=True)
+class _StabilityColumn(ModalColumn):
+    """Stability in open loop of points of response curves.
+
+    Attributes:
+        words: by level index.
+    """
+
+    words: Mapping[int, str]
+
+    @classmethod
+    def of(cls, points: Sequence[ModalPoint]) -> _StabilityColumn:
+        """Of the curves of all points."""
+        names = {1.0: "stable", 0.0: "unstable"}
+        words = {
+            point.level_index: names.get(float(stable), "left open")
+            for curve in response_curves(points)
+            for point, stable in zip(curve.points, curve.stable, strict=True)
+        }
+        return cls("stable", TableColumn("open loop", rank=1), words)
+
+    def exponent(self, points: Iterable[ModalPoint]) -> int:
+        """None."""
+        return 0
+
+    def cell(self, point: ModalPoint, exponent: int, write: Callable[[float, float, int], str] = uncertain) -> str:
+        """The word; a point that was measured anew has none."""
+        return self.words.get(point.level_index, "left open")
+
+
+_LAG = _LagColumn("phase_error", TableColumn("lag", unit="°", decimals=2, rank=1, live=True))
+_OF_A_MODE = ("damping_ratio", "hysteresis_damping", "pbmif")  # of phase resonance; elsewhere they say nothing
+
+
 def shown_columns(points: Iterable[ModalPoint]) -> tuple[ModalColumn, ...]:
-    """The columns that have something to show for these points."""
+    """The columns that have something to show for these points; of a response curve lag and stability, no damping."""
     known = list(points)
     columns = [
         column
@@ -76,6 +120,10 @@ def shown_columns(points: Iterable[ModalPoint]) -> tuple[ModalColumn, ...]:
     ]
     if any(point.force_order for point in known):
         columns.insert(1, _EXCITATION)
+    if is_of_curve(known):
+        columns = [column for column in columns if column.name not in _OF_A_MODE]
+        stability = [_StabilityColumn.of(known)] if any(point.level_unit == "N" for point in known) else []
+        columns[1:1] = [_LAG, *stability]
     return tuple(columns)
 
 

@@ -35,11 +35,14 @@ def curve_figure(data: RunReportData) -> ReportFigure | None:
     axes.set_xlabel("frequency / Hz")
     axes.set_ylabel("response at the drive point / m" if held else "force / N")
     axes.legend(loc="best")
-    caption = (
-        " ".join(curve_sentences(curves)) + " Filled marks: stable in open loop; open marks, dashed: not stable."
-        if held
-        else " ".join(["Force that holds the response, over frequency.", *surface_sentences(curves)])
-    )
+    words = curve_sentences(curves)
+    if held:
+        words.append("Filled marks: stable in open loop, or left open; open marks, dashed: not stable.")
+    else:
+        words = ["Force that holds the response, over frequency.", *words, *surface_sentences(curves)]
+    if any(curve.gaps.any() for curve in curves):
+        words.append("No line is drawn across what was not held.")
+    caption = " ".join(words)
     return report_figure(figure, "response-curve", "Response curves", caption, wide=True)
 
 
@@ -48,6 +51,8 @@ def _draw(axes: Axes, curve: ResponseCurve, colour: tuple[float, float, float]) 
     label = f"{significant(curve.level)} {curve.level_unit}"
     unstable = curve.stable == 0.0
     for first, last in zip(range(y.size - 1), range(1, y.size), strict=True):
+        if curve.gaps[first]:
+            continue
         dashed = bool(unstable[first] or unstable[last])
         pair = [first, last]
         axes.plot(curve.frequency_hz[pair], y[pair], "--" if dashed else "-", color=colour, linewidth=0.9)

@@ -9,11 +9,11 @@ from typing import Any
 
 from markupsafe import Markup
 
-from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.text.number_words import level_list
 from nmt_core.vocabulary import ControlKind, PointStatus
 from nmt_extract.curves.backbone_jumps import direction_difference, find_jumps
 from nmt_extract.curves.limit_cycles import feeds_its_motion, limit_cycles
+from nmt_extract.curves.response_curve import is_of_curve
 from nmt_extract.judgement.uncertainty_budget import UncertaintySource, channel_tolerances_used, left_out
 from nmt_extract.modal.harmonics_indicators import any_control, indicators
 from nmt_extract.modal.mode_identity import mode_verdict
@@ -21,6 +21,7 @@ from nmt_plant.real_time import read_histogram
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.exciter_table import exciter_fact, exciter_table
 from nmt_report.html_page import Column, Row, Table, render
+from nmt_report.level_words import level_sentences
 from nmt_report.quantity_format import (
     duration,
     engineering_exponent,
@@ -116,7 +117,7 @@ def _faults(data: RunReportData) -> list[str]:
             f"Extraction sent no point of {level_list(data.not_live)} while the test ran ({len(data.not_live)} of "
             f"{len(data.locks)} locked): they were extracted from the recording."
         )
-    return faults + [_level_words(point) for point in data.failed_points]
+    return faults + level_sentences(data.failed_points)
 
 
 def _remarks(data: RunReportData) -> list[str]:
@@ -126,13 +127,7 @@ def _remarks(data: RunReportData) -> list[str]:
     directions = direction_difference(data.points)
     if directions is not None and directions.different:
         remarks.append(directions.sentence)
-    return remarks + [_level_words(point) for point in data.good_points if point.reason]
-
-
-def _level_words(point: ModalPoint) -> str:
-    """What became of a level, and why."""
-    level = f"Level {point.level_index + 1} ({significant(point.level)} {unit_text(point.level_unit)})"
-    return f"{level}: {status_text(point.status)}{f': {point.reason}' if point.reason else ''}"
+    return remarks + level_sentences([point for point in data.good_points if point.reason])
 
 
 def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
@@ -154,7 +149,11 @@ def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
             f"{span(frequencies)} Hz",
             f"{_percent(highest.frequency_hz / lowest.frequency_hz - 1.0)} from the smallest to the largest amplitude",
         ),
-        ("Modal damping δ̃", f"{span([100 * p.damping_ratio for p in points], 3)} %", ""),
+        *(
+            []
+            if is_of_curve(points)
+            else [("Modal damping δ̃", f"{span([100 * p.damping_ratio for p in points], 3)} %", "")]
+        ),
         (
             Markup("Modal amplitude <i>q</i>"),
             f"({span([p.modal_amplitude / 10**exponent for p in points], 3)}) {power_of_ten(exponent)} m√kg",
@@ -176,7 +175,7 @@ def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
         ]
     else:
         # In a secondary resonance the power enters in another order than the one in resonance.
-        name = "mac" if any(point.force_order for point in points) else "pbmif"
+        name = "mac" if is_of_curve(points) or any(point.force_order for point in points) else "pbmif"
         cards.append((f"{name.upper()}, worst level", significant(min(getattr(p, name) for p in points), 4), ""))
     directions = direction_difference(data.points)
     if directions is not None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from nmt_core.vocabulary import PointStatus
+from nmt_extract.curves.response_curve import is_of_curve
 from nmt_extract.modal.mode_identity import other_mode
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def run_verdict(points: Sequence[ModalPoint], planned: int = 0, linear: LinearDe
             linear is not None and other_mode(p.normalised_shape, linear) is not None for p in measured
         ),
     }
-    parts = [f"{good} of {total} levels locked and extracted"]
+    parts = [f"{good} of {total} {'points' if is_of_curve(points) else 'levels'} locked and extracted"]
     parts += [f"{count} {words}" for words, count in counts.items() if count]
     tone = BAD if not good else GOOD if len(parts) == 1 else PARTLY
     return RunVerdict("; ".join(parts), tone)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from nmt_core.errors import BenchError
@@ -10,6 +11,17 @@ from nmt_rig.rig_file import RigDocument
 
 _KEY = "exciter.point"
 _OWN = ("voltage", "current")
+
+
+@contextmanager
+def named_as_exciter(point: int | None) -> Iterator[None]:
+    """Errors speak of ``--exciter N`` where that is what somebody gave, and not of the override that it becomes."""
+    try:
+        yield
+    except BenchError as error:
+        if point is None:
+            raise
+        raise BenchError(str(error).replace(f"--set {_KEY}={point}", f"--exciter {point}")) from error
 
 
 def with_one_exciter(document: RigDocument, overrides: Sequence[str]) -> tuple[RigDocument, list[str]]:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from nmt_core.errors import BenchError
 from nmt_core.kinds import KindOfTest, ResponseCurveTest
 from nmt_core.kinds.response_curve import ALONG
 from nmt_core.messages.linear_description import LinearDescription
@@ -71,6 +72,9 @@ def curve_values(
         control: what is held, ``force`` or ``response``; at a held response nothing folds over the frequency.
         block_duration: of the blocks, s; 0 = still open.
         latency_blocks: blocks between command and excitation.
+
+    Raises:
+        BenchError: the structure feeds the mode's motion.
     """
     chosen = dict(values)
     if not isinstance(kind, ResponseCurveTest) or linear is None:
@@ -79,6 +83,11 @@ def curve_values(
     chosen.setdefault("phase_tolerance", CURVE.phase_tolerance)
     # What moves at the rate r with the decay δ has r / δ to go; over a dwell of n periods it goes 2 π n ζ of that.
     ratio = linear.damping_ratios[linear.target_mode]
+    if ratio <= 0.0:
+        raise BenchError(
+            f"Mode {linear.target_mode + 1} feeds its motion (damping {100.0 * ratio:.2g} %), so that it "
+            "moves without a force and has no response curve from rest; use --kind self_excited."
+        )
     dwell = 2.0 * math.pi * float(chosen.get("dwell_periods", defaults.dwell_periods)) * ratio
     held = control == ControlKind.RESPONSE.label  # where the force is what settles, by twice the rate of the response
     for name, share in (

@@ -13,6 +13,7 @@ from nmt_core.kinds import KindOfTest, SelfExcitedTest, kind_named
 from nmt_core.kinds.request import TestRequest
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_pll.loop_settings import LoopSettings
+from nmt_rig.one_of_several import named_as_exciter
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_snapshot import rig_text
 from nmt_sequencer.level_plan import directed, parse_levels
@@ -87,7 +88,8 @@ def plan_test(
             raise BenchError("Overrides need a rig by name or path; this one is loaded already.")
         loaded, text = rig, rig_text(rig)
     else:
-        loaded = load_rig(str(rig), changes)
+        with named_as_exciter(exciter):
+            loaded = load_rig(str(rig), changes)
         text = rig_text(loaded, rig, changes)
     kind = test if isinstance(test, KindOfTest) else kind_of_rig(test, loaded, settings)
     settings.setdefault("control", kind.CONTROL.label)

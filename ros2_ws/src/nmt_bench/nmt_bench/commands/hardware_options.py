@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from nmt_bench.commands.shared_options import DeviceOptions, RigOptions
 from nmt_bench.hardware.chosen_device import check_command, checked_device, look_for_device, parsed_device
 from nmt_rig.device_sections import DEVICE_KINDS
+from nmt_rig.one_of_several import named_as_exciter
 from nmt_rig.rig import Rig, load_rig
 
 if TYPE_CHECKING:
@@ -24,7 +25,8 @@ def chosen_rig(options: RigOptions) -> Rig:
     Raises:
         BenchError: the rig or a change is refused.
     """
-    return load_rig(options.rig, rig_changes(options))
+    with named_as_exciter(options.exciter):
+        return load_rig(options.rig, rig_changes(options))
 
 
 def device_settings(options: DeviceOptions, latency_blocks: int = 0) -> PlanSettings:

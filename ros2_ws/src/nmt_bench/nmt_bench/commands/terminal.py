@@ -15,6 +15,7 @@ from nmt_core.vocabulary import PointStatus
 from nmt_extract.curves.limit_cycles import feeds_its_motion, limit_cycles
 from nmt_extract.modal.mode_identity import mode_verdict
 from nmt_report.columns import shown_columns, status_text, unit_text
+from nmt_report.level_words import level_sentences
 from nmt_report.quantity_format import concise, plain, significant, uncertain
 from nmt_report.run_verdict import BAD, GOOD, PARTLY, run_verdict
 from nmt_report.stated_uncertainty import std_note, with_budgets
@@ -117,16 +118,10 @@ def print_modal_table(
         q = uncertain(cycle.modal_amplitude, cycle.modal_amplitude_std)
         frequency = significant(cycle.omega_rad_s / (2.0 * math.pi), 6)
         console.print(f"{kind} limit cycle at q = {q} m√kg, {frequency} Hz")
-    for point in points:
-        if point.reason or point.status != PointStatus.OK:
-            level = f"{significant(point.level)} {unit_text(point.level_unit)}"
-            reason = f": {point.reason}" if point.reason else ""
-            console.print(
-                Text(
-                    f"Level {point.level_index + 1} ({level}) {status_text(point.status)}{reason}",
-                    style="yellow" if point.status == PointStatus.OK else "red",
-                )
-            )
+    for is_good, style in ((True, "yellow"), (False, "red")):
+        chosen = [p for p in points if (p.status == PointStatus.OK) is is_good and (p.reason or not is_good)]
+        for sentence in level_sentences(chosen):
+            console.print(Text(sentence, style=style))
 
 
 def print_verdict(

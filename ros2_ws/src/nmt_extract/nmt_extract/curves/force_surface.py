@@ -2,10 +2,12 @@
 
 From curves at several held response amplitudes A. At each of them the dynamic stiffness Z = F e^{iϑ} / A of the
 fundamental is close to Z = κ − m Ω² + i c Ω, so that real and imaginary part are fitted by polynomials of second degree
-in Ω; over A the coefficients are interpolated by cubic splines of A² (Z is even in A). The force is F = A |Z|.
+in Ω; over A the coefficients are interpolated by cubic splines of A² (Z is even in A). The force is F = A |Z|. Between
+two amplitudes it is known at frequencies that were measured at both; where their bands share none, nothing is known.
 
 At a constant force the points of a response curve lie on a contour of F(Ω, A). A contour that is closed within the
-measured amplitudes is an isola. It is born where F has a minimum, and joins another branch at a saddle. Orbits are
+measured amplitudes is an isola. It is born where F has a minimum, and joins another branch at a saddle. It is stated
+where a held amplitude lies on it: amplitudes below and above need a larger force at every frequency. Orbits are
 stable where the force grows with the amplitude at their frequency, ∂F/∂A > 0; they turn over the frequency where that
 passes through zero (for one mode; a loss of stability without a fold shows in Floquet exponents only). The standard
 uncertainty of F has the scatter about the fits and the error of the interpolation, told by leaving out each amplitude
@@ -24,7 +26,8 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from nmt_core.errors import BenchError
-from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
+from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from nmt_extract.curves import curve_checks
 from nmt_extract.curves.response_curve import ResponseCurve
 
 LEAST_CURVES = 4
@@ -178,12 +181,29 @@ class ForceSurface:
         bands = np.array([self.band(float(response)) for response in responses])
         frequency = np.linspace(bands[:, 0], bands[:, 1], _GRID, axis=1)
         response = np.repeat(responses[:, np.newaxis], _GRID, axis=1)
-        return frequency, response, self.force(frequency, response)
+        force = np.where(self.is_known(frequency, response), self.force(frequency, response), math.nan)
+        return frequency, response, force
 
     def band(self, response: float) -> tuple[float, float]:
-        """Lowest and highest frequency (Hz) of which something is known at an amplitude (m)."""
+        """Lowest and highest frequency (Hz) at an amplitude (m), interpolated between those measured."""
         low, high = (float(np.interp(response, self.amplitude, edge)) for edge in self.band_hz.T)
         return low, high
+
+    def is_known(self, frequency_hz: FloatArray, response: FloatArray) -> BoolArray:
+        """Whether frequencies (Hz) were measured at both amplitudes beside responses (m) of one shape."""
+        above = np.searchsorted(self.amplitude, response, side="left").clip(0, self.amplitude.size - 1)
+        at = np.isclose(self.amplitude[above], response, rtol=1e-9)
+        below = np.where(at, above, np.maximum(above - 1, 0))
+        low = np.maximum(self.band_hz[below, 0], self.band_hz[above, 0])
+        high = np.minimum(self.band_hz[below, 1], self.band_hz[above, 1])
+        inside = (self.amplitude[0] <= response) & (response <= self.amplitude[-1])
+        return np.asarray(inside & (low <= frequency_hz) & (frequency_hz <= high))
+
+    @property
+    def unknown_between(self) -> tuple[int, ...]:
+        """Indices of held amplitudes whose band of frequencies shares nothing with that of the next one."""
+        pairs = zip(self.band_hz[:-1], self.band_hz[1:], strict=True)
+        return tuple(k for k, (one, other) in enumerate(pairs) if curve_checks.overlap(one, other) is None)
 
     def cut(self, force: float) -> tuple[ForceCut, ...]:
         """Contours at a constant force (N) within what was measured."""
@@ -205,38 +225,53 @@ class ForceSurface:
         return np.asarray((ends[0] - ends[1]) / (2.0 * step))
 
     def valley(self, response: float) -> tuple[float, float]:
-        """Frequency (Hz) within what was measured at which a response (m) needs the least force, and that force (N)."""
+        """Frequency (Hz) at which a response (m) needs the least force, and that force (N).
+
+        NaN where the force has no minimum over the frequencies that are known there.
+        """
         spline = CubicSpline(self.amplitude**2, self.coefficients)
         stiffness = np.polynomial.Polynomial(spline(response**2))
         size = stiffness * np.polynomial.Polynomial(stiffness.coef.conj())  # |Z|² for real places
         roots = np.polynomial.Polynomial(size.coef.real).deriv().roots()
-        ends = [2.0 * math.pi * hertz / self.reference - 1.0 for hertz in self.band(response)]
-        inner = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > ends[0]) & (roots.real < ends[1])]
-        places = np.array([*ends, *inner])
-        forces = response * np.abs(stiffness(places))
+        places = roots.real[np.abs(roots.imag) < 1e-9]
+        frequencies = (1.0 + places) * self.reference / (2.0 * math.pi)
+        known = self.is_known(frequencies, np.full(frequencies.size, response))
+        if not known.any():
+            return math.nan, math.nan
+        forces = np.where(known, response * np.abs(stiffness(places)), math.inf)
         least = int(np.argmin(forces))
-        return (1.0 + float(places[least])) * self.reference / (2.0 * math.pi), float(forces[least])
+        return float(frequencies[least]), float(forces[least])
 
     def isolas(self) -> tuple[Isola, ...]:
-        """Isolas by the minima of the force within what was measured, by ascending force at their birth.
+        """Isolas on which a held amplitude lies, by ascending force at their birth.
 
-        A minimum over both is one over the amplitude along the valley of least force.
+        A minimum of the force over both is one over the amplitude along the valley of least force, which is
+        interpolated through the held amplitudes alone.
         """
-        responses = np.linspace(self.amplitude[0], self.amplitude[-1], _GRID)
-        forces = np.array([self.valley(float(response))[1] for response in responses])
+        valleys = np.array([self.valley(float(response)) for response in self.amplitude])
+        scatter = self.amplitude * self.scatter
         found = []
-        for k in 1 + np.flatnonzero((forces[1:-1] < forces[:-2]) & (forces[1:-1] < forces[2:])):
-            best = minimize_scalar(
-                lambda response: self.valley(float(response))[1],
-                bounds=(float(responses[k - 1]), float(responses[k + 1])),
-                method="bounded",
-                options={"xatol": 1e-7 * float(responses[k])},
-            )
-            response = float(best.x)
-            frequency, force = self.valley(response)
-            std = float(self.force_std(np.array([frequency]), np.array([response]))[0])
-            found.append(Isola(force, std, frequency, response))
+        for k in curve_checks.reached_minima(valleys[:, 1], scatter):
+            known = np.flatnonzero(np.isfinite(valleys[:, 1]))
+            response, force = self._least_along(valleys, known, k)
+            fewer = np.delete(known, np.flatnonzero(known == k)) if known.size > _LEAST_POINTS else known
+            change = self._least_along(valleys, fewer, k)[1] - force
+            added = (float(valleys[k, 1]) - force) / math.sqrt(3.0)
+            frequency = float(CubicSpline(self.amplitude[known], valleys[known, 0])(response))
+            force_std = math.hypot(float(scatter[k]), _COARSE_SHARE * change, added)
+            found.append(Isola(force, force_std, frequency, response))
         return tuple(sorted(found, key=lambda item: item.birth_force))
+
+    def _least_along(self, valleys: FloatArray, chosen: IntArray, k: int) -> tuple[float, float]:
+        """Response (m) and least force (N) beside a held amplitude, on the spline through those that are chosen."""
+        spline = CubicSpline(self.amplitude[chosen], valleys[chosen, 1])
+        best = minimize_scalar(
+            spline,
+            bounds=(float(self.amplitude[k - 1]), float(self.amplitude[k + 1])),
+            method="bounded",
+            options={"xatol": 1e-7 * float(self.amplitude[k])},
+        )
+        return float(best.x), float(best.fun)
 
 
 def surface_sentences(curves: Sequence[ResponseCurve]) -> list[str]:
@@ -249,9 +284,27 @@ def surface_sentences(curves: Sequence[ResponseCurve]) -> list[str]:
         isolas = surface.isolas()
     except BenchError as error:
         return [str(error)]
-    return [_words_of(surface, isola) for isola in isolas] or [
-        "Within the measured amplitudes the force surface has no isola."
+    apart = _words_of_unknown(surface)
+    words = [_words_of(surface, isola) for isola in isolas] or [
+        "Within what was measured no held amplitude lies on an isola."
     ]
+    return [*words, *filter(None, [apart])]
+
+
+def _words_of_unknown(surface: ForceSurface) -> str:
+    """Between which amplitudes nothing is known; empty where all bands overlap."""
+    pairs = surface.unknown_between
+    if not pairs:
+        return ""
+    a, band, first = surface.amplitude, surface.band_hz, pairs[0]
+    where = f"{a[first]:.3g} and {a[first + 1]:.3g} m"
+    if len(pairs) > 1:
+        where = f"{len(pairs)} of {a.size - 1} pairs of neighbouring amplitudes, as {where}"
+    return (
+        f"Of the force between {where} nothing is said: their frequencies, {band[first, 0]:.4g} to "
+        f"{band[first, 1]:.4g} Hz and {band[first + 1, 0]:.4g} to {band[first + 1, 1]:.4g} Hz, do not overlap. Give "
+        "levels closer together, or lags further apart."
+    )
 
 
 def _words_of(surface: ForceSurface, isola: Isola) -> str:

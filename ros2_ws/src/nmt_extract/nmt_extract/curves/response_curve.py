@@ -6,15 +6,19 @@ Where the lag turns back as well, they stand in the order in which they were mea
 is their distance along the curve, that of (ϑ, ln x, 10 ln Ω), which then stands for the lag in what follows.
 
 * Response: of P₁ = ½ ω |x| |F₁| cos φ, with the phase φ = ϑ − 90° between force and velocity.
-* Folds: where dΩ/dϑ = 0 on the cubic spline through the points; tip: where d|x|/dϑ = 0.
+* Folds: where the frequency turns beyond the uncertainties of measured points, which lie clearly below (or above) the
+  outermost one on both sides; between them a cubic spline says where. Tip: the same of |x|.
 * Stability of the orbit with the force as it is and no control: with δ the decay of the mode, the lag answers to the
   frequency as (s + δ) / (s² + 2 δ s + δ dΩ/dϑ), so that one real exponent passes through zero with dΩ/dϑ, and the orbit
-  is stable where the frequency rises with the lag. This holds for held force and simple folds.
+  is stable where the frequency rises with the lag. This holds for held force and simple folds. A point is stable
+  where the nearest measured points whose frequencies differ clearly from its own are lower before it and higher behind
+  it, unstable the other way round (:mod:`nmt_extract.curves.curve_checks`). Between the points that bracket a fold its
+  place tells, beyond two standard uncertainties. All else is left open.
 * Floquet exponents, where the drive was perturbed: see :mod:`nmt_extract.modal.floquet_exponents`.
 
-Uncertainties of folds and tip have two parts: that of the values they hang on, and a fifth of what changes when every
-second point is left out: the error of a cubic spline falls to a sixteenth when the distance of its points is halved,
-and a third of that is told where the points do not lie evenly.
+Uncertainties of folds and tip have three parts: that of the values they hang on, a fifth of what changes when every
+second point is left out (the error of a cubic spline falls to a sixteenth when the distance of its points is halved,
+and a third of that is told where the points do not lie evenly), and what the spline adds to the outermost point.
 """
 
 from __future__ import annotations
@@ -33,14 +37,18 @@ import numpy as np
 from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.kinds import ResponseCurveTest
 from nmt_core.messages.modal_point import ModalPoint
-from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.vocabulary import CurveParameter, PointStatus
+from nmt_extract.curves import curve_checks
+from nmt_extract.curves.curve_checks import Turn
 
 LEAST_POINTS = 5
 """Fewer points of a curve say nothing of its folds."""
 RESONANT_LAG = 0.5 * math.pi
+MISSED_AMPLITUDE = 0.02
+"""Of the amplitude of a level, from which on a point is said to have another one."""
 COVERAGE = 2.0
-"""Standard uncertainties of the lag of a fold within which a point's stability is left open."""
+"""Standard uncertainties of a Floquet exponent, or of a fold's place, within which stability is left open."""
 _COARSE_SHARE = 0.2
 _SAME_SHARE = 0.1  # of the median distance of neighbours, below which two points off the lag are one
 CURVE_COLUMNS = (
@@ -51,9 +59,10 @@ CURVE_COLUMNS = (
 no Floquet exponents were measured."""
 PLACE_COLUMNS = (
     "curve", "level", "place", "lag_rad", "lag_rad_std", "frequency_hz", "frequency_hz_std", "response_m",
-    "response_m_std",
+    "response_m_std", "lag_before_rad", "lag_after_rad",
 )  # fmt: skip
-"""Columns of ``response_folds.csv``; ``place`` is ``fold`` or ``tip``."""
+"""Columns of ``response_folds.csv``; ``place`` is ``fold`` or ``tip``; the last two are the lags of the measured points
+between which it lies."""
 
 
 class Place(Enum):
@@ -73,6 +82,7 @@ class CurvePlace:
         frequency_hz, frequency_hz_std: Hz.
         response, response_std: |x| at the drive point, m.
         position, position_std: where on the curve, see :attr:`ResponseCurve.place`.
+        lag_before, lag_after: of the measured points between which it lies, rad.
     """
 
     place: Place
@@ -84,6 +94,8 @@ class CurvePlace:
     response_std: float
     position: float
     position_std: float
+    lag_before: float
+    lag_after: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,14 +154,18 @@ class ResponseCurve:
     @property
     def folds(self) -> tuple[CurvePlace, ...]:
         """Places at which the frequency turns, by ascending lag; none where the response was held."""
-        return self._places(self.frequency_hz, self.frequency_hz_std, Place.FOLD) if self.holds_force else ()
+        if not self.holds_force:
+            return ()
+        turns = self._turns(self.frequency_hz, self.frequency_hz_std)
+        return self._places(self.frequency_hz, self.frequency_hz_std, Place.FOLD, turns)
 
     @property
     def tip(self) -> CurvePlace | None:
         """Largest response of a curve at a held force; None where it lies at an end."""
         if not self.holds_force:
             return None
-        found = self._places(self.response, self.response_std, Place.TIP)
+        turns = [turn for turn in self._turns(self.response, self.response_std) if turn.sign > 0]
+        found = self._places(self.response, self.response_std, Place.TIP, turns)
         return max(found, key=lambda item: item.response, default=None)
 
     @property
@@ -157,12 +173,19 @@ class ResponseCurve:
         """1 where the orbit is stable in open loop at this force, 0 where not, NaN where it is left open."""
         if not self.holds_force or self.lag.size < LEAST_POINTS:
             return np.full(self.lag.size, math.nan)
-        rises = _spline(self.place, self.frequency_hz)(self.place, 1) > 0.0
-        found: FloatArray = np.where(rises, 1.0, 0.0)
-        for fold in self.folds:
-            near = COVERAGE * np.hypot(fold.position_std, self._place_std)
-            found[np.abs(self.place - fold.position) <= near] = math.nan
+        found = curve_checks.rises(self.frequency_hz, self.frequency_hz_std)
+        turns = self._turns(self.frequency_hz, self.frequency_hz_std)
+        for turn, fold in zip(turns, self.folds, strict=True):  # what lies beside a fold that measured points bracket
+            inner = np.arange(turn.first + 1, turn.last)
+            away = self.place[inner] - fold.position
+            clear = np.abs(away) > COVERAGE * np.hypot(fold.position_std, self._place_std[inner])
+            found[inner[clear]] = np.where(turn.sign * away[clear] < 0.0, 1.0, 0.0)
         return found
+
+    @property
+    def gaps(self) -> BoolArray:
+        """Between which neighbours, ``(points − 1,)``, a point was asked for and not held."""
+        return curve_checks.gaps(self.lag, np.array([RESONANT_LAG + point.held_phase for point in self.missing]))
 
     @property
     def growth(self) -> FloatArray:
@@ -180,15 +203,19 @@ class ResponseCurve:
         clear = np.abs(self.growth) > COVERAGE * self.growth_std
         return np.where(clear, (self.growth < 0.0).astype(np.float64), math.nan)
 
-    def _places(self, values: FloatArray, values_std: FloatArray, place: Place) -> tuple[CurvePlace, ...]:
-        """Extremes of values over the lag."""
-        if self.lag.size < LEAST_POINTS:
-            return ()
+    def _turns(self, values: FloatArray, values_std: FloatArray) -> tuple[Turn, ...]:
+        return curve_checks.turns(values, values_std) if self.lag.size >= LEAST_POINTS else ()
+
+    def _places(
+        self, values: FloatArray, values_std: FloatArray, place: Place, turns: Sequence[Turn]
+    ) -> tuple[CurvePlace, ...]:
+        """Where values turn between measured points, by the spline through them."""
         every = np.arange(self.lag.size)
         coarse = np.union1d(every[::2], every[-1:])
         rough = self._extremes(values, coarse) if coarse.size >= LEAST_POINTS else []
         found = []
-        for position in self._extremes(values, every):
+        for turn in turns:
+            position = self._position(turn, values)
             nearest = min(rough, key=lambda other: abs(other - position), default=position)
             one, other = self._at(position, every), self._at(nearest, coarse)
             # A shift of the values by their uncertainty moves the extreme by that of the slope over the curvature.
@@ -197,8 +224,13 @@ class ResponseCurve:
             moved = float(np.sqrt(((weights * values_std) ** 2).sum())) / bend if bend > 0.0 else 0.0
             near = float(np.interp(position, self.place, self._place_std))
             position_std = math.hypot(moved, _COARSE_SHARE * (nearest - position), near)
+            added = abs(float(_spline(self.place, values)(position)) - float(values[turn.extreme])) / math.sqrt(3.0)
             stds = [
-                math.hypot(float(np.interp(position, self.place, std)), _COARSE_SHARE * (after - before))
+                math.hypot(
+                    float(np.interp(position, self.place, std)),
+                    _COARSE_SHARE * (after - before),
+                    added if std is values_std else 0.0,
+                )
                 for std, before, after in zip((self.frequency_hz_std, self.response_std), one, other, strict=True)
             ]
             lag, lag_std = position, position_std
@@ -206,8 +238,16 @@ class ResponseCurve:
                 lag, slope = (float(_spline(self.place, self.lag)(position, order)) for order in (0, 1))
                 lag_std = math.hypot(slope * position_std, float(np.interp(position, self.place, self.lag_std)))
             values_here = (one[0], stds[0], one[1], stds[1])
-            found.append(CurvePlace(place, lag, lag_std, *values_here, position, position_std))
+            between = (float(self.lag[turn.first]), float(self.lag[turn.last]))
+            found.append(CurvePlace(place, lag, lag_std, *values_here, position, position_std, *between))
         return tuple(found)
+
+    def _position(self, turn: Turn, values: FloatArray) -> float:
+        """Where the spline has the outermost value between the measured points of a turn."""
+        first, last = float(self.place[turn.first]), float(self.place[turn.last])
+        inner = [p for p in self._extremes(values, np.arange(values.size)) if first < p < last]
+        spline = _spline(self.place, values)
+        return max([float(self.place[turn.extreme]), *inner], key=lambda p: turn.sign * float(spline(p)))
 
     def _extremes(self, values: FloatArray, chosen: IntArray) -> list[float]:
         """Positions within the curve at which the spline through the chosen points has an extreme."""
@@ -326,8 +366,24 @@ def _curve(points: list[ModalPoint], missing: tuple[ModalPoint, ...]) -> Respons
 
 def curve_sentences(curves: Sequence[ResponseCurve]) -> list[str]:
     """Folds and tip of each curve, one sentence a curve, and what was not reached."""
-    said = [_sentence(curve) for curve in curves if curve.holds_force and curve.lag.size >= LEAST_POINTS]
-    return said + [_words_of_missing(curve) for curve in curves if curve.missing]
+    sentences = [_sentence(curve) for curve in curves if curve.holds_force and curve.lag.size >= LEAST_POINTS]
+    sentences += [_words_of_missing(curve) for curve in curves if curve.missing]
+    return sentences + list(filter(None, map(_words_of_missed, curves)))
+
+
+def _words_of_missed(curve: ResponseCurve) -> str:
+    """Points whose held amplitude is not that of the level; empty where all have it."""
+    if curve.level_unit not in ("N", "m"):
+        return ""
+    away = (curve.force if curve.holds_force else curve.response) / curve.level - 1.0
+    missed = np.abs(away) > MISSED_AMPLITUDE
+    if not missed.any():
+        return ""
+    worst = 100.0 * float(away[np.argmax(np.abs(away))])
+    return (
+        f"At {curve.level:g} {curve.level_unit} {int(missed.sum())} of {away.size} points do not have the amplitude "
+        f"that was to be held, by up to {worst:+.1f} %; they lie where they were measured."
+    )
 
 
 def _words_of_missing(curve: ResponseCurve) -> str:
@@ -337,8 +393,8 @@ def _words_of_missing(curve: ResponseCurve) -> str:
     first, more = curve.missing[0].reason.rstrip("."), len(curve.missing)
     return (
         f"At {curve.level:g} {curve.level_unit} the curve has no point at {where}, tried {more} "
-        f"{'time' if more == 1 else 'times'}: {_words_of_tries(curve)}. At the first: {first}. What is not held at a "
-        "force may be held at an amplitude, by --control response."
+        f"{'time' if more == 1 else 'times'}: {_words_of_tries(curve)}. At the first: {first}."
+        + (" What is not held at a force may be held at an amplitude, by --control response." * curve.holds_force)
     )
 
 
@@ -350,14 +406,17 @@ def _words_of_tries(curve: ResponseCurve) -> str:
 
 def _sentence(curve: ResponseCurve) -> str:
     folds = [
-        f"{fold.frequency_hz:.4f} ± {fold.frequency_hz_std:.1g} Hz (lag {math.degrees(fold.lag):.1f}°)"
+        f"{fold.frequency_hz:.4f} ± {fold.frequency_hz_std:.1g} Hz (between the points at "
+        f"{math.degrees(fold.lag_before):.1f}° and {math.degrees(fold.lag_after):.1f}°)"
         for fold in curve.folds
     ]
     unstable = int(np.count_nonzero(curve.stable == 0.0))
+    left_open = int(np.count_nonzero(np.isnan(curve.stable)))
     words = f"At {curve.level:g} {curve.level_unit} the curve has {len(curve.points)} points"
-    words += (
-        f" and folds at {' and '.join(folds)}; {unstable} points between them are unstable" if folds else ", no fold"
-    )
+    name = "a fold" if len(folds) == 1 else "folds"
+    words += f" and {name} at {' and '.join(folds)}" if folds else ", no fold"
+    words += f"; {unstable} are unstable" if unstable else ""
+    words += f"; the stability of {left_open} is left open" if left_open else ""
     if curve.tip is not None:
         words += f"; its tip is {curve.tip.response:.4g} m at {curve.tip.frequency_hz:.4f} Hz"
     return f"{words}{_words_of_floquet(curve)}."
@@ -381,6 +440,7 @@ def write_response_curves(curves: Sequence[ResponseCurve], folder: Path | str) -
         for item in (*curve.folds, *([curve.tip] if curve.tip else [])):
             values = (
                 item.lag, item.lag_std, item.frequency_hz, item.frequency_hz_std, item.response, item.response_std,
+                item.lag_before, item.lag_after,
             )  # fmt: skip
             places.append([*head, item.place.value, *(repr(float(value)) for value in values)])
     write_result(Path(folder) / "response_curve.csv", csv_text(rows))

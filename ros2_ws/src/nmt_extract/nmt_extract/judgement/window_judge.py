@@ -161,11 +161,27 @@ def judge_held_phase(values: Mapping[str, float], held: float) -> list[Remark]:
     ]
 
 
+_SETTLED = 0.01  # of the response, which a point that counts as settled may still have to go
+_SETTLED_BANDWIDTH = 0.1  # of the damping ratio, which its frequency may still have to go
+_STILL = 1e-4  # of the response that is left to go, with which the mean of a nonlinear motion moves visibly
 _FOLLOWING = 0.1  # of the damping ratio, by which the frequency follows what the response is away
+
+
+def is_settled(response_left: float, frequency_left: float, damping_ratio: float) -> bool:
+    """Whether a point of a response curve is a steady state.
+
+    Args:
+        response_left: share of the response that is still to go.
+        frequency_left: the same of the frequency.
+        damping_ratio: of the point.
+    """
+    return abs(response_left) <= _SETTLED and abs(frequency_left) <= _SETTLED_BANDWIDTH * abs(damping_ratio)
 
 
 def settling_part(values: Mapping[str, float], growth: float, frequency_rate: float) -> Remark:
     """What a point of a response curve still has to go: what settles with the decay δ at a rate r is r / δ away.
+
+    A sentence says so where it is more than a settled point may have.
 
     The frequency follows the response along the curve, also while its own rate passes through zero: it is not told
     better than by a tenth of the damping ratio times what the response is away.
@@ -176,13 +192,19 @@ def settling_part(values: Mapping[str, float], growth: float, frequency_rate: fl
         frequency_rate: of the frequency, rad/s².
     """
     decay = abs(values["damping_ratio"]) * values["omega_rad_s"]
+    response_left, frequency_left = growth / decay, frequency_rate / decay / values["omega_rad_s"]
+    settled = is_settled(response_left, frequency_left, values["damping_ratio"])
+    sentence = (
+        f"The point has not settled: at its present rate its response is {100.0 * abs(response_left):.2g} % and its "
+        f"frequency {100.0 * abs(frequency_left):.2g} % from where they go; give longer windows or a longer ramp."
+    )
     return Remark(
-        "",
+        "" if settled else sentence,
         {
             "omega_rad_s": math.hypot(frequency_rate / decay, _FOLLOWING * growth),
             "modal_amplitude": abs(growth) / decay * values["modal_amplitude"],
         },
-        moving=True,
+        moving=abs(response_left) > _STILL,
     )
 
 

@@ -202,7 +202,7 @@ class WindowEvaluation:
                 fields, motion.amplitudes[0, rows.force], velocity, motion.amplitudes[0, rows.drive]
             )
         steady = self._steadiness(fields) if motion.parts and not self.settings.power_balance else []
-        moving = any(remark.moving for remark in steady)
+        moving = any(remark.moving for remark in (*remarks, *steady))
         remarks += remarks_on_drift(self, fields, moving)
         remarks += steady
         remarks += remarks_on_bursts(self, fields) if motion.parts else []

@@ -20,16 +20,17 @@ from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
-from nmt_diagnose.measurements.backbone_table.reading import table_observations
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.read_tables import table_observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_record.exchange.reduced.observables import ObservableTable
+from nmt_record.exchange.sidecar.import_sidecar import TableKind
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 
@@ -236,7 +237,7 @@ def test_the_noise_of_a_table_without_level_counts() -> None:
     frequency = np.linspace(120.0, 145.0, 12)
     response = 1.0 / (OMEGA**2 - (2.0 * pi * frequency) ** 2 + 2j * RATIO * OMEGA * 2.0 * pi * frequency)
     columns = {"frequency_hz": frequency, "real": response.real, "imag": response.imag}
-    table = ObservableTable("frf", columns, {}, Quantity.DISPLACEMENT, point=1, drive_point=1, noise=0.005)
+    table = ObservableTable(TableKind.FRF, columns, {}, Quantity.DISPLACEMENT, point=1, drive_point=1, noise=0.005)
     found = table_observations("table", [table], oscillator(), ObservationSettings())
     assert np.allclose(found.std, 0.005)
     assert not found.notes
@@ -252,7 +253,7 @@ def test_damping_ratios_without_uncertainties_count_by_their_scatter() -> None:
         found = []
         for seed in range(20):
             ratio = smooth * np.exp(scatter * np.random.default_rng(seed).standard_normal(16))
-            table = ObservableTable("backbone", {**columns, "damping_ratio": ratio}, {}, Quantity.DISPLACEMENT)
+            table = ObservableTable(TableKind.BACKBONE, {**columns, "damping_ratio": ratio}, {}, Quantity.DISPLACEMENT)
             observations = table_observations("table", [table], oscillator(), ObservationSettings())
             (test,) = observations.tests
             assert isinstance(test, BackboneTable)

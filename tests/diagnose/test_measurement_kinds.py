@@ -13,13 +13,23 @@ from diagnose.one_of_each_kind import KINDS, rig_of_kinds, with_chain
 import nmt_diagnose
 import nmt_report
 from nmt_core import kinds as kinds_of_test
+from nmt_core.errors import BenchError
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.chain.chain_columns import linear_chain
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.measurements.registry import MEASUREMENTS
+from nmt_diagnose.observations.bag_windows import BagWindows
+from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.tables_together import TablesTogether
 from nmt_diagnose.prediction.forward import Forward
+from nmt_record.exchange.reduced.observables import ObservableTable
+from nmt_record.exchange.sidecar.import_sidecar import TableKind
 from nmt_rig.rig import Rig
 
 GAIN = 1e-4
@@ -44,6 +54,44 @@ def test_there_is_one_of_each_kind() -> None:
     assert len({kind.WORDS for kind in MEASUREMENTS}) == len(MEASUREMENTS)
     names = {kind.__name__ for kind in MEASUREMENTS}
     assert not names & set(vars(kinds_of_test)), "a measurement and a kind of test would share a name"
+
+
+def test_every_kind_reads_what_is_its_own() -> None:
+    """Those that take windows out stand first: what they leave is read by those behind them."""
+    for kind in MEASUREMENTS:
+        assert {"read", "read_tables"} & set(vars(kind)), f"{kind.__name__} reads neither windows nor tables"
+    assert Measurement.read(bag_of_no_windows()) == []
+
+
+def bag_of_no_windows() -> BagWindows:
+    rig = rig_of_kinds()
+    view = ModelView.of(rig, [rig.drive_point])
+    return BagWindows("bag", {}, rig, view, ObservationSettings(), True, {}, {}, rig.sample_rate_hz, [])
+
+
+@pytest.mark.parametrize("kind", [kind for kind in MEASUREMENTS if kind is not ImposedMotion])
+def test_a_bag_without_windows_has_no_measurement(kind: type[Measurement]) -> None:
+    assert kind.read(bag_of_no_windows()) == []
+
+
+def test_a_bag_without_response_is_refused_before_it_is_read() -> None:
+    with pytest.raises(BenchError, match="has no response channel"):
+        ImposedMotion.read(bag_of_no_windows())
+
+
+@pytest.mark.parametrize("kind", [*TableKind, "levels"])
+def test_a_table_is_of_one_kind_of_measurement(kind: str) -> None:
+    rig, lines = rig_of_kinds(), np.linspace(20.0, 30.0, 12)
+    columns = {"frequency_hz": lines, "amplitude": 1e-4 * lines, "real": lines, "imag": lines}
+    level = 1.0 if kind == "levels" else np.nan
+    table = ObservableTable(
+        TableKind.BACKBONE if kind == TableKind.BACKBONE else TableKind.FRF, columns, {}, Quantity.DISPLACEMENT,
+        point=rig.drive_point, drive_point=rig.drive_point, level=level, level_unit="N" if kind == "levels" else "",
+    )  # fmt: skip
+    view = ModelView.of(rig, [rig.drive_point])
+    channel = MeasuredChannel("x", Quantity.DISPLACEMENT, rig.drive_point)
+    together = TablesTogether("table", (table,), view, (channel,), ObservationSettings())
+    assert sum(measurement.read_tables(together) is not None for measurement in MEASUREMENTS) == 1
 
 
 def test_nobody_asks_a_measurement_what_kind_it_is() -> None:

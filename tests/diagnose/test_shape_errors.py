@@ -11,11 +11,12 @@ import pytest
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.chain.chain_tests import ChainTests
 from nmt_diagnose.chain.shape_errors import ShapeErrors
-from nmt_diagnose.measurements.backbone_table.reading import table_observations
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.read_tables import table_observations
 from nmt_record.exchange.reduced.observables import ObservableTable
+from nmt_record.exchange.sidecar.import_sidecar import TableKind
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 
@@ -45,7 +46,7 @@ def chain(model: Rig, level: float) -> ChainTests:
     values = responses(SHAPES)
     tables = [
         ObservableTable(
-            "frf", {"frequency_hz": LINES, "real": values[:, k].real, "imag": values[:, k].imag}, {},
+            TableKind.FRF, {"frequency_hz": LINES, "real": values[:, k].real, "imag": values[:, k].imag}, {},
             Quantity.ACCELERATION, level=level, level_unit="N" if level else "", point=k + 1, drive_point=1,
             name=f"p{k + 1}", direction="up" if level else "", noise=0.01,
         )

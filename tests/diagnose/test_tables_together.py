@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from nmt_core.messages.blocks import Quantity
-from nmt_diagnose.measurements.backbone_table.reading import table_observations
 from nmt_diagnose.measurements.stepped_responses.table_reading import measured_together
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.read_tables import table_observations
 from nmt_record.exchange.reduced.observables import ObservableTable
+from nmt_record.exchange.sidecar.import_sidecar import TableKind
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 
@@ -32,7 +33,7 @@ def table(
     share = {1: 1.0, 2: 0.5, 3: -0.3}.get(point, 1.0)
     response = -share * omega**2 / (natural**2 - omega**2 + 0.02j * natural * omega)
     return ObservableTable(
-        "frf", {"frequency_hz": lines, "real": response.real, "imag": response.imag}, {}, Quantity.ACCELERATION,
+        TableKind.FRF, {"frequency_hz": lines, "real": response.real, "imag": response.imag}, {}, Quantity.ACCELERATION,
         level=level, level_unit="N", point=point, drive_point=1, name=f"p{point}", direction=direction, noise=noise,
     )  # fmt: skip
 
@@ -50,7 +51,7 @@ def test_what_is_no_passage_of_its_own_stands_alone() -> None:
     assert measured_together(held, 1) == [[0], [1]], "each says how large its own point moved"
     unfit = [replace(table(point), held="base") for point in (1, 2)]
     assert measured_together(unfit, 1) == [[0], [1]]
-    backbones = [ObservableTable("backbone", {"frequency_hz": LINES, "amplitude": LINES}, {})] * 2
+    backbones = [ObservableTable(TableKind.BACKBONE, {"frequency_hz": LINES, "amplitude": LINES}, {})] * 2
     assert measured_together(backbones, 1) == [[0], [1]]
     other_drive = [table(1), replace(table(2), drive_point=2)]
     assert measured_together(other_drive, 1) == [[0], [1]]

@@ -23,7 +23,9 @@ from nmt_rig.rig import Rig
 if TYPE_CHECKING:
     from nmt_diagnose.law.held_levels import HeldLevels
     from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
+    from nmt_diagnose.observations.bag_windows import BagWindows
     from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
+    from nmt_diagnose.observations.tables_together import TablesTogether
     from nmt_diagnose.prediction.resting_motion import Motion
     from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 
@@ -98,6 +100,26 @@ class Measurement:
         @property
         def channels(self) -> tuple[MeasuredChannel, ...]:
             """Channels, in the order of the rows."""
+
+    # -- reading -------------------------------------------------------------------------------------------------------
+
+    @classmethod
+    def read(cls, bag: BagWindows) -> list[Observations]:
+        """Its measurements among the windows of a bag; the kinds are asked in the order of the registry.
+
+        Raises:
+            BenchError: the bag cannot be of the model's rig.
+        """
+        return []
+
+    @classmethod
+    def read_tables(cls, tables: TablesTogether) -> Observations | None:
+        """Its measurement where tables that someone else has reduced are one; None of other tables.
+
+        Raises:
+            BenchError: what they say does not fit together.
+        """
+        return None
 
     # -- what drove it, and how it is referred -------------------------------------------------------------------------
 

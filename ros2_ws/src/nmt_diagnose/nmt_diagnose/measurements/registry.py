@@ -12,12 +12,15 @@ from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDeca
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 
 MEASUREMENTS: tuple[type[Measurement], ...] = (
-    LockedWindows,
-    RandomResponses,
-    SteppedResponses,
-    RecordedDecay,
-    DrivenRecord,
     ImposedMotion,
     BackboneTable,
+    LockedWindows,
+    SteppedResponses,
+    RandomResponses,
+    RecordedDecay,
+    DrivenRecord,
 )
-"""The classes; a kind that is added stands here, and the tests ask it what they ask of all."""
+"""The classes, in the order in which they are asked what of a bag is theirs: those first that take windows out.
+
+A kind that is added stands here, and the tests ask it what they ask of all.
+"""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_diagnose.law.held_levels import HeldLevels, levels_over_amplitude
@@ -19,6 +19,10 @@ from nmt_diagnose.prediction.resting_motion import (
     motion_at_amplitudes,
 )
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.observations.bag_windows import BagWindows
+    from nmt_diagnose.observations.tables_together import TablesTogether
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,20 @@ class BackboneTable(Driven):
     channel: MeasuredChannel
     amplitudes: FloatArray
     noise_degrees: float = math.inf
+
+    @classmethod
+    def read(cls, bag: BagWindows) -> list[Observations]:
+        """Windows of phase resonance that no force was recorded of; no other kind reads them."""
+        from nmt_diagnose.measurements.backbone_table.unforced import unforced_observations  # late: it makes them
+
+        return unforced_observations(bag)
+
+    @classmethod
+    def read_tables(cls, tables: TablesTogether) -> Observations | None:
+        """Frequency and damping ratio over amplitude."""
+        from nmt_diagnose.measurements.backbone_table.reading import backbone_observations  # late, too
+
+        return backbone_observations(tables)
 
     @property
     def channels(self) -> tuple[MeasuredChannel, ...]:

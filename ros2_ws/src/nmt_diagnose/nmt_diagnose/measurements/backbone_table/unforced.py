@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,15 +11,12 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_diagnose.measurements.backbone_table.reading import table_observations
-from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.observations.channels.bag_samples import SampleStretch
-from nmt_diagnose.observations.model_view import ModelView
+from nmt_diagnose.observations.bag_windows import BagWindows, Window
 from nmt_diagnose.observations.observables import Observations, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.read_tables import table_observations
 from nmt_record.exchange.reduced.observables import ObservableTable
-from nmt_record.windows.segments import Segment
-from nmt_rig.rig import Rig
+from nmt_record.exchange.sidecar.import_sidecar import TableKind
 from nmt_signals.harmonics import harmonic_amplitudes
 from nmt_signals.sine_fit import fit_frequency
 
@@ -27,41 +24,36 @@ _PARTS = 6
 """Parts of a window whose scatter tells the uncertainty of its frequency."""
 
 
-def is_unforced(segment: Segment, stretch: SampleStretch, model: Rig) -> bool:
-    """Whether a window is of phase resonance of one exciter and no force was recorded of it.
+def unforced_observations(bag: BagWindows) -> list[Observations]:
+    """Observables of windows of phase resonance of one exciter that no force was recorded of; takes them out.
 
     Several exciters hold a mode among neighbours by the ratio of their forces, which a backbone of one point lacks.
     """
-    single = len(model.all_exciters) == 1
-    return single and segment.kind is TestKind.PHASE_RESONANCE and stretch.find(Quantity.FORCE) is None
+    windows = [it for it in bag.of_kind(TestKind.PHASE_RESONANCE) if it.stretch.find(Quantity.FORCE) is None]
+    if not windows or len(bag.model.all_exciters) > 1:
+        return []
+    name = bag.part_named(windows, "unforced")
+    found = _backbone(name, windows, bag)
+    bag.note_few_levels(name, len(found.rows))
+    bag.take(windows)
+    return [found]
 
 
-def unforced_observations(
-    name: str,
-    windows: Sequence[tuple[Segment, SampleStretch]],
-    view: ModelView,
-    channels: Mapping[str, MeasuredChannel],
-    settings: ObservationSettings,
-) -> Observations:
+def _backbone(name: str, windows: Sequence[Window], bag: BagWindows) -> Observations:
     """Rows of a backbone, one a window: frequency of the motion at the amplitude of its fundamental, and no damping.
 
     At phase resonance, forced or in a limit cycle, that is the frequency of the nonlinear mode; how much power it takes
     only a force could tell.
-
-    Args:
-        name: of the test.
-        windows: of phase resonance.
-        view: the model.
-        channels: that the model has, by name.
-        settings: of the reading.
     """
+    view, settings = bag.view, bag.settings
     notes, rows = [], []
-    responses = [c for c in channels.values() if c.quantity in MOTIONS]
+    responses = [c for c in bag.channels.values() if c.quantity in MOTIONS]
     if not responses:
         return empty((f"{name}: left out: it has no response channel that the model {view.rig.name} has too.",))
     at_drive = [c for c in responses if c.point == view.rig.drive_point]
     channel = (at_drive or responses)[0]
-    for segment, stretch in windows:
+    for window in windows:
+        segment, stretch = window.segment, window.stretch
         where = f"{name}: level {segment.level_index}"
         if channel.name in stretch.faults or channel.name not in [c.name for c in stretch.channels]:
             notes.append(f"{where} is left out: it lacks channel {channel.name}.")
@@ -77,7 +69,7 @@ def unforced_observations(
     columns = dict(zip(("frequency_hz", "frequency_hz_std", "amplitude"), np.array(rows).T, strict=True))
     units = {"amplitude": "rad" if channel.turns else "m"}
     table = ObservableTable(
-        "backbone", columns, units, channel.quantity, point=channel.point, drive_point=view.rig.drive_point
+        TableKind.BACKBONE, columns, units, channel.quantity, point=channel.point, drive_point=view.rig.drive_point
     )
     return joined([empty(notes), table_observations(name, [table], view.rig, settings)])
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_core.vocabulary import TestKind
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.driven_record.predictor import RecordPredictor
 from nmt_diagnose.measurements.imposed_motion.predictor import ImposedMotionPredictor
@@ -22,6 +23,10 @@ from nmt_diagnose.prediction.resting_motion import (
     noise_motion,
 )
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.observations.bag_windows import BagWindows
+    from nmt_diagnose.observations.observables import Observations
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,14 @@ class DrivenRecord(Driven):
     head: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     head_stride: int = 1
     begins_in_motion: bool = False
+
+    @classmethod
+    def read(cls, bag: BagWindows) -> list[Observations]:
+        """Windows of records."""
+        from nmt_diagnose.measurements.driven_record.reading import record_observations  # late: it makes them
+
+        stretches = [window.stretch for window in bag.of_kind(TestKind.RECORD)]
+        return [record_observations(bag.named(TestKind.RECORD), stretches, bag)] if stretches else []
 
     def predictor(self, rows: Rows, settings: PredictionSettings) -> RecordPredictor | ImposedMotionPredictor:
         """What predicts its rows."""

@@ -26,11 +26,11 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
+from nmt_diagnose.observations.bag_windows import BagWindows
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.input_noise import input_noise, noise_lines, propagated_noise
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
-from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.linear_modes import damped_modes
 from nmt_signals.band_limited import finer
@@ -69,41 +69,24 @@ def refinement(response: FloatArray, sample_rate: float) -> int:
     return min(THRESHOLDS.reading.record_finest_steps, factor)
 
 
-def record_observations(
-    name: str,
-    stretches: Sequence[SampleStretch],
-    view: ModelView,
-    channels: dict[str, MeasuredChannel],
-    settings: ObservationSettings,
-    linear_hold: bool = False,
-) -> Observations:
+def record_observations(name: str, stretches: Sequence[SampleStretch], bag: BagWindows) -> Observations:
     """Observables of the records of one bag, one test each.
 
     Args:
         name: name of the tests; numbered where there are several.
         stretches: the records.
-        view: the model, driven at the test's drive point.
-        channels: the model's channel for each recorded one.
-        settings: settings.
-        linear_hold: the input goes straight from sample to sample.
+        bag: they are of.
     """
     parts = []
     for number, stretch in enumerate(stretches):
         test_name = f"{name} {number + 1}" if len(stretches) > 1 else name
-        budget = settings.record_rows // len(stretches)
-        parts.append(_one(test_name, stretch, view, channels, settings, budget, linear_hold))
+        parts.append(_one(test_name, stretch, bag, bag.settings.record_rows // len(stretches)))
     return joined(parts)
 
 
-def _one(
-    name: str,
-    stretch: SampleStretch,
-    view: ModelView,
-    channels: dict[str, MeasuredChannel],
-    settings: ObservationSettings,
-    budget: int,
-    linear_hold: bool,
-) -> Observations:
+def _one(name: str, stretch: SampleStretch, bag: BagWindows, budget: int) -> Observations:
+    view, channels, settings = bag.view, bag.channels, bag.settings
+    linear_hold = math.isfinite(bag.hold_rate_hz)  # the input goes straight from sample to sample
     lost = [(channel, fault) for channel, fault in stretch.faults.items() if channel in channels]
     notes = [f"{name}: channel {channel} is left out: {fault}." for channel, fault in lost]
     source = stretch.find(Quantity.VOLTAGE) or stretch.find(Quantity.FORCE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -22,6 +22,10 @@ from nmt_diagnose.prediction.resting_motion import (
 )
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.observations.bag_windows import BagWindows
+    from nmt_diagnose.observations.observables import Observations
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,13 @@ class ImposedMotion(DrivenRecord):
     frequency_hz: float = math.nan
     size: float = math.nan
     force_n: float = math.nan
+
+    @classmethod
+    def read(cls, bag: BagWindows) -> list[Observations]:
+        """Windows of an import whose motion someone held; no other kind reads them."""
+        from nmt_diagnose.measurements.imposed_motion.reading import imposed_motion_observations  # late: it makes them
+
+        return imposed_motion_observations(bag)
 
     def with_zero(self, steps: float) -> FloatArray:
         """The motion with the zero of its sensor off by so many standard deviations, shape (3, n)."""

@@ -30,12 +30,11 @@ from nmt_diagnose.measurements.driven_record.reading import (
     white_noise,
 )
 from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
-from nmt_diagnose.observations.channels.bag_samples import SampleStretch
+from nmt_diagnose.observations.bag_windows import BagWindows, Window
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_record.windows.segments import Segment
 from nmt_rig.rig import ShakingTableSection
 from nmt_signals.channel_faults.clipping import clipping_level
 
@@ -44,15 +43,6 @@ _PASSAGE = 0.05  # of a period that a reversal stays slow at the most; a sine ta
 _DEGREE = 5  # of the polynomials: their second derivative is as good as their value is with degree 3
 _PASSED = 4.0  # frequency at which the polynomials halve the power over the highest of the motion
 _MOTION_UNITS = {motion.unit for motion in MOTIONS}
-
-
-@dataclass(frozen=True)
-class Window:
-    """A window, its samples, and what the sidecar says was held in it; empty where it says nothing."""
-
-    segment: Segment
-    stretch: SampleStretch
-    held: str = ""
 
 
 def imposed_channel(window: Window, view: ModelView) -> MeasuredChannel | None:
@@ -95,27 +85,19 @@ def reason_for_imposed(window: Window, view: ModelView) -> str:
     return f"the motion is far from every mode of the model {view.rig.name}{level}"
 
 
-def imposed_motion_observations(
-    name: str,
-    windows: Sequence[Window],
-    view: ModelView,
-    channels: dict[str, MeasuredChannel],
-    settings: ObservationSettings,
-) -> Observations:
-    """Observables of windows of imposed motion, one test each.
-
-    Args:
-        name: name of the tests; numbered where there are several.
-        windows: of one bag.
-        view: the model, driven at the test's drive point.
-        channels: the model's channel for each recorded one.
-        settings: settings.
-    """
+def imposed_motion_observations(bag: BagWindows) -> list[Observations]:
+    """Observables of the windows of imposed motion of an import, one test each; takes them out of the others."""
+    windows = [window for window in bag.windows if bag.imported and reason_for_imposed(window, bag.view)]
+    if not windows:
+        bag.require_responses()  # a force alone tells of an imposed motion only
+        return []
+    name, budget = bag.part_named(windows, "imposed"), bag.settings.record_rows // len(windows)
     parts = []
     for number, window in enumerate(windows):
         test_name = f"{name} {number + 1}" if len(windows) > 1 else name
-        parts.append(_one(test_name, window.stretch, view, channels, settings, settings.record_rows // len(windows)))
-    return joined([empty(_decisions(name, windows, view)), *parts])
+        parts.append(_one(test_name, window, bag.view, bag.channels, bag.settings, budget))
+    bag.take(windows)
+    return [joined([empty(_decisions(name, windows, bag.view)), *parts])]
 
 
 def _decisions(name: str, windows: Sequence[Window], view: ModelView) -> list[str]:
@@ -131,13 +113,13 @@ def _decisions(name: str, windows: Sequence[Window], view: ModelView) -> list[st
 
 def _one(
     name: str,
-    stretch: SampleStretch,
+    window: Window,
     view: ModelView,
     channels: dict[str, MeasuredChannel],
     settings: ObservationSettings,
     budget: int,
 ) -> Observations:
-    source = imposed_channel(Window(_NO_SEGMENT, stretch), view)
+    source, stretch = imposed_channel(window, view), window.stretch
     assert source is not None
     if stretch.samples < THRESHOLDS.reading.imposed_fewest_samples:
         return empty((f"{name}: the record is left out: {stretch.samples} samples are too few.",))
@@ -332,6 +314,3 @@ def _force_bias(motion: _Motion, view: ModelView) -> FloatArray:
         float(along @ matrix @ along) for matrix in (system.sticking_stiffness(), system.resting_damping(), system.mass)
     ]
     return np.asarray(np.sqrt(np.sum((np.array(shares)[:, None] * motion.bias) ** 2, axis=0)))
-
-
-_NO_SEGMENT = Segment(TestKind.RECORD, 0, math.nan, "", 0, 0, 0, 0.0, "", 0, 0)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import MOTIONS
+from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.law.held_levels import HeldLevels
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows.influence import influence_on_levels
@@ -28,6 +28,9 @@ from nmt_diagnose.prediction.resting_motion import (
     all_unknowns,
 )
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.observations.bag_windows import BagWindows
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,21 @@ class LockedWindows(Measurement):
     held: str
     levels: tuple[LockedLevel, ...]
     commanded: bool = False
+
+    @classmethod
+    def read(cls, bag: BagWindows) -> list[Observations]:
+        """Windows of phase resonance, and of stepped sines that are no frequency response, a test for each kind."""
+        from nmt_diagnose.measurements.locked_windows.reading import phase_resonance_observations  # late: it makes them
+
+        bag.drop_implausible()
+        found = []
+        for kind in (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE):
+            windows = bag.of_kind(kind)
+            if windows and not bag.is_swept(kind):
+                name = bag.named(kind)
+                found.append(phase_resonance_observations(name, windows, bag))
+                bag.note_few_levels(name, len(found[-1].tests[0].locked_levels) if found[-1].tests else 0)
+        return found
 
     @property
     def drive_point(self) -> int:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from nmt_core.kinds import kind_class
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_core.vocabulary import MOTIONS
+from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Driven
 from nmt_diagnose.measurements.random_responses.influence import influence_on_lines
@@ -27,6 +28,10 @@ from nmt_diagnose.prediction.resting_motion import (
 )
 from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.observations.bag_windows import BagWindows
+    from nmt_diagnose.observations.tables_together import TablesTogether
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,23 @@ class RandomResponses(Driven):
     drive_hold_hz: float = math.inf
     resting_points: tuple[int, ...] = ()
     other_rms: tuple[float, ...] = ()
+
+    @classmethod
+    def read(cls, bag: BagWindows) -> list[Observations]:
+        """Windows of noise, a test for each and for each exciter."""
+        from nmt_diagnose.measurements.random_responses.reading import responses_to_each_exciter  # late: it makes them
+
+        noises = [kind for kind in TestKind if kind_class(kind).is_broad_band]
+        return [
+            found for name, window in bag.each(noises) for found in responses_to_each_exciter(name, window.stretch, bag)
+        ]
+
+    @classmethod
+    def read_tables(cls, tables: TablesTogether) -> Observations | None:
+        """Frequency responses that no amplitude was held in."""
+        from nmt_diagnose.measurements.random_responses.table_reading import response_table_observations  # late, too
+
+        return response_table_observations(tables)
 
     def predictor(self, rows: Rows, settings: PredictionSettings) -> RandomPredictor:
         """What predicts its rows."""

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.observations.bag_windows import BagWindows
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.scatter import moderated
@@ -21,85 +24,75 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_signals.local_responses import OFFSETS, REACH, choose_bins, local_fits, local_responses
 
 
+def responses_to_each_exciter(name: str, stretch: SampleStretch, bag: BagWindows) -> list[Observations]:
+    """Responses of one window to the drive of each exciter, with what those of the others do taken out."""
+    points = bag.view.rig.exciter_points
+    if len(points) == 1:
+        return [random_observations(name, stretch, bag.view, bag)]
+    voltages = bag.view.voltages(stretch.channels)
+    found = []
+    for number, point in enumerate(points):
+        order = [number, *(k for k in range(len(points)) if k != number)]
+        view = ModelView.of(bag.view.rig, [points[k] for k in order])
+        named = [voltages[k] for k in order]
+        found.append(random_observations(f"{name} from point {point}", stretch, view, bag, named))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Signals:
+    """What of a window is used.
+
+    Attributes:
+        reference: what responses are divided by.
+        others: voltages of the other exciters.
+        channels: of the model; those of the responses.
+        inputs: reference and others, (exciters, n).
+        outputs: (channels, n), less their means.
+        part: of the window.
+    """
+
+    reference: MeasuredChannel
+    others: list[MeasuredChannel]
+    channels: list[MeasuredChannel]
+    inputs: FloatArray
+    outputs: FloatArray
+    part: slice
+
+
 def random_observations(
-    name: str,
-    stretch: SampleStretch,
-    view: ModelView,
-    channels: dict[str, MeasuredChannel],
-    settings: ObservationSettings,
-    hold_rate_hz: float = math.inf,
-    voltages: Sequence[str] = (),
+    name: str, stretch: SampleStretch, view: ModelView, bag: BagWindows, voltages: Sequence[str] = ()
 ) -> Observations:
     """Observables of one window of random excitation.
 
     Args:
         name: name of the test.
         stretch: its samples.
-        view: the model, driven at the test's drive point.
-        channels: the model's channel for each recorded one.
-        settings: settings.
-        hold_rate_hz: rate at which the drive is interpolated linearly, as that of simulated rigs is; what this does
-            to the responses to the voltage is taken out (see drive_hold.py).
+        view: the model, its first exciter the one whose drive the responses are to.
+        bag: the window is of; what linear interpolation of its drive does to the responses to the voltage is taken out
+            (see drive_hold.py).
         voltages: of several exciters, names of the recorded ones in the order of the view's: responses are those to the
             first.
     """
     notes: list[str] = []
-    voltage = stretch.find(Quantity.VOLTAGE) if len(voltages) < 2 else _named(stretch, voltages[0])
-    others = [_named(stretch, other) for other in voltages[1:]]
-    if None in others or (others and voltage is None):
-        return empty((f"{name}: the random test is left out: it needs the voltage of each exciter.",))
-    force = stretch.find(Quantity.FORCE)
-    reference = voltage if voltage is not None and voltage.name not in stretch.faults else force
-    usable_whole = {c.name for c in stretch.channels if c.name not in stretch.faults}
-    part = slice(0, stretch.samples)
-    if reference is None or reference.name not in usable_whole or len(usable_whole) < 2:
-        part = _clean_part(stretch)
-        length = part.stop - part.start
-        if reference is None or length < stretch.samples // 2:
-            why = (
-                "; ".join(sorted(f"{channel}: {fault}" for channel, fault in stretch.faults.items())) or "no reference"
-            )
-            return empty((f"{name}: the random test is left out: {why}.",))
-        notes.append(f"{name}: the longest stretch without gaps, {length} of {stretch.samples} samples, is used.")
-        usable_whole = {c.name for c in stretch.channels if np.isfinite(stretch.row(c.name)[part]).all()}
-    for channel, fault in stretch.faults.items():
-        if channel in channels and channel not in usable_whole:
-            notes.append(f"{name}: channel {channel} is left out: {fault}.")
-    recorded = {model_channel.name: theirs for theirs, model_channel in channels.items()}
-    kinds = (Quantity.VOLTAGE, Quantity.CURRENT)
-    present = [
-        channel
-        for channel in channels.values()
-        if recorded[channel.name] in usable_whole
-        and channel.quantity not in kinds
-        and recorded[channel.name] != reference.name
-    ]
-    input_samples = stretch.row(reference.name)[part]
-    if not present or not np.ptp(input_samples) > 0.0:
-        why = "there is no response channel" if not present else f"its reference {reference.name} is constant"
-        return empty((*notes, f"{name}: the random test is left out: {why}."))
-    outputs = np.stack([stretch.row(recorded[channel.name])[part] for channel in present])
-    outputs = outputs - outputs.mean(axis=1, keepdims=True)
-    if input_samples.size < THRESHOLDS.reading.random_fewest_lines * 2:
-        return empty((*notes, f"{name}: the random test is left out: {input_samples.size} samples are too few."))
-    drive_point = view.rig.drive_point
-    guide = next((row for row, c in enumerate(present) if c.point == drive_point and c.quantity in MOTIONS), 0)
-    bins = choose_bins(input_samples, outputs[guide], stretch.sample_rate, settings.lines)
-    if bins.size == 0:
-        return empty((*notes, f"{name}: the random test is left out: it has no driven band."))
-    lines = bins * stretch.sample_rate / input_samples.size
-    inputs = np.stack([input_samples, *(stretch.row(other.name)[part] for other in others if other)])
-    inputs = inputs - inputs.mean(axis=1, keepdims=True)
-    found = local_responses(inputs, outputs, bins)
+    settings = bag.settings
+    try:
+        used = _signals(stretch, bag.channels, voltages, name, notes)
+        lines, bins = _lines(used, stretch.sample_rate, view, settings)
+    except BenchError as error:
+        return empty((*notes, f"{name}: the random test is left out: {error}."))
+    reference, present = used.reference, used.channels
+    inputs = used.inputs - used.inputs.mean(axis=1, keepdims=True)
+    found = local_responses(inputs, used.outputs, bins)
     estimate = found.estimate
     variance = found.resonance.copy()
     for row in range(variance.shape[0]):
         drawn, degrees = moderated(found.noise[row], float(found.degrees_of_freedom))
         variance[row] += drawn * found.factor * degrees / (degrees - 2.0)
     table = RowTable()
-    drive_rms = float(np.std(input_samples))
+    drive_rms = float(np.std(used.inputs[0]))
     middle = 0.5 * (stretch.start_s + stretch.stop_s)
-    source = MeasuredChannel("u", Quantity.VOLTAGE, 0) if others else reference  # of the view's first exciter
+    source = MeasuredChannel("u", Quantity.VOLTAGE, 0) if used.others else reference  # of the view's first exciter
     bias = _bias(view, present, inputs, source, bins, stretch.sample_rate)
     believed = _believed(view, present, source, lines, estimate)
     for number, line in enumerate(lines):
@@ -117,23 +110,90 @@ def random_observations(
             table.add(Part.PHASE, float(np.angle(estimate[row, number])), std, floor, place, row)
     if not len(table):
         return empty((*notes, f"{name}: the random test is left out: no line is coherent with {reference.name}."))
-    start, stop = stretch.start_s + part.start / stretch.sample_rate, stretch.start_s + part.stop / stretch.sample_rate
+    rate, over_voltage = stretch.sample_rate, reference.quantity is Quantity.VOLTAGE
     test = RandomResponses(
         name=name,
         drive_point=view.rig.drive_point,
         channels=tuple(present),
-        reference="voltage" if reference.quantity is Quantity.VOLTAGE else "force",
+        reference="voltage" if over_voltage else "force",
         lines_hz=np.asarray(lines, dtype=np.float64),
-        resolution_hz=stretch.sample_rate / input_samples.size,
+        resolution_hz=rate / inputs.shape[1],
         window="none",
         drive_rms=drive_rms,
-        start_s=start,
-        stop_s=stop,
-        drive_hold_hz=hold_rate_hz if reference.quantity is Quantity.VOLTAGE else math.inf,
+        start_s=stretch.start_s + used.part.start / rate,
+        stop_s=stretch.start_s + used.part.stop / rate,
+        drive_hold_hz=bag.hold_rate_hz if over_voltage else math.inf,
         resting_points=view.rig.exciter_points[1:],
         other_rms=tuple(float(np.std(row)) for row in inputs[1:]),
     )
     return table.observations(test, notes)
+
+
+def _signals(
+    stretch: SampleStretch,
+    channels: dict[str, MeasuredChannel],
+    voltages: Sequence[str],
+    name: str,
+    notes: list[str],
+) -> _Signals:
+    """Reference and responses of a window; sentences on channels that cannot be used into ``notes``.
+
+    Raises:
+        BenchError: why the window cannot be used, a clause.
+    """
+    voltage = stretch.find(Quantity.VOLTAGE) if len(voltages) < 2 else _named(stretch, voltages[0])
+    others = [found for other in voltages[1:] if (found := _named(stretch, other)) is not None]
+    if len(others) < len(voltages[1:]) or (others and voltage is None):
+        raise BenchError("it needs the voltage of each exciter")
+    force = stretch.find(Quantity.FORCE)
+    reference = voltage if voltage is not None and voltage.name not in stretch.faults else force
+    usable_whole = {c.name for c in stretch.channels if c.name not in stretch.faults}
+    part = slice(0, stretch.samples)
+    if reference is None or reference.name not in usable_whole or len(usable_whole) < 2:
+        part = _clean_part(stretch)
+        length = part.stop - part.start
+        if reference is None or length < stretch.samples // 2:
+            faults = sorted(f"{channel}: {fault}" for channel, fault in stretch.faults.items())
+            raise BenchError("; ".join(faults) or "no reference")
+        notes.append(f"{name}: the longest stretch without gaps, {length} of {stretch.samples} samples, is used.")
+        usable_whole = {c.name for c in stretch.channels if np.isfinite(stretch.row(c.name)[part]).all()}
+    for channel, fault in stretch.faults.items():
+        if channel in channels and channel not in usable_whole:
+            notes.append(f"{name}: channel {channel} is left out: {fault}.")
+    present = {
+        theirs: channel
+        for theirs, channel in channels.items()
+        if theirs in usable_whole
+        and channel.quantity not in (Quantity.VOLTAGE, Quantity.CURRENT)
+        and theirs != reference.name
+    }
+    if not present:
+        raise BenchError("there is no response channel")
+    inputs = np.stack([stretch.row(channel.name)[part] for channel in (reference, *others)])
+    if not np.ptp(inputs[0]) > 0.0:
+        raise BenchError(f"its reference {reference.name} is constant")
+    outputs = np.stack([stretch.row(theirs)[part] for theirs in present])
+    outputs = outputs - outputs.mean(axis=1, keepdims=True)
+    return _Signals(reference, others, list(present.values()), inputs, outputs, part)
+
+
+def _lines(
+    used: _Signals, sample_rate: float, view: ModelView, settings: ObservationSettings
+) -> tuple[FloatArray, IntArray]:
+    """Lines at which the responses are read, Hz, and their bins.
+
+    Raises:
+        BenchError: there are none, a clause.
+    """
+    samples = used.inputs.shape[1]
+    if samples < THRESHOLDS.reading.random_fewest_lines * 2:
+        raise BenchError(f"{samples} samples are too few")
+    point = view.rig.drive_point
+    guide = next((row for row, c in enumerate(used.channels) if c.point == point and c.quantity in MOTIONS), 0)
+    bins = choose_bins(used.inputs[0], used.outputs[guide], sample_rate, settings.lines)
+    if bins.size == 0:
+        raise BenchError("it has no driven band")
+    return bins * sample_rate / samples, bins
 
 
 def _named(stretch: SampleStretch, name: str) -> MeasuredChannel | None:

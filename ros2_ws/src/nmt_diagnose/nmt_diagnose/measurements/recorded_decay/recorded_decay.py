@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
+from nmt_core.vocabulary import TestKind
 from nmt_diagnose.law.held_levels import HeldLevels, levels_over_amplitude
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Driven
@@ -19,6 +20,9 @@ from nmt_diagnose.prediction.resting_motion import (
     motion_at_amplitudes,
 )
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.observations.bag_windows import BagWindows
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,19 @@ class RecordedDecay(Driven):
     frequency_hz: float
     others: tuple[MeasuredChannel, ...] = ()
     resting_points: tuple[int, ...] = ()
+
+    @classmethod
+    def read(cls, bag: BagWindows) -> list[Observations]:
+        """Windows of free decays, a test each."""
+        from nmt_diagnose.measurements.recorded_decay.reading import ring_down_observations  # late: it makes them
+
+        return [
+            ring_down_observations(
+                name, window.stretch, window.segment.frequency_hz, bag.view, bag.of_decays, bag.settings,
+                bag.controlled_quantity,
+            )
+            for name, window in bag.each([TestKind.RING_DOWN])
+        ]  # fmt: skip
 
     @property
     def channels(self) -> tuple[MeasuredChannel, ...]:

@@ -17,33 +17,19 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.reading import LockedWindow, analyse_window
+from nmt_diagnose.measurements.locked_windows.locked_window import LockedWindow, analyse_window
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.measurements.stepped_responses.table_reading import jump_note, jumps_of
-from nmt_diagnose.observations.channels.bag_samples import SampleStretch
+from nmt_diagnose.observations.bag_windows import BagWindows, Window
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_record.windows.segments import Segment
 
 _WAYS = {1: " up", -1: " down", 0: ""}
 
 
-def is_response(windows: Sequence[tuple[Segment, SampleStretch]]) -> bool:
-    """Whether stepped-sine windows visit frequencies enough, with a measured force, to be a frequency response."""
-    return len(windows) >= THRESHOLDS.reading.stepped_fewest_lines and all(
-        s.find(Quantity.FORCE) is not None for _, s in windows
-    )
-
-
-def stepped_sine_observations(
-    name: str,
-    windows: Sequence[tuple[Segment, SampleStretch]],
-    view: ModelView,
-    channels: dict[str, MeasuredChannel],
-    settings: ObservationSettings,
-) -> Observations:
+def stepped_sine_observations(name: str, windows: Sequence[Window], bag: BagWindows) -> Observations:
     """Observables of stepped-sine windows: a test for each level and direction, of response curves for each curve.
 
     The level of a line is its measured force, whatever was held. Lines of stepped sines on both sides of a jump are
@@ -52,15 +38,13 @@ def stepped_sine_observations(
     Args:
         name: of the tests.
         windows: the windows and their samples, in time.
-        view: the model, driven at the test's drive point.
-        channels: the model's channel for each recorded one.
-        settings: settings.
+        bag: they are of.
     """
     notes: list[str] = []
     analysed: list[LockedWindow] = []
-    for segment, stretch in windows:
+    for window in windows:
         try:
-            analysed.append(analyse_window(segment, stretch, settings, view))
+            analysed.append(analyse_window(window.segment, window.stretch, bag.settings, bag.view))
         except BenchError as error:
             notes.append(f"{name}: {error}")
     parts = []
@@ -78,7 +62,7 @@ def stepped_sine_observations(
                 f"{THRESHOLDS.reading.stepped_fewest_lines} or more."
             )
             continue
-        parts.append(_one(test_name, group, direction, view, channels, settings))
+        parts.append(_one(test_name, group, direction, bag.view, bag.channels, bag.settings))
     return joined([empty(notes), *parts])
 
 

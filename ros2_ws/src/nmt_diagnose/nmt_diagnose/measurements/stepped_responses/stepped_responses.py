@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.text.number_words import significant
-from nmt_core.vocabulary import MOTIONS
+from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.law.held_levels import HeldLevels
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Driven
@@ -30,6 +30,10 @@ from nmt_diagnose.prediction.resting_motion import (
 from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.observations.bag_windows import BagWindows
+    from nmt_diagnose.observations.tables_together import TablesTogether
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,26 @@ class SteppedResponses(Driven):
     noise_degrees: float = math.inf
     phase_known: bool = True
     imposed: bool = False
+
+    @classmethod
+    def read(cls, bag: BagWindows) -> list[Observations]:
+        """Stepped sines of an import that are frequency responses, and response curves."""
+        from nmt_diagnose.measurements.stepped_responses.reading import stepped_sine_observations  # late: it makes them
+
+        bag.drop_implausible()
+        swept = [
+            kind
+            for kind in (TestKind.STEPPED_SINE, TestKind.RESPONSE_CURVE)
+            if bag.is_swept(kind) and bag.of_kind(kind)
+        ]
+        return [stepped_sine_observations(bag.named(kind), bag.of_kind(kind), bag) for kind in swept]
+
+    @classmethod
+    def read_tables(cls, tables: TablesTogether) -> Observations | None:
+        """Frequency responses with the amplitude that was held, or with a measured force at each line."""
+        from nmt_diagnose.measurements.stepped_responses.table_reading import stepped_table_observations  # late, too
+
+        return stepped_table_observations(tables)
 
     @property
     def amplitudes(self) -> FloatArray:

@@ -12,14 +12,13 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
-from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.scatter import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
-from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.observations.tables_together import TablesTogether
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.reduced.observables import ObservableTable
+from nmt_record.exchange.sidecar.import_sidecar import TableKind
 from nmt_record.exchange.unit_table import REFERENCE_UNITS, quantity_of_unit
 from nmt_rig.rig import ShakingTableSection
 
@@ -67,7 +66,7 @@ def measured_together(tables: Sequence[ObservableTable], drive_point: int) -> li
 
 
 def _levels_of_the_excitation(table: ObservableTable) -> bool:
-    if table.kind != "frf" or not has_levels(table):
+    if table.kind != TableKind.FRF or not has_levels(table):
         return False
     try:
         return _held("", table)[0] != "response"
@@ -75,27 +74,19 @@ def _levels_of_the_excitation(table: ObservableTable) -> bool:
         return False
 
 
-def stepped_table_observations(
-    name: str,
-    tables: Sequence[ObservableTable],
-    view: ModelView,
-    channels: Sequence[MeasuredChannel],
-    settings: ObservationSettings,
-) -> Observations:
-    """Observables of frequency responses at held amplitudes, a test for each level.
+def stepped_table_observations(together: TablesTogether) -> Observations | None:
+    """Observables of frequency responses at held amplitudes, a test for each level; None of other tables.
 
-    Args:
-        name: of the tables; where they have several levels, each test adds its own.
-        tables: with a level, a column of levels, or a measured force at each line; several are those of
-            :func:`measured_together`.
-        view: the model, driven at the tables' drive point.
-        channels: response channel of each table.
-        settings: settings.
+    Their tables have a level, a column of levels, or a measured force at each line. Where they have several levels,
+    each test adds its own to its name.
 
     Raises:
         BenchError: what was held, or its unit, does not fit the responses.
     """
+    name, tables, view, channels = together.name, together.tables, together.view, together.channels
     table = tables[0]
+    if table.kind != TableKind.FRF or not has_levels(table):
+        return None
     if table.reference == "base" and not isinstance(view.rig.exciter, ShakingTableSection):
         raise BenchError(
             f"{name}: its responses are over the acceleration of the base, but the exciter of the model "
@@ -130,7 +121,7 @@ def stepped_table_observations(
     parts = []
     for own_level, selected in groups:
         test_name = name if len(groups) == 1 else f"{name} at {own_level:g} {table.level_unit}".strip()
-        parts.append(_one(test_name, tables, held, selected, amplitude, view, channels, settings))
+        parts.append(_one(test_name, together, held, selected, amplitude))
     return joined([empty(notes), *parts])
 
 
@@ -170,16 +161,10 @@ def _groups(level: FloatArray, usable: NDArray[np.bool_]) -> list[tuple[float, N
 
 
 def _one(
-    name: str,
-    tables: Sequence[ObservableTable],
-    held: str,
-    selected: NDArray[np.int64],
-    amplitude: FloatArray,
-    view: ModelView,
-    channels: Sequence[MeasuredChannel],
-    settings: ObservationSettings,
+    name: str, together: TablesTogether, held: str, selected: NDArray[np.int64], amplitude: FloatArray
 ) -> Observations:
     """Observables of one level."""
+    tables, channels, view, settings = together.tables, together.channels, together.view, together.settings
     frequency = tables[0].columns["frequency_hz"]
     order = selected[np.argsort(frequency[selected], kind="stable")]
     f = frequency[order]

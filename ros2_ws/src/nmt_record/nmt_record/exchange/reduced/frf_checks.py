@@ -17,7 +17,7 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_record.exchange.reduced.observables import ObservableTable
-from nmt_record.exchange.sidecar.import_sidecar import TableSection
+from nmt_record.exchange.sidecar.import_sidecar import TableKind, TableSection
 
 ShapeSign = Callable[[int, int, float], float]
 """Sign of a response at its resonance by the model: point, drive point, frequency in Hz; 0 where it is not known."""
@@ -41,7 +41,7 @@ def check_responses(section: TableSection, table: ObservableTable, place: str, s
         BenchError: with the key that fixes it.
     """
     if (
-        table.kind != "frf"
+        table.kind != TableKind.FRF
         or not table.phase_known
         or table.quantity not in MOTIONS
         or table.reference not in ("force", "base")

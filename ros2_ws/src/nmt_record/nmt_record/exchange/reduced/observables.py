@@ -20,7 +20,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.import_table import kind_of, read_table
 from nmt_record.exchange.reduced.uff_observables import frequency_responses, response_values, stated_unit
-from nmt_record.exchange.sidecar.import_sidecar import TableSection
+from nmt_record.exchange.sidecar.import_sidecar import TableKind, TableSection
 from nmt_record.exchange.source_table import SourceTable, split_name
 from nmt_record.exchange.unit_table import (
     REFERENCE_UNITS,
@@ -43,10 +43,13 @@ _STORED = (
     "direction", "noise", "units",
 )  # fmt: skip
 
-_REQUIRED = {"backbone": ("frequency_hz", "amplitude"), "frf": ("frequency_hz",)}
-_OPTIONAL = {
-    "backbone": ("damping_ratio", "loss_factor", "quality_factor", "level", "force_n", "phase"),
-    "frf": ("real", "imag", "magnitude", "phase", "level", "force_n", "coherence"),
+_REQUIRED: dict[str, tuple[str, ...]] = {
+    TableKind.BACKBONE: ("frequency_hz", "amplitude"),
+    TableKind.FRF: ("frequency_hz",),
+}
+_OPTIONAL: dict[str, tuple[str, ...]] = {
+    TableKind.BACKBONE: ("damping_ratio", "loss_factor", "quality_factor", "level", "force_n", "phase"),
+    TableKind.FRF: ("real", "imag", "magnitude", "phase", "level", "force_n", "coherence"),
 }
 _RESPONSES = ("real", "imag", "magnitude", "real_std", "imag_std", "magnitude_std")
 _KINDS = {
@@ -63,7 +66,7 @@ class ObservableTable:
     """One table in SI units.
 
     Attributes:
-        kind: ``backbone`` or ``frf``.
+        kind: what it is.
         columns: name -> values, all of one length. Backbone: frequency_hz, amplitude, and as far as given
             damping_ratio, level, force_n, phase; frf: frequency_hz, real, imag (magnitude alone where nobody knows the
             phase), and as far as given level, force_n (N, measured at each line), coherence.
@@ -85,7 +88,7 @@ class ObservableTable:
         dataset: number in a universal file; 0 = of none.
     """
 
-    kind: str
+    kind: TableKind
     columns: dict[str, FloatArray]
     units: dict[str, str]
     quantity: Quantity = Quantity.UNKNOWN
@@ -111,6 +114,10 @@ class ObservableTable:
     def turns(self) -> bool:
         """Whether the response is an angle or a derivative of one."""
         return any(unit.startswith("rad") for name, unit in self.units.items() if name in (*_RESPONSES, "amplitude"))
+
+    def column(self, name: str) -> FloatArray:
+        """Values of a column, (rows,); NaN where there is none."""
+        return self.columns.get(name, np.full(self.rows, math.nan))
 
     @property
     def phase_known(self) -> bool:
@@ -149,7 +156,7 @@ class ObservableTable:
             columns = {key: np.array(list(column), dtype=np.float64) for key, column in values["columns"].items()}
             level, noise = (math.nan if v is None else float(v) for v in (values["level"], values.get("noise")))
             return cls(
-                values["kind"], columns, dict(values["units"]), Quantity[values["quantity"].upper()], level,
+                TableKind(values["kind"]), columns, dict(values["units"]), Quantity[values["quantity"].upper()], level,
                 values["level_unit"], int(values["point"]), int(values["drive_point"]), values["name"],
                 values["source"], reference=values.get("reference", "force"), held=values.get("held", ""),
                 direction=values.get("direction", ""), noise=noise,
@@ -180,7 +187,7 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
     Raises:
         BenchError: the file or a column is missing, malformed, without unit or implausible.
     """
-    if section.kind == "backbone" and (section.per is not None or section.conjugate):
+    if section.kind == TableKind.BACKBONE and (section.per is not None or section.conjugate):
         raise BenchError(f"{place}: 'per' and 'conjugate' belong to a table of kind frf; take them out.")
     if section.scale == 0.0:
         raise BenchError(f"{place}: the scale is zero; give the factor or leave it out.")
@@ -192,7 +199,7 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
     quantity, reference = Quantity.UNKNOWN, "force"
     notes = list(table.notes)
     _check_amplitudes(section, table, place)
-    if section.kind == "backbone":
+    if section.kind == TableKind.BACKBONE:
         columns = _with_damping_ratio(columns)
         quantity, factor, unit = _amplitude_unit(section, table, place)
         factor *= _peak(section)
@@ -241,7 +248,7 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
     if "force_n" in units:
         units["force_n"] = "N"
     _plausible(columns, table, place)
-    if section.kind == "frf":
+    if section.kind == TableKind.FRF:
         columns = _without_still_line(columns, table.file, notes)
     return [
         _table(
@@ -303,7 +310,7 @@ def _table(
     values = {"point": section.point, "drive_point": section.drive_point, "name": section.name, **values}
     noise = math.nan if section.noise is None else 0.01 * section.noise
     return ObservableTable(
-        section.kind, columns, units, quantity, source=source, notes=notes, held=section.held or "",
+        TableKind(section.kind), columns, units, quantity, source=source, notes=notes, held=section.held or "",
         direction=section.direction or "", noise=noise, **values,
     )  # fmt: skip
 
@@ -366,7 +373,7 @@ def _check_amplitudes(section: TableSection, table: SourceTable, place: str) -> 
     Raises:
         BenchError: one does, and the sidecar says nothing.
     """
-    member = "amplitude" if section.kind == "backbone" else "magnitude"
+    member = "amplitude" if section.kind == TableKind.BACKBONE else "magnitude"
     if "amplitudes" in section.model_fields_set or section.columns.get(member) is None:
         return
     name = table.names[table.index(section.columns[member], place)]
@@ -554,7 +561,7 @@ def _plausible(columns: dict[str, FloatArray], table: SourceTable, place: str) -
 
 
 def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableTable]:
-    if section.kind != "frf":
+    if section.kind != TableKind.FRF:
         raise BenchError(f"{place}: {path.name} is a universal file; only 'kind: frf' is read from those.")
     functions = frequency_responses(path)
     if not functions:

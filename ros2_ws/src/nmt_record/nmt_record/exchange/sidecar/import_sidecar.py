@@ -7,6 +7,7 @@ written by ``./nmt export``, so that an exported run can be imported and extract
 from __future__ import annotations
 
 import math
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,14 +28,23 @@ QuantityName = Literal[
     "force", "displacement", "velocity", "acceleration", "voltage", "current",
     "torque", "angle", "angular_velocity", "angular_acceleration", "strain",
 ]  # fmt: skip
+
+
+class TableKind(StrEnum):
+    """What a table of someone else's is."""
+
+    BACKBONE = "backbone"
+    FRF = "frf"
+
+
 if TYPE_CHECKING:
     SignalKind = str
+    TableKindName = str
 else:
     SignalKind = Literal[tuple(number.label for number in KINDS)]
+    TableKindName = Literal[tuple(kind.value for kind in TableKind)]
 EXPORTED_KINDS = (TestKind.SELF_EXCITED, TestKind.SECONDARY_RESONANCE)
 """Kinds whose windows mean something only with the lock events that an export has beside them."""
-TableKind = Literal["backbone", "frf"]
-TABLE_KINDS = ("backbone", "frf")
 HELD_KINDS = (TestKind.RECORD, TestKind.STEPPED_SINE)
 """Kinds of which the sidecar may say whether force or motion was given."""
 STEADY_KINDS = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE)
@@ -193,7 +203,7 @@ class TableSection(_Section):
         name: for reports.
     """
 
-    kind: TableKind
+    kind: TableKindName
     unit: str = ""
     file: str | None = None
     columns: dict[str, str | int] = {}
@@ -334,7 +344,7 @@ def sidecar_of(document: YamlDocument) -> Sidecar:
 def _normalised(values: dict[str, Any]) -> dict[str, Any]:
     """A file that is one table may say so at the top; ``kind: observables`` may name its kind as ``table``."""
     result = dict(values)
-    if result.get("kind") in (*TABLE_KINDS, "observables") and "segments" not in result:
+    if result.get("kind") in (*TableKind, "observables") and "segments" not in result:
         own = {
             key: result.pop(key)
             for key in list(result)
@@ -348,7 +358,7 @@ def _normalised(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _table_named(item: Any) -> Any:
-    if isinstance(item, dict) and item.get("kind") == "observables" and item.get("table") in TABLE_KINDS:
+    if isinstance(item, dict) and item.get("kind") == "observables" and item.get("table") in tuple(TableKind):
         return {**{key: value for key, value in item.items() if key != "table"}, "kind": item["table"]}
     return item
 
@@ -362,7 +372,7 @@ def _concerns(error: ErrorDetails, values: dict[str, Any]) -> bool:
         kind = values["segments"][location[1]]["kind"]
     except (KeyError, TypeError, IndexError):
         return location[2] == "SignalSection"
-    return location[2] == ("TableSection" if kind in TABLE_KINDS else "SignalSection")
+    return location[2] == ("TableSection" if kind in tuple(TableKind) else "SignalSection")
 
 
 def check_sidecar(sidecar: Sidecar, document: YamlDocument) -> None:

@@ -19,8 +19,8 @@ class Thresholds:
         moving_rows: share of rows; a joint that moves in fewer is not judged.
         lag_s: a delay below this is within what rows of a log can tell, s.
         velocity_gain: a logged velocity whose factor to the derivative of the position is off by less is right.
-        coulomb_tolerance, armature_tolerance, damping_tolerance: relative; what a model's own values may be off by
-            without a finding.
+        coulomb_tolerance, armature_tolerance, damping_tolerance: relative standard uncertainties of a model's own
+            values; three of them are no finding.
         inertia_tolerance, mass_tolerance, torque_tolerance: relative standard uncertainties of a model's inertias and
             masses and of a torque constant or gain; every ± has them in it.
         held_rows: mean number of rows between changes of a command above which it is held over rows.

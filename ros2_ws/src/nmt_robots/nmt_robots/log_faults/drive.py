@@ -100,7 +100,8 @@ def reading_findings(scores: ReadingScores) -> list[Finding]:
     others = [getattr(reading, late) for reading in alike if getattr(reading, late)]
     if others:
         std = float(np.hypot(std, max(abs(other - lag) for other in others) / np.sqrt(3.0)))
-    if abs(lag) > max(THRESHOLDS.lag_s, 2.0 * std) and share > 0.5 * THRESHOLDS.fits_as_well:
+    # A drive that holds its torque over a row is late by half of one.
+    if abs(lag) > max(THRESHOLDS.lag_s, 0.75 * scores.step_s, 2.0 * std) and share > 0.5 * THRESHOLDS.fits_as_well:
         what = "torque (or the whole control loop)" if late == "torque_lag_s" else "command"
         sense = "late" if lag > 0.0 else "early"
         joints = _agreeing(scores, best.command, late)

@@ -25,12 +25,14 @@ class ReadingScores:
         relative: R; mean over joints of residual over torque, both squared, on seconds that no fit has seen.
         by_group: R × G; the same, of groups of seconds each by itself.
         by_joint: R × J.
+        step_s: between rows.
     """
 
     readings: tuple[Reading, ...]
     relative: Array
     by_group: Array
     by_joint: Array
+    step_s: float
 
     @property
     def best(self) -> Reading:
@@ -94,7 +96,8 @@ def compare_readings(motion: Motion, drive: DriveTorque) -> ReadingScores:
         torque = motion.smooth_twice(drive.torque(reading))
         for place, joint in enumerate(joints):
             by_joint[number, joint], groups[number, :, place] = sides[place].scores(torque[:, joint])
-    return ReadingScores(tuple(readings), np.nanmean(by_joint, axis=1), np.nanmean(groups, axis=2), by_joint)
+    pooled, grouped = np.nanmean(by_joint, axis=1), np.nanmean(groups, axis=2)
+    return ReadingScores(tuple(readings), pooled, grouped, by_joint, motion.step_s)
 
 
 class _Sides:

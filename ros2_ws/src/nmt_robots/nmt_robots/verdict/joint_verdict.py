@@ -154,7 +154,7 @@ def joint_verdict(
         differs = (
             part > THRESHOLDS.smallest_share
             and abs(difference) > THRESHOLDS.certain * std
-            and abs(difference) > 2.0 * tolerance
+            and abs(difference) > THRESHOLDS.certain * tolerance
             and share.impossible == 0.0
         )
         words = share.effect.words + (f", {share.effect.shape}" if share.effect.shape else "")
@@ -162,7 +162,8 @@ def joint_verdict(
             Term(key, words, share.effect.unit, share.size, std, reference, part, differs, share.alike,
                  share.impossible)
         )  # fmt: skip
-    terms.sort(key=lambda term: (not term.differs, -term.share))
+    # An offset is what other terms leave of their mean: it stands behind them.
+    terms.sort(key=lambda term: (not term.differs, term.key == "offset", -term.share))
     unchanged = _left_by_model(motion, number, best, in_model)
     return JointVerdict(
         joint, best, tuple(terms), best.held_out.torque, plain[1], unchanged, best.plain.interleaved,

@@ -14,7 +14,7 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.candidate_starts import starts_of
-from nmt_diagnose.fit.fitting import ChainErrors, _normal, approach, data_about, fit
+from nmt_diagnose.fit.fitting import ChainErrors, Start, _normal, data_about, fit
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.noise import Groups, chance_of
 from nmt_diagnose.ledger.comparison import source_locations
@@ -61,8 +61,8 @@ def test_a_fit_from_afar_arrives_where_one_from_nearby_does() -> None:
     near, far = own.zero, own.zero
     near[-1] = 2e8 / cubic.site.scales["k"]
     far[-1] = 10.0 * near[-1]
-    best = fit(data, own, near)
-    found = approach(data, own, far)
+    best = fit(data, own, Start("near", near))
+    found = fit(data, own, Start("far", far, coarse=True))
     assert found.cost == pytest.approx(best.cost, abs=0.5)
     assert found.theta[-1] == pytest.approx(best.theta[-1], rel=1e-2)
 

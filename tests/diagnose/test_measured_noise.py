@@ -15,13 +15,14 @@ from scipy.optimize import minimize
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.chain.chain_columns import SharedDelay, linear_chain
-from nmt_diagnose.diagnose import _from_credible, diagnose_observations, free_parameters, model_alone
+from nmt_diagnose.diagnose import diagnose_observations, free_parameters, model_alone
 from nmt_diagnose.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
 from nmt_diagnose.effects.location import Location
+from nmt_diagnose.fit.best_fit import from_believed
 from nmt_diagnose.fit.explanations import FittedExplanation, Score
-from nmt_diagnose.fit.fitting import best_chain_errors, data_about, fit
+from nmt_diagnose.fit.fitting import Effort, Start, best_chain_errors, data_about, fit
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.noise import Groups, groups_of
 from nmt_diagnose.ledger.comparison import Hypotheses, SourceEvidence, laws
@@ -177,7 +178,7 @@ def test_rows_of_one_kind_in_one_test_share_a_scale() -> None:
 def test_a_strength_beyond_its_ordinary_prior_is_found_from_where_the_score_puts_it(start: float) -> None:
     """A strength that its prior holds back would be taken for noise: the scale of the noise would grow instead."""
     search, cubic = _table_search()
-    null = FittedExplanation((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
+    null = alone(search)
     found = search.added(null, Score(cubic, np.array([start]), 0.0, 1.0, np.zeros(search.data.sigma.size)), lost=np.inf)
     assert found is not None
     (value,) = found.fit.parametrisation.values(found.fit.theta, 0).values()
@@ -186,7 +187,7 @@ def test_a_strength_beyond_its_ordinary_prior_is_found_from_where_the_score_puts
 
 def test_strong_effects_are_climbed_from_low_levels() -> None:
     search, _ = _table_search()
-    null = FittedExplanation((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
+    null = alone(search)
     best = search.singles(null, search.scores(null))[0]
     assert best.effects == ("cubic_stiffness",)
     (value,) = best.fit.parametrisation.values(best.fit.theta, 0).values()
@@ -194,6 +195,12 @@ def test_strong_effects_are_climbed_from_low_levels() -> None:
 
 
 CUBIC = 2.1e12
+
+
+def alone(search: Search) -> FittedExplanation:
+    """The model alone."""
+    parametrisation = search.parametrisation()
+    return FittedExplanation((), fit(search.data, parametrisation, Start("given", parametrisation.zero)))
 
 
 def _table_search() -> tuple[Search, int]:
@@ -320,7 +327,7 @@ def test_an_effect_that_is_not_there_lowers_the_evidence() -> None:
     every = candidates(MODEL, operating_range(MODEL, observations.tests, observations=observations))
     cubic = next(own for own in every if own.effect.name == "cubic_stiffness")
     search = Search(data, MODEL, calibration_parameters(MODEL), [cubic])
-    null = FittedExplanation((), fit(search.data, search.parametrisation(), search.parametrisation().zero))
+    null = alone(search)
     found = search.added(null, Score(0, np.array([0.01]), 0.0, 1.0, np.zeros(data.sigma.size)), lost=np.inf)
     assert found is not None
     assert found.fit.cost < null.fit.cost + 0.5
@@ -411,10 +418,10 @@ def test_a_fit_of_the_model_alone_returns_from_where_nobody_believes_it() -> Non
     null, data = model_alone(MODEL, observations, parameters, everything, LowLevelModes(observations, MODEL))[2:]
     far = null.fit.theta.copy()
     far[[parameter.name.startswith("structure") for parameter in parameters].index(True)] = 40.0
-    lost = fit(data, null.fit.parametrisation, far, steps=0)
+    lost = fit(data, null.fit.parametrisation, Start("far", far, effort=Effort(steps=0)))
     assert lost.cost > null.fit.cost + 100.0
-    assert _from_credible(data, lost).cost == pytest.approx(null.fit.cost, abs=0.5)
-    assert _from_credible(data, null.fit) is null.fit
+    assert from_believed(data, lost).cost == pytest.approx(null.fit.cost, abs=0.5)
+    assert from_believed(data, null.fit) is null.fit
 
 
 def test_errors_of_the_chain_are_at_their_best_from_any_start() -> None:

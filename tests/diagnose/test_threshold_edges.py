@@ -18,6 +18,7 @@ from nmt_bench.commands import linear_command
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.effects.location import Cause, Explanation, Location
 from nmt_diagnose.effects.structure_effects import _excess, largest_air_drag
+from nmt_diagnose.fit.best_fit import spread_of
 from nmt_diagnose.fit.fitting import Data, FitResult
 from nmt_diagnose.fit.noise import Groups, beyond_noise
 from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass, Hypotheses, SourceEvidence
@@ -33,7 +34,6 @@ from nmt_diagnose.prediction.lateness import delay_of
 from nmt_diagnose.say.residual_tests import residual_tests
 from nmt_diagnose.say.result_rows import place_rows
 from nmt_diagnose.say.sentences import _where, sentences
-from nmt_diagnose.search.search import _spread_of
 from nmt_diagnose.thresholds.next_test import NextTestThresholds
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import load_rig
@@ -289,9 +289,9 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "comparison.prior_two_effects": (lambda: prior(2), pytest.approx(2.0 * 0.05)),
     "comparison.prior_none": (lambda: compared().none, pytest.approx(0.6 / 0.7)),
     "comparison.prior_unnamed": (lambda: compared().unknown, pytest.approx(0.1 / 0.7)),
-    "fits.strength_std": (lambda: [_spread_of(size) for size in (7.4, 7.6)], [1.0, 10.0]),
-    "fits.strength_spreads": (lambda: [_spread_of(size) for size in (7.0, 70.0, 700.0)], [1.0, 10.0, 100.0]),
-    "search.wider_strength": (lambda: [_spread_of(size) for size in (-7.4, -7.6)], [1.0, 10.0]),
+    "fits.strength_std": (lambda: [spread_of(size) for size in (7.4, 7.6)], [1.0, 10.0]),
+    "fits.strength_spreads": (lambda: [spread_of(size) for size in (7.0, 70.0, 700.0)], [1.0, 10.0, 100.0]),
+    "search.wider_strength": (lambda: [spread_of(size) for size in (-7.4, -7.6)], [1.0, 10.0]),
     "fits.largest_log_ratio": (lambda: (over_measured(2.0), over_measured(5.0)), pytest.approx((math.e**2, math.e**3))),
     "fits.converged_cost_fall": (
         lambda: [FitResult.converged.fget(SimpleNamespace(promised=fall)) for fall in (0.21, 0.19)],  # type: ignore[attr-defined]

@@ -136,7 +136,7 @@ def chosen(cosine: float) -> int:
 
 def exceeds(scale: float) -> bool:
     """Whether a fit with a learnt scale leaves so much that it is tried from the model as given."""
-    found = SimpleNamespace(fit=SimpleNamespace(errors=SimpleNamespace(squares=np.array([10.0 * scale**2]))))
+    found = SimpleNamespace(errors=SimpleNamespace(squares=np.array([10.0 * scale**2])))
     data = SimpleNamespace(counts=np.array([10.0]), groups=SimpleNamespace(degrees=np.array([6.0])))
     return Search.exceeds_noise(SimpleNamespace(data=data), found)  # type: ignore[arg-type]
 

@@ -34,9 +34,10 @@ from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.fit.best_fit import StartName, likelihood
 from nmt_diagnose.fit.candidate_starts import starts_of
 from nmt_diagnose.fit.explanations import FittedExplanation
-from nmt_diagnose.fit.fitting import FitError, approach, fit
+from nmt_diagnose.fit.fitting import Start
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.prediction.operating_range import operating_range
@@ -253,12 +254,8 @@ def _each_left_out(search: Search, true: FittedExplanation) -> list[FittedExplan
         theta = np.concatenate(
             [true_fit.theta[:count], *[true_fit.theta[true_fit.parametrisation.index_of(k)] for k in kept]]
         )
-        try:
-            fitted = approach(search.data, parametrisation, theta)
-        except FitError:
-            continue
-        result.append(FittedExplanation(tuple(parametrisation.candidates), fitted))
-    return result
+        result.append(search.best(parametrisation, [Start(StartName.ALONE, theta, coarse=True)]))
+    return [explanation for explanation in result if explanation is not None]
 
 
 def account(rig: Rig, observations: Observations, settings: DiagnosisSettings, truth: Mapping[str, Any]) -> Account:
@@ -361,20 +358,15 @@ def _fitted_at(
         for candidate, effect in zip(chosen, truth["effects"], strict=True)
     ]
     edits = {tuple(edit["path"]): edit["value"] for edit in truth["edits"] if edit["kind"] == "set"}
-    parametrisation = search.parametrisation(chosen)
-    found = []
+    table = []
     for base in (null.fit.theta, np.zeros_like(null.fit.theta)):
         start = base.copy()
         for k, parameter in enumerate(search.parameters):
             if parameter.path in edits:
                 value = float(edits[parameter.path])
                 start[k] = math.log((value + parameter.offset) / (parameter.value + parameter.offset)) / parameter.std
-        try:
-            fitted = fit(search.data, parametrisation, np.concatenate([start, *starts]), None)
-            found.append(FittedExplanation(tuple(chosen), search.widened(fitted)))
-        except FitError:
-            continue
-    return min(found, key=lambda fitted: fitted.fit.cost, default=None)
+        table.append(Start("truth", np.concatenate([start, *starts])))
+    return search.best(search.parametrisation(chosen), table, widen=True, value=likelihood)
 
 
 def _candidates(candidates: Sequence[Candidate], name: str, detail: str | Sequence[str]) -> list[Candidate]:

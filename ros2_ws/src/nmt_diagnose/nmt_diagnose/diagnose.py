@@ -20,15 +20,17 @@ from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.location import Explanation
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.fit.best_fit import StartName, best_fit, from_believed, likelihood
 from nmt_diagnose.fit.candidate_starts import at_strength
 from nmt_diagnose.fit.explanations import FittedExplanation, LeftOut, Score, best_of, leaves_noise_only
 from nmt_diagnose.fit.fitting import (
+    REFIT,
     ChainErrors,
     Data,
     FitError,
     FitResult,
     Metric,
-    approach,
+    Start,
     best_chain_errors,
     data_about,
     fit,
@@ -90,10 +92,6 @@ from nmt_rig.rig import Rig, load_rig
 
 # Times that the measuring chain is taken anew about the model's fit: it is linear, and the second round starts near.
 _CHAIN_ROUNDS = 2
-# Steps of a refit to a part of the rows, which starts at the optimum of all.
-_REFIT_STEPS = 8
-# Times that sensitivities are computed anew in a refit to a part of the rows.
-_REFIT_REFRESHES = 2
 # Order of the solution that shows what the harmonic balance leaves out: three times as many leave 2 % of it.
 _FINE_HARMONICS = 27
 # Most lines of a random test: neighbouring ones show the same.
@@ -350,11 +348,10 @@ def _noise_only(rig: Rig, observations: Observations, data: Data, found: FittedE
     if leaves_noise_only(data, found):
         return True
     near = about(rig, observations, found.fit, data.used)
-    try:
-        again = fit(near, found.fit.parametrisation, found.fit.theta, found.fit.prediction)
-    except FitError:
-        return False
-    return leaves_noise_only(near, FittedExplanation(found.candidates, again))
+    again = Search(near, rig, (), ()).best(
+        found.fit.parametrisation, [Start(found.fit.start, found.fit.theta, found.fit)]
+    )
+    return again is not None and leaves_noise_only(near, again)
 
 
 def _singles(
@@ -502,31 +499,16 @@ def model_alone(
         observations = _with_solver_error(observations, rig, as_given)
         parametrisation = Parametrisation(rig, tuple(parameters))
         data = data_about(observations, rig, as_given, used, logarithms=True)
-        found = fit(data, parametrisation, parametrisation.zero, as_given)
+        starts = [Start(StartName.GIVEN, parametrisation.zero, as_given)]
         if modes.far_from(rig):
-            nearer = fit(data, parametrisation, modes.start(parametrisation, parametrisation.zero)[0])
-            found = nearer if nearer.cost < found.cost else found
+            starts.append(Start(StartName.MODES, modes.start(parametrisation, parametrisation.zero)[0]))
+        found = best_fit(data, parametrisation, starts, value=likelihood)
         for _ in range(_CHAIN_ROUNDS):
             data = about(rig, observations, found, used)
-            found = _from_credible(data, fit(data, parametrisation, found.theta, found.prediction))
+            found = from_believed(data, fit(data, parametrisation, Start(found.start, found.theta, found)))
     except (FitError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise BenchError(f"The model cannot be compared with the observations: {error}.") from error
     return data.observations, as_given, FittedExplanation((), found), data
-
-
-def _from_credible(data: Data, found: FitResult) -> FitResult:
-    """A fit of the model alone, fitted again from where what nobody believes of its parameters is as given.
-
-    A resonance that is damped away is gone from the rows, and no slope leads back to it.
-    """
-    far = np.abs(found.theta) > THRESHOLDS.comparison.credible_sigmas
-    if not far.any():
-        return found
-    try:
-        again = approach(data, found.parametrisation, np.where(far, 0.0, found.theta))
-    except FitError:
-        return found
-    return again if again.cost < found.cost else found
 
 
 def _with_solver_error(observations: Observations, rig: Rig, as_given: Prediction) -> Observations:
@@ -893,16 +875,10 @@ def _held_out_residual(
     part = replace(fitted, used=fitted.used & split.fitted)
     fitted_before = found.fit
     try:
-        refit = fit(
-            part,
-            fitted_before.parametrisation,
-            fitted_before.theta,
-            fitted_before.prediction,
-            fitted_before.jacobian,
-            _REFIT_STEPS,
-            False,
-            _REFIT_REFRESHES,
+        from_all = Start(
+            fitted_before.start, fitted_before.theta, fitted_before, fitted_before.theta.size, effort=REFIT
         )
+        refit = fit(part, fitted_before.parametrisation, from_all)
     except FitError:
         return None
     left = best_chain_errors(all_data, refit.prediction.values, fitted_before.errors).residual

@@ -29,8 +29,6 @@ _MOST_STEPS = 25
 _LARGEST_STEP = 3.0
 # Shares of the size of each row that are added to its noise one after the other, so that no group is given up early.
 _APPROACH_SHARES = (0.1, 0.01, 0.001)
-# Steps of each stage of an approach from afar; it only has to come near.
-_APPROACH_STEPS = 10
 # Actual over promised fall below which sensitivities are computed anew after a step.
 _BROYDEN_LEAST_GAIN_RATIO = 0.75
 # Actual over promised fall below which the next step is damped, as usual for Levenberg's method.
@@ -421,9 +419,14 @@ def predicted(
 
 
 def sensitivities(
-    data: Data, parametrisation: Parametrisation, theta: FloatArray, near: Prediction, errors: ChainErrors
+    data: Data,
+    parametrisation: Parametrisation,
+    theta: FloatArray,
+    near: Prediction,
+    errors: ChainErrors,
+    which: range | None = None,
 ) -> FloatArray:
-    """∂f/∂θ over σ, (m, n).
+    """∂f/∂θ over σ, (m, n), or by those parameters that are asked for.
 
     Raises:
         FitError: the model has none there.
@@ -431,50 +434,85 @@ def sensitivities(
     if not theta.size:
         return np.zeros((data.sigma.size, 0))
     try:
-        return data.slopes(data.forward.jacobian(parametrisation, theta, near), errors.values)
+        return data.slopes(data.forward.jacobian(parametrisation, theta, near, which), errors.values)
     except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise FitError(f"the model has no sensitivities there ({error})") from error
 
 
-def fit(
-    data: Data,
-    parametrisation: Parametrisation,
-    theta: FloatArray,
-    start: Prediction | FitResult | None = None,
-    jacobian: FloatArray | None = None,
-    steps: int = _MOST_STEPS,
-    exact: bool = True,
-    refreshes: int = _MOST_STEPS,
-) -> FitResult:
-    """Fit an explanation.
+@dataclass(frozen=True)
+class Effort:
+    """How much a fit may cost.
+
+    Attributes:
+        steps: most steps.
+        refreshes: how often sensitivities may be computed anew on the way.
+        exact: compute them anew at the end.
+    """
+
+    steps: int = _MOST_STEPS
+    refreshes: int = _MOST_STEPS
+    exact: bool = True
+
+
+TO_THE_END = Effort()
+ON_THE_WAY = Effort(exact=False)
+# Finalists are fitted to the end.
+FIRST_LOOK = Effort(refreshes=3, exact=False)
+# A refit to a part of the rows starts at the optimum of all.
+REFIT = Effort(8, 2, exact=False)
+# Each stage of an approach from afar only has to come near.
+_FROM_AFAR = Effort(10, exact=False)
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a fit begins.
+
+    Attributes:
+        name: of the place, as the ledger has it.
+        theta: parameters, (n,).
+        near: a solution nearby, or a fit, which goes on where it is of the same data, parametrisation and θ.
+        known: parameters, the first of θ, whose sensitivities the fit nearby lends; 0 = all are computed.
+        coarse: approach from afar, first to a tenth of everything measured, then ever closer. Far from the optimum the
+            learnt scale of a group of rows grows so large that the group hardly counts, and the fit stays there; with a
+            coarse demand on all rows at first no group is lost.
+        effort: of the fit.
+    """
+
+    name: str
+    theta: FloatArray
+    near: Prediction | FitResult | None = None
+    known: int = 0
+    coarse: bool = False
+    effort: Effort = TO_THE_END
+
+
+def fit(data: Data, parametrisation: Parametrisation, start: Start) -> FitResult:
+    """Fit an explanation from one start; see :func:`nmt_diagnose.fit.best_fit.best_fit` for several.
 
     Args:
         data: what fits work on.
         parametrisation: what θ means.
-        theta: where to start, (n,).
-        start: a solution nearby, or a fit, which goes on where it is of the same data, parametrisation and θ.
-        jacobian: sensitivities near the start; None = computed.
-        steps: most steps.
-        exact: compute sensitivities anew at the end.
-        refreshes: how often they may be computed anew on the way.
+        start: where to begin.
 
     Raises:
         FitError: the model cannot be solved at the start.
     """
-    std, lower = parametrisation.prior_std, parametrisation.lower
-    theta = np.maximum(np.asarray(theta, dtype=np.float64), lower)
-    near = start.prediction if isinstance(start, FitResult) else start
-    if isinstance(start, FitResult) and start.is_of(data, parametrisation, theta):
-        prediction, errors, slopes, fresh = start.prediction, start.errors, start.jacobian, start.exact
+    start = _from_nearby(data, parametrisation, start) if start.coarse else start
+    std, lower, effort, near = parametrisation.prior_std, parametrisation.lower, start.effort, start.near
+    refreshes = effort.refreshes
+    theta = np.maximum(np.asarray(start.theta, dtype=np.float64), lower)
+    if isinstance(near, FitResult) and near.is_of(data, parametrisation, theta):
+        prediction, errors, slopes, fresh = near.prediction, near.errors, near.jacobian, near.exact
     else:
-        found = predicted(data, parametrisation, theta, near)
+        found = predicted(data, parametrisation, theta, near.prediction if isinstance(near, FitResult) else near)
         if found is None:
             raise FitError("the model has no solution for the rows that are compared")
-        prediction, errors, fresh = found, best_chain_errors(data, found.values), jacobian is None
-        slopes = sensitivities(data, parametrisation, theta, found, errors) if jacobian is None else jacobian
+        prediction, errors, fresh = found, best_chain_errors(data, found.values), not start.known
+        slopes = _slopes_at(data, parametrisation, theta, prediction, errors, start)
     cost = errors.cost + float(np.sum((theta / std) ** 2))
     damping, settled = 1e-3, False
-    for _ in range(steps if theta.size else 0):
+    for _ in range(effort.steps if theta.size else 0):
         normal, gradient = _normal(slopes, errors, theta, std)
         trial = None
         for _ in range(_MOST_TRIALS):
@@ -498,7 +536,7 @@ def fit(
         if trial is None:
             # Sensitivities from elsewhere may promise nothing where those at the estimate would lead on.
             settled = fresh
-            if fresh or refreshes <= 0 or not (exact or promised >= 0.1 * THRESHOLDS.fits.converged_cost_fall):
+            if fresh or refreshes <= 0 or not (effort.exact or promised >= 0.1 * THRESHOLDS.fits.converged_cost_fall):
                 break
             slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True
             refreshes -= 1
@@ -516,9 +554,33 @@ def fit(
             refreshes -= 1
         if gained < 0.1 * THRESHOLDS.fits.converged_cost_fall:
             break
-    if exact and not fresh:
+    if effort.exact and not fresh:
         slopes, fresh = sensitivities(data, parametrisation, theta, prediction, errors), True
-    return _finished(parametrisation, theta, errors, slopes, prediction, cost, settled, fresh)
+    return _finished(parametrisation, theta, errors, slopes, prediction, cost, settled, fresh, start.name)
+
+
+def _from_nearby(data: Data, parametrisation: Parametrisation, start: Start) -> Start:
+    """The start that one from afar leads to by ever smaller shares of everything measured."""
+    start = replace(start, coarse=False)
+    for share in _APPROACH_SHARES:
+        blurred = replace(data, sigma=np.hypot(data.sigma, share * _natural_size(data.observations)))
+        found = fit(blurred, parametrisation, replace(start, effort=_FROM_AFAR))
+        start = replace(start, theta=found.theta, near=found.prediction, known=0)
+    return start
+
+
+def _slopes_at(
+    data: Data, parametrisation: Parametrisation, theta: FloatArray, at: Prediction, errors: ChainErrors, start: Start
+) -> FloatArray:
+    """Sensitivities at the beginning of a fit, (m, n): those that the fit nearby knows are not computed."""
+    if not start.known:
+        return sensitivities(data, parametrisation, theta, at, errors)
+    assert isinstance(start.near, FitResult)
+    known = start.near.jacobian[:, : start.known]
+    more = range(start.known, theta.size)
+    if not more:
+        return known
+    return np.column_stack([known, sensitivities(data, parametrisation, theta, at, start.near.errors, more)])
 
 
 def _normal(
@@ -558,6 +620,7 @@ def _finished(
     cost: float,
     settled: bool,
     exact: bool,
+    start: str,
 ) -> FitResult:
     std = parametrisation.prior_std
     chain = Metric(errors.slopes, np.ones(errors.chain.size), errors.weights)
@@ -569,26 +632,8 @@ def _finished(
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return FitResult(
         parametrisation, theta, covariance, errors, slopes, prediction, cost,
-        log_evidence + parametrisation.log_prior, promised, exact,
+        log_evidence + parametrisation.log_prior, promised, exact, start,
     )  # fmt: skip
-
-
-def approach(
-    data: Data, parametrisation: Parametrisation, theta: FloatArray, start: Prediction | None = None
-) -> FitResult:
-    """Fit an explanation from afar: first to a tenth of everything measured, then ever closer.
-
-    Far from the optimum the learnt scale of a group of rows grows so large that the group hardly counts, and the fit
-    stays there. With a coarse demand on all rows at first no group is lost. Arguments as for :func:`fit`.
-
-    Raises:
-        FitError: the model cannot be solved at the start.
-    """
-    for share in _APPROACH_SHARES:
-        near = replace(data, sigma=np.hypot(data.sigma, share * _natural_size(data.observations)))
-        found = fit(near, parametrisation, theta, start, steps=_APPROACH_STEPS, exact=False)
-        theta, start = found.theta, found.prediction
-    return fit(data, parametrisation, theta, start)
 
 
 def _natural_size(observations: Observations) -> FloatArray:

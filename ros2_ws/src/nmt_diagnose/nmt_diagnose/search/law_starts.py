@@ -10,12 +10,13 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.fit.best_fit import StartName, likelihood, spread_at
 from nmt_diagnose.fit.explanations import FittedExplanation, best_of
-from nmt_diagnose.fit.fitting import FitError, FitResult, approach, fit
+from nmt_diagnose.fit.fitting import ON_THE_WAY, Start
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, read_law
 from nmt_diagnose.law.record_law import read_record_law
 from nmt_diagnose.observations.observables import Observations
-from nmt_diagnose.search.search import Search
+from nmt_diagnose.search.search import WEAKER_SHARE, Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
@@ -57,28 +58,21 @@ def _fitted(
     search: Search, null: FittedExplanation, starts: Sequence[tuple[Candidate, FloatArray]]
 ) -> FittedExplanation | None:
     candidates = [candidate for candidate, _ in starts]
-    spreads = [search.spread_of(candidate, theta) for candidate, theta in starts]
+    spreads = [spread_at(candidate, theta) for candidate, theta in starts]
     parametrisation = search.parametrisation(candidates, spreads)
-    best: FitResult | None = None
-    for share in (1.0, 0.3):
+    given = np.zeros_like(null.fit.theta)
+    near, afar = StartName.LAW, StartName.LAW_GIVEN
+    for share, names in ((1.0, (near, afar)), (WEAKER_SHARE, (near.weaker, afar.weaker))):
         added = [_weaker(candidate, parameters, share) for candidate, parameters in starts]
         # The law was read with the model as it was given; without it a strong law has bent the model's own parameters.
-        for model in (null.fit.theta, np.zeros_like(null.fit.theta)):
-            theta = np.concatenate([model, *added])
-            try:
-                if best is None:
-                    found = fit(search.data, parametrisation, theta, null.fit.prediction, exact=False)
-                else:
-                    found = approach(search.data, parametrisation, theta)
-                found = search.widened(found)
-            except (FitError, BenchError, ArithmeticError, np.linalg.LinAlgError):
-                continue
-            best = found if best is None or found.cost < best.cost else best
-            if not search.exceeds_noise(FittedExplanation(tuple(candidates), best)):
-                break
-        if best is not None:
-            break
-    return None if best is None else FittedExplanation(tuple(candidates), best)
+        table = [
+            Start(names[0], np.concatenate([null.fit.theta, *added]), null.fit.prediction, effort=ON_THE_WAY),
+            Start(names[1], np.concatenate([given, *added]), coarse=True),
+        ]
+        found = search.best(parametrisation, table, None, True, likelihood, lambda it: not search.exceeds_noise(it))
+        if found is not None:
+            return found
+    return None
 
 
 def _weaker(candidate: Candidate, theta: FloatArray, share: float) -> FloatArray:

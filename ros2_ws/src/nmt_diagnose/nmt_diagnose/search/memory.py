@@ -17,8 +17,9 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Cause, Explanation
+from nmt_diagnose.fit.best_fit import StartName, spread_at
 from nmt_diagnose.fit.explanations import FittedExplanation, best_of
-from nmt_diagnose.fit.fitting import FitError, fit
+from nmt_diagnose.fit.fitting import ON_THE_WAY, Start
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.search.law_starts import parameters_at
 from nmt_diagnose.search.search import Search
@@ -108,12 +109,9 @@ def _fitted(search: Search, null: FittedExplanation, remembered: Remembered) -> 
             return None
         candidates.append(candidate)
         added.append(theta)
-    spreads = [search.spread_of(candidate, theta) for candidate, theta in zip(candidates, added, strict=True)]
+    spreads = [spread_at(candidate, theta) for candidate, theta in zip(candidates, added, strict=True)]
     parametrisation = search.parametrisation(candidates, spreads)
     held = [remembered.parameters.get(parameter.name, 0.0) for parameter in parametrisation.calibration]
-    start = np.concatenate([held, *added])
-    try:
-        found = search.widened(fit(search.data, parametrisation, start, null.fit.prediction, exact=False))
-    except FitError:
-        return None
-    return FittedExplanation(tuple(candidates), found) if math.isfinite(found.log_evidence) else None
+    start = Start(StartName.BEFORE, np.concatenate([held, *added]), null.fit.prediction, effort=ON_THE_WAY)
+    found = search.best(parametrisation, [start], widen=True)
+    return found if found is not None and math.isfinite(found.fit.log_evidence) else None

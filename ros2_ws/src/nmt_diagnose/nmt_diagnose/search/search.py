@@ -18,6 +18,7 @@ from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Cause, Explanation
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.fit.best_fit import StartName, best_fit, evidence, spread_at, spread_of
 from nmt_diagnose.fit.candidate_starts import (
     at_strength,
     at_zero,
@@ -32,19 +33,19 @@ from nmt_diagnose.fit.explanations import (
     best_of,
     leaves_noise_only,
 )
-from nmt_diagnose.fit.fitting import Data, FitError, FitResult, Metric, approach, fit, predicted
+from nmt_diagnose.fit.fitting import FIRST_LOOK, Data, FitError, FitResult, Metric, Start, fit, predicted
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
 # Times that a fit which has not converged is continued.
 _CONTINUATIONS = 3
-# Times that sensitivities are computed anew in the first fit of a candidate; finalists are fitted to the end.
-_FIRST_REFRESHES = 3
 # Little, and more than rounding.
 _INITIAL_STRENGTH = 0.01
 
 ProgressSentence = Callable[[str], None]
+WEAKER_SHARE = 0.3
+"""Of the strength of a start from which the model has no solution."""
 
 
 class Search:
@@ -201,61 +202,59 @@ class Search:
             return [np.zeros(self.data.sigma.size) for _ in chosen]
         return list(self.data.slopes(columns, base.fit.errors.values).T)
 
+    def best(
+        self,
+        parametrisation: Parametrisation,
+        starts: Sequence[Start],
+        known: FittedExplanation | None = None,
+        widen: bool = False,
+        value: Callable[[FitResult], float] = evidence,
+        enough: Callable[[FitResult], bool] = lambda _: False,
+    ) -> FittedExplanation | None:
+        """An explanation fitted from the best of some starts, or the one that is known where none is better.
+
+        Returns:
+            None where the model cannot be solved at any of them; arguments as of :func:`best_fit`.
+        """
+        standing = None if known is None else known.fit
+        try:
+            found = best_fit(self.data, parametrisation, starts, standing, value, enough, widen)
+        except FitError:
+            return None
+        return known if found is standing else FittedExplanation(parametrisation.candidates, found)
+
     def added(
-        self, base: FittedExplanation, score: Score, lost: float = THRESHOLDS.search.lost_cost_rise
+        self,
+        base: FittedExplanation,
+        score: Score,
+        lost: float = THRESHOLDS.search.lost_cost_rise,
+        name: StartName = StartName.SCORE,
     ) -> FittedExplanation | None:
         """A candidate fitted on top of a fit; None where the model cannot be solved with it."""
-        candidate = self.candidates[score.candidate]
-        start = score.start.copy()
-        position = strength_position(candidate)
-        known = [base.fit.parametrisation.spread(k) for k in range(len(base.candidates))]
+        candidate, fitted = self.candidates[score.candidate], base.fit
+        known = [fitted.parametrisation.spread(k) for k in range(len(base.candidates))]
         # A strength that its prior holds back would be taken for noise.
         parametrisation = self.parametrisation(
-            (*base.candidates, candidate), (*known, _spread_of(float(start[position])))
+            (*base.candidates, candidate), (*known, spread_at(candidate, score.start))
         )
-        best: FitResult | None = None
-        for share in (1.0, 0.3):
-            start[position] = share * score.start[position]
-            theta = np.concatenate([base.fit.theta, start])
-            try:
-                jacobian = self._joined(base.fit, base.fit.jacobian, parametrisation, theta)
-                best = self.widened(
-                    fit(
-                        self.data,
-                        parametrisation,
-                        theta,
-                        base.fit.prediction,
-                        jacobian,
-                        exact=False,
-                        refreshes=_FIRST_REFRESHES,
-                    )
-                )
-                break
-            except FitError:
-                continue
+        strength = score.start[strength_position(candidate)]
+        starts = [
+            Start(
+                of_share,
+                np.concatenate([fitted.theta, at_strength(candidate, score.start, share * strength)]),
+                fitted,
+                fitted.theta.size,
+                effort=FIRST_LOOK,
+            )
+            for of_share, share in ((name, 1.0), (name.weaker, WEAKER_SHARE))
+        ]
+        found = self.best(parametrisation, starts, enough=lambda _: True, widen=True)
         # Worse than without it: the fit has lost its way.
-        if best is None or best.cost > base.fit.cost + lost:
+        if found is None or found.fit.cost > fitted.cost + lost:
             if not base.candidates:
                 self.lost.add(candidate.cause)
             return None
-        return FittedExplanation((*base.candidates, candidate), best)
-
-    def _joined(
-        self, near: FitResult, known: FloatArray, parametrisation: Parametrisation, theta: FloatArray
-    ) -> FloatArray:
-        """Sensitivities of a fit, the first of them known, (m, k), from a fit nearby; over σ.
-
-        Raises:
-            FitError: the model has no solution there.
-        """
-        prediction = predicted(self.data, parametrisation, theta, near.prediction)
-        if prediction is None:
-            raise FitError("the model has no solution with it")
-        try:
-            columns = self.data.forward.jacobian(parametrisation, theta, prediction, range(known.shape[1], theta.size))
-        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-            raise FitError(f"the model has no sensitivities there ({error})") from error
-        return np.column_stack([known, self.data.slopes(columns, near.errors.values)])
+        return found
 
     def again(self, found: FittedExplanation) -> FittedExplanation:
         """The same explanation fitted to this search's data from where it stands.
@@ -266,7 +265,7 @@ class Search:
         fitted = found.fit
         try:
             for _ in range(1 + _CONTINUATIONS):
-                fitted = fit(self.data, fitted.parametrisation, fitted.theta, fitted)
+                fitted = fit(self.data, fitted.parametrisation, Start(fitted.start, fitted.theta, fitted))
                 if fitted.converged:
                     break
         except FitError:
@@ -313,37 +312,8 @@ class Search:
         if np.max(np.abs(theta[:count] - leader.fit.theta[:count]), initial=0.0) < THRESHOLDS.search.other_parameters:
             return rival
         theta[:count] = leader.fit.theta[:count]
-        try:
-            moved = fit(self.data, rival.fit.parametrisation, theta, leader.fit.prediction)
-        except FitError:
-            return rival
-        better = moved.log_evidence > rival.fit.log_evidence
-        return FittedExplanation(rival.candidates, moved) if better else rival
-
-    def spread_of(self, candidate: Candidate, theta: FloatArray) -> float:
-        """The narrowest part of the prior of a candidate's strength that does not hold these parameters back."""
-        return _spread_of(float(theta[strength_position(candidate)]))
-
-    def widened(self, found: FitResult) -> FitResult:
-        """The fit with the part of its strengths' prior that makes it most probable."""
-        parametrisation = found.parametrisation
-        spreads = []
-        for k, candidate in enumerate(parametrisation.candidates):
-            strengths = zip(found.theta[parametrisation.index_of(k)], candidate.effect.parameters, strict=True)
-            spreads.append(_spread_of(max(abs(float(value)) for value, p in strengths if p.kind == "strength")))
-        if all(spread == parametrisation.spread(k) for k, spread in enumerate(spreads)):
-            return found
-        wider = replace(parametrisation, spreads=tuple(spreads))
-        again = fit(
-            self.data,
-            wider,
-            found.theta,
-            found.prediction,
-            found.jacobian,
-            exact=False,
-            refreshes=_FIRST_REFRESHES,
-        )
-        return again if again.log_evidence > found.log_evidence else found
+        moved = Start(StartName.LEADER, theta, leader.fit)
+        return self.best(rival.fit.parametrisation, [moved], rival) or rival
 
     def chosen(
         self, base: FittedExplanation, scores: Sequence[Score], effects: int, places: int, least: float
@@ -428,21 +398,9 @@ class Search:
         theta, position = found.fit.theta.copy(), len(self.parameters) + strength_position(other)
         if here is not None and there is not None:
             theta[position] *= there.start[strength_position(other)] / here.start[strength_position(other)]
-        parametrisation = self.parametrisation((other,), (_spread_of(float(theta[position])),))
-        try:
-            jacobian = self._joined(found.fit, found.fit.jacobian[:, : len(self.parameters)], parametrisation, theta)
-            fitted = fit(
-                self.data,
-                parametrisation,
-                theta,
-                found.fit.prediction,
-                jacobian,
-                exact=False,
-                refreshes=_FIRST_REFRESHES,
-            )
-            return FittedExplanation((other,), self.widened(fitted))
-        except FitError:
-            return None
+        parametrisation = self.parametrisation((other,), (spread_of(float(theta[position])),))
+        moved = Start(StartName.ELSEWHERE, theta, found.fit, len(self.parameters), effort=FIRST_LOOK)
+        return self.best(parametrisation, [moved], widen=True)
 
     def pairs(
         self, singles: Sequence[FittedExplanation], known: Sequence[FittedExplanation] = ()
@@ -483,13 +441,8 @@ class Search:
             fitted = pair.fit.parametrisation
             parametrisation = self.parametrisation((pair.candidates[kept],), (fitted.spread(kept),))
             theta = np.concatenate([pair.fit.theta[: len(self.parameters)], pair.fit.theta[fitted.index_of(kept)]])
-            try:
-                alone = FittedExplanation(
-                    (pair.candidates[kept],), fit(self.data, parametrisation, theta, pair.fit.prediction)
-                )
-            except FitError:
-                continue
-            if alone.fit.log_evidence > pair.fit.log_evidence:
+            alone = self.best(parametrisation, [Start(StartName.ALONE, theta, pair.fit)])
+            if alone is not None and alone.fit.log_evidence > pair.fit.log_evidence:
                 result.append(alone)
         return sorted(result, key=lambda pair: -pair.fit.log_evidence)
 
@@ -504,7 +457,7 @@ class Search:
             for other in others:
                 both = Explanation((*other.fitted.causes, candidate.cause))
                 if len(other.candidates) == 1 and other.stated and both not in known:
-                    found.append(self.added(other, beside))
+                    found.append(self.added(other, beside, name=StartName.BESIDE))
                     known.add(both)
         return [self.again(explanation) for explanation in found if explanation is not None]
 
@@ -531,45 +484,20 @@ class Search:
         found = []
         for number in np.argsort(left)[: THRESHOLDS.search.first_effects * THRESHOLDS.search.first_locations]:
             wider, values = begun[number]
-            try:
-                found.append(
-                    FittedExplanation(
-                        wider.candidates, self.widened(fit(self.data, wider, modes.start(wider, values)[0]))
-                    )
-                )
-            except FitError:
-                continue
-        return best_of(found)
+            found.append(self.best(wider, [Start(StartName.MODES, modes.start(wider, values)[0])], widen=True))
+        return best_of([explanation for explanation in found if explanation is not None])
 
-    def exceeds_noise(self, found: FittedExplanation) -> bool:
+    def exceeds_noise(self, found: FitResult) -> bool:
         """Whether a fit leaves so much in any group of rows that its parameters are bent by what is missing."""
         learnt = np.isfinite(self.data.groups.degrees)
-        scales = np.sqrt(found.fit.errors.squares / np.maximum(self.data.counts, 1.0))
+        scales = np.sqrt(found.errors.squares / np.maximum(self.data.counts, 1.0))
         return bool(np.any(learnt & (scales > THRESHOLDS.search.noise_scale)))
 
     def refitted_from_model(self, found: FittedExplanation) -> FittedExplanation:
         """An explanation fitted again from the model as given where its fit leaves too much; the better of the two."""
-        if not self.exceeds_noise(found):
+        if not self.exceeds_noise(found.fit):
             return found
-        fitted = found.fit
-        theta = fitted.theta.copy()
+        theta = found.fit.theta.copy()
         theta[: len(self.parameters)] = 0.0
-        try:
-            again = FittedExplanation(
-                found.candidates, self.widened(approach(self.data, fitted.parametrisation, theta))
-            )
-        except FitError:
-            return found
-        return again if again.fit.log_evidence > fitted.log_evidence else found
-
-
-def _spread_of(strength: float) -> float:
-    """The narrowest part of a strength's prior that does not hold it back."""
-    return next(
-        (
-            spread
-            for spread in THRESHOLDS.fits.strength_spreads
-            if abs(strength) <= THRESHOLDS.search.wider_strength * THRESHOLDS.fits.strength_std * spread
-        ),
-        THRESHOLDS.fits.strength_spreads[-1],
-    )
+        afar = Start(StartName.GIVEN, theta, coarse=True)
+        return self.best(found.fit.parametrisation, [afar], found, widen=True) or found

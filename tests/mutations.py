@@ -240,7 +240,7 @@ MUTATIONS = [
             "where the loop truly stood is taken for known",
         ),
         (
-            "nmt_diagnose/nmt_diagnose/diagnose.py",
+            "nmt_diagnose/nmt_diagnose/fit/model_alone.py",
             "floor=np.hypot(observations.floor, change)",
             "floor=observations.floor",
             "what the harmonic balance leaves out is taken for an effect",

@@ -9,13 +9,13 @@ import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.stats import f as fisher
 
-from nmt_diagnose.diagnose import free_parameters, model_alone
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.candidate_starts import starts_of
 from nmt_diagnose.fit.fitting import ChainErrors, Start, _normal, data_about, fit
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
+from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.fit.noise import Groups, chance_of
 from nmt_diagnose.ledger.comparison import source_locations
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses

@@ -18,9 +18,9 @@ from nmt_diagnose.ahead.expected_rows import expected as expected_rows
 from nmt_diagnose.ahead.hidden_effects import Growth, Hidden, chances
 from nmt_diagnose.ahead.proposals import compared
 from nmt_diagnose.chain.chain_columns import Chain
-from nmt_diagnose.diagnose import free_parameters, model_alone
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
+from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.chain.chain_columns import SharedDelay, linear_chain
-from nmt_diagnose.diagnose import diagnose_observations, free_parameters, model_alone
+from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import candidates, library
@@ -24,6 +24,7 @@ from nmt_diagnose.fit.best_fit import from_believed
 from nmt_diagnose.fit.explanations import FittedExplanation, Score
 from nmt_diagnose.fit.fitting import Effort, Start, best_chain_errors, data_about, fit
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
+from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.fit.noise import Groups, groups_of
 from nmt_diagnose.ledger.comparison import Hypotheses, SourceEvidence, laws
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict

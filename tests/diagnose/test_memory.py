@@ -10,11 +10,11 @@ import pytest
 from diagnose.observation_bags import record, rig_with_noise
 from diagnose.predicted_observations import chain, observations_of_model, real
 
-from nmt_diagnose import diagnose as diagnose_module
 from nmt_diagnose.diagnose import DiagnosisOutcome, diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.location import Cause, Location
+from nmt_diagnose.ledger import held_out as held_out_module
 from nmt_diagnose.observations import read_observations as reader
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.search import memory as memory_module
@@ -47,13 +47,13 @@ class Counted:
             return added(*arguments, **more)
 
         patch.setattr(search_module.Search, "added", counted)
-        left = diagnose_module._held_out_residual
+        left = held_out_module.refit
 
         def noted(fitted: Any, all_data: Any, found: Any, split: Any) -> Any:
             self.held_out.append((id(found), split.name))
             return left(fitted, all_data, found, split)
 
-        patch.setattr(diagnose_module, "_held_out_residual", noted)
+        patch.setattr(held_out_module, "refit", noted)
 
     def diagnosed(self, observations: Observations, memory: Memory | None) -> tuple[DiagnosisOutcome, int]:
         self.fits, self.held_out = 0, []

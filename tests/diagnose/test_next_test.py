@@ -20,12 +20,12 @@ from nmt_diagnose.ahead.motion_noise import noise_over_motion
 from nmt_diagnose.ahead.next_tests import next_tests, other_sensors
 from nmt_diagnose.ahead.proposals import Proposal, proposals
 from nmt_diagnose.chain.chain_columns import Chain
-from nmt_diagnose.diagnose import free_parameters, model_alone
 from nmt_diagnose.effects.effect import Candidate, Site
 from nmt_diagnose.effects.library import candidates, effect_named
 from nmt_diagnose.effects.location import Location
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
+from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward

@@ -12,9 +12,10 @@ from scipy.signal import TransferFunction, lsim
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.tolerances import TOLERANCES
-from nmt_diagnose.diagnose import diagnose_bags, free_parameters, model_alone
+from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
+from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 from nmt_diagnose.measurements.driven_record.predictor import RecordPredictor

@@ -10,11 +10,11 @@ import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.stats import chi2, norm
 
-from nmt_diagnose.diagnose import free_parameters, model_alone
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import candidates, effect_named
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
+from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.ledger.rules import OF_EFFECTS, pass_all
 from nmt_diagnose.ledger.size import (
     Size,

@@ -29,7 +29,7 @@ from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import write_whole
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.processes.workers import worked
-from nmt_diagnose.diagnose import about, find, free_parameters, model_alone, observed
+from nmt_diagnose.diagnose import observed
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
@@ -39,8 +39,10 @@ from nmt_diagnose.fit.candidate_starts import starts_of
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import Start
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
+from nmt_diagnose.fit.model_alone import about, free_parameters, model_alone
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.search.findings import find
 from nmt_diagnose.search.search import Search
 from nmt_rig.rig import Rig, load_rig
 

@@ -116,7 +116,7 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         law_table=law_table(stated) if stated is not None else None,
         laws=laws,
         next_table=_next(d),
-        could_do_better=d.verdict not in (Verdict.NONE, Verdict.CALIBRATION),
+        could_do_better=d.verdict.gap,
         maps=maps,
         curves=curves,
         calibration_table=_calibration(d, report.rig),

@@ -10,11 +10,12 @@ from functools import cached_property
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.chain.chain_columns import SharedDelay
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Explanation
-from nmt_diagnose.fit.fitting import Data, FitResult
+from nmt_diagnose.fit.fitting import FitResult
 from nmt_diagnose.ledger.row import Facts
-from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,22 @@ class FittedExplanation:
     def effects(self) -> tuple[str, ...]:
         """Names of its effects, sorted."""
         return self.explanation.effects
+
+    @property
+    def rig(self) -> Rig:
+        """Its rig; what belongs to the measuring chain stays as given."""
+        parameters = self.fit.parametrisation.calibration
+        theta = self.fit.theta.copy()
+        theta[[k for k, parameter in enumerate(parameters) if isinstance(parameter, SharedDelay)]] = 0.0
+        return self.fit.parametrisation.rig(theta)
+
+    def scale(self, gap: bool = True) -> FloatArray:
+        """What residuals over σ are multiplied by to be in standard deviations of the noise, (m,).
+
+        Where there is a gap, what an explanation leaves of it makes the scale that it learns larger, and is no noise.
+        """
+        weights = self.fit.errors.weights
+        return np.asarray(np.sqrt(np.maximum(weights, 1.0) if gap else weights))
 
     def strength(self, member: int) -> float:
         """Strength of one effect over its standard uncertainty."""
@@ -125,10 +142,3 @@ def best_by_effect(found: Sequence[FittedExplanation]) -> list[FittedExplanation
     for explanation in found:
         heads.setdefault(explanation.effects, explanation)
     return list(heads.values())
-
-
-def leaves_noise_only(data: Data, found: FittedExplanation) -> bool:
-    """Whether a fit leaves noise only and bends neither parameters nor measuring chain: nothing asks for more."""
-    fitted = found.fit
-    pulls = np.concatenate([fitted.theta[: len(fitted.parametrisation.calibration)], fitted.errors.chain])
-    return not data.excess(fitted.errors).any() and bool(np.all(np.abs(pulls) < THRESHOLDS.comparison.credible_sigmas))

@@ -28,7 +28,7 @@ def credible_answers(
     def add(kind: str, effects: tuple[str, ...], p: float) -> None:
         found[kind, effects] = found.get((kind, effects), 0.0) + p
 
-    if verdict in (Verdict.NONE, Verdict.CALIBRATION):
+    if not verdict.gap:
         none = probabilities.get(NULL, 0.0)
         add(NULL, (), none)
         add(TOO_WEAK, (), 1.0 - none)

@@ -33,6 +33,11 @@ class Verdict(str, Enum):
     EFFECT = "effect"
     UNKNOWN = "unknown"
 
+    @property
+    def gap(self) -> bool:
+        """Whether something is missing that the model's own parameters do not make up for."""
+        return self in (Verdict.EFFECT, Verdict.UNKNOWN)
+
 
 @dataclass(frozen=True)
 class Value:

@@ -1,18 +1,27 @@
-"""What is kept out of a fit to judge it: interleaved levels, the highest two levels, and whole tests."""
+"""What is kept out of a fit to judge it, and how explanations predict it.
+
+Held out are interleaved levels, the highest two levels, and whole tests.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.numerics.arrays import BoolArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.fit.fitting import REFIT, Data, FitError, Metric, Start, best_chain_errors, fit
+from nmt_diagnose.ledger.gap import ClosedShare, closed, no_worse_than_silence, rms
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
+
+_NO_BETTER = 0.9
+"""Standard uncertainty over that of a prior from which rows tell nothing of a parameter."""
 
 
 @dataclass(frozen=True)
@@ -120,3 +129,115 @@ def _swept(observations: Observations) -> list[list[tuple[int, float]]]:
     return [
         g for g in groups.values() if len({level for _, level in g}) >= THRESHOLDS.verdict.held_out_fewest_responses
     ]
+
+
+@dataclass(frozen=True)
+class Refit:
+    """What a fit to some rows says of all.
+
+    Attributes:
+        residual: of all rows over σ, (m,).
+        std: uncertainty of its prediction over σ, (m,).
+        is_open: it leaves a parameter open that all rows move beyond its prior: it knows it no better than that.
+    """
+
+    residual: FloatArray
+    std: FloatArray
+    is_open: bool
+
+
+class HeldOut:
+    """What explanations leave of rows that their fits did not see, each split of each explanation fitted once.
+
+    Args:
+        fitted: what the fits worked on.
+        everything: the same with what was held out from all of them.
+        splits: ways to hold rows out.
+        null: the model alone.
+        as_given: values of the model as given, (m,).
+        seed: of the bootstrap.
+    """
+
+    def __init__(
+        self,
+        fitted: Data,
+        everything: Data,
+        splits: Sequence[Split],
+        null: FittedExplanation,
+        as_given: FloatArray,
+        seed: int,
+    ) -> None:
+        self.fitted, self.everything, self.splits = fitted, everything, tuple(splits)
+        self.null, self.as_given, self._seed = null, as_given, seed
+        self._known: dict[tuple[int, int], Refit | None] = {}
+
+    def residual(self, values: FloatArray) -> FloatArray:
+        """What values of a model, (m,), leave of all rows over σ by the best errors of the chain, (m,)."""
+        return best_chain_errors(self.everything, values).residual
+
+    def closed(self, best: FittedExplanation) -> ClosedShare:
+        """How much of the gap an explanation closes on rows that its fit did not see.
+
+        A split whose fit leaves open what the explanation does to the rows held out says nothing of it, nor does one
+        from which the model alone knows less of them than what it is off by.
+        """
+        scale, data = best.scale(), self.everything
+        fits = [
+            best_chain_errors(data, found.fit.prediction.values, found.fit.errors).residual
+            for found in (self.null, best)
+        ]
+        change = (fits[1] - fits[0]) * scale
+        pairs = []
+        for split in self.splits:
+            rows = split.held_out & data.used
+            before, after = (self.refitted(found, split) for found in (self.null, best))
+            if before is None or after is None or not rows.any():
+                continue
+            uncertain = after.std * scale
+            if rms(before.std[rows]) > rms(before.residual[rows]):
+                continue
+            if rms(uncertain[rows]) <= THRESHOLDS.verdict.open_prediction_share * rms(change[rows]):
+                silent = no_worse_than_silence(data.observations, before.residual, data.sigma)
+                pairs.append((silent * scale, after.residual * scale / np.hypot(1.0, uncertain), rows))
+        return closed(data.observations, pairs, self._seed)
+
+    def recalibrated(self) -> ClosedShare:
+        """How much of the gap to the model as given its own parameters close on rows that their fit did not see.
+
+        A split whose fit leaves open what they do to the rows held out says nothing of it.
+        """
+        scale, data = self.null.scale(gap=False), self.everything
+        before = no_worse_than_silence(data.observations, self.residual(self.as_given), data.sigma) * scale
+        pairs = []
+        for split in self.splits:
+            after, rows = self.refitted(self.null, split), split.held_out & data.used
+            if after is not None and not after.is_open:
+                pairs.append((before, after.residual * scale / np.hypot(1.0, after.std * scale), rows))
+        return closed(data.observations, pairs, self._seed)
+
+    def refitted(self, found: FittedExplanation, split: Split) -> Refit | None:
+        """An explanation fitted to the rows of a split; None where the model has no solution there."""
+        key = id(found), id(split)
+        if key not in self._known:
+            self._known[key] = refit(self.fitted, self.everything, found, split)
+        return self._known[key]
+
+
+def refit(fitted: Data, everything: Data, found: FittedExplanation, split: Split) -> Refit | None:
+    """An explanation fitted to some rows.
+
+    What is predicted is the rig; how the measuring chain was when the rest was measured, those rows tell themselves.
+    """
+    before = found.fit
+    part = replace(fitted, used=fitted.used & split.fitted)
+    start = Start(before.start, before.theta, before, before.theta.size, effort=REFIT)
+    try:
+        again = fit(part, before.parametrisation, start)
+    except FitError:
+        return None
+    left = best_chain_errors(everything, again.prediction.values, before.errors).residual
+    chain = Metric(before.errors.slopes, np.ones(before.errors.chain.size), before.errors.weights)
+    slopes = chain.project(before.jacobian)[0]
+    prior = before.parametrisation.prior_std
+    is_open = bool(np.any((again.std > _NO_BETTER * prior) & (np.abs(before.theta) > prior)))
+    return Refit(left, np.sqrt(np.einsum("mi,ij,mj->m", slopes, again.covariance, slopes)), is_open)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from nmt_diagnose.effects.location import Explanation
-from nmt_diagnose.fit.explanations import FittedExplanation, LeftOut, Score
-from nmt_diagnose.fit.fitting import Data
-from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass, Hypotheses, distance, laws
+from nmt_diagnose.fit.explanations import FittedExplanation, Score
+from nmt_diagnose.ledger.comparison import EquivalentClass, distance, laws
 from nmt_diagnose.ledger.diagnosis import Verdict
-from nmt_diagnose.ledger.gap import ClosedShare
+from nmt_diagnose.ledger.judgement import Judgement
 from nmt_diagnose.ledger.row import Facts, GroupLeft, Ledger, LedgerRow, Predicted, Promise, Ruling
 from nmt_diagnose.ledger.rules import (
     GAP,
@@ -24,89 +21,50 @@ from nmt_diagnose.ledger.rules import (
     rulings_of,
 )
 from nmt_diagnose.ledger.size import change_size, left_sizes
-from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 
 
-@dataclass(frozen=True)
-class Decided:
-    """What the rows of a ledger are made of.
-
-    Attributes:
-        search: what fitted, with what it lost.
-        null: the model alone.
-        named: explanations that compete.
-        left_out: those that were fitted and do not.
-        hypotheses: the competition.
-        comparison: what it came to.
-        shares: of the gap on data held out, of those that were judged.
-        alone: facts of the model alone.
-        verdict: that was stated.
-        scanned: the first score test of all candidates.
-    """
-
-    search: Search
-    null: FittedExplanation
-    named: Sequence[FittedExplanation]
-    left_out: Sequence[LeftOut]
-    hypotheses: Hypotheses
-    comparison: Comparison
-    shares: Mapping[Explanation, ClosedShare]
-    alone: Facts
-    verdict: Verdict
-    scanned: Sequence[Score]
-
-    @property
-    def data(self) -> Data:
-        """What was fitted."""
-        return self.search.data
-
-    @property
-    def leader(self) -> EquivalentClass | None:
-        """The most probable class."""
-        return self.comparison.classes[0] if self.comparison.classes else None
-
-
-def ledger_of(decided: Decided) -> Ledger:
+def ledger_of(judgement: Judgement) -> Ledger:
     """The ledger."""
-    rows = [_row_alone(decided), *(_row(decided, found) for found in decided.named)]
+    rows = [_row_alone(judgement), *(_row(judgement, found) for found in judgement.findings.named)]
     known = {row.label for row in rows}
-    for out in decided.left_out:
+    for out in judgement.findings.left_out:
         if out.found.fitted.label not in known:
             known.add(out.found.fitted.label)
             behind = IN_REACH(Facts(behind=out.behind, behind_most=out.behind_most))
-            rows.append(_made(decided, out.found, (behind,), behind.rule))
-    return Ledger(tuple(rows), _promises(decided, known))
+            rows.append(_made(judgement, out.found, (behind,), behind.rule))
+    return Ledger(tuple(rows), _promises(judgement, known))
 
 
-def _row_alone(decided: Decided) -> LedgerRow:
-    rulings = tuple(rule(decided.alone) for rule in (*OF_ALL, *OF_EFFECTS))
-    stated = decided.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+def _row_alone(judgement: Judgement) -> LedgerRow:
+    rulings = tuple(rule(judgement.alone) for rule in (*OF_ALL, *OF_EFFECTS))
+    stated = not judgement.verdict.gap
     failed = next((ruling.rule for ruling in rulings if ruling.rule != GAP.name and not ruling.passed), GAP.name)
-    return _made(decided, decided.null, rulings, "" if stated else failed if decided.alone.modes else GAP.name)
+    failed = "" if stated else failed if judgement.alone.modes else GAP.name
+    return _made(judgement, judgement.findings.null, rulings, failed)
 
 
-def _row(decided: Decided, found: FittedExplanation) -> LedgerRow:
+def _row(judgement: Judgement, found: FittedExplanation) -> LedgerRow:
     if not found.stated:
-        rulings = tuple(rule(decided.alone) for rule in OF_ALL)
+        rulings = tuple(rule(judgement.alone) for rule in OF_ALL)
         failed = next((r.rule for k in found.small for r in _of_effect(found, k) if not r.passed), OF_EFFECTS[0].name)
-        return _made(decided, found, rulings, failed)
-    leader = decided.leader
+        return _made(judgement, found, rulings, failed)
+    leader = judgement.leader
     heads = leader is not None and leader.head is found
-    rulings = rulings_of(_facts(decided, found))
-    if heads and decided.verdict is Verdict.EFFECT:
-        return _made(decided, found, rulings, "")
+    rulings = rulings_of(_facts(judgement, found))
+    if heads and judgement.verdict is Verdict.EFFECT:
+        return _made(judgement, found, rulings, "")
     # The leader may be stated as a part, too: what it failed last is why it is not.
     asked = [ruling for ruling in rulings if ruling.part] if heads else []
     failed = next((ruling.rule for ruling in asked or rulings if not ruling.passed), LIKELY.name)
-    return _made(decided, found, rulings, failed)
+    return _made(judgement, found, rulings, failed)
 
 
-def _facts(decided: Decided, found: FittedExplanation) -> Facts:
+def _facts(judgement: Judgement, found: FittedExplanation) -> Facts:
     """What the rules of a verdict ask of an explanation that states effects."""
-    comparison, leader, data = decided.comparison, decided.leader, decided.data
+    comparison, leader, data = judgement.comparison, judgement.leader, judgement.findings.data
     wanted = data.observations.matters
-    share = decided.shares.get(found.explanation)
+    share = judgement.shares.get(found.explanation)
     rival = max(comparison.unknown, comparison.none)
     group = next((it for it in comparison.classes if it.head is found), None)
     if group is None or group is not leader:
@@ -116,14 +74,14 @@ def _facts(decided: Decided, found: FittedExplanation) -> Facts:
         rival = max(rival, ahead)
     if group is None:
         p = comparison.by_label.get(found.explanation.label, 0.0)
-        group = EquivalentClass((found,), p, p, decided.hypotheses.objections(found))
+        group = EquivalentClass((found,), p, p, judgement.findings.hypotheses.objections(found))
     facts = group.facts(share, rival)
     sizes = left_sizes(data, found, wanted)
     pulls = abs(found.fit.theta[: facts.parameters])
     return replace(
         facts,
-        log_odds=decided.alone.log_odds,
-        modes=decided.alone.modes,
+        log_odds=judgement.alone.log_odds,
+        modes=judgement.alone.modes,
         left=max((size.over for size in sizes), default=0.0),
         pull=facts.pull or min(float(pulls.max(initial=0.0)), furthest_credible(facts.parameters)),
         laws=laws(found),
@@ -135,8 +93,8 @@ def _of_effect(found: FittedExplanation, number: int) -> tuple[Ruling, ...]:
     return () if facts is None else tuple(rule(facts) for rule in OF_EFFECTS)
 
 
-def _made(decided: Decided, found: FittedExplanation, rulings: tuple[Ruling, ...], failed: str) -> LedgerRow:
-    data, null, fitted = decided.data, decided.null, found.fit
+def _made(judgement: Judgement, found: FittedExplanation, rulings: tuple[Ruling, ...], failed: str) -> LedgerRow:
+    data, null, fitted = judgement.findings.data, judgement.findings.null, found.fit
     counts, squares = data.counts, fitted.errors.squares
     total = max(float(squares.sum()), 1e-300)
     model = fitted.parametrisation.calibration
@@ -146,10 +104,10 @@ def _made(decided: Decided, found: FittedExplanation, rulings: tuple[Ruling, ...
     difference = data.forward.difference(fitted.errors.values, null.fit.errors.values)
     size = change_size(data, difference)
     wanted = data.observations.matters
-    heads = [null, *(it.head for it in decided.comparison.classes[: THRESHOLDS.verdict.judged_explanations])]
-    share = decided.shares.get(found.explanation) if found.stated else None
+    heads = [null, *(it.head for it in judgement.comparison.classes[: THRESHOLDS.verdict.judged_explanations])]
+    share = judgement.shares.get(found.explanation) if found.stated else None
     label = found.explanation.label if found.stated else found.fitted.label
-    p = decided.comparison.by_label.get(label if found.candidates else "none", 0.0)
+    p = judgement.comparison.by_label.get(label if found.candidates else "none", 0.0)
     return LedgerRow(
         label=found.fitted.label,
         stated=not failed,
@@ -170,17 +128,19 @@ def _made(decided: Decided, found: FittedExplanation, rulings: tuple[Ruling, ...
         predicted=None
         if share is None
         else Predicted(share.before, share.after, share.value, share.low, share.high, share.gain),
-        prior=decided.hypotheses.prior(found) if found.candidates else math.log(THRESHOLDS.comparison.prior_none),
+        prior=judgement.findings.hypotheses.prior(found)
+        if found.candidates
+        else math.log(THRESHOLDS.comparison.prior_none),
         evidence=fitted.log_evidence - null.fit.log_evidence,
         probability=p,
     )
 
 
-def _promises(decided: Decided, fitted: set[str]) -> tuple[Promise, ...]:
+def _promises(judgement: Judgement, fitted: set[str]) -> tuple[Promise, ...]:
     """Candidates that the score test looked at and that no row is about, with the rule that passed each over."""
-    candidates = decided.search.candidates
+    candidates = judgement.findings.search.candidates
     promised: dict[str, Score] = {}
-    for score in decided.scanned:
+    for score in judgement.findings.scanned:
         promised.setdefault(candidates[score.candidate].cause.label, score)
     effect = {label: candidates[score.candidate].effect.name for label, score in promised.items()}
     least_of: dict[str, list[float]] = {}
@@ -195,9 +155,9 @@ def _promises(decided: Decided, fitted: set[str]) -> tuple[Promise, ...]:
         gains = least_of.get(effect[label], [])
         several = len(gains) >= THRESHOLDS.search.first_locations
         ruling = PROMISING(Facts(promised=score.gain, promised_least=min(gains) if several else least))
-        lost = candidates[score.candidate].cause in decided.search.lost
+        lost = candidates[score.candidate].cause in judgement.findings.search.lost
         if ruling.passed and not lost:
-            alone = GAP(decided.alone)
+            alone = GAP(judgement.alone)
             ruling = ruling if alone.passed else alone
         result.append(Promise(label, score.gain, ruling, lost))
     return tuple(result)

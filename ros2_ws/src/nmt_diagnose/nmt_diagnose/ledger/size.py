@@ -377,6 +377,8 @@ def _over(size: float, wanted: float) -> float:
 def large_lines(observations: Observations, wanted: float) -> BoolArray:
     """Lines of the mains, (m,), of channels where they are a share of the fundamental in the median level.
 
+    None where no line stands out of noise and tolerances.
+
     Args:
         observations: what was read.
         wanted: that share.
@@ -395,10 +397,6 @@ def large_lines(observations: Observations, wanted: float) -> BoolArray:
     for key in np.unique(keys, axis=1).T:
         same = np.all(keys == key[:, None], axis=0)
         large[lines[same]] = np.median(share[same]) >= wanted
+    sizes = np.abs(observations.values[large]) / sigma_of(observations)[large]
+    large &= bool(sizes.max(initial=0.0) > THRESHOLDS.comparison.credible_sigmas)
     return large
-
-
-def stands_out(observations: Observations, which: BoolArray) -> bool:
-    """Whether rows, (m,), that a model without effects predicts to be zero stand out of noise and tolerances."""
-    sizes = np.abs(observations.values[which]) / sigma_of(observations)[which]
-    return bool(sizes.max(initial=0.0) > THRESHOLDS.comparison.credible_sigmas)

@@ -19,7 +19,7 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Cause, Explanation
 from nmt_diagnose.fit.best_fit import StartName, spread_at
 from nmt_diagnose.fit.explanations import FittedExplanation, best_of
-from nmt_diagnose.fit.fitting import ON_THE_WAY, Start
+from nmt_diagnose.fit.fitting import ON_THE_WAY, Data, FitResult, Start
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.search.law_starts import parameters_at
 from nmt_diagnose.search.search import Search
@@ -84,19 +84,25 @@ class Memory:
         self.far = (self.far | {it.fitted for it in (*named, *left_out)}) - {it.fitted for it in near}
 
     def begun(
-        self, search: Search, null: FittedExplanation, noise_only: Callable[[FittedExplanation], bool]
+        self, search: Search, null: FittedExplanation, about: Callable[[FitResult], Data]
     ) -> list[FittedExplanation]:
         """The explanations that competed, fitted to the data of a search; the best first.
 
         Args:
             search: fits them.
             null: the model alone.
-            noise_only: whether an explanation leaves noise only; where the best of them does not there are none.
+            about: data with the chain about a fit. Where the best leaves more than noise about the model alone and
+                about itself, there are none.
         """
         if self.near:
             search.tell(f"fitting {len(self.near)} explanations from where they stood")
         found = best_of([one for it in self.near if (one := _fitted(search, null, it)) is not None])
-        return found if found and noise_only(found[0]) else []
+        if not found or search.leaves_noise_only(found[0]):
+            return found
+        first = found[0].fit
+        near = Search(about(first), search.rig, search.parameters, ())
+        again = near.best(first.parametrisation, [Start(first.start, first.theta, first)])
+        return found if again is not None and near.leaves_noise_only(again) else []
 
 
 def _fitted(search: Search, null: FittedExplanation, remembered: Remembered) -> FittedExplanation | None:

@@ -19,20 +19,8 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Cause, Explanation
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.best_fit import StartName, best_fit, evidence, spread_at, spread_of
-from nmt_diagnose.fit.candidate_starts import (
-    at_strength,
-    at_zero,
-    starts_of,
-    strength_parameter,
-    strength_position,
-)
-from nmt_diagnose.fit.explanations import (
-    FittedExplanation,
-    Score,
-    best_by_effect,
-    best_of,
-    leaves_noise_only,
-)
+from nmt_diagnose.fit.candidate_starts import at_strength, at_zero, starts_of, strength_parameter, strength_position
+from nmt_diagnose.fit.explanations import FittedExplanation, Score, best_by_effect, best_of
 from nmt_diagnose.fit.fitting import FIRST_LOOK, Data, FitError, FitResult, Metric, Start, fit, predicted
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -417,7 +405,7 @@ class Search:
         # A search that begins at the laws of held levels has explanations by two effects already.
         heads = [it for it in singles if len(it.candidates) == 1]
         for single in best_by_effect(heads)[: THRESHOLDS.search.pair_heads]:
-            if single.explanation in before or leaves_noise_only(self.data, single):
+            if single.explanation in before or self.leaves_noise_only(single):
                 continue
             # Rivals make the same motion, about which an effect does the same.
             scores = self.scores(single, scores)
@@ -486,6 +474,12 @@ class Search:
             wider, values = begun[number]
             found.append(self.best(wider, [Start(StartName.MODES, modes.start(wider, values)[0])], widen=True))
         return best_of([explanation for explanation in found if explanation is not None])
+
+    def leaves_noise_only(self, found: FittedExplanation) -> bool:
+        """Whether a fit leaves noise only and bends neither parameters nor measuring chain: nothing asks for more."""
+        theta, errors = found.fit.theta[: len(self.parameters)], found.fit.errors
+        pulls = np.abs(np.concatenate([theta, errors.chain]))
+        return not self.data.excess(errors).any() and bool(np.all(pulls < THRESHOLDS.comparison.credible_sigmas))
 
     def exceeds_noise(self, found: FitResult) -> bool:
         """Whether a fit leaves so much in any group of rows that its parameters are bent by what is missing."""

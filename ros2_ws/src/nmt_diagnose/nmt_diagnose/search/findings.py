@@ -1,0 +1,297 @@
+"""From observations to all explanations, fitted and compared."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
+
+from nmt_core.numerics.arrays import BoolArray
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.effects.library import candidates as library_candidates
+from nmt_diagnose.effects.location import Explanation
+from nmt_diagnose.fit.explanations import FittedExplanation, LeftOut, Score, best_of
+from nmt_diagnose.fit.fitting import ChainErrors, Data, best_chain_errors
+from nmt_diagnose.fit.low_level_modes import LowLevelModes
+from nmt_diagnose.fit.model_alone import about, free_parameters, model_alone
+from nmt_diagnose.law.reading import LawReading
+from nmt_diagnose.ledger.comparison import Comparison, Hypotheses, misfit, sources
+from nmt_diagnose.ledger.held_out import named_tests
+from nmt_diagnose.ledger.plain_look import Factor, factors, share_left
+from nmt_diagnose.ledger.size import leaves_something, needed, relief_that_counts
+from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.prediction.forward import Prediction
+from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.search.law_starts import law_of, with_laws
+from nmt_diagnose.search.memory import Memory
+from nmt_diagnose.search.progress import Progress
+from nmt_diagnose.search.search import Search
+from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.rig import Rig
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How far the search has come.
+
+    Attributes:
+        search: fits explanations, under the noise and the errors of the chain about the best of them.
+        null: the model alone.
+        named: explanations that compete, the best first.
+        left_out: explanations that were fitted and do not compete.
+        elsewhere: of these, those with effects of a competitor, with how much more each leaves.
+    """
+
+    search: Search
+    null: FittedExplanation
+    named: tuple[FittedExplanation, ...]
+    left_out: tuple[LeftOut, ...] = ()
+    elsewhere: tuple[tuple[FittedExplanation, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the comparison of explanations rests on.
+
+    Attributes:
+        data: rows, noise and chain, about the best explanation.
+        search: fits explanations to them.
+        as_given: prediction of the model as given.
+        null: the model alone.
+        named: explanations by one and two effects, the best first.
+        hypotheses: the competition.
+        comparison: probabilities.
+        sources: what something unnamed at each place would explain beside the model alone.
+        inadequate: what the model has to be corrected for before effects can be told.
+        factors: channels that were recorded at another scale or sign.
+        doubtful: modes that the model may lack, of which nothing is left that matters.
+        left_out: explanations that were fitted and do not compete.
+        law: of the local force that the model lacks, read from held levels; None where that was not looked for.
+        scanned: scores of all candidates on top of the model alone; empty where nothing was looked for.
+        scores: computes those of the candidates on top of the best explanation, of the model alone where there is no
+            gap.
+    """
+
+    data: Data
+    search: Search
+    as_given: Prediction
+    null: FittedExplanation
+    named: tuple[FittedExplanation, ...]
+    hypotheses: Hypotheses
+    comparison: Comparison
+    sources: dict[str, float]
+    inadequate: tuple[str, ...] = ()
+    factors: tuple[Factor, ...] = ()
+    doubtful: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    law: LawReading | None = None
+    scanned: tuple[Score, ...] = ()
+    scores: Callable[[], tuple[Score, ...]] = tuple
+
+    @property
+    def unexplained(self) -> tuple[float, str]:
+        """Largest share of its signal that a channel leaves beyond noise by the model alone, and whose it is."""
+        return share_left(self.data.observations, self.null.fit.errors.values, self.data.used)
+
+    @cached_property
+    def as_given_errors(self) -> ChainErrors:
+        """Best errors of the chain for the model as given."""
+        return best_chain_errors(self.data, self.as_given.values)
+
+
+def find(
+    rig: Rig,
+    observations: Observations,
+    settings: DiagnosisSettings,
+    tell: Progress = lambda _: None,
+    compared: BoolArray | None = None,
+    memory: Memory | None = None,
+) -> Findings:
+    """Fit and compare all explanations.
+
+    Args:
+        rig: the model.
+        observations: the real side.
+        settings: of the diagnosis.
+        tell: called with a sentence as the work goes on.
+        compared: rows that take part, (m,); None = all.
+        memory: of earlier diagnoses; takes what this one leaves.
+
+    Raises:
+        BenchError: the model has no solution for any of the observations.
+    """
+    parameters = free_parameters(rig, observations)
+    tell("re-fitting the model's own parameters")
+    fitted = ~named_tests(observations, settings.hold_out)
+    if compared is not None:
+        fitted &= compared
+    modes = LowLevelModes(observations, rig)
+    observations, as_given, null, data = model_alone(rig, observations, parameters, fitted, modes)
+    operating = operating_range(rig, observations.tests, observations=observations)
+    beyond_effects = modes.disordered or modes.lacking(
+        data, null.fit, THRESHOLDS.modes.certain_sigmas, THRESHOLDS.modes.certain_channel_share
+    )
+    scales = factors(observations, as_given.values, null.fit.prediction.values, fitted)
+    candidates = () if beyond_effects or scales else library_candidates(rig, operating, settings.withheld)
+    search = Search(data, rig, parameters, candidates, tell)
+    scores = cache(partial(search.scores, null))
+    law: LawReading | None = None
+    standing = Standing(search, null, ())
+
+    gap = leaves_something(data, null, settings.matters, loop=True)
+    gap = gap or max((score.relief for score in scores()), default=0.0) > relief_that_counts(data, null)
+    settled = False
+    if gap:
+        begun, passed = list[FittedExplanation](), frozenset[Explanation]()
+        if memory is not None:
+            begun = memory.begun(search, null, lambda it: about(rig, observations, it, search.data.used))
+        if begun and memory is not None:
+            passed = memory.far | {it.fitted for it in begun}
+        else:
+            law = None if beyond_effects or scales else law_of(rig, observations.take(fitted))
+            begun = with_laws(search, null, law)
+        if passed and memory is not None and memory.searched:
+            # What leaves noise only of a large gap needs no candidate that was not fitted when it was found.
+            far = THRESHOLDS.search.far_behind_log_evidence
+            settled = begun[0].fit.log_evidence - null.fit.log_evidence > 2.0 * far
+        singles = begun if settled else _singles(search, null, scores(), begun, modes, rig, passed)
+        standing = _about_best(standing, rig, observations, singles)
+        pairs = _pairs(standing)
+        if pairs and pairs[0].fit.log_evidence > standing.named[0].fit.log_evidence:
+            standing = _about_best(standing, rig, observations, [*standing.named, *pairs])
+        else:
+            standing = _competing(standing, [*standing.named, *pairs])
+    else:  # one fit tells what a difference that does not matter looks like
+        standing = _about_best(standing, rig, observations, search.fitted(null, scores()[:1]))
+    first_null, search, null, named = null, standing.search, standing.null, list(standing.named)
+    data = search.data
+    named = [needed(data, explanation, [null, *named], settings.matters) for explanation in named]
+    leading = Hypotheses(data, null, named, candidates, [], []).best
+    if leading is not None and leading.small:
+        # What is small is so beside every cause: rivals get it, too.
+        more = search.with_small(leading, named)
+        named += [needed(data, explanation, [null, *named], settings.matters) for explanation in more]
+    beside = sources(data, null, len(parameters))
+    best_named = Hypotheses(data, null, named, candidates, beside, []).best
+    behind = sources(data, best_named, len(parameters)) if best_named is not None else []
+    hypotheses = Hypotheses(data, null, named, candidates, beside, behind, standing.elsewhere)
+    comparison = hypotheses.compared()
+    explained: dict[str, float] = {}
+    for source in beside:
+        explained[source.location.kind] = max(explained.get(source.location.kind, 0.0), source.explained)
+    best = best_named if best_named is not None and comparison.log_odds > THRESHOLDS.verdict.alarm_log_odds else null
+    for location in best.explanation.locations:
+        explained[location.kind] = max(explained.get(location.kind, 0.0), null.fit.cost - best.fit.cost)
+    unmoved = best is first_null  # since the scan
+
+    @cache
+    def beside_best() -> tuple[Score, ...]:
+        return tuple(scores() if unmoved else search.scores(best, scores()))
+
+    if memory is not None:
+        memory.keep(named, [it.found for it in standing.left_out], gap)
+    lacking = modes.lacking(data, best.fit)
+    return Findings(
+        data, search, as_given, null, tuple(named), hypotheses, comparison, explained, (*modes.disordered, *lacking),
+        scales,
+        tuple(sentence for sentence in modes.sentences if sentence not in lacking), standing.left_out, law,
+        () if settled else tuple(scores()), beside_best,
+    )  # fmt: skip
+
+
+def _singles(
+    search: Search,
+    null: FittedExplanation,
+    scores: Sequence[Score],
+    begun: Sequence[FittedExplanation],
+    modes: LowLevelModes,
+    rig: Rig,
+    passed: Collection[Explanation] = (),
+) -> list[FittedExplanation]:
+    """Explanations by one effect and those that were begun, the best first; those that are passed need no fit."""
+    singles = best_of([*begun, *search.singles(null, scores, passed)])
+    if modes.far_from(rig) and modes.exceed_priors(null.fit.parametrisation, null.fit.theta):
+        search.tell("bringing the modes of explanations to the measured ones")
+        singles = best_of([*singles, *search.from_modes(null, modes)])
+    return singles
+
+
+def _pairs(standing: Standing) -> list[FittedExplanation]:
+    """Explanations by two effects, and by one that a pair led to its optimum; the best first."""
+    search, singles = standing.search, standing.named
+    search.tell("looking for second effects")
+    # What one of them has not reached yet would decide which of them are left out.
+    pairs = best_of([search.again(pair) for pair in search.pairs(singles)])
+    reached = search.pruned(pairs)
+    if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
+        before = {explanation.explanation for explanation in pairs}
+        pairs += [it for it in search.pairs(reached, singles) if it.explanation not in before]
+    return best_of([*reached, *pairs])
+
+
+def _about_best(
+    standing: Standing, rig: Rig, observations: Observations, found: Sequence[FittedExplanation]
+) -> Standing:
+    """Explanations that compete, fitted under the noise and the errors of the chain about the best of them."""
+    named = best_of(found)
+    if not named or named[0].fit.log_evidence <= standing.null.fit.log_evidence:
+        return replace(standing, named=tuple(named))
+    before = standing.search
+    data = about(rig, observations, named[0].fit, before.data.used)
+    search = Search(data, rig, before.parameters, before.candidates, before.tell)
+    search.lost |= before.lost
+    near, far = search.in_reach(named)
+    elsewhere = _lags(near, far)
+    # What two effects do together is judged beside what one of them does.
+    members = [it for it in far if set(it.fitted.causes) < set(named[0].fitted.causes)][:1]
+    near, far = search.all_again([*near, *members]), [it for it in far if it not in members]
+    # An effect that does nothing may have led the model's own parameters on to their optimum.
+    null = search.from_parameters_of(near[0], search.again(standing.null))
+    more, far = search.other_laws(near[0], far)
+    left_out = _left_out(standing.null, far, named, near)
+    named = [*near, *more]
+    # A second effect that says nothing may have led the first on to its optimum.
+    named = best_of([*named, *search.pruned(named)])
+    return Standing(search, null, tuple(named), (*standing.left_out, *left_out), (*standing.elsewhere, *elsewhere))
+
+
+def _competing(standing: Standing, found: Sequence[FittedExplanation]) -> Standing:
+    """Explanations that are not far behind the best, fitted to the end."""
+    search, named = standing.search, best_of(found)
+    if not named:
+        return standing
+    near, far = search.in_reach(named)
+    done = set(map(id, standing.named))
+    near = [it if id(it) in done else search.again(it) for it in near]
+    left_out = _left_out(standing.null, far, named, near)
+    return replace(
+        standing,
+        named=tuple(best_of([*near, *search.pruned(near)])),
+        left_out=(*standing.left_out, *left_out),
+        elsewhere=(*standing.elsewhere, *_lags(near, far)),
+    )
+
+
+def _left_out(
+    null: FittedExplanation,
+    far: Sequence[FittedExplanation],
+    found: Sequence[FittedExplanation],
+    kept: Sequence[object],
+) -> list[LeftOut]:
+    """Explanations that do not compete, with how far they lie behind the best of those that were found."""
+    first, most = found[0].fit.log_evidence, math.inf
+    if len(kept) >= THRESHOLDS.search.finalists:
+        most = first - found[THRESHOLDS.search.finalists - 1].fit.log_evidence
+    return [LeftOut(it, null, first - it.fit.log_evidence, most) for it in far]
+
+
+def _lags(near: Sequence[FittedExplanation], far: Sequence[FittedExplanation]) -> list[tuple[FittedExplanation, float]]:
+    """Explanations that are far behind, with how much more each leaves than the best of its effects."""
+    best = {found.effects: found for found in reversed(near)}
+    result = []
+    for found in far:
+        if found.effects in best:
+            weights = best[found.effects].fit.errors.weights
+            result.append((found, misfit(found, weights) - misfit(best[found.effects], weights)))
+    return result

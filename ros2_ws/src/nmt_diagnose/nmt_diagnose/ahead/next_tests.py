@@ -26,6 +26,9 @@ from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
+# A larger number tells no more.
+_MOST_SIGMAS = 99.0
+
 CommandOf = Callable[[TestRequest], str]
 """Writes the command that carries a test out; empty where none does."""
 
@@ -107,7 +110,7 @@ def next_tests(
                     proposal.text,
                     command(proposal.request),
                     rivals.names,
-                    min(sigma, THRESHOLDS.next_test.most_sigmas),
+                    min(sigma, _MOST_SIGMAS),
                     proposal.seconds,
                     rivals.information(of_first),
                     request=proposal.request,
@@ -184,7 +187,7 @@ def next_levels(
         found.append((rivals.information(of_first) / count, count, sigma, of_first))
     # Levels that tell more for their time come in one test, however many they are.
     _, count, sigma, of_first = max(found, key=lambda item: (item[0], -item[1]))
-    most = THRESHOLDS.next_test.most_sigmas
+    most = _MOST_SIGMAS
     return test(
         count, rivals.names, min(sigma, most), information=rivals.information(of_first),
         plan_sigma=min(found[-1][2], most),
@@ -245,7 +248,7 @@ def other_sensors(
         left = compared(expected(request, rig, observations), request)
         sigma, _ = rivals.apart(left, rig_of(request, rig) if sensor.channel else None).sigmas()
         if sigma >= THRESHOLDS.next_test.least_sigmas:
-            sigma = min(sigma, THRESHOLDS.next_test.most_sigmas)
+            sigma = min(sigma, _MOST_SIGMAS)
             found.append(NextTest(text, "", rivals.names, sigma, request=request))
     return tuple(sorted(found, key=lambda item: -item.expected_sigma))
 

@@ -23,6 +23,9 @@ from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
+# Change of ln frequency that is large: a bandwidth of 1 %.
+_LARGE_LOG_FREQUENCY = 0.01
+
 # Steps of a fit; one that needs more is continued as a finalist.
 _MOST_STEPS = 25
 # The first order holds for a few prior deviations at most.
@@ -640,7 +643,7 @@ def _natural_size(observations: Observations) -> FloatArray:
     """What is a large change of each row, (m,): a neper, a radian, a bandwidth of 1 %; 0 for what has no such size."""
     part, values = observations.rows.part, observations.values
     size = np.ones(len(observations.rows))
-    size[part == Part.LOG_FREQUENCY] = THRESHOLDS.fits.large_log_frequency
+    size[part == Part.LOG_FREQUENCY] = _LARGE_LOG_FREQUENCY
     of_value, of_rms, none = (np.isin(part, with_natural(it)) for it in (Natural.VALUE, Natural.RMS, Natural.NONE))
     size[of_value], size[none] = np.abs(values[of_value]), 0.0
     if of_rms.any():

@@ -30,6 +30,11 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
+# How near the model's modes are brought to the measured ones before lines are fitted.
+_FREQUENCY_STD = 1e-3
+# The same of damping, which responses show less well.
+_DAMPING_STD = 0.1
+
 # Relocations of the poles (Gustavsen and Semlyen 1999).
 _VECTOR_FITTING_ROUNDS = 20
 # Pairs of poles beside those of the modes: what noise and modes outside of the band need.
@@ -365,9 +370,9 @@ class LowLevelModes:
             if modes is None or which.max() >= modes.poles.size:
                 result.append(np.full(2 * which.size, _UNPAIRED_RESIDUAL))
                 continue
-            result.append(np.log(found.frequencies_hz / modes.frequencies_hz[which]) / THRESHOLDS.modes.frequency_std)
+            result.append(np.log(found.frequencies_hz / modes.frequencies_hz[which]) / _FREQUENCY_STD)
             ratio = np.maximum(found.dampings, 1e-9) / np.maximum(modes.dampings[which], 1e-9)
-            result.append(np.log(ratio) / THRESHOLDS.modes.damping_std)
+            result.append(np.log(ratio) / _DAMPING_STD)
         return np.concatenate(result)
 
     def exceed_priors(self, parametrisation: Parametrisation, theta: FloatArray) -> bool:

@@ -31,11 +31,6 @@ class FitThresholds:
         "Share of the rows below which a model without solutions cannot be compared.",
         "",
     )  # fmt: skip
-    large_log_frequency: float = threshold(
-        0.01, "1",
-        "Change of ln frequency that is large: a bandwidth of 1 %.",
-        "",
-    )  # fmt: skip
     strength_std: float = threshold(
         3.0, "scales",
         "A strength of three scales is still ordinary.",

@@ -41,16 +41,6 @@ class ModeThresholds:
         "Ratio of frequencies below which a mode of two tests is one.",
         "",
     )  # fmt: skip
-    frequency_std: float = threshold(
-        1e-3, "ln frequency",
-        "How near the model's modes are brought to the measured ones before lines are fitted.",
-        "",
-    )  # fmt: skip
-    damping_std: float = threshold(
-        0.1, "ln damping",
-        "The same of damping, which responses show less well.",
-        "",
-    )  # fmt: skip
     edge_ratio: float = threshold(
         1.3, "1",
         "Frequency over an end of the band up to which a pole that the model lacks may be noise: responses are "

@@ -28,11 +28,6 @@ class NextTestThresholds:
         "question is settled.",
         "tests/diagnose/test_investigation.py::test_what_explains_a_part_is_not_set_against_itself_with_more",
     )  # fmt: skip
-    most_sigmas: float = threshold(
-        99.0, "σ",
-        "A larger number tells no more.",
-        "",
-    )  # fmt: skip
     doubtful_probability: float = threshold(
         0.05, "1",
         "Probability of no effect at all from which that competes.",

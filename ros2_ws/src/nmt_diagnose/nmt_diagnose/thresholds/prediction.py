@@ -16,11 +16,6 @@ class PredictionThresholds:
         "Part of the measured frequency within which the model's resonance is looked for.",
         "",
     )  # fmt: skip
-    held_rounds: int = threshold(
-        2, "1",
-        "Rounds between a held amplitude and the drive that makes it.",
-        "",
-    )  # fmt: skip
     far_off_ratio: float = threshold(
         2.0, "1",
         "Measured over modelled motion beyond which the model is no measure of it.",

@@ -35,17 +35,17 @@ class ChannelFaultThresholds:
     flat_depth: float = threshold(
         3e-3, "half swings",
         "Depth of a flat top.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.flat_depth]",
     )  # fmt: skip
     flat_edge_depth: float = threshold(
         3e-2, "half swings",
         "Depth of its edge.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.flat_edge_depth]",
     )  # fmt: skip
     flat_share: float = threshold(
         0.04, "periods",
         "Part of a period at the extreme from which the top is flat; a sine has 0.025 there.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.flat_share]",
     )  # fmt: skip
     step_samples: int = threshold(
         8192, "samples",
@@ -70,17 +70,17 @@ class ChannelFaultThresholds:
     mains_longest_s: float = threshold(
         4.0, "s",
         "The mains wanders by 0.05 Hz: over longer pieces a line of fixed frequency would lose it.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.mains_longest_s]",
     )  # fmt: skip
     mains_clearance_lines: float = threshold(
         3.0, "lines",
         "Distance from a harmonic within which its side lobes cover the mains.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.mains_clearance_lines]",
     )  # fmt: skip
     mains_fewest_neighbours: int = threshold(
         8, "lines",
         "Fewer neighbouring lines do not show the noise.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.mains_fewest_neighbours]",
     )  # fmt: skip
     repeats_fewest: int = threshold(
         5, "samples",
@@ -95,11 +95,11 @@ class ChannelFaultThresholds:
     repeats_steepness: float = threshold(
         0.5, "rms step",
         "Steps of the signal over the typical one from which a repeat is none of the signal's own.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.repeats_steepness]",
     )  # fmt: skip
     repeats_crowding: float = threshold(
         3.0, "1",
         "Noise and a coarse converter make as many steps of one value up and down as repeats: so many times as "
         "many are no chance.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.repeats_crowding]",
     )  # fmt: skip

@@ -14,27 +14,27 @@ class DecayThresholds:
     hum_fewest_beats: float = threshold(
         3.0, "beats",
         "Fewer beats between mode and mains do not tell them apart.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.hum_fewest_beats]",
     )  # fmt: skip
     hum_passing_share: float = threshold(
         0.05, "1",
         "Share of a decay in which the mode may pass the line of the mains.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.hum_passing_share]",
     )  # fmt: skip
     hum_roughness: float = threshold(
         0.05, "1",
         "Share of the mode's amplitude by which the smooth course may be wrong.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.hum_roughness]",
     )  # fmt: skip
     hum_sigmas: float = threshold(
         6.0, "σ",
         "Amplitude over its uncertainty from which a hum is taken out.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.hum_sigmas]",
     )  # fmt: skip
     node_sigmas: float = threshold(
         5.0, "σ",
         "Amplitude over the noise from which a decay is followed.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.node_sigmas]",
     )  # fmt: skip
     unsettled_ratio: float = threshold(
         3.0, "1",
@@ -64,12 +64,12 @@ class DecayThresholds:
     ridge_log_change: float = threshold(
         0.25, "1",
         "Relative change of frequency from frame to frame that is followed.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.ridge_log_change]",
     )  # fmt: skip
     other_ridge_share: float = threshold(
         0.01, "1",
         "Share of the strongest ridge's energy below which another is none.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.other_ridge_share]",
     )  # fmt: skip
     ridge_peak_ratio: float = threshold(
         20.0, "1",
@@ -84,12 +84,12 @@ class DecayThresholds:
     turning_interval_periods: tuple[float, ...] = threshold(
         (0.35, 0.7), "periods",
         "Time between turning points, half a period of a motion that changes.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.turning_interval_periods]",
     )  # fmt: skip
     turning_sigmas: float = threshold(
         10.0, "σ",
         "Swing over the noise from which a turning point is one.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.turning_sigmas]",
     )  # fmt: skip
     turning_smallest_share: float = threshold(
         0.02, "1",
@@ -109,12 +109,12 @@ class DecayThresholds:
     switch_off_periods: int = threshold(
         1, "periods",
         "Periods within which the drive goes to zero.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.switch_off_periods]",
     )  # fmt: skip
     same_line: float = threshold(
         0.02, "1",
         "Relative distance of two frequencies that are one.",
-        "",
+        "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.same_line]",
     )  # fmt: skip
     narrower_gain: float = threshold(
         0.5, "1",

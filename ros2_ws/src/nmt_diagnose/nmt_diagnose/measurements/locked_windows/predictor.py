@@ -44,6 +44,9 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
+# Rounds between a held amplitude and the drive that makes it.
+_HELD_ROUNDS = 2
+
 if TYPE_CHECKING:
     from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 
@@ -166,7 +169,7 @@ class PeriodicLevels(Predictor):
             level = self.levels[position]
             parts = self.parts(rig, cache, level)
             state = self._level(parts, level, None if start is None else start[position], last)
-            for _ in range(THRESHOLDS.prediction.held_rounds):
+            for _ in range(_HELD_ROUNDS):
                 held = level if state is None else self._held(parts, [level], [state])[0]
                 if state is None or held is level:
                     break

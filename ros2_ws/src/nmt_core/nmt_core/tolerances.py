@@ -56,7 +56,7 @@ class ChainTolerances:
     shared_delay_s: float = threshold(
         1e-4, "s",
         "Of all sensors of a kind against the drive: they share conditioners and the filters of a converter.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[tolerances.shared_delay_s]",
     )  # fmt: skip
     clock: float = threshold(
         3e-5, "1",

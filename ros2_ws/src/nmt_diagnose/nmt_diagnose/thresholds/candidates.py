@@ -24,12 +24,12 @@ class CandidateThresholds:
     clip_depth: float = threshold(
         0.1, "ln",
         "Depth of clipping that is looked at where no samples stand at a level.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[candidates.clip_depth]",
     )  # fmt: skip
     clip_depth_at_level: float = threshold(
         0.5, "ln",
         "Depth that counts from a level at which samples stand.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[candidates.clip_depth_at_level]",
     )  # fmt: skip
     largest_gain_factor: float = threshold(
         2.0, "1",
@@ -59,5 +59,5 @@ class CandidateThresholds:
     least_motion_share: float = threshold(
         1e-3, "1",
         "Motion of a point over the largest below which an effect of the structure does nothing there.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[candidates.least_motion_share]",
     )  # fmt: skip

@@ -67,7 +67,7 @@ class ComparisonThresholds:
     equivalent_sigmas: float = threshold(
         3.0, "σ",
         "Distance below which recordings do not distinguish two explanations.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[comparison.equivalent_sigmas]",
     )  # fmt: skip
     source_sizes: tuple[float, ...] = threshold(
         (0.003, 0.03, 0.3, 3.0), "% of force or response",
@@ -87,7 +87,7 @@ class ComparisonThresholds:
     incredible_probability: float = threshold(
         0.01, "1",
         "Probability that any parameter is as far off as the furthest below which an explanation is not adequate.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[comparison.incredible_probability]",
     )  # fmt: skip
     source_level_length: float = threshold(
         1.5, "ln level",

@@ -14,7 +14,7 @@ class FitThresholds:
     scale_degrees_of_freedom: float = threshold(
         6.0, "1",
         "Stated noise is right to a factor of about 1.5; degrees of freedom of the prior of a scale.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[fits.scale_degrees_of_freedom]",
     )  # fmt: skip
     converged_cost_fall: float = threshold(
         0.2, "−2 ln p",
@@ -44,5 +44,5 @@ class FitThresholds:
     shape_std: float = threshold(
         1.0, "ln",
         "A shape parameter is known to a factor of three.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[fits.shape_std]",
     )  # fmt: skip

@@ -14,7 +14,7 @@ class ModeThresholds:
     mode_share: float = threshold(
         0.5, "1",
         "Share of a response at its frequency that a mode carries in half of the channels.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[modes.mode_share]",
     )  # fmt: skip
     unlike_mac: float = threshold(
         0.3, "1",
@@ -50,12 +50,12 @@ class ModeThresholds:
     around_log_frequency: float = threshold(
         0.1, "ln frequency",
         "Frequencies around a mode that the model seems to lack in which it has to show.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[modes.around_log_frequency]",
     )  # fmt: skip
     missed_sigmas: float = threshold(
         3.0, "σ",
         "Misfit of the lines around from which a channel shows that a mode is missing.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[modes.missed_sigmas]",
     )  # fmt: skip
     certain_sigmas: float = threshold(
         10.0, "σ",
@@ -70,7 +70,7 @@ class ModeThresholds:
     highest_measured_damping: float = threshold(
         0.05, "1",
         "Damping ratio beyond which a pole of a response is no mode.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[modes.highest_measured_damping]",
     )  # fmt: skip
     highest_model_damping: float = threshold(
         0.3, "1",
@@ -85,5 +85,5 @@ class ModeThresholds:
     least_width_lines: float = threshold(
         0.3, "lines",
         "Width of a resonance over the spacing of the lines below which a pole is noise.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[modes.least_width_lines]",
     )  # fmt: skip

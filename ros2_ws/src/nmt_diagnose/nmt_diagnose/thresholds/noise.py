@@ -36,7 +36,7 @@ class NoiseThresholds:
         1.7, "1",
         "Relative standard deviation of a scatter by the median of n distances, times √n (simulated, 30 to 400 "
         "values).",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[noise.median_relative_std]",
     )  # fmt: skip
     table_default_std: float = threshold(
         0.02, "1",
@@ -52,12 +52,12 @@ class NoiseThresholds:
         1.3, "1",
         "Relative standard deviation of a scatter of n points about the cubics through their neighbours, times "
         "√n.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[noise.cubic_relative_std]",
     )  # fmt: skip
     floor_fewest_pairs: int = threshold(
         6, "pairs",
         "Fewer repeats do not show what a test repeats to.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[noise.floor_fewest_pairs]",
     )  # fmt: skip
     moderated_fewest: int = threshold(
         3, "variances",
@@ -77,7 +77,7 @@ class NoiseThresholds:
     settling_sigmas: float = threshold(
         4.0, "σ",
         "Deviations from which a channel shows a transient: noise makes as much in one of 250.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[noise.settling_sigmas]",
     )  # fmt: skip
     settling_inexact: float = threshold(
         0.02, "1",

@@ -25,7 +25,7 @@ class SearchThresholds:
         6.0, "−2 ln p",
         "Promised fall of the cost below which nothing is fitted: less than the prior of one effect and its "
         "location costs.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[search.least_cost_fall]",
     )  # fmt: skip
     alike_cosine: float = threshold(
         0.98, "1",
@@ -72,7 +72,7 @@ class SearchThresholds:
     far_behind_log_evidence: float = threshold(
         40.0, "ln evidence",
         "How far a finalist may lie behind: more than a fit to the end gains.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[search.far_behind_log_evidence]",
     )  # fmt: skip
     lost_cost_rise: float = threshold(
         20.0, "−2 ln p",

@@ -80,7 +80,7 @@ class VerdictThresholds:
         5.0, "σ",
         "Standard deviations at which an effect is visible: chance gets there once in 1.7 million, and candidates "
         "are up to a thousand.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[verdict.visible_sigmas]",
     )  # fmt: skip
     excess_sigmas: float = threshold(
         3.0, "σ",
@@ -96,17 +96,17 @@ class VerdictThresholds:
     least_remainder: float = threshold(
         0.01, "1",
         "A gap of which less is left is closed.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[verdict.least_remainder]",
     )  # fmt: skip
     remainder_third_share: float = threshold(
         0.5, "1",
         "Share of the squares in one third of the levels from which most of what is left lies there.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[verdict.remainder_third_share]",
     )  # fmt: skip
     remainder_fewest_levels: int = threshold(
         3, "1",
         "Fewer levels have no thirds.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[verdict.remainder_fewest_levels]",
     )  # fmt: skip
     course_fewest_levels: int = threshold(
         5, "1",
@@ -146,7 +146,7 @@ class VerdictThresholds:
     many_lines: int = threshold(
         60, "lines",
         "More lines of a test stand or fall by tenths, fewer one by one.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[verdict.many_lines]",
     )  # fmt: skip
     many_levels: int = threshold(
         20, "levels",

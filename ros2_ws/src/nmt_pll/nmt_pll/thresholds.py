@@ -85,7 +85,7 @@ class AmplitudeThresholds:
     waiting_error: float = threshold(
         0.1, "1",
         "Logarithm of target over amplitude, and phase error in rad, beyond which the target waits.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.amplitude.waiting_error]",
     )  # fmt: skip
 
 
@@ -101,7 +101,7 @@ class HarmonicsThresholds:
     automatic_highest: int = threshold(
         15, "1",
         "Highest harmonic that auto takes where sample rate and filter would allow more.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.automatic_highest]",
     )  # fmt: skip
     settled_share: float = threshold(
         0.003, "1",
@@ -141,12 +141,12 @@ class HarmonicsThresholds:
     initial_gain_std: float = threshold(
         0.3, "1",
         "Standard deviation of the force per volt at first, over it, as a model has it far from the mode.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.initial_gain_std]",
     )  # fmt: skip
     largest_gain_std: float = threshold(
         0.5, "1",
         "The same at most, when nothing has been learnt for long.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.largest_gain_std]",
     )  # fmt: skip
     noise_doubling_dwells: float = threshold(
         5.0, "1",
@@ -171,7 +171,7 @@ class HarmonicsThresholds:
     lowest_gain_correction: float = threshold(
         0.01, "1",
         "Of the force per volt over what was known at first: a gain of zero could not be learnt away from.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.lowest_gain_correction]",
     )  # fmt: skip
     probe_share: float = threshold(
         0.02, "1",
@@ -211,12 +211,12 @@ class HarmonicsThresholds:
     modal_target_modes: int = threshold(
         3, "1",
         "Linear modes that the modal target needs: harmonics move in others than the first.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.modal_target_modes]",
     )  # fmt: skip
     largest_target_ratio: float = threshold(
         0.3, "1",
         "Target of a harmonic over the fundamental: a force with more is far from a sine.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.largest_target_ratio]",
     )  # fmt: skip
     resonance_band_ratio: float = threshold(
         1.4, "1",
@@ -298,7 +298,7 @@ class SelfExcitedThresholds:
     largest_feeding_rate: float = threshold(
         3.0, "1",
         "Rate that feeds the motion, times the dead time.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.largest_feeding_rate]",
     )  # fmt: skip
     held_growth: float = threshold(
         0.15, "1",

@@ -14,6 +14,7 @@ from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
+from nmt_record.exchange.import_table import read_table
 from nmt_record.exchange.imports.imported_run import ImportedRun, read_import
 from nmt_record.exchange.judgement.column_faults import (
     flat_top,
@@ -25,6 +26,8 @@ from nmt_record.exchange.judgement.column_faults import (
     zero_step,
 )
 from nmt_record.exchange.judgement.motions import motion_ratio
+from nmt_record.exchange.reduced.observables import ObservableTable
+from nmt_record.exchange.templates.sidecar_template import sidecar_templates
 
 VARIANTS = with_quick(range(100), *range(3))
 Recording = tuple[float, dict[str, FloatArray]]
@@ -280,3 +283,104 @@ def test_gravity_tells_the_unit(tmp_path: Path, seed: int) -> None:
     channels[0]["scale"] = scale
     (tmp_path / "s.yaml").write_text(yaml.safe_dump(values))
     assert read_import(tmp_path / "s.yaml").samples == columns["a"].size
+
+
+def lost(rng: np.random.Generator, samples: int) -> np.ndarray:
+    """Which rows came: bursts are missing."""
+    kept = np.ones(samples, dtype=bool)
+    for first in rng.choice(np.arange(5, samples - 20), int(rng.integers(1, 12)), replace=False):
+        kept[first : first + rng.integers(1, 10)] = False
+    return kept
+
+
+@pytest.mark.parametrize("seed", VARIANTS)
+def test_a_packet_counter_tells_what_is_missing(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng([seed, 9])
+    rate, columns = motion(rng)
+    kept = lost(rng, columns["x"].size)
+    bits, name = int(rng.choice([8, 16, 32])), str(rng.choice(["PacketCounter", "seq", "frame_no", "sample index"]))
+    counts = (np.arange(kept.size) + int(rng.integers(0, 2**bits))) % 2**bits
+    text = [f"{name},pos", *(f"{counts[row]},{columns['x'][row]:.9g}" for row in np.flatnonzero(kept))]
+    (tmp_path / "log.csv").write_text("\n".join(text) + "\n")
+    channels = [{"column": "pos", "quantity": "angle", "unit": "rad", "point": 1}]
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump({"file": "log.csv", "sample_rate": rate, "channels": channels}))
+    run = read_import(tmp_path / "s.yaml")
+    assert np.array_equal(np.isfinite(run.channels[0].data), kept)
+    assert any(f"{int((~kept).sum())} samples are missing at" in note for note in run.notes)
+    assert "PacketCounter" not in "".join(sidecar_templates(tmp_path / "log.csv")).split("channels:")[1]
+
+
+@pytest.mark.parametrize(
+    ("heading", "names"),
+    [
+        ("# time (s),force (N),acc (m/s^2)", ["time (s)", "force (N)", "acc (m/s^2)"]),
+        ("#time,accel_x,accel_y", ["time", "accel_x", "accel_y"]),
+        ("% t [s],F [N],a [g]", ["t [s]", "F [N]", "a [g]"]),
+        ("// t,f,a", ["t", "f", "a"]),
+        ("# made by hand, on a Friday", ["", "", ""]),
+        ("# 1, 2, 3", ["", "", ""]),
+    ],
+)
+def test_a_heading_behind_a_comment_names_columns(tmp_path: Path, heading: str, names: list[str]) -> None:
+    rows = [f"{k / 100:.2f},{math.sin(k):.6f},{math.cos(k):.6f}" for k in range(100)]
+    (tmp_path / "a.csv").write_text("\n".join(["# a log", heading, *rows]) + "\n")
+    assert list(read_table(tmp_path / "a.csv").names) == names
+
+
+def responses(rng: np.random.Generator) -> tuple[FloatArray, np.ndarray]:
+    frequency = np.arange(20.0, 60.0, 0.1)
+    omega, natural = 2 * np.pi * frequency, 2 * np.pi * rng.uniform(30.0, 50.0)
+    return frequency, 1.0 / (natural**2 - omega**2 + 0.02j * natural * omega) / rng.uniform(0.3, 5.0)
+
+
+def table(folder: Path, heading: str, numbers: list[Any], **keys: Any) -> ObservableTable:
+    np.savetxt(folder / "t.csv", np.column_stack(numbers), delimiter=",", header=heading, comments="", fmt="%.12g")
+    values = {"file": "t.csv", "segments": [{"kind": "frf", "point": 1, "drive_point": 1, **keys}]}
+    (folder / "s.yaml").write_text(yaml.safe_dump(values))
+    return read_import(folder / "s.yaml").tables[0]
+
+
+@pytest.mark.parametrize("seed", VARIANTS)
+def test_a_force_per_motion_is_turned_over_or_asked(tmp_path: Path, seed: int) -> None:
+    frequency, h = responses(np.random.default_rng(seed))
+    unit, order = (("N/m", 0), ("N/mm", 0), ("N/(m/s)", 1), ("N*s/m", 1), ("N/(m/s^2)", 2), ("N/g", 2))[seed % 6]
+    factor = {"N/mm": 1e-3, "N/g": 9.80665}.get(unit, 1.0)
+    meant = h * (2j * np.pi * frequency) ** order
+    given = factor / meant
+    columns = {"real": "Real", "imag": "Imag", "frequency_hz": "Frequency"}
+    head = f"Frequency [Hz],Real [{unit}],Imag [{unit}]"
+    with pytest.raises(BenchError, match="a force per motion, not m/N; say 'unit: "):
+        table(tmp_path, head, [frequency, given.real, given.imag], columns=columns, unit="m/N")
+    found = table(tmp_path, head, [frequency, given.real, given.imag], columns=columns, unit=unit)
+    assert np.allclose(found.responses, meant, rtol=1e-9)
+
+
+def test_magnitudes_in_the_place_of_real_parts_are_asked(tmp_path: Path) -> None:
+    frequency, h = responses(np.random.default_rng(1))
+    with pytest.raises(BenchError, match="magnitudes without a phase"):
+        table(tmp_path, "frequency_hz,real,imag", [frequency, abs(h), 0 * frequency], unit="m/N")
+
+
+@pytest.mark.parametrize("seed", VARIANTS)
+def test_each_column_has_its_kind_of_amplitude(tmp_path: Path, seed: int) -> None:
+    frequency, h = responses(np.random.default_rng(seed))
+    kinds = {"pk": 1.0, "rms": math.sqrt(0.5), "peak": 1.0, "p-p": 2.0}
+    one, other = (list(kinds)[k] for k in (seed % 4, seed // 4 % 4))
+    held = 0.5 + 0.01 * np.sin(frequency)
+    found = table(
+        tmp_path, f"f [Hz],Control [N {one}],Tip [mm {other}],Phase [deg]",
+        [frequency, held * kinds[one], 1e3 * held * abs(h) * kinds[other], np.degrees(np.angle(h))],
+        columns={"frequency_hz": "f", "magnitude": "Tip", "phase": "Phase"}, per="Control", unit="mm/N",
+    )  # fmt: skip
+    assert np.allclose(found.responses, h, rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", VARIANTS)
+def test_the_mirror_half_of_a_transform_is_left_out(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    size = int(rng.choice([256, 257, 1000]))
+    h = np.fft.fft(rng.standard_normal(size))
+    frequency = np.arange(size) * 0.5
+    found = table(tmp_path, "frequency_hz,real,imag", [frequency, h.real, h.imag], unit="m/N", conjugate=False, scale=1)
+    assert found.columns["frequency_hz"][-1] <= 0.25 * size
+    assert found.rows == size // 2

@@ -94,8 +94,13 @@ _NAMES = {
 }  # fmt: skip
 
 
+# What kind of amplitude it is the name tells, too.
+_AMPLITUDE_WORD = re.compile(r"(?<=\S)\s+\(?(rms|pk-pk|0-pk|pk|peak|p-p|pp|eff)\.?\)?(?=\s*\]?$)", re.I)
+
+
 def plain_unit(text: str) -> str:
     """A unit as the table spells it: no spaces or brackets, ``um`` for micrometre, ``^2`` for squares."""
+    text = _AMPLITUDE_WORD.sub("", text)
     unit = _NEGATIVE_POWER.sub(lambda found: f"/{found[1]}{_POWERS[found[2]]}", text)
     unit = re.sub(r"\s+", "", unit).strip("[]")
     for spelling, plain in _SPELLINGS:
@@ -310,6 +315,17 @@ def response_over_reference(unit: str, where: str, force_only: bool = False) -> 
         f"{where}: the unit must be a response per force, such as m/N or m/s^2/N or g/N{'' if force_only else others}; "
         f"{given}."
     )
+
+
+def inverse_unit(unit: str) -> str:
+    """Unit of the response whose reciprocal has a unit of force per motion, such as N/m; empty for others."""
+    plain = {"N*s/m": "N/(m/s)", "Ns/m": "N/(m/s)"}.get(plain_unit(unit), plain_unit(unit))
+    for slash in re.finditer("/", plain):
+        above, below = plain[: slash.start()], plain[slash.end() :]
+        below = below[1:-1] if below[:1] == "(" and below[-1:] == ")" else below
+        if quantity_of_unit(above) is Quantity.FORCE and quantity_of_unit(below) in MOTIONS:
+            return f"({below})/{above}"
+    return ""
 
 
 def decibels(unit: str) -> str | None:

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
+import struct
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import LARGEST_TABLE, open_regular
+from nmt_core.numerics.arrays import FloatArray
 from nmt_record.exchange.source_table import SourceTable
 from nmt_record.exchange.text.text_table import decoded
+
+_TDMS_STEP = rb"wf_increment\x0a\x00\x00\x00(.{8})"  # name of the property, type (double) and value
 
 
 def read_lvm(path: Path) -> SourceTable:
@@ -27,8 +34,11 @@ def read_lvm(path: Path) -> SourceTable:
     try:
         content = lvm_read.read_str(text.replace("\r\n", "\n"))
         sections = [content[number] for number in range(content["Segments"])]
-        section = max(sections, key=lambda item: item["data"].size)
-        data = np.asarray(section["data"], dtype=np.float64)
+        largest = max(sections, key=lambda item: item["data"].size)
+        alike = [one for one in sections if _same_clock(one, largest)]
+        section, notes_on = alike[0], len(sections) - len(alike)
+        pieces = [np.asarray(one["data"], dtype=np.float64) for one in alike]
+        data = np.concatenate(pieces)
         count = int(section["Channels"])
         heads = [str(head).strip() for head in section["Channel names"]]
         kind = content.get("X_Columns", "One")
@@ -45,7 +55,10 @@ def read_lvm(path: Path) -> SourceTable:
     except (KeyError, ValueError, IndexError, TypeError, SyntaxError, AttributeError) as error:
         raise BenchError(f"{name} cannot be read as a LabVIEW measurement ({error}); export it again.") from error
     if len(sections) > 1:
-        notes.append(f"{name} has {len(sections)} sections; the largest was read.")
+        apart = f"; {notes_on} of other steps or channels were left out: save them apart" if notes_on else ""
+        notes.append(
+            f"{name} has {len(sections)} sections; {len(alike)} of one clock stand one after the other{apart}."
+        )
     kinds = {str(kind).strip() for kind in section.get("X_Dimension", [])} - {"", "Time"}
     if kinds:
         raise BenchError(f"The channels of {name} are over {', '.join(sorted(kinds)).lower()}, not over time.")
@@ -58,7 +71,8 @@ def read_lvm(path: Path) -> SourceTable:
     columns = [np.ascontiguousarray(data[:, place]) for place in places]
     if any(column.size == 0 or not np.isfinite(column).any() for column in columns):
         raise BenchError(f"{name} has a channel without numbers; export it again.")
-    every = [np.ascontiguousarray(data[:, place]) for place in clocks]
+    # The clock of each section begins anew.
+    every = [np.ascontiguousarray(data[:, place]) for place in clocks if len(alike) == 1]
     times = [time for time in every if np.isfinite(time).all()]  # empty cells are no clock
     units = [*(units[:count] if len(units) >= count else [""] * count), *["s"] * len(times)]
     labels = ["X_Value" if len(times) < 2 else f"X_Value.{number + 1}" for number in range(len(times))]
@@ -68,9 +82,21 @@ def read_lvm(path: Path) -> SourceTable:
         (*columns, *times),
         tuple(units),
         notes=notes,
-        start=starts[0] if starts else 0.0,
+        start=starts[0] if starts and len(alike) == 1 else 0.0,
         step=steps[0],
+        stretches=_one_after_the_other(pieces) if len(alike) > 1 else (),
     )
+
+
+def _same_clock(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Whether two sections have the same step and channels."""
+    return all(list(map(str, one.get(key, []))) == list(map(str, other.get(key, []))) for key in (
+        "Delta_X", "Channel names", "Y_Unit_Label"))  # fmt: skip
+
+
+def _one_after_the_other(pieces: Sequence[FloatArray]) -> tuple[tuple[int, int], ...]:
+    ends = np.cumsum([piece.shape[0] for piece in pieces]).tolist()
+    return tuple(zip([0, *ends[:-1]], ends, strict=True))
 
 
 def read_tdms(path: Path) -> SourceTable:
@@ -96,6 +122,14 @@ def read_tdms(path: Path) -> SourceTable:
         raise BenchError(f"{name} holds no group of channels of one clock and length; save those of one recording.")
     if any(not np.isfinite(column).any() for column in columns):
         raise BenchError(f"{name} has a channel without numbers; save it again.")
+    # The reader keeps the last value of a property that changes from segment to segment.
+    stated = {struct.unpack("<d", found)[0] for found in re.findall(_TDMS_STEP, path.read_bytes(), re.S)}
+    if len(stated) > 1 and steps <= stated and len(groups) == 1:
+        listed = " and ".join(f"{1.0 / step:g} Hz" for step in sorted(stated, reverse=True) if step > 0.0)
+        raise BenchError(
+            f"{name} changes its rate from segment to segment ({listed} in wf_increment); save the segments of each "
+            "rate in a file of their own."
+        )
     notes = [f"{name} has {len(groups)} groups; the largest was read."] if len(groups) > 1 else []
     step = steps.pop()
     return SourceTable(

@@ -8,6 +8,7 @@ used; those that contradict each other are named, and the sidecar says which it 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from decimal import Decimal
 
@@ -29,6 +30,7 @@ _SAME_RATE = 1e-3
 _NOTED_DIFFERENCE = 2e-5
 _EXACT = 1e-8  # relative: a rate known to that is exact
 _COARSE = 0.2  # of a step: stamps rounded more coarsely do not say which sample they belong to
+_MOST_LOST = 1.0  # rows that a counter misses, in those that are there
 _RISING = 0.8  # share of rising steps of a column that is a clock, faulty or not
 _SLOW = 20.0  # Hz: below it a time without a unit may be one in ms, or a number of samples
 _FAST = 1e5  # Hz: above it one in hours or minutes
@@ -299,7 +301,45 @@ def _stated_clock(table: SourceTable, given: _Claim | None, header: _Claim | Non
             f"The header of {table.file} is repeated before {table.place(table.breaks[0])} and there is no time column "
             "to tell whether samples are missing there; split the file or add the time column."
         )
-    return Clock(stated.rate, table.start or 0.0, table.rows)
+    clock = Clock(stated.rate, table.start or 0.0, table.rows)
+    counter = next((index for index in range(len(table.names)) if is_packet_counter(table, index)), None)
+    if counter is not None:
+        places = np.concatenate(([0], np.cumsum(_counted(table.columns[counter])))).astype(np.int64)
+        missing = int(places[-1]) + 1 - table.rows
+        gaps = np.flatnonzero(np.diff(places) > 1)
+        if missing:
+            clock.samples, clock.rows = int(places[-1]) + 1, places
+            clock.notes.append(
+                f"{missing} samples are missing at {gaps.size} places (first after {table.place(int(gaps[0]))}) by the "
+                f"counter {table.names[counter]}; they are marked as missing and windows over them will be rejected."
+            )
+    return clock
+
+
+_PACKETS = re.compile(
+    r"(packet|frame|sample|message|msg|seq\w*|data)?[ _]?(counter|count|cnt|seq|sequence|index|idx|number|no|nr)\.?$",
+    re.I,
+)
+_COUNTER_SIZES = (2.0**8, 2.0**16, 2.0**32)
+
+
+def is_packet_counter(table: SourceTable, index: int) -> bool:
+    """Whether a column counts what was sent, once for each row, so that its steps tell what is missing."""
+    values = table.columns[index]
+    if table.judged or not _PACKETS.match(bare_name(table, index).strip()) or values.size < 16:
+        return False
+    if not np.isfinite(values).all() or not np.array_equal(values, np.round(values)) or values.min() < 0.0:
+        return False
+    steps = _counted(values)
+    # Without a step of one in most rows it counts something else.
+    return bool(steps.min() >= 1.0 and (steps == 1.0).mean() > 0.5 and steps.sum() < (1.0 + _MOST_LOST) * steps.size)
+
+
+def _counted(values: FloatArray) -> FloatArray:
+    """Steps of a counter, over its end."""
+    steps = np.diff(values)
+    size = next((size for size in _COUNTER_SIZES if values.max() < size), _COUNTER_SIZES[-1])
+    return np.asarray(np.where(steps < 0.0, steps + size, steps), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

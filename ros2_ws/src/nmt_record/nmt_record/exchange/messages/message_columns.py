@@ -148,10 +148,13 @@ def structure_of(definitions: Any, kind: str, prefix: str = "", above: tuple[str
         else:
             (element, inner_detail), size = detail
             found.append((name, path, (element, inner_detail), node == Nodetype.ARRAY and size > 0))
+    nested = len(sequences)  # arrays of nested messages, whose elements an array of this one may name
     names = {name for name, *_ in found}
     texts_of = [name for name, _, (node, detail), _ in found if node == Nodetype.BASE and detail[0] in _TEXTS]
     integer_arrays = [name for name, _, (node, detail), _ in found if node == Nodetype.BASE and "int" in detail[0]]
     naming = naming_sequences(texts_of, integer_arrays)
+    outer = tuple(f"{prefix}{name}" for name in naming if name in names)
+    sequences[:nested] = [replace(one, naming=(*one.naming, *outer)) for one in sequences[:nested]]
     has_layout = any(name == "layout" for name, _ in items)
     for name, path, (node, detail), fixed in found:
         others = tuple(f"{prefix}{other}" for other in naming if other != name and other in names)
@@ -194,10 +197,14 @@ class TopicReader:
 
     Args:
         structure: of the type.
+        elements: what the sidecar says of arrays without names; of bytes the numbers that they are made of.
     """
 
-    def __init__(self, structure: _Structure) -> None:
+    def __init__(self, structure: _Structure, elements: str = "") -> None:
         self._structure = structure
+        self._byte_type = byte_type(elements)
+        self.bytes: dict[str, int] = {}
+        """Arrays of bytes that are no columns, and their lengths."""
         self._layouts: dict[tuple[Hashable, Hashable], Layout] = {}
         self._labels = [attrgetter(path) for path in structure.labels]
         self._key = _key_of(replace(structure, labels=()))
@@ -236,7 +243,7 @@ class TopicReader:
         key = labels, self._key(message)
         layout = self._layouts.get(key)
         if layout is None:
-            layout = self._layouts[key] = _layout_of(self._structure, message)
+            layout = self._layouts[key] = _layout_of(self._structure, message, self._byte_type, self.bytes)
             if len(self._layouts) > _MOST_LAYOUTS:
                 self._forget_labels()
                 layout = self._layouts[(), key[1]]
@@ -302,10 +309,22 @@ class _Draft:
     shapes: dict[str, tuple[tuple[str, int], ...]] = field(default_factory=dict)
     readers: list[Callable[[Any], Any]] = field(default_factory=list)
     stamp_readers: list[Callable[[Any], int]] = field(default_factory=list)
+    byte_type: np.dtype[Any] | None = None
+    bytes: dict[str, int] = field(default_factory=dict)
 
 
-def _layout_of(structure: _Structure, message: Any) -> Layout:
-    draft = _Draft()
+def byte_type(elements: str) -> np.dtype[Any] | None:
+    """Numbers that bytes are made of, by ``bytes int16`` or ``bytes int16 big`` of a sidecar; None without."""
+    words = elements.split()
+    if len(words) < 2 or words[0] != "bytes":
+        return None
+    return np.dtype(words[1]).newbyteorder(">" if words[2:] == ["big"] else "<")
+
+
+def _layout_of(
+    structure: _Structure, message: Any, of_bytes: np.dtype[Any] | None, byte_arrays: dict[str, int]
+) -> Layout:
+    draft = _Draft(byte_type=of_bytes, bytes=byte_arrays)
     if structure.is_pair:
         draft.columns.append(Column("value", "value", ""))
         draft.readers.append(_text_reader(_itself))
@@ -354,6 +373,14 @@ def _describe(
                     draft.readers.append(_text_reader(fetch_item))
                 else:
                     _describe(one.structure, item, f"{inner}.", f"{bare_inner}.", stamp, fetch_item, draft)
+        elif _is_bytes(items) and draft.byte_type is not None and len(items) >= draft.byte_type.itemsize:
+            count = len(items) // draft.byte_type.itemsize
+            path = f"{prefix}{one.path}"
+            draft.shapes[path] = ()
+            draft.columns += [Column(f"{path}.{n + 1}", f"{bare}{one.path}", stamp, path) for n in range(count)]
+            draft.readers.append(_bytes_reader(get, one.path, draft.byte_type, count))
+        elif _is_bytes(items) and len(items) > MOST_ELEMENTS:
+            draft.bytes[f"{prefix}{one.path}"] = len(items)
         elif 0 < len(items) <= _limit(items):
             array_path = "" if labels else f"{prefix}{one.path}"
             if array_path:
@@ -365,9 +392,24 @@ def _describe(
             draft.readers.append(_array_reader(get, one.path))
 
 
+def _is_bytes(items: Any) -> bool:
+    kind = getattr(items, "dtype", None)
+    return kind is not None and kind.itemsize == 1
+
+
+def _bytes_reader(get: Callable[[Any], Any], path: str, kind: np.dtype[Any], count: int) -> Callable[[Any], Any]:
+    fetch = attrgetter(path)
+
+    def read(message: Any) -> Any:
+        raw = np.ascontiguousarray(fetch(get(message))).tobytes()[: count * kind.itemsize]
+        return np.frombuffer(raw, dtype=kind).astype(np.float64).tolist()
+
+    return read
+
+
 def _limit(items: Any) -> int:
     """Bytes of a picture are no samples."""
-    return MOST_ELEMENTS if getattr(items, "dtype", np.dtype(float)).itemsize == 1 else _MOST_SAMPLES
+    return MOST_ELEMENTS if _is_bytes(items) else _MOST_SAMPLES
 
 
 def _labels(one: _Sequence, message: Any, items: Sequence[Any]) -> list[str] | None:

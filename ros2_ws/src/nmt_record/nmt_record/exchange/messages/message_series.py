@@ -24,6 +24,8 @@ _ALTERNATING = 0.2  # change over two messages, in that over one
 _FEWEST_SAMPLES = 8  # elements of an array that may be samples
 _SMOOTH_SEAM = 2.0  # last to first element of the next message, in steps within one
 _FAR_ACROSS = 1.0  # the same element from message to message, in steps within one
+_MOST_IN_TURN = 16  # channels
+_ALIKE = 0.5  # change over all channels, in that from one to the next
 _SMOOTH = 0.5  # step within a message over the spread of all values
 
 
@@ -247,7 +249,11 @@ def _blocks(
     channels, across = _shape(dimensions, size)
     label = dimensions[0][0] if len(dimensions) == 1 else ""
     values = tables[number][:, positions[number][0] : positions[number][0] + size]
-    samples = channels > 0 or is_time_label(label) or (choice.elements == "samples" and size > 1)
+    words_of_choice = choice.elements.split()
+    if words_of_choice[:1] == ["interleaved"] and not channels and size % int(words_of_choice[1]) == 0:
+        channels, across = int(words_of_choice[1]), False
+    meant = choice.elements == "samples" or words_of_choice[:1] == ["bytes"]
+    samples = channels > 0 or is_time_label(label) or (meant and size > 1)
     words = f"Array {path} of {topic} ({size} elements)"
     if not samples and choice.elements != "channels" and size >= _FEWEST_SAMPLES and _goes_on(values):
         samples = True
@@ -260,9 +266,15 @@ def _blocks(
             return None, False
         what = "changes its length from message to message" if len(sizes) > 2 else "says not what its elements are"
         notes.append(
-            f"{words} {what} and was left out; if they are samples, one after the other, say 'elements: samples'."
+            f"{words} {what} and was left out; if they are samples, one after the other, say 'elements: samples', of "
+            f"channels in turn 'elements: interleaved {_in_turn(values) or 2}'."
         )
         return None, True
+    if meant and (turn := _in_turn(values)):
+        notes.append(
+            f"{words} repeats itself after {turn} elements more closely than after one: channels in turn? Then say "
+            f"'elements: interleaved {turn}'."
+        )
     if len(sizes) > 1:
         notes.append(f"The blocks of {topic} have unequal lengths ({min(sizes)}, {max(sizes)}); record equal ones.")
         return None, True
@@ -295,6 +307,19 @@ def _shape(dimensions: tuple[tuple[str, int], ...], size: int) -> tuple[int, boo
         is_time_label(dimensions[1][0]) and not is_time_label(dimensions[0][0])
     )
     return dimensions[0 if first else 1][1], first
+
+
+def _in_turn(values: FloatArray) -> int:
+    """Channels whose samples come in turn, by the smallest distance at which elements are alike; 0 where they do not.
+
+    Args:
+        values: shape (messages, elements).
+    """
+    if values.shape[1] < 2 * _MOST_IN_TURN or not np.isfinite(values).all():
+        return 0
+    steps = [float(np.median(np.abs(values[:, k:] - values[:, :-k]))) for k in range(1, _MOST_IN_TURN + 1)]
+    best = min(range(1, _MOST_IN_TURN), key=lambda k: steps[k])
+    return best + 1 if steps[best] < _ALIKE * steps[0] else 0
 
 
 def _goes_on(values: FloatArray) -> bool:

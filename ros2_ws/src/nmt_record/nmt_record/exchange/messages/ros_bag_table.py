@@ -81,7 +81,7 @@ def bag_tables(path: Path) -> list[SourceTable]:
     topics = [topic for topic, (_, count) in bag.topics.items() if count >= FEWEST]
     notes: list[str] = list(bag.left_out.values())
     tables: list[SourceTable] = []
-    for topic, reader in _read(bag, topics, notes).items():
+    for topic, reader in _read(bag, topics, notes, "").items():
         series, left_out = series_of(f"/{bench_name(topic)}", reader, ClockChoice())
         for one in series:
             one.notes += left_out
@@ -129,7 +129,7 @@ def read_bag(path: Path, wanted: Sequence[str | int], choice: ClockChoice | None
             raise BenchError(f"{path.name} has no topic for column {column}; it has {there}.")
         topics.append(max(found, key=len))
     notes: list[str] = []
-    readers = _read(bag, list(dict.fromkeys(topics)), notes)
+    readers = _read(bag, list(dict.fromkeys(topics)), notes, choice.elements)
     series: dict[str, list[Series]] = {}
     for topic in dict.fromkeys(topics):
         if topic not in readers:
@@ -161,7 +161,7 @@ def _foreign(path: Path) -> Bag:
     return bag
 
 
-def _read(bag: Bag, topics: Sequence[str], notes: list[str]) -> dict[str, TopicReader]:
+def _read(bag: Bag, topics: Sequence[str], notes: list[str], elements: str) -> dict[str, TopicReader]:
     """Messages of topics whose types can be read; the others are named in the notes."""
     readers: dict[str, TopicReader] = {}
     for topic in topics:
@@ -169,7 +169,7 @@ def _read(bag: Bag, topics: Sequence[str], notes: list[str]) -> dict[str, TopicR
         if count < FEWEST:
             continue
         try:
-            reader = TopicReader(structure_of(bag.field_definitions(topic), kind))
+            reader = TopicReader(structure_of(bag.field_definitions(topic), kind), elements)
         except BenchError as error:
             notes.append(f"Topic /{topic} ({kind}, {count} messages) was left out: {error}")
             continue
@@ -185,6 +185,15 @@ def _read(bag: Bag, topics: Sequence[str], notes: list[str]) -> dict[str, TopicR
             odd[topic] = odd.get(topic, 0) + 1
             continue
         readers[topic].add(message, received)
+    for topic, reader in readers.items():
+        # Pictures and clouds of points have bytes, too.
+        notes += [
+            f"Array {path} of /{topic} holds {count} bytes and was left out; if they are numbers, one after the other, "
+            f"name column /{topic}.{path} with 'elements: bytes int16' (or int32, float32 …; with 'big' behind it "
+            "where the high byte comes first)."
+            for path, count in reader.bytes.items()
+            if path == "data" and "Multi" in bag.topics[topic][0]
+        ]
     for topic in [topic for topic, reader in readers.items() if reader.is_anonymous]:
         del readers[topic]
         notes.append(f"Topic /{topic} was left out: names or lengths of arrays are other ones in each of its messages.")

@@ -26,6 +26,7 @@ from nmt_record.exchange.unit_table import (
     REFERENCE_UNITS,
     decibels,
     factor_to_si,
+    inverse_unit,
     other_factor,
     plain_unit,
     quantity_of_unit,
@@ -51,6 +52,7 @@ _OPTIONAL: dict[str, tuple[str, ...]] = {
     TableKind.BACKBONE: ("damping_ratio", "loss_factor", "quality_factor", "level", "force_n", "phase"),
     TableKind.FRF: ("real", "imag", "magnitude", "phase", "level", "force_n", "coherence"),
 }
+_PEAKED = 3.0  # largest value over the usual one
 _RESPONSES = ("real", "imag", "magnitude", "real_std", "imag_std", "magnitude_std")
 _KINDS = {
     "frequency_hz": "frequency",
@@ -209,6 +211,8 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
     else:
         columns = _linear(section, columns, table, place, notes)
         unit = _stated_unit(section, table, place, "real", "magnitude")
+        inverse = inverse_unit(unit)
+        unit = inverse or unit
         if section.per is not None and quantity_of_unit(unit) is not Quantity.UNKNOWN:
             unit = f"{unit}/N"
         held = 1.0
@@ -222,6 +226,12 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
         quantity, factor, reference = response_over_reference(unit, place)
         factor *= section.scale / held
         columns = _complex(section, columns, table, place)
+        if inverse:
+            columns = _reciprocal(columns, table, place)
+            notes.append(
+                f"{table.file} holds forces per motion; the reciprocal was taken, which is the response to one force "
+                "where no other one acts."
+            )
         if section.per is not None:
             columns = _divided(section, columns, table, reference, unit, place)
         if section.conjugate:
@@ -249,13 +259,25 @@ def read_observables(section: TableSection, path: Path, place: str) -> list[Obse
         units["force_n"] = "N"
     _plausible(columns, table, place)
     if section.kind == TableKind.FRF:
-        columns = _without_still_line(columns, table.file, notes)
+        columns = _without_still_line(_without_mirror(columns, table.file, notes), table.file, notes)
     return [
         _table(
             section, columns, units, quantity, path.name, tuple(notes), level=level, level_unit=level_unit,
             reference=reference,
         )
     ]  # fmt: skip
+
+
+def _reciprocal(columns: dict[str, FloatArray], table: SourceTable, place: str) -> dict[str, FloatArray]:
+    """Responses of which the file has one over each; an uncertainty stays the same share."""
+    given = columns["magnitude"] if "magnitude" in columns else columns["real"] + 1j * columns["imag"]
+    size = np.abs(given)
+    if not (size > 0.0).all():
+        raise BenchError(f"{place}: a force per motion is zero at {table.place(int(np.argmin(size)))}; leave it out.")
+    result = {name: values / size**2 if name in _RESPONSES else values for name, values in columns.items()}
+    if "imag" in result:
+        result["imag"] = -result["imag"]
+    return result
 
 
 def _divided(
@@ -271,16 +293,26 @@ def _divided(
             f"{place}: column {section.per} is {divisor[row]:g} at {table.place(row)}; an amplitude that responses are "
             "divided by is positive."
         )
-    result = {name: values / divisor if name in _RESPONSES else values for name, values in columns.items()}
+    # Each column may hold another kind of amplitude by its heading.
+    kinds = [
+        amplitudes_by_name(table.names[table.index(column, place)])
+        for column in (section.columns.get("magnitude", "magnitude"), section.per)
+        if column != "magnitude" or "magnitude" in table.names
+    ]
+    factor = _PEAK[kinds[0]] / _PEAK[kinds[1]] if len(kinds) == 2 and all(kinds) else 1.0
+    result = {name: factor * values / divisor if name in _RESPONSES else values for name, values in columns.items()}
     if reference == "force" and "force_n" not in result:
         below = plain_unit(unit).rpartition("/")[2]
         result["force_n"] = divisor * factor_to_si(Quantity.FORCE, below, f"{place}: per")
     return result
 
 
+_PEAK = {"peak": 1.0, "rms": math.sqrt(2.0), "peak_to_peak": 0.5}
+
+
 def _peak(section: TableSection) -> float:
     """Peak over what the file gives as amplitude."""
-    return {"peak": 1.0, "rms": math.sqrt(2.0), "peak_to_peak": 0.5}[section.amplitudes]
+    return _PEAK[section.amplitudes]
 
 
 def _level(section: TableSection, place: str) -> tuple[float, float, str]:
@@ -378,6 +410,8 @@ def _check_amplitudes(section: TableSection, table: SourceTable, place: str) -> 
         return
     name = table.names[table.index(section.columns[member], place)]
     hinted = amplitudes_by_name(name)
+    if section.per is not None and hinted and amplitudes_by_name(table.names[table.index(section.per, place)]):
+        return  # of both by their headings
     if hinted not in ("", "peak"):
         raise BenchError(
             f"{place}: column {name} of {table.file} is called {hinted.replace('_', ' ')}; say 'amplitudes: {hinted}', "
@@ -463,6 +497,11 @@ def _stated_unit(section: TableSection, table: SourceTable, place: str, *members
         stated = stated or (heading if reference is None else reference)
     if not section.unit:
         return stated
+    if inverse_unit(stated) and not inverse_unit(section.unit) and "scale" not in section.model_fields_set:
+        raise BenchError(
+            f"{place}: by its heading {table.file} has {stated}, a force per motion, not {section.unit}; say "
+            f"'unit: {plain_unit(stated)}' (the reciprocal is then taken), or 'scale: 1' if the heading is wrong."
+        )
     theirs, sidecar = unit_size(stated), unit_size(section.unit)
     alone = sidecar is not None and theirs is not None and sidecar[2:] != theirs[2:] and section.per is not None
     if theirs is None or sidecar is None or alone or "scale" in section.model_fields_set:
@@ -504,6 +543,13 @@ def _complex(
             f"{place}: {table.file} has {what} (its columns are {has}); one of the two is needed, magnitude with phase "
             "as far as that is known; name columns that are called otherwise, columns: {magnitude: …}."
         )
+    # A response that peaks is nowhere real on both sides of its resonance.
+    real = columns["real"] if plain and not columns["imag"].any() else np.zeros(0)
+    if real.size and (real >= 0.0).all() and real.max() > _PEAKED * np.median(real):
+        raise BenchError(
+            f"{place}: the imaginary part is zero throughout and the real part never negative: magnitudes without a "
+            "phase? Then say columns: {magnitude: …} instead of real and imag."
+        )
     if plain:
         return {name: values for name, values in columns.items() if not name.startswith("magnitude")}
     if (columns["magnitude"] < 0.0).any():
@@ -536,6 +582,30 @@ def _without_still_line(columns: dict[str, FloatArray], file: str, notes: list[s
         return columns
     notes.append(f"The line at 0 Hz of {file} is no vibration (offsets of sensors); it was left out.")
     return {name: np.ascontiguousarray(values[moving]) for name, values in columns.items()}
+
+
+def _without_mirror(columns: dict[str, FloatArray], file: str, notes: list[str]) -> dict[str, FloatArray]:
+    """Columns without the upper half of a whole transform, which mirrors the lower one and was not measured."""
+    frequency = columns["frequency_hz"]
+    response = columns["real"] + 1j * columns["imag"] if "real" in columns else columns["magnitude"]
+    steps = np.diff(frequency)
+    if frequency.size < 16 or not (steps > 0.0).all() or float(np.ptp(steps)) > 1e-3 * float(steps.mean()):
+        return columns
+    first = 1 if frequency[0] < 0.5 * steps[0] else 0
+    lines = response[first:]
+    size = float(np.abs(lines).max())
+    if (
+        not size > 0.0
+        or np.abs(lines - lines[::-1].conj()).max() > 1e-6 * size
+        or float(np.ptp(np.abs(lines))) < 1e-6 * size
+    ):
+        return columns
+    kept = np.arange(frequency.size) < first + (lines.size + 1) // 2
+    notes.append(
+        f"The responses of {file} above {frequency[kept][-1]:.6g} Hz mirror those below, as the upper half of a whole "
+        "transform does; they were left out."
+    )
+    return {name: np.ascontiguousarray(values[kept]) for name, values in columns.items()}
 
 
 def _plausible(columns: dict[str, FloatArray], table: SourceTable, place: str) -> None:
@@ -573,10 +643,17 @@ def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableT
         where = f"{place}: dataset {function.number} of {path.name}"
         quantity, frequency, values = response_values(section, function, where, notes)
         columns = {"frequency_hz": frequency, "real": values.real, "imag": values.imag}
+        if not np.iscomplexobj(function.values):
+            if section.ordinate is None:
+                raise BenchError(
+                    f"{where} is a frequency response of real numbers: magnitudes without a phase? Then say 'ordinate: "
+                    "magnitude'; else export complex values."
+                )
+            columns = {"frequency_hz": frequency, "magnitude": np.abs(values)}
         if (frequency > 0.0).any():
             columns = _without_still_line(columns, path.name, notes)
         unit = si_unit_of(section.unit or stated_unit(function))
-        units = {"frequency_hz": "Hz", "real": unit, "imag": unit}
+        units = {name: "Hz" if name == "frequency_hz" else unit for name in columns}
         table = _table(
             section, columns, units, quantity, path.name, tuple(notes), point=function.response_node,
             drive_point=function.reference_node, name=function.name or section.name, level=level, level_unit=level_unit,

@@ -45,6 +45,7 @@ else:
     TableKindName = Literal[tuple(kind.value for kind in TableKind)]
 EXPORTED_KINDS = (TestKind.SELF_EXCITED, TestKind.SECONDARY_RESONANCE)
 """Kinds whose windows mean something only with the lock events that an export has beside them."""
+_ELEMENTS = r"^(samples|channels|interleaved [1-9]\d*|bytes (u?int(8|16|32)|float(32|64))( big)?)$"
 HELD_KINDS = (TestKind.RECORD, TestKind.STEPPED_SINE)
 """Kinds of which the sidecar may say whether force or motion was given."""
 STEADY_KINDS = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE)
@@ -200,6 +201,7 @@ class TableSection(_Section):
         phase_shift_deg: what is added to the phase, after ``conjugate``.
         turned: points of a universal file whose responses are turned (−1); left out = by its directions.
         amplitudes: whether amplitudes and level are peak, rms or peak-to-peak values.
+        ordinate: magnitude, of a universal file whose frequency responses are real numbers.
         name: for reports.
     """
 
@@ -221,6 +223,7 @@ class TableSection(_Section):
     phase_shift_deg: float = 0.0
     turned: list[Annotated[int, Field(ge=0)]] | None = None
     amplitudes: Literal["peak", "rms", "peak_to_peak"] = "peak"
+    ordinate: Literal["magnitude"] | None = None
     name: str = ""
 
 
@@ -252,8 +255,9 @@ class Sidecar(_Section):
         clock: what to believe where the file contradicts itself or this sidecar: sample_rate, header (step or rate in
             the file, header stamps of a bag), column, or log (log times of a bag).
         stretch: number from 1 of the stretch of a bag that paused or whose clock jumped; left out = all.
-        elements: what the elements of an array without names are in a bag: samples, one after the other, or channels;
-            left out = as the file tells.
+        elements: what the elements of an array without names are in a bag: samples, one after the other, channels,
+            interleaved 2 (samples of two channels in turn), or bytes int16 (little-endian; bytes int16 big); left out =
+            as the file tells.
         channels: the columns to import.
         segments: what was done when, and tables of others.
         linear: linear.json with the linear modes.
@@ -277,7 +281,7 @@ class Sidecar(_Section):
     time_unit: Literal["s", "ms", "us", "ns", "min", "h", "d"] = "s"
     clock: Literal["sample_rate", "header", "column", "log"] | None = None
     stretch: Annotated[int, Field(ge=1)] | Literal["all"] = "all"
-    elements: Literal["samples", "channels"] | None = None
+    elements: Annotated[str, Field(pattern=_ELEMENTS)] | None = None
     channels: list[ChannelSection] = []
     segments: list[SignalSection | TableSection] = []
     linear: str | None = None

@@ -21,6 +21,7 @@ from nmt_record.exchange.clocks.column_clock import (
     bare_name,
     find_clock,
     is_clock,
+    is_packet_counter,
     quantum_of,
     time_unit_of,
 )
@@ -54,7 +55,7 @@ _DECAYED = 0.8  # rms of the last fifth over that of the first
 _MOST_CHANNELS = 64
 _CLOCK_ANSWERS = {
     "sample_rate": "Hz", "clock": "header or column; of a bag header or log", "time_unit": "s, ms, us, ns, min, h or d",
-    "stretch": "a number from 1", "elements": "samples or channels",
+    "stretch": "a number from 1", "elements": "samples, channels or interleaved 2",
 }  # fmt: skip
 _DOUBTFUL = 200.0  # Hz: a time without a unit that gives less may be one in ms of a faster recording
 
@@ -73,8 +74,12 @@ def sidecar_templates(path: Path) -> tuple[str, ...]:
     head.append("# rig: my_rig.yaml        # the rig file that it is a test of, beside this file")
     if is_bag(path):
         return tuple(_warned(text, path) for table in bag_tables(path) for text in _texts(table, list(head)))
-    if kind_of(path) == "uff" and all(f.function_type == uff.FREQUENCY_RESPONSE for f in uff.read_uff(path)):
-        return (_checked("\n".join([*head, *uff_lines(frequency_responses(path))]) + "\n", path),)
+    if kind_of(path) == "uff" and (responses := frequency_responses(path)):
+        others = [f for f in uff.read_uff(path) if f.function_type != uff.FREQUENCY_RESPONSE]
+        if all(f.function_type not in (0, uff.TIME_RESPONSE) for f in others):
+            kinds = sorted({uff.FUNCTION_NAMES.get(f.function_type, f"type {f.function_type}") for f in others})
+            head += [f"# {path.name} also holds {', '.join(kinds)}; they are left out."] if others else []
+            return (_checked("\n".join([*head, *uff_lines(responses)]) + "\n", path),)
     table = read_table(path)
     texts = _texts(table, head)
     return tuple(_checked(text, path) for text in texts)
@@ -183,7 +188,10 @@ def _even(table: SourceTable, index: int) -> bool:
 def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int]) -> list[str]:
     """Channels over time."""
     columns = [
-        i for i in columns if i in time or not (i in table.parts or _is_empty(table, i) or _numbers_rows(table, i))
+        i
+        for i in columns
+        if i in time
+        or not (i in table.parts or _is_empty(table, i) or _numbers_rows(table, i) or is_packet_counter(table, i))
     ]
     lines, clock = _clock_lines(table, time, columns)
     rate = None if clock is None else clock.sample_rate

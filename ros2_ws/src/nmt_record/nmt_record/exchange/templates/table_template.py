@@ -16,6 +16,7 @@ from nmt_record.exchange.reduced.uff_observables import stated_unit
 from nmt_record.exchange.source_table import SourceTable
 from nmt_record.exchange.unit_table import (
     decibels,
+    inverse_unit,
     is_known_unit,
     is_quotient,
     plain_unit,
@@ -68,6 +69,9 @@ def uff_lines(functions: Sequence[uff.UffFunction]) -> list[str]:
         lines.append(f"  - {{kind: frf, unit: {quoted(units[0])}}}   # by the file")
     else:
         lines.append(f"  - {{kind: frf}}   # units by the file: {', '.join(sorted(set(units)))}")
+    if not all(np.iscomplexobj(function.values) for function in functions):
+        lines[-1] = lines[-1].replace("}", f", ordinate: {ASK}}}", 1)
+        lines.append("    # real numbers: 'ordinate: magnitude' if they are magnitudes; else export complex values")
     if turned:
         points = ", ".join(map(str, turned))
         lines.append(
@@ -148,7 +152,7 @@ def _held_lines(table: SourceTable, frequencies: Sequence[int]) -> list[str]:
         later = [i for i in group if i > index and i not in used]
         phase = later[0] if later and _is_phase(table, later[0]) else None
         if phase is None:
-            return []
+            return _ratio_lines(table, frequency, index, later)
         used += [index, phase]
         held = next((v for k, v in table.constants.items() if prefix and re.fullmatch(
             re.escape(prefix) + r"\.(force|level)", k, re.I)), None)  # fmt: skip
@@ -170,6 +174,30 @@ def _held_lines(table: SourceTable, frequencies: Sequence[int]) -> list[str]:
             "    drive_point: 1        # guessed",
         ]
     return ["segments:", *lines] if lines else []
+
+
+def _ratio_lines(table: SourceTable, frequency: int, held: int, later: Sequence[int]) -> list[str]:
+    """A response beside what was held, as a vibration controller reports them; empty where the table is another one."""
+    if len(later) != 2 or not _is_phase(table, later[1]):
+        return []
+    response, phase = later
+    units = [plain_unit(table.units[index]) for index in (response, held)]
+    if quantity_of_unit(units[0]) not in MOTIONS or not is_quotient("/".join(units)):
+        return []
+    kinds = [amplitudes_by_name(table.names[index]) for index in (response, held)]
+    lines = [
+        "segments:",
+        "  - kind: frf",
+        f"    columns: {{frequency_hz: {column_of(table, frequency)}, magnitude: {column_of(table, response)}, "
+        f"phase: {column_of(table, phase)}}}",
+        f"    unit: {quoted('/'.join(units))}   # by the headings",
+        f"    per: {column_of(table, held)}   # guessed: what was held",
+        *_phase_lines(table, phase, Quantity.UNKNOWN),
+        "    point: 1              # guessed",
+    ]
+    if all(kinds):
+        lines.append(f"    # by their headings the response is {kinds[0]} and what was held {kinds[1]}")
+    return lines
 
 
 def _is_phase(table: SourceTable, index: int) -> bool:
@@ -252,6 +280,8 @@ def _response_lines(table: SourceTable, named: dict[str, int], kept: set[str]) -
     asked = "that 0 dB refer to" if in_db else "of the response"
     if is_quotient(unit):
         unit_line = f"    unit: {quoted(unit)}   # by the heading"
+    elif inverse_unit(unit):
+        unit_line = f"    unit: {quoted(unit)}   # by the heading: force per motion, whose reciprocal is taken"
     else:
         unit_line = f"    unit: {ASK}   # {asked}, such as m/s^2/N, g/N, or g/g over the acceleration of a base"
     lines = ["segments:", "  - kind: frf", _columns_line(table, named, members), unit_line]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from extract.synthetic import FREQUENCY, RATE, Stream, extract, in_phase_case, lock_event
 
+from nmt_core.messages.modal_point import EVALUATED
 from nmt_extract.judgement.uncertainty import jackknife, slope_uncertainty, sub_window_count
 
 
@@ -45,6 +46,11 @@ def test_slope_uncertainty_against_repetition():
 
 NOISY = ("damping_ratio", "modal_amplitude", "force_n", "active_power", "phase_error", "self_excitation")
 BIASED = ("pbmif", "gamma_force", "gamma_acceleration", "mac")
+
+
+def test_the_uncertainty_of_every_quantity_is_held_against_repetitions():
+    missing = set(EVALUATED) - {*NOISY, *BIASED, "apparent_power"}  # which is the active power over pbmif
+    assert not missing, f"put {missing} into NOISY, or into BIASED where noise moves its mean"
 
 
 @pytest.fixture(scope="module")

@@ -255,3 +255,6 @@ MEASURED = tuple(quantity.name for quantity in QUANTITIES)
 
 EVALUATED = tuple(quantity.name for quantity in QUANTITIES if quantity.from_harmonics)
 """Names of the quantities that are evaluated for the window and for each of its parts."""
+
+ANGLES = tuple(quantity.name for quantity in QUANTITIES if quantity.unit == "rad")
+"""Names of those of which whole turns do not count."""

@@ -10,7 +10,7 @@ from nmt_core.errors import BenchError
 from nmt_core.kinds import kind_class
 from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.linear_description import LinearDescription
-from nmt_core.messages.modal_point import EVALUATED, ModalPoint
+from nmt_core.messages.modal_point import ANGLES, EVALUATED, ModalPoint
 from nmt_core.messages.secondary_resonance import resonance_of
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, PointStatus, TestKind
@@ -276,7 +276,7 @@ class WindowEvaluation:
     def _uncertainty(self, name: str, value: FloatArray) -> float:
         if not self.motion.parts:
             return math.nan
-        if name == "phase_error":
+        if name in ANGLES:
             return jackknife(np.angle(np.exp(1j * (value[1:] - value[0]))), 0.0)
         return jackknife(value[1:], float(value[0]))
 

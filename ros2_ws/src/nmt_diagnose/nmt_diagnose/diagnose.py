@@ -207,12 +207,12 @@ def _diagnosed(
     verdict, comparison = judgement.verdict, judgement.comparison
     left = _left(judgement, held_out)
     gap = _gap(judgement, held_out, left)
-    shown = judgement.nearest is not None
-    where = place_rows(comparison, findings.sources) if shown or verdict is Verdict.UNKNOWN else ()
-    ranking = ranked_rows(data, comparison, judgement.shares, judgement.partial) if shown else ()
+    reported = judgement.nearest is not None
+    where = place_rows(comparison, findings.sources) if reported or verdict is Verdict.UNKNOWN else ()
+    ranking = ranked_rows(data, comparison, judgement.shares, judgement.partial) if reported else ()
     calibration = calibration_rows(judgement.best)
     answer = Answered(
-        where, ranking, calibration, gap, remainder(left.observations, gap, left.after, left.rows) if shown else None
+        where, ranking, calibration, gap, remainder(left.observations, gap, left.after, left.rows) if reported else None
     )
     ahead = _ahead(rig, judgement, left.observations, settings)
     text, warnings, where = _sentences(judgement, answer, ahead, observations, settings)
@@ -374,7 +374,7 @@ class Answered:
 def _sentences(
     judgement: Judgement, answer: Answered, ahead: Ahead, observations: Observations, settings: DiagnosisSettings
 ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[PlaceShare, ...]]:
-    """Sentences of the answer, warnings, and the places that are shown."""
+    """Sentences of the answer, warnings, and the places that are told."""
     findings, verdict, leader, named = judgement.findings, judgement.verdict, judgement.leader, judgement.named
     members = named.members if named is not None else ()
     warnings = warned(verdict, judgement.best, answer.calibration, answer.gap, members)

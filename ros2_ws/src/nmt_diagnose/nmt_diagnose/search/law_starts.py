@@ -60,14 +60,14 @@ def _fitted(
     candidates = [candidate for candidate, _ in starts]
     spreads = [spread_at(candidate, theta) for candidate, theta in starts]
     parametrisation = search.parametrisation(candidates, spreads)
-    given = np.zeros_like(null.fit.theta)
+    as_given = np.zeros_like(null.fit.theta)
     near, afar = StartName.LAW, StartName.LAW_GIVEN
     for share, names in ((1.0, (near, afar)), (WEAKER_SHARE, (near.weaker, afar.weaker))):
         added = [_weaker(candidate, parameters, share) for candidate, parameters in starts]
         # The law was read with the model as it was given; without it a strong law has bent the model's own parameters.
         table = [
             Start(names[0], np.concatenate([null.fit.theta, *added]), null.fit.prediction, effort=ON_THE_WAY),
-            Start(names[1], np.concatenate([given, *added]), coarse=True),
+            Start(names[1], np.concatenate([as_given, *added]), coarse=True),
         ]
         found = search.best(parametrisation, table, None, True, likelihood, lambda it: not search.exceeds_noise(it))
         if found is not None:

@@ -48,7 +48,7 @@ def test_what_the_next_test_adds_is_its_share_of_the_range_of_strengths() -> Non
     assert found.probability == pytest.approx(np.mean((acts & shows_at_end)[quiet]), abs=4e-3)
     assert found.next == pytest.approx(np.mean((acts & shows_next)[quiet]), abs=4e-3)
     ended = ~(acts & shows_at_end)
-    assert np.mean(acts[ended]) == pytest.approx(comparison.too_weak_share, abs=4e-3)
+    assert np.mean(acts[ended]) == pytest.approx(0.16, abs=4e-3)
 
 
 def test_information_is_the_mean_fall_of_entropy() -> None:

@@ -41,7 +41,7 @@ class ComparisonThresholds:
         0.16, "1",
         "Share of tests without a gap in which something acts that shows in no row: 4 of 25 of laboratories one and "
         "three.",
-        "tests/diagnose/test_measured_noise.py::test_no_gap_leaves_room_for_what_is_too_weak_to_see",
+        "tests/diagnose/test_hidden_effects.py::test_what_the_next_test_adds_is_its_share_of_the_range_of_strengths",
     )  # fmt: skip
     partial_named_share: float = threshold(
         0.44, "1",

@@ -386,6 +386,9 @@ def _at_rest(table: SourceTable, index: int) -> tuple[float, str]:
         means = [float(piece.mean()) for piece in pieces]
         size, spread = size + float(np.mean(means)) ** 2, spread + float(np.var(means))
     size = math.sqrt(size)
+    finite = table.columns[index][np.isfinite(table.columns[index])]
+    if not np.ptp(finite) > 0.0:
+        return math.nan, ""  # a sensor that is off
     if math.sqrt(spread) > 0.1 * size:
         return math.nan, ""
     others = f"column {name} and its other axes read" if len(group) > 1 else f"column {name} reads"

@@ -24,11 +24,13 @@ class Reading:
         command: ``held`` or ``smooth`` between its changes.
         command_lag_s: by how much the drive has a command later than its row, s.
         torque_lag_s: by how much the torque acts later than its row, s.
+        derived: whether the drive damps by the derivative of the position and not by the speed that was logged.
     """
 
     command: str = HELD
     command_lag_s: float = 0.0
     torque_lag_s: float = 0.0
+    derived: bool = False
 
     def text(self) -> str:
         """In words."""
@@ -37,6 +39,8 @@ class Reading:
             words.append(f"{1e3 * self.command_lag_s:.3g} ms late")
         if self.torque_lag_s:
             words.append(f"torque {1e3 * self.torque_lag_s:.3g} ms late")
+        if self.derived:
+            words.append("damping by the derivative of the position")
         return ", ".join(words)
 
 
@@ -92,21 +96,30 @@ class DriveTorque:
         assert log.position_gain is not None
         torque: Array = log.position_gain * self.error(reading)
         if log.velocity_gain is not None:
-            velocity = np.gradient(log.position, self._step, axis=0) if log.velocity is None else log.velocity
+            derived = log.velocity is None or reading.derived
+            velocity = np.gradient(log.position, self._step, axis=0) if derived else log.velocity
+            assert velocity is not None
             commanded = 0.0 if log.velocity_command is None else log.velocity_command
             torque = torque + log.velocity_gain * (commanded - velocity)
         if log.torque_command is not None:
             torque = torque + log.torque_command
         return late(torque, reading.torque_lag_s, self._step)
 
-    def candidates(self, longest_s: float = 0.04) -> list[Reading]:
-        """Readings that the log allows: each lag of command and of torque, not both at once."""
+    def candidates(self, derived: bool = False, longest_s: float = 0.04) -> list[Reading]:
+        """Readings that the log allows: each lag of command and of torque, not both at once.
+
+        Args:
+            derived: whether the logged speed has a fault, so that the drive may not have damped by it.
+            longest_s: largest lag, s.
+        """
         step = max(0.5 * self._step, 1e-3)
         lags = np.arange(-2, int(longest_s / step) + 1) * step
         kinds = [HELD, SMOOTH] if self._is_held() else [HELD]
         found = [replace(Reading(kind), torque_lag_s=round(float(lag), 6)) for kind in kinds for lag in lags]
         if self.arithmetic:
             found += [replace(Reading(kind), command_lag_s=round(float(lag), 6)) for kind in kinds for lag in lags]
+        if derived and self.arithmetic and self._log.velocity is not None:
+            found += [replace(reading, derived=True) for reading in found]
         return list(dict.fromkeys(found))
 
     def _is_held(self) -> bool:

@@ -45,10 +45,17 @@ class ReadingScores:
         return self.readings.index(Reading())
 
     def among(self, command: str, late: str) -> tuple[Array, Array]:
-        """Lags (s) and numbers of the readings with one kind of command and one thing late."""
+        """Lags (s) and numbers of the readings with one kind of command and one thing late, damped as the best."""
         other = "torque_lag_s" if late == "command_lag_s" else "command_lag_s"
         numbers = np.array(
-            [n for n, r in enumerate(self.readings) if r.command == command and getattr(r, other) == 0.0], dtype=int
+            [
+                number
+                for number, reading in enumerate(self.readings)
+                if reading.command == command
+                and getattr(reading, other) == 0.0
+                and reading.derived == self.best.derived
+            ],
+            dtype=int,
         )
         lags = np.array([getattr(self.readings[n], late) for n in numbers])
         order = np.argsort(lags)
@@ -85,9 +92,9 @@ def _lowest(lags: Array, scores: Array) -> float:
     return float(lags[lowest] + shift * (lags[1] - lags[0]))
 
 
-def compare_readings(motion: Motion, drive: DriveTorque) -> ReadingScores:
-    """Score every reading that the log allows."""
-    readings = drive.candidates()
+def compare_readings(motion: Motion, drive: DriveTorque, derived: bool = False) -> ReadingScores:
+    """Score every reading that the log allows; ``derived`` as in :meth:`DriveTorque.candidates`."""
+    readings = drive.candidates(derived)
     joints = np.flatnonzero(motion.moves)
     sides = [_Sides(motion, int(joint)) for joint in joints]
     by_joint = np.full((len(readings), motion.q.shape[1]), np.nan)

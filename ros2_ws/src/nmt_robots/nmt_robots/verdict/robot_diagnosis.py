@@ -125,11 +125,12 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
         *torque_findings(log, joints, plain_torque),
         *order_findings(log, joints, motion, plain_torque),
     ]
-    scores = compare_readings(motion, drive)
+    derived = any(finding.fault and finding.key.startswith("velocity") for finding in found)
+    scores = compare_readings(motion, drive, derived)
     found += reading_findings(scores)
     plain = _plain_left(motion, plain_torque)
     if robot.floating:
-        motion, scores, finding = with_base(robot, log, motion, drive, scores)
+        motion, scores, finding = with_base(robot, log, motion, drive, scores, derived)
         found += finding
     reading = scores.best
     as_well = _few(scores.fit_as_well())
@@ -165,11 +166,11 @@ def read_log(real: Path, model: Path) -> JointLog:
 
 
 def with_base(
-    robot: RobotModel, log: JointLog, motion: Motion, drive: DriveTorque, scores: ReadingScores
+    robot: RobotModel, log: JointLog, motion: Motion, drive: DriveTorque, scores: ReadingScores, derived: bool
 ) -> tuple[Motion, ReadingScores, list[Finding]]:
     """Whether the base stood still or gave way, by all joints together."""
     yielding = with_yielding_base(robot, log, motion)
-    other = compare_readings(yielding, drive)
+    other = compare_readings(yielding, drive, derived)
     still, gives = float(np.min(scores.relative)), float(np.min(other.relative))
     apart = float(np.sqrt(gives / still)) - 1.0
     alike = abs(apart) < 0.5 * THRESHOLDS.fits_as_well
@@ -189,7 +190,7 @@ def with_base(
 def _few(readings: list[Reading]) -> list[Reading]:
     """The best reading and those that differ most from it, of each kind."""
     chosen = readings[:1]
-    for key in ("command", "command_lag_s", "torque_lag_s"):
+    for key in ("command", "command_lag_s", "torque_lag_s", "derived"):
         for extreme in (min, max):
             reading = extreme(readings, key=lambda item: getattr(item, key))
             if reading not in chosen:

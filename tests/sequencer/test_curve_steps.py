@@ -74,6 +74,14 @@ def test_a_lost_point_is_tried_half_way_once():
     assert steps.after_loss(1.0, 1e-4) is None  # too near to be cut
 
 
+def test_at_a_held_response_a_step_is_halved_twice():
+    steps = CurveSteps(KIND, holds_force=False)
+    steps.add(1.0, 0.0, report(0.0))
+    assert steps.after_loss(1.0, 0.2) == pytest.approx(0.1)
+    assert steps.after_loss(1.0, 0.1) == pytest.approx(0.05)
+    assert steps.after_loss(1.0, 0.05) is None
+
+
 def test_a_curve_whose_first_end_is_lost_begins_at_the_other_once():
     steps = CurveSteps(KIND)
     assert steps.begins_at_other_end(1.0)

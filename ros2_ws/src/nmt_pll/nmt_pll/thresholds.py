@@ -584,6 +584,27 @@ class CurveThresholds:
         "which it is another branch; one and a half of the way that the point was moved may come on top.",
         "tests/pll/test_curve_parameters.py::test_an_orbit_of_another_branch_is_no_lock",
     )  # fmt: skip
+    prospect_decays: float = threshold(
+        4.0, "1",
+        "Time constants of the structure that a span lasts, beside a dwell, over which what keeps a point from locking "
+        "is averaged: what settles falls by a factor of 50 in it.",
+        "tests/pll/test_prospect.py::test_a_threshold_decides",
+    )  # fmt: skip
+    prospect_spans: float = threshold(
+        3.0, "spans",
+        "Spans over which the trend is taken: a swing and the way to a new amplitude need more than two.",
+        "tests/pll/test_prospect.py::test_a_threshold_decides",
+    )  # fmt: skip
+    prospect_fall: float = threshold(
+        0.3, "1",
+        "Fall of the logarithm a span from which a point is on its way.",
+        "tests/pll/test_prospect.py::test_a_threshold_decides",
+    )  # fmt: skip
+    prospect_near: float = threshold(
+        0.7, "1",
+        "Logarithm of the share of the limits up to which noise may keep a point from locking, and no trend is asked.",
+        "tests/pll/test_prospect.py::test_a_threshold_decides",
+    )  # fmt: skip
     largest_boost: float = threshold(
         2.5, "1",
         "Factor of the integral gain along a response curve: filter and dead time bear it.",

@@ -47,6 +47,7 @@ _TURNING_SHARE = 0.7  # of what a parabola leaves before a quantity turns, which
 _LARGEST_BEND = 0.3  # rad, by which the curve may turn within a step
 _SHORTEST_STEP = 0.25  # of the spacing; also after a loss
 _DEVIATION = 0.25  # of a step, which a point may lie off its parabola
+_MOST_HALVINGS = 2  # of a step at a held response, from one point
 _MOST_RESTARTS = 3  # from one point
 _SHORTER = 0.4  # step with each of them
 _WEIGHT = 3.2  # rad, |κ|: with less t_ϑ + κ t_x has the wrong sign where the lag falls, with more the response,
@@ -286,6 +287,9 @@ class CurveSteps:
         half = last + 0.5 * (lost - last)
         tried = (round(last, 9), round(lost, 9))
         if tried in self._lost or abs(half - last) <= self.shortest:
+            return None
+        from_here = sum(place == tried[0] for place, _ in self._lost)
+        if not self._holds_force and from_here >= _MOST_HALVINGS:  # a held response folds nowhere: the loop swings
             return None
         self._lost.add(tried)
         return half

@@ -16,7 +16,7 @@ from nmt_core.messages.records import LevelCommand
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, VELOCITY_LEAD, ControlKind, CurveParameter, LoopState, TestKind
 from nmt_pll.amplitude.response_control import ResponseController
-from nmt_pll.detection.lock import Dwell, LockCriteria
+from nmt_pll.detection.lock import Dwell, DwellStatistics, LockCriteria
 from nmt_pll.detection.phase_detector import AdaptiveFourierFilter, phase_error
 from nmt_pll.force_control.force_control import ForceControl
 from nmt_pll.force_control.force_per_volt import ForcePerVolt
@@ -25,6 +25,7 @@ from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.phase_loop.controller import AmplitudeController, FrequencyController, GainSchedule
 from nmt_pll.phase_loop.gains import LoopPlant
 from nmt_pll.phase_loop.multisine import Multisine
+from nmt_pll.phase_loop.prospect import Prospect, largest_share
 from nmt_pll.thresholds import CURVE, PHASE
 
 
@@ -91,6 +92,7 @@ class PhaseLockedLoop(LevelLoop):
         dwell_time = settings.dwell_periods * 2.0 * math.pi / mode
         self.dwell = Dwell(math.ceil(dwell_time / self.block_duration), 2.0 / (self.cutoff * self.block_duration))
         self.decay = self.plant.structure_decay
+        self._prospect = Prospect(self.plant.structure_decay, dwell_time)
         self._response_quantity = Quantity.DISPLACEMENT
         self._closed_from = 0
         self._judged_from = 0
@@ -311,6 +313,7 @@ class PhaseLockedLoop(LevelLoop):
         self.forces.start_level(level, end, was_quiet)
         self.dwell.clear()
         self._deviation = 0.0
+        self._prospect.begin()
 
     @property
     def _on_curve(self) -> bool:
@@ -417,6 +420,7 @@ class PhaseLockedLoop(LevelLoop):
                 self._give_up(end, reason)
             return None
         if not self.criteria.locked(statistics, self._deviation) or self.forces.obstacle:
+            self._give_up_early(statistics, end)
             return None
         astray = self._astray()
         if astray:
@@ -431,6 +435,18 @@ class PhaseLockedLoop(LevelLoop):
         if self.forces.summary:
             reason += f"; {self.forces.summary}"
         return self._open_window(end, statistics.mean, reason)
+
+    def _give_up_early(self, statistics: DwellStatistics, end: int) -> None:
+        """Give a point of a response curve up whose errors do not come down as those of one that will lock."""
+        level = self._level
+        held = level is not None and kind_class(level.test).is_curve and self._parameter is CurveParameter.LAG
+        if level is None or not held or not level.timeout or self._release > 0.0:
+            return
+        share = largest_share(statistics, self.criteria, self._deviation)
+        if self._prospect.is_hopeless(share, end / self.sample_rate, self._deadline / self.sample_rate):
+            self._is_gentle ^= self._on_curve
+            obstacle = self.criteria.obstacle(statistics, self._deviation) or self.forces.obstacle
+            self._give_up(end, f"it cannot be held, as its errors do not come down: {obstacle}")
 
     def _astray(self) -> str:
         """Why the orbit is not one of the curve that is followed; empty if it is, or where the lag is held."""

@@ -51,20 +51,23 @@ def sentences(
     """
     if verdict is Verdict.NONE:
         which = "Held-out data" if gap.held_out else "The data"
+        moved = [item for item in calibration if abs(item.sigmas) > THRESHOLDS.verdict.visible_sigmas]
+        own = (
+            f"the model's own parameters were off, by less than what matters: {_farthest(moved)}."
+            if moved
+            else "the model's own parameters need no change either."
+        )
         return (
             "There is no gap that the noise and the repeatability of these tests could not explain.",
-            "No unmodelled effect is claimed; the model's own parameters need no change either.",
+            f"No unmodelled effect is claimed; {own}",
             f"{which} lie {gap.as_given:.2f} standard deviations (rms) from the model; 1 is what the stated "
             "uncertainties allow.",
         )
     if verdict is Verdict.CALIBRATION:
-        moved = sorted(calibration, key=lambda item: -abs(item.sigmas))[:3]
-        farthest = "; ".join(
-            f"{m.name} {value_text(m.start, math.nan)} to {value_text(m.to, m.std, m.unit)}" for m in moved
-        )
         return (
             "The gap lies in parameters that the model already has.",
-            f"No unmodelled effect is needed; the parameters that moved most beside their uncertainty: {farthest}.",
+            "No unmodelled effect is needed; the parameters that moved most beside their uncertainty: "
+            f"{_farthest(calibration)}.",
             _how_far(gap, "Re-fitting them"),
         )
     place = _where(where)
@@ -90,7 +93,14 @@ def sentences(
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
     which += _places(head)
     which += _beside(ranking)
-    return (place, which + ".", _how_far(gap, "Adding it") + _left(remainder), *_ahead(ahead))
+    far = _how_far(gap, "Adding it") + f" The model as it was given stands at {gap.as_given:.2f}."
+    return (place, which + ".", far + _left(remainder), *_ahead(ahead))
+
+
+def _farthest(calibration: Sequence[Recalibrated]) -> str:
+    """The parameters that moved most beside their uncertainty, from and to."""
+    moved = sorted(calibration, key=lambda item: -abs(item.sigmas))[:3]
+    return "; ".join(f"{m.name} {value_text(m.start, math.nan)} to {value_text(m.to, m.std, m.unit)}" for m in moved)
 
 
 def _beside(ranking: Sequence[Ranked]) -> str:

@@ -1,0 +1,30 @@
+"""What is said stands beside the model that the user has, and no sentence denies what a parameter did."""
+
+from __future__ import annotations
+
+from nmt_diagnose.ledger.diagnosis import Gap, PlaceShare, Ranked, Recalibrated, Share, Verdict
+from nmt_diagnose.say.sentences import sentences
+
+GAP = Gap(86.37, 5.2, 1.0, 57.66, 0.94, 0.92, 0.96, {}, ("every second level",))
+
+
+def spring(sigmas: float) -> Recalibrated:
+    return Recalibrated("structure.springs_n_m.0", 210.0, 218.0, 8.0 / sigmas, "N/m", 0.05, sigmas)
+
+
+def said(verdict: Verdict, *calibration: Recalibrated) -> str:
+    head = Ranked("cubic_stiffness", "structure", "1", 0.99, (), {}, Share(0.94, 0.92, 0.96), 30.0)
+    where, ranking = (PlaceShare("structure", "1", 1.0, 1.0),), (head,)
+    return " ".join(sentences(verdict, where, ranking, None, GAP, (), calibration))
+
+
+def test_no_gap_names_parameters_that_moved_by_many_of_their_uncertainties() -> None:
+    assert "need no change either" in said(Verdict.NONE, spring(4.0))
+    text = said(Verdict.NONE, spring(7.0))
+    assert "need no change" not in text
+    assert "were off, by less than what matters: structure.springs_n_m.0 210 to 218" in text
+
+
+def test_an_effect_is_told_beside_the_model_as_it_was_given() -> None:
+    assert "from 86.37 to 5.20" in said(Verdict.EFFECT)
+    assert "The model as it was given stands at 57.66." in said(Verdict.EFFECT)

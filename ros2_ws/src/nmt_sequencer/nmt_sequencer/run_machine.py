@@ -576,8 +576,8 @@ class RunMachine:
         plan, index = self.plan, record.index
         assert plan is not None
         done = Steps((record.amplitude,), plan.phases[index : index + 1])
-        rest = Steps(plan.levels[index + 1 :], plan.phases[index + 1 :])
-        steps = self._schedule.following(done, record.complete, rest, report)
+        planned = Steps(plan.levels[index + 1 :], plan.phases[index + 1 :])
+        steps = self._schedule.following(done, record.complete, planned, report)
         if steps is None:
             return
         request = SteeringRequest(SteeringAct.CHANGE_LEVELS, levels=steps.levels, source="the step control")

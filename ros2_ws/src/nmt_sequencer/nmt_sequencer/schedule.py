@@ -45,19 +45,19 @@ class Schedule:
     def hear(self, report: LoopStatus) -> None:
         """Take a report of the present level while it is locked."""
 
-    def following(self, done: Steps, locked: bool, rest: Steps, report: LoopStatus) -> Steps | None:
+    def following(self, done: Steps, locked: bool, planned: Steps, report: LoopStatus) -> Steps | None:
         """What is to follow a level in place of what the plan has.
 
         Args:
             done: the level that has ended, alone.
             locked: whether its window is complete.
-            rest: what the plan has after it.
+            planned: what the plan has after it.
             report: the newest one.
 
         Returns:
             The levels; None = go on with the plan.
         """
-        del done, locked, rest, report
+        del done, locked, planned, report
         return None
 
     def level_fields(self, level: float, phase: float) -> dict[str, Any]:
@@ -76,10 +76,10 @@ class RefinedSchedule(Schedule):
     def __init__(self, refinement: LevelRefinement) -> None:
         self._refinement = refinement
 
-    def following(self, done: Steps, locked: bool, rest: Steps, report: LoopStatus) -> Steps | None:
+    def following(self, done: Steps, locked: bool, planned: Steps, report: LoopStatus) -> Steps | None:
         """See :meth:`Schedule.following`."""
         (amplitude,) = done.levels
-        levels = rest.levels
+        levels = planned.levels
         if locked:
             self._refinement.add(amplitude, report.frequency_hz)
             level = self._refinement.before(levels[0]) if levels else None
@@ -107,30 +107,32 @@ class CurveSchedule(Schedule):
         """See :meth:`Schedule.level_fields`."""
         return self._curve.level_fields(level, phase)
 
-    def following(self, done: Steps, locked: bool, rest: Steps, report: LoopStatus) -> Steps | None:
+    def following(self, done: Steps, locked: bool, planned: Steps, report: LoopStatus) -> Steps | None:
         """See :meth:`Schedule.following`."""
         (level,), (phase,) = done.levels, done.phases
-        follows = bool(rest.levels) and rest.levels[0] == level
+        follows = bool(planned.levels) and planned.levels[0] == level
         if not locked:
-            return self._after_loss(level, phase, rest, follows)
+            return self._after_loss(level, phase, planned, follows)
         self._curve.add(level, phase, report)
-        step = self._curve.before(rest.phases[0]) if follows else None
+        step = self._curve.before(planned.phases[0]) if follows else None
         if self._curve.is_finished and follows:  # the point of the plan lies where there is one
-            return rest.without_first
-        return None if step is None else rest.preceded_by(level, step.phase)
+            return planned.without_first
+        return None if step is None else planned.preceded_by(level, step.phase)
 
-    def _after_loss(self, level: float, lost: float, rest: Steps, follows: bool) -> Steps | None:
+    def _after_loss(self, level: float, lost: float, planned: Steps, follows: bool) -> Steps | None:
         curve = self._curve
         if follows and curve.begins_at_other_end(level):
-            return rest.without_first.preceded_by(level, lost).preceded_by(rest.levels[0], rest.phases[0])
+            return planned.without_first.preceded_by(level, lost).preceded_by(planned.levels[0], planned.phases[0])
         phase = curve.after_loss(level, lost)
         if phase is None:
             phase = curve.from_rest(level, lost)
         if phase is not None:  # the end of the curve is tried again
-            return (rest if follows else rest.preceded_by(level, lost)).preceded_by(level, phase)
+            return (planned if follows else planned.preceded_by(level, lost)).preceded_by(level, phase)
         if follows and curve.turns_back(level):
-            return rest.without_first.preceded_by(rest.levels[0], lost).preceded_by(rest.levels[0], rest.phases[0])
-        return rest.without_first if follows and curve.is_given_up else None
+            return planned.without_first.preceded_by(planned.levels[0], lost).preceded_by(
+                planned.levels[0], planned.phases[0]
+            )
+        return planned.without_first if follows and curve.is_given_up else None
 
 
 @singledispatch

@@ -75,12 +75,12 @@ class MovedRecord:
         kept = rows.take(own)
         settings = PredictionSettings()
         predictor, cache = test.predictor(kept, settings), PartsCache(settings)
-        base = predictor.values(rig, cache)
+        base = predictor.values(rig, cache, ())
         sigma = observations.sigma[own]
         chain = observations.chains[number] if observations.chains else None
-        errors = dict(predictor.errors(rig, cache, chain))
+        errors = dict(test.record_errors(kept, rig, cache, settings, chain)[0])
         for parameter in calibration_parameters(rig):
-            change = (predictor.values(parameter.apply(rig, _STEP), cache) - base) / _STEP
+            change = (predictor.values(parameter.apply(rig, _STEP), cache, ()) - base) / _STEP
             if np.any(change):
                 errors[parameter.name] = parameter.std * change
         return cls._of_rows(test, kept.time_s, observations.values[own] - base, sigma, errors)

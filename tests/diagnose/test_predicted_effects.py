@@ -239,6 +239,8 @@ def test_what_acts_alike_at_every_level_is_known(label: str) -> None:
     found = next((it for it in candidates(rig, operating) if it.label == label and not it.cause.form), None)
     if found is None or (found.effect.place == "time" and found.effect.name != "clock_error"):
         pytest.skip("needs friction in the model, or time")
+    if len(found.effect.parameters) != len(ON_THE_CHAIN[label]):
+        pytest.skip("needs friction in the model, which another form of the effect changes")
     changed = Parametrisation(rig, (), (found,)).rig(np.array(ON_THE_CHAIN[label]))
     test, table = locked(changed, [level(drive, CHAIN_HZ) for drive in (CHAIN_DRIVE, 2.0 * CHAIN_DRIVE)], "x1")
     first = {Part.LOG_FREQUENCY, Part.LOG_MAGNITUDE, Part.PHASE}

@@ -65,7 +65,7 @@ def test_of_noise_nothing_is_left(observations: Observations) -> None:
     assert remainder(observations, weak, left_in(observations, Part.LOG_FREQUENCY, 1.2), rows) is None
     ranked = Ranked("clipping", "force_sensor", "f1", 0.9, (), {}, Share(0.3, 0.1, 0.5), 9.0)
     said = sentences(Verdict.EFFECT, (), (ranked,), None, weak, (), ())[2]
-    assert said.endswith("The uncertainties of the held-out data allow 1, so they hardly show it.")
+    assert "The uncertainties of the held-out data allow 1, so they hardly show it." in said
 
 
 def test_the_answer_says_how_much_is_left_and_where(observations: Observations) -> None:

@@ -157,7 +157,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     wanted |= {("rig", name) for name in sections - {"Section"}}
     wanted |= {("python", name) for name in PYTHON}
     wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all"), ("quantities", "modal")}
-    wanted.add(("devices", "all"))
+    wanted |= {("devices", "all"), ("statements", "all")}
     wanted |= {("thresholds", path.rpartition(".")[0]) for path, *_ in thresholds_of(THRESHOLDS)}
     wanted |= {("thresholds", f"loops.{path.rpartition('.')[0]}") for path, *_ in thresholds_of(LOOPS)}
     wanted |= {("thresholds", f"judgement.{path.rpartition('.')[0]}") for path, *_ in thresholds_of(JUDGEMENT)}

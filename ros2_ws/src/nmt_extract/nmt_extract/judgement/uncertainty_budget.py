@@ -26,6 +26,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import PointStatus
+from nmt_extract.judgement.student import two_sided_quantile
 from nmt_extract.judgement.window_judge import phase_part
 from nmt_record.exchange.sidecar.channel_tolerances import Tolerances
 
@@ -128,11 +129,9 @@ class Budget:
     @property
     def coverage_factor(self) -> float:
         """k for an interval of 95 %, Student's t at the effective degrees of freedom (Welch–Satterthwaite)."""
-        from scipy.special import stdtrit  # late: reading budgets needs no scipy
-
         noise, total = self.parts.get(UncertaintySource.NOISE, 0.0), self.total
         degrees = self.noise_degrees * (total / noise) ** 4 if noise > 0.0 and self.noise_degrees > 0.0 else math.inf
-        return float(stdtrit(max(degrees, 1.0), 0.5 * (1.0 + COVERAGE)))
+        return two_sided_quantile(max(degrees, 1.0), COVERAGE)
 
     @property
     def expanded(self) -> float:

@@ -16,7 +16,7 @@ from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.ledger.plain_look import factors, share_left
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Observations, Part, joined
 from nmt_diagnose.prediction.forward import Forward
 
 CHANNEL = {
@@ -119,6 +119,15 @@ def test_a_stiffer_spring_is_no_unit() -> None:
     assert factors(observed, predicted, reached, used) == ()
     turned = recorded("imposed motion", -4.0)
     assert factors(turned, predicted, turned.values, used)[0].factor < 0.0
+
+
+@pytest.mark.parametrize("factor", [17.8, 20.0])
+def test_a_factor_of_no_unit_is_that_of_every_test(factor: float) -> None:
+    """Friction that a model lacks is many times its force in a slow test and few times in a fast one."""
+    slow, fast = recorded("imposed motion", factor), healthy("imposed motion")
+    assert looked(joined([slow, slow])) == {"f1": pytest.approx(factor, rel=0.1)}
+    assert looked(joined([slow, fast])) == {}
+    assert looked(joined([recorded("imposed motion", 1000.0), fast])) == {"f1": pytest.approx(1000.0, rel=0.1)}
 
 
 def test_all_channels_over_the_voltage_are_a_matter_of_the_drive() -> None:

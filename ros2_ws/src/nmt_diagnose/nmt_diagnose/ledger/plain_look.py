@@ -64,7 +64,8 @@ def factors(
     """Channels that another unit or a turned sign explains before the model does.
 
     A factor between two units, or a sign, is told by the model as given. Any other factor has to be left by the model
-    with its parameters re-fitted: a spring that is four times as stiff takes four times the force.
+    with its parameters re-fitted: a spring that is four times as stiff takes four times the force. And it is that of
+    the channel in every test: friction that the model lacks is many times its force at a low speed, few at a high one.
 
     Args:
         observations: the real side.
@@ -76,8 +77,22 @@ def factors(
     return tuple(
         found
         for found in _all_factors(observations, as_given, used)
-        if found.factor < 0.0 or found.units or (found.test, found.channel) in left
+        if found.factor < 0.0
+        or found.units
+        or ((found.test, found.channel) in left and _in_every_test(observations, as_given, used, found))
     )
+
+
+def _in_every_test(observations: Observations, predicted: FloatArray, used: BoolArray, found: Factor) -> bool:
+    """Whether a channel has a factor in all tests that it was recorded in."""
+    same = [
+        _factor(observations, predicted, used, number, index)
+        for number, test in enumerate(observations.tests)
+        for index, channel in enumerate(test.channels)
+        if channel.name == found.channel and channel is not test.given_channel and not test.locked_levels
+    ]
+    spread = THRESHOLDS.verdict.factor_spread
+    return all(other > 0.0 and abs(math.log(other / found.factor)) <= spread for other in same)
 
 
 def _all_factors(observations: Observations, predicted: FloatArray, used: BoolArray) -> tuple[Factor, ...]:

@@ -34,7 +34,6 @@ from nmt_diagnose.investigation.investigation_record import (
     read_record,
 )
 from nmt_diagnose.ledger.diagnosis import HIDDEN, NextTest, Ranked, Share, Verdict
-from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_report.investigation_report import investigation_page, shown_answers
 
 PLAN = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -252,8 +251,7 @@ def test_levels_that_tell_rivals_little_apart_are_not_made(tmp_path: Path) -> No
     """What all of the plan would not tell is said after the first two tests, with the sensors that would tell it."""
     pair = ("cubic_stiffness", "clearance")
     sensors = [NextTest(f"a sensor at point {point}", "", pair, 10.0 - point) for point in (3, 5)]
-    edge = THRESHOLDS.next_test.least_asked_sigmas
-    for sigma, made in ((0.9 * edge, 2), (1.1 * edge, 4)):
+    for sigma, made in ((0.9, 2), (1.1, 4)):
         levels = NextTest("more", "", pair, sigma, 20.0, 0.01, levels=PLAN[2:4], plan_sigma=sigma)
         p = {"cubic_stiffness@2": 0.6, "clearance@2": 0.4}
         beliefs = [diagnosis(Verdict.EFFECT, p, (), pair[1:], it, sensors) for it in (levels, levels, None)]
@@ -264,6 +262,14 @@ def test_levels_that_tell_rivals_little_apart_are_not_made(tmp_path: Path) -> No
         assert record.ended == "not_told_apart"
         assert len(record.measured) == made
         assert "a sensor at point 3 would, by 7; also a sensor at point 5" in record.conclusion
+
+
+@pytest.mark.parametrize(("information", "made"), [(7e-4, False), (1.4e-3, True)])
+def test_a_test_that_tells_next_to_nothing_is_not_made(tmp_path: Path, information: float, made: bool) -> None:
+    mode = ahead("mode 2", MODE_2, 5.0, 20.0, information)
+    bench = Bench([diagnosis(Verdict.EFFECT, OPEN.probabilities, [mode])])
+    investigated(tmp_path, bench)
+    assert ("mode 2" in [test.text for test in bench.made]) == made
 
 
 def test_what_explains_a_part_is_not_set_against_itself_with_more(tmp_path: Path) -> None:

@@ -11,10 +11,15 @@ from diagnose.test_imposed_motion import DRIVE, RATE, bag_of, jenkins, record, r
 from scipy.interpolate import CubicSpline
 
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.diagnose import diagnose_bags
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.effects.library import library
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.law.record_law import read_record_law
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.search.law_starts import law_of
+from nmt_report.law_figures import law_figure, law_table
 
 TEXT = DRIVE.format(spring=12.0, damper=0.05)
 TIME = np.arange(4000) / RATE
@@ -95,6 +100,27 @@ def test_bands_widen_where_neighbours_say_the_same(tmp_path: Path) -> None:
     (white,) = reading_of(folder_a, 4e5 * X**3 + 5e-3 * random.standard_normal(TIME.size)).laws
     (coloured,) = reading_of(folder_b, 4e5 * X**3 + 5e-3 * slow).laws
     assert coloured.terms[0].std > 2.0 * white.terms[0].std
+
+
+def test_what_no_effect_explains_is_told_as_the_law_of_a_record(tmp_path: Path) -> None:
+    """Said of a record and not of levels, drawn as stretches, and written to the model."""
+    random = np.random.default_rng(3)
+    missing, _ = LAWS["clearance"]
+    force = 2e-3 * A + 0.05 * V + 12.0 * X + missing + 1e-3 * random.standard_normal(TIME.size)
+    rig = rig_of(tmp_path, TEXT)
+    bag = bag_of(tmp_path, RATE, {"displacement 1": X, "force 1": force}, record(TIME.size, held="response"), TEXT)
+    withheld = tuple(effect.name for effect in library() if effect.name != "air_drag")
+    found = diagnose_bags(rig, [bag], settings=DiagnosisSettings(look_ahead=False, withheld=withheld))
+    assert found.diagnosis.verdict is Verdict.UNKNOWN
+    said = " ".join(found.diagnosis.sentences)
+    assert "In the record the missing force acts like clearance at point 1" in said
+    assert "levels left out" not in said
+    law = found.diagnosis.law
+    assert law is not None
+    figure = law_figure(law.laws[0], 1)
+    assert "along stretches of the record" in figure.caption
+    assert "parts of" in law_table(law).note
+    assert [element.kind for element in found.model.local_elements] == ["two_sided_gap"]
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "imposed motion"])

@@ -34,7 +34,7 @@ from nmt_diagnose.prediction.lateness import delay_of
 from nmt_diagnose.say.residual_tests import residual_tests
 from nmt_diagnose.say.result_rows import place_rows
 from nmt_diagnose.say.sentences import _where, sentences
-from nmt_diagnose.thresholds.next_test import NextTestThresholds
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import load_rig
 from nmt_signals.channel_faults.clipping import clipping_level
@@ -304,7 +304,7 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "candidates.least_sheet_kg_m2": (lambda: drag("joint_resonator"), pytest.approx(0.5 * 1.2 * 10.0 * 0.2)),
     # The arithmetic of the reasons.
     "next_test.random_seconds": (
-        lambda: 2.0 < NextTestThresholds().random_seconds / linear_command.DEFAULT_DURATION < 2.1, True
+        lambda: 2.0 < THRESHOLDS.next_test.random_seconds / linear_command.DEFAULT_DURATION < 2.1, True
     ),
     "tolerances.phase_deg": (lambda: TOLERANCES.phase_deg, pytest.approx(math.degrees(math.atan(0.1 / 30)), rel=0.1)),
     "tolerances.delay_s": (lambda: TOLERANCES.delay_s, pytest.approx(1.0 / 100_000)),

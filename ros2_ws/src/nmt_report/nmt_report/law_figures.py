@@ -35,12 +35,18 @@ def law_figure(law: LocalLaw, number: int) -> ReportFigure:
     """
     name = f"law-{number}"
     title = f"Missing force at {_where(law)}: {law.family}"
+    periodic = all(loop.periodic for loop in law.loops)
+    along = (
+        "along one period of the place, at levels named by their largest displacement. Points: by the rows of the "
+        "level alone, of the harmonics that were measured, without the mean. Lines: the law, which all levels share. "
+        if periodic
+        else "along stretches of the record, named by their largest displacement. Points: measured force less that of "
+        "the model, errors of chain and model taken off. Lines: the law. "
+    )
     caption = (
-        "The force that the model lacks, along one period of the place, at levels named by their largest "
-        "displacement. Points: by the rows of the level alone, of the harmonics that were measured, without the mean. "
-        "Lines: the law, which all levels share. A spring is one line over the displacement; what takes energy "
-        "encloses an area there and, where it is a damper, is one line over the velocity. Levels at which two standard "
-        "deviations are more than the force are not drawn."
+        f"The force that the model lacks, {along}A spring is one line over the displacement; what takes energy "
+        "encloses an area there and, where it is a damper, is one line over the velocity. Where two standard "
+        "deviations are more than the force it is not drawn."
     )
     return ReportFigure(name, title, caption, svg_text(drawn_loops(law), name, title), wide=True)
 
@@ -75,13 +81,13 @@ def drawn_loops(law: LocalLaw) -> Figure:
     panels[0].set_xlabel(f"displacement / {unit}")
     panels[0].set_ylabel(f"missing force / {newtons}")
     panels[1].set_xlabel("velocity / (m/s)")
-    panels[2].set_xlabel("displacement / largest of the level")
+    panels[2].set_xlabel("displacement / its largest")
     panels[2].set_ylabel("force / largest of the law's")
     handles: list[Line2D | Patch] = [Line2D([], [], color=colour, linewidth=2.4) for colour in colours]
     texts = [f"{significant(scale * reach, 2)} {unit}" for reach in reaches]
     handles += [Line2D([], [], color=INK, marker="o", linestyle="none", markersize=3.0)]
     handles += [Patch(color=MUTED, alpha=0.3, linewidth=0.0), Line2D([], [], color=INK, linewidth=1.4)]
-    texts += ["read from each level", f"±{_BAND:g} standard deviations", "law"]
+    texts += ["as it was read", f"±{_BAND:g} standard deviations", "law"]
     figure.legend(
         handles, texts, loc="upper right", ncols=len(handles), bbox_to_anchor=(0.995, 1.0), columnspacing=1.3,
         handlelength=1.8,
@@ -97,18 +103,19 @@ def _draw(axes: Axes, loop: ForceLoop, x: FloatArray, size: float, colour: tuple
     """One loop: band and points as read, the law as a line."""
     read, law = np.array(loop.measured) / size, np.array(loop.law) / size
     spread = _BAND * loop.std / size
-    for part in _runs(x):
+    for part in _runs(x, loop.periodic):
         axes.fill_between(x[part], read[part] - spread, read[part] + spread, color=colour, alpha=0.18, linewidth=0.0)
-    axes.plot(np.append(x, x[0]), np.append(law, law[0]), color=colour, linewidth=1.4)
+    drawn = np.append(np.arange(x.size), 0) if loop.periodic else np.arange(x.size)
+    axes.plot(x[drawn], law[drawn], color=colour, linewidth=1.4)
     axes.plot(x[::2], read[::2], "o", color=colour, markersize=2.6)
 
 
-def _runs(x: FloatArray) -> list[list[int]]:
-    """Stretches of a period along which the abscissa goes one way, so that a band can be filled over each."""
+def _runs(x: FloatArray, periodic: bool) -> list[list[int]]:
+    """Stretches along which the abscissa goes one way, so that a band can be filled over each."""
     begin = int(np.argmax(x))
-    order = [int(k) for k in (begin + np.arange(x.size + 1)) % x.size]
+    order = ((begin + np.arange(x.size + 1)) % x.size).tolist() if periodic else list(range(x.size))
     found: list[list[int]] = [[order[0]]]
-    falling = True
+    falling = periodic or bool(x[order[1]] < x[order[0]])
     for before, after in pairwise(order):
         if (x[after] < x[before]) != falling and len(found[-1]) > 1:
             found.append([before])
@@ -130,12 +137,13 @@ def law_table(reading: LawReading) -> Table:
         Column("Place", kind="text"), Column("Family", kind="text wrap"), Column("Term", kind="text"),
         Column("Strength", "± standard uncertainty"),
     )  # fmt: skip
-    note = f"Read from {reading.levels} levels of {reading.test}. "
+    pieces = "parts" if reading.of_record else "levels"
+    note = f"Read from {reading.levels} {pieces} of {reading.test}. "
     reach = significant(1e3 * max(law.valid_to_m for law in reading.laws), 3)
     note += f"Valid up to {reach} mm, the largest displacement that was visited"
     if math.isfinite(reading.before) and math.isfinite(reading.after):
         left = significant(reading.after, 2)
-        note += f"; residual of levels left out {significant(reading.before, 3)} → {left} standard deviations"
+        note += f"; residual of {pieces} left out {significant(reading.before, 3)} → {left} standard deviations"
         note += f" ({percent(reading.after / reading.before)} stay)"
     return Table(head, rows, note + ".")
 

@@ -17,7 +17,7 @@ _DRAWN_LEVELS = 5  # more curves hide each other
 
 @dataclass(frozen=True)
 class ForceLoop:
-    """One period at one level.
+    """One period at one level, or a stretch of a part of a record.
 
     Attributes:
         level: number in the test's plan.
@@ -25,6 +25,7 @@ class ForceLoop:
         measured: force by the rows of the level alone, of the harmonics that were observed, N.
         std: standard uncertainty of it at every instant, N.
         law: force of the law, of the same harmonics, N.
+        periodic: its end meets its beginning; a stretch of a record has all harmonics and its mean.
     """
 
     level: int
@@ -33,6 +34,7 @@ class ForceLoop:
     measured: tuple[float, ...]
     std: float
     law: tuple[float, ...]
+    periodic: bool = True
 
 
 def force_loops(search: LawSearch, candidate: Candidate, number: int) -> tuple[ForceLoop, ...]:

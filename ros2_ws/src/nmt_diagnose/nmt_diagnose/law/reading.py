@@ -91,6 +91,7 @@ class LawReading:
         closed_inside: share of the gap closed on levels that were left out between the lowest and the highest.
         closed_above: the same of the top two levels, by a fit to those below.
         refusals: why the law is not told; empty = it is told.
+        of_record: parts of one record stand for levels.
     """
 
     test: str
@@ -101,6 +102,7 @@ class LawReading:
     closed_inside: float
     closed_above: float
     refusals: tuple[str, ...]
+    of_record: bool = False
 
     @property
     def is_stated(self) -> bool:

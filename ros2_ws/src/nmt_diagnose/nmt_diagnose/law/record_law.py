@@ -163,7 +163,7 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
 
     def reading(why: str, *laws: LocalLaw, after: float = none.score, above: float = math.nan) -> LawReading:
         inside = closed_share(none.score, after) if laws else math.nan
-        return LawReading(record.name, count, laws, none.score, after, inside, above, (why,) if why else ())
+        return LawReading(record.name, count, laws, none.score, after, inside, above, (why,) if why else (), True)
 
     if none.score < limits.least_null_score:
         return reading("the record differs from the model by no more than noise and tolerances")
@@ -248,6 +248,7 @@ def _loops(record: MovedRecord, best: _Found) -> tuple[ForceLoop, ...]:
             ForceLoop(
                 int(number) + 1, tuple(record.x[0, at]), tuple(record.v[0, at]),
                 tuple(best.fit.corrected[number, rows] * sigma), float(sigma.mean()), tuple(law[number, rows] * sigma),
+                periodic=False,
             )
         )  # fmt: skip
     return tuple(result)

@@ -1,4 +1,4 @@
-"""What held levels say of a missing law, in sentences."""
+"""What held levels, or parts of a record, say of a missing law, in sentences."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
     if reading is None or not reading.is_stated:
         return ()
     what = " and ".join(f"{law.family} at {_where(law)}" for law in reading.laws)
-    text = f"At the held levels the missing force acts like {what}"
+    where, pieces = ("In the record", "parts") if reading.of_record else ("At the held levels", "levels")
+    text = f"{where} the missing force acts like {what}"
     if math.isfinite(reading.closed_inside):
-        text += f"; it closes {percent(reading.closed_inside)} of the gap at levels left out inside the range"
+        text += f"; it closes {percent(reading.closed_inside)} of the gap at {pieces} left out inside the range"
         if math.isfinite(reading.closed_above):
             text += f" and {percent(reading.closed_above)} at the top two"
     result = [text + "."]

@@ -1,4 +1,4 @@
-"""Laws that were read from held levels as starts of the search: they are fitted and judged as every explanation is."""
+"""Laws that were read as starts of the search: they are fitted and judged as every explanation is."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def with_laws(search: Search, null: FittedExplanation, reading: LawReading | Non
     Args:
         search: fits explanations.
         null: the model alone.
-        reading: of the held levels.
+        reading: of the laws.
     """
     laws = reading.laws if reading is not None else ()
     found = [start for law in laws if (start := _start(search.candidates, law)) is not None]
     if not found or reading is None or not worth_a_start(reading):
         return []
-    search.tell("fitting the laws that the held levels show")
+    search.tell("fitting the laws that were read")
     groups = [[start] for start in found] + ([found] if len(found) > 1 else [])
     fitted = [one for group in groups if (one := _fitted(search, null, group)) is not None]
     return best_of(fitted)

@@ -26,7 +26,7 @@ class NextTestThresholds:
         1e-3, "nat",
         "An investigation makes no test between rivals that is expected to tell less: something unnamed acts, or the "
         "question is settled.",
-        "tests/diagnose/test_investigation.py::test_what_explains_a_part_is_not_set_against_itself_with_more",
+        "tests/diagnose/test_investigation.py::test_a_test_that_tells_next_to_nothing_is_not_made",
     )  # fmt: skip
     doubtful_probability: float = threshold(
         0.05, "1",

@@ -35,7 +35,7 @@ def law_figure(law: LocalLaw, number: int) -> ReportFigure:
     """
     name = f"law-{number}"
     title = f"Missing force at {_where(law)}: {law.family}"
-    periodic = all(loop.periodic for loop in law.loops)
+    periodic = not any(loop.line for loop in law.loops)
     along = (
         "along one period of the place, at levels named by their largest displacement. Points: by the rows of the "
         "level alone, of the harmonics that were measured, without the mean. Lines: the law, which all levels share. "
@@ -65,11 +65,13 @@ def drawn_loops(law: LocalLaw) -> Figure:
     newtons, per_newton = ("N", 1.0) if largest >= 0.1 else ("mN", 1e3)
     for loop, reach, colour in zip(loops, reaches, colours, strict=True):
         x, v = np.array(loop.displacement), np.array(loop.velocity)
-        _draw(panels[0], loop, scale * x, 1.0 / per_newton, colour)
-        _draw(panels[1], loop, v, 1.0 / per_newton, colour)
+        along = [np.append(x, x[0]), np.append(v, v[0]), np.append(loop.law, loop.law[0])]
+        line = [np.array(values) for values in loop.line] or along
+        _draw(panels[0], loop, scale * x, (scale * line[0], line[2]), 1.0 / per_newton, colour)
+        _draw(panels[1], loop, v, (line[1], line[2]), 1.0 / per_newton, colour)
         size = _size(loop)
         if size > _SHAPED * loop.std:
-            _draw(panels[2], loop, x / reach, size, colour)
+            _draw(panels[2], loop, x / reach, (line[0] / reach, line[2]), size, colour)
     for axes, title in zip(panels, ("over displacement", "over velocity", "each loop by its own size"), strict=True):
         axes.axhline(0.0, color=INK, linewidth=0.6)
         axes.axvline(0.0, color=INK, linewidth=0.6)
@@ -99,23 +101,31 @@ def _size(loop: ForceLoop) -> float:
     return float(np.abs(loop.law).max())
 
 
-def _draw(axes: Axes, loop: ForceLoop, x: FloatArray, size: float, colour: tuple[float, float, float]) -> None:
+def _draw(
+    axes: Axes,
+    loop: ForceLoop,
+    x: FloatArray,
+    line: tuple[FloatArray, FloatArray],
+    size: float,
+    colour: tuple[float, float, float],
+) -> None:
     """One loop: band and points as read, the law as a line."""
-    read, law = np.array(loop.measured) / size, np.array(loop.law) / size
-    spread = _BAND * loop.std / size
-    for part in _runs(x, loop.periodic):
+    read, spread = np.array(loop.measured) / size, _BAND * loop.std / size
+    if loop.line:
+        axes.errorbar(x, read, spread, fmt="none", ecolor=colour, alpha=0.3)
+    for part in () if loop.line else _runs(x):
         axes.fill_between(x[part], read[part] - spread, read[part] + spread, color=colour, alpha=0.18, linewidth=0.0)
-    drawn = np.append(np.arange(x.size), 0) if loop.periodic else np.arange(x.size)
-    axes.plot(x[drawn], law[drawn], color=colour, linewidth=1.4)
-    axes.plot(x[::2], read[::2], "o", color=colour, markersize=2.6)
+    axes.plot(line[0], line[1] / size, color=colour, linewidth=0.8 if loop.line else 1.4)
+    shown = slice(None) if loop.line else slice(None, None, 2)
+    axes.plot(x[shown], read[shown], "o", color=colour, markersize=2.6)
 
 
-def _runs(x: FloatArray, periodic: bool) -> list[list[int]]:
-    """Stretches along which the abscissa goes one way, so that a band can be filled over each."""
+def _runs(x: FloatArray) -> list[list[int]]:
+    """Stretches of a period along which the abscissa goes one way, so that a band can be filled over each."""
     begin = int(np.argmax(x))
-    order = ((begin + np.arange(x.size + 1)) % x.size).tolist() if periodic else list(range(x.size))
+    order = [int(k) for k in (begin + np.arange(x.size + 1)) % x.size]
     found: list[list[int]] = [[order[0]]]
-    falling = periodic or bool(x[order[1]] < x[order[0]])
+    falling = True
     for before, after in pairwise(order):
         if (x[after] < x[before]) != falling and len(found[-1]) > 1:
             found.append([before])

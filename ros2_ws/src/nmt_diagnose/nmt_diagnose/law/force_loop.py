@@ -25,7 +25,8 @@ class ForceLoop:
         measured: force by the rows of the level alone, of the harmonics that were observed, N.
         std: standard uncertainty of it at every instant, N.
         law: force of the law, of the same harmonics, N.
-        periodic: its end meets its beginning; a stretch of a record has all harmonics and its mean.
+        line: of a stretch of a record, displacement, velocity and force of the law between the instants, too; empty =
+            one period, whose end meets its beginning.
     """
 
     level: int
@@ -34,7 +35,7 @@ class ForceLoop:
     measured: tuple[float, ...]
     std: float
     law: tuple[float, ...]
-    periodic: bool = True
+    line: tuple[tuple[float, ...], ...] = ()
 
 
 def force_loops(search: LawSearch, candidate: Candidate, number: int) -> tuple[ForceLoop, ...]:

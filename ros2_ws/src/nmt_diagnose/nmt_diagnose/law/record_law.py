@@ -36,7 +36,8 @@ from nmt_rig.rig import Rig
 
 _PARTS = 10
 _STEP = 1e-3  # of a logarithm, for differences
-_DRAWN = 200  # points of a loop
+_DRAWN = 60  # points of a stretch
+_LINE = 1500  # points of its line
 
 
 @dataclass(frozen=True)
@@ -239,16 +240,19 @@ def _law(record: MovedRecord, best: _Found, tried: Sequence[_Found]) -> LocalLaw
 
 def _loops(record: MovedRecord, best: _Found) -> tuple[ForceLoop, ...]:
     """Missing force over the motion of a few parts, as it was measured and as the law has it."""
-    law = record.columns(best.block.terms) @ best.fit.coefficients
+    at_rows = record.columns(best.block.terms) @ best.fit.coefficients
+    law = sum(c * term.force(record.x, record.v)[0] for term, c in best.terms)
     result = []
     for number in np.unique(np.linspace(0, record.at.shape[0] - 1, 3).round().astype(int)):
         rows = np.flatnonzero(record.at[number] >= 0)[:_DRAWN]
         at, sigma = record.at[number, rows].astype(int), record.sigma[number, rows]
+        line = np.arange(at[0], at[-1] + 1, max(1, (at[-1] - at[0]) // _LINE))
         result.append(
             ForceLoop(
                 int(number) + 1, tuple(record.x[0, at]), tuple(record.v[0, at]),
-                tuple(best.fit.corrected[number, rows] * sigma), float(sigma.mean()), tuple(law[number, rows] * sigma),
-                periodic=False,
+                tuple(best.fit.corrected[number, rows] * sigma), float(sigma.mean()),
+                tuple(at_rows[number, rows] * sigma),
+                tuple(tuple(values[line]) for values in (record.x[0], record.v[0], law)),
             )
         )  # fmt: skip
     return tuple(result)

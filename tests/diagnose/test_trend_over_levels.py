@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from nmt_diagnose.fit.noise import Groups
-from nmt_diagnose.thresholds import THRESHOLDS
 
 LEVELS, DRAWS = 10, 4000
 
@@ -48,6 +47,5 @@ def test_all_levels_alike_have_no_trend() -> None:
 
 
 def test_few_levels_have_no_trend() -> None:
-    fewest = THRESHOLDS.comparison.fewest_levels_of_trend
-    assert np.all(np.isnan(chances(noise(3, fewest - 1))))
-    assert np.all(np.isfinite(chances(noise(3, fewest))))
+    assert np.all(np.isnan(chances(noise(3, 4))))
+    assert np.all(np.isfinite(chances(noise(3, 5))))

@@ -112,9 +112,9 @@ def test_what_no_effect_explains_is_told_as_the_law_of_a_record(tmp_path: Path) 
     withheld = tuple(effect.name for effect in library() if effect.name != "air_drag")
     found = diagnose_bags(rig, [bag], settings=DiagnosisSettings(look_ahead=False, withheld=withheld))
     assert found.diagnosis.verdict is Verdict.UNKNOWN
-    said = " ".join(found.diagnosis.sentences)
-    assert "In the record the missing force acts like clearance at point 1" in said
-    assert "levels left out" not in said
+    sentences = " ".join(found.diagnosis.sentences)
+    assert "In the record the missing force acts like clearance at point 1" in sentences
+    assert "levels left out" not in sentences
     law = found.diagnosis.law
     assert law is not None
     figure = law_figure(law.laws[0], 1)

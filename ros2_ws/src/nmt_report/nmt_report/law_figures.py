@@ -116,8 +116,8 @@ def _draw(
     for part in () if loop.line else _runs(x):
         axes.fill_between(x[part], read[part] - spread, read[part] + spread, color=colour, alpha=0.18, linewidth=0.0)
     axes.plot(line[0], line[1] / size, color=colour, linewidth=0.8 if loop.line else 1.4)
-    shown = slice(None) if loop.line else slice(None, None, 2)
-    axes.plot(x[shown], read[shown], "o", color=colour, markersize=2.6)
+    marked = slice(None) if loop.line else slice(None, None, 2)
+    axes.plot(x[marked], read[marked], "o", color=colour, markersize=2.6)
 
 
 def _runs(x: FloatArray) -> list[list[int]]:

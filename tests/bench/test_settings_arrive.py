@@ -43,7 +43,8 @@ from nmt_rig.rig import load_rig
 from nmt_sequencer.run_core import RunCore
 from nmt_sequencer.sequencer_settings import SequencerSettings
 from nmt_session import planning
-from nmt_session.node_plan import NODES, TestPlan, plan_nodes
+from nmt_session.node_plan import NODES, plan_nodes
+from nmt_session.plan_of_test import TestPlan
 
 SOURCES = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
 
@@ -195,12 +196,13 @@ def plan_of(values: dict[str, Any]) -> TestPlan:
     """A plan of its fields and of the settings of its kind of test."""
     given = dict(values)
     kind = planning.kind_of_rig(given.pop("test", "phase_resonance"), given["rig"], given)
-    return TestPlan(**given, kind=kind)
+    return TestPlan.of(**given, kind=kind)
 
 
 def test_every_field_of_a_plan_has_its_case() -> None:
     of_kinds = set(planning.TestSettings.__annotations__) - {"overrides", "exciter", "seed", "compare"}
-    assert set(PLANS) == {item.name for item in fields(TestPlan)} - {"kind"} | of_kinds
+    known = {item.name for record in (RunSettings, TestPlan) for item in fields(record)}
+    assert set(PLANS) == known - {"kind", "asked"} | of_kinds
 
 
 @pytest.mark.parametrize("name", sorted(PLANS))
@@ -254,7 +256,7 @@ GIVEN = {
 def test_a_plan_gives_each_node_these_settings(pacing: str) -> None:
     rig = load_rig("beam", ["sample_rate_hz=8000", "block_samples=100"])
     more = {**HARDWARE, "device_address": "host:1"} if pacing == "realtime" else {}
-    plan = plan_nodes(TestPlan(rig, "name: beam\n", (0.1, 0.4), **more), Path("bag"), Path("rig.yaml"))
+    plan = plan_nodes(TestPlan.of(rig, "name: beam\n", (0.1, 0.4), **more), Path("bag"), Path("rig.yaml"))
     for name, settings in plan.settings.items():
         usual = values_of(type(settings)())
         given = {key for key, value in values_of(settings).items() if value != usual[key]}

@@ -45,8 +45,8 @@ def test_a_level_is_held_and_gives_the_same_backbone(control, unit, levels):
 
 def test_what_a_level_is_goes_into_the_records():
     bench = Bench("beam", levels="0.05:1:3", control="force")
-    assert bench.test.run_settings.control == 3
-    assert json.loads(json.dumps(bench.test.run_settings.goal))["levels"][0] == 0.05
+    assert bench.test.asked.control == 3
+    assert json.loads(json.dumps(bench.test.asked.goal))["levels"][0] == 0.05
 
 
 def test_levels_that_fit_neither_rig_nor_loop_are_refused():
@@ -97,5 +97,5 @@ def test_the_strategy_is_checked():
     with pytest.raises(BenchError, match="waits at every level"):
         Bench("beam", levels=[1.0], strategy="ramp", overrides=["pll.loop=paper"])
     bench = Bench("beam", levels=[1.0], strategy="ramp")
-    assert bench.test.run_settings.window_periods == 20
-    assert bench.test.run_settings.ramp == pytest.approx(20 / 22.19, rel=1e-3)
+    assert bench.test.asked.window_periods == 20
+    assert bench.test.asked.ramp == pytest.approx(20 / 22.19, rel=1e-3)

@@ -16,7 +16,7 @@ from nmt_core.errors import BenchError
 from nmt_core.vocabulary import PointStatus
 from nmt_rig import linear_description as model_description
 from nmt_rig.rig import load_rig
-from nmt_session import node_plan
+from nmt_session import plan_of_test
 
 RIGS = {
     # rig: duration of the record (s), level (V) and periods of the run
@@ -36,7 +36,7 @@ def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     words = ["linear", name, "--out", str(out), "--duration", str(RIGS[name][0]), "--one-process", "--quiet"]
     with pytest.MonkeyPatch.context() as patch:
         # Neither the test nor its evaluation may ask the model; only the report compares with it.
-        patch.setattr(node_plan, "linear_description", _forbidden)
+        patch.setattr(plan_of_test, "linear_description", _forbidden)
         patch.setattr(model_description, "linear_description", _forbidden)
         assert cli.main([*words, "--reference", "none"]) == 0
     return name, out
@@ -58,7 +58,7 @@ def test_run_with_the_measured_description_equals_the_run_with_the_model(
     options = {"levels": level, "window_periods": periods}
     with Bench(name, **options) as bench:  # type: ignore[arg-type]
         (expected,) = bench.run().points
-    monkeypatch.setattr(node_plan, "linear_description", _forbidden)
+    monkeypatch.setattr(plan_of_test, "linear_description", _forbidden)
     monkeypatch.setattr(model_description, "linear_description", _forbidden)
     linear = read_linear(out)
     check_fits(linear, load_rig(name), out)

@@ -92,10 +92,10 @@ def test_a_neighbouring_mode_is_one_within_the_filter_at_the_drive_point(frequen
 
 def test_what_a_curve_is_stepped_along_can_be_named():
     plan = plan_test("strong_cubic", [0.3], test="response_curve")
-    assert not plan.run_settings.kind.follows_secant
+    assert not plan.asked.kind.follows_secant
     plan = plan_test("strong_cubic", [0.3], test="response_curve", along="secant")
-    assert plan.run_settings.kind.follows_secant
+    assert plan.asked.kind.follows_secant
     plan = plan_test("internal_resonance", [0.3], overrides=NEIGHBOURS, test="response_curve")
-    assert plan.run_settings.kind.follows_secant
+    assert plan.asked.kind.follows_secant
     with pytest.raises(BenchError, match="auto or lag or secant"):
         plan_test("strong_cubic", [0.3], test="response_curve", along="frequency")

@@ -74,9 +74,9 @@ def test_harmonics_vanish_and_with_them_the_error_of_damping():
 
 def test_levels_for_comparison_are_without_control():
     plan, result, drives, _ = run((0.3308, 0.7), harmonics_control="auto", compare=2)
-    assert plan.levels == (0.3308, 0.3308, 0.7)
-    assert plan.levels_without == (0,)
-    assert plan.run_settings.goal["levels_without"] == [0]
+    assert plan.asked.levels == (0.3308, 0.3308, 0.7)
+    assert plan.asked.levels_without == {0}
+    assert plan.asked.goal["levels_without"] == [0]
     without, controlled, last = result.points
     assert harmonics(without).max() > 0.04
     assert harmonics(controlled).max() < 0.005

@@ -11,16 +11,18 @@ import yaml
 
 from nmt_core.errors import BenchError
 from nmt_core.kinds import RandomTest
+from nmt_core.messages.run_settings import RunSettings
 from nmt_core.settings import parameters_of, values_of
 from nmt_pll.pll_settings import PllSettings
 from nmt_rig.rig import load_rig
 from nmt_session import TestPlan, plan_nodes, plan_test
-from nmt_session.node_plan import PlanSettings
+from nmt_session.plan_of_test import PlanSettings
 
 
-def test_the_settings_are_the_fields_of_the_plan() -> None:
-    made = {"rig", "rig_yaml", "levels", "tick_blocks", "block_reason", "kind"}
-    assert set(PlanSettings.__annotations__) == {item.name for item in fields(TestPlan)} - made
+def test_the_settings_are_the_fields_of_the_run_and_of_the_plan() -> None:
+    made = {"rig", "rig_yaml", "asked", "levels", "tick_blocks", "block_reason", "kind"}
+    known = {item.name for record in (RunSettings, TestPlan) for item in fields(record)}
+    assert set(PlanSettings.__annotations__) == known - made
 
 
 def test_numbers_of_numpy_give_the_same_files_as_those_of_python(tmp_path: Path) -> None:
@@ -41,15 +43,15 @@ def test_numbers_of_numpy_give_the_same_files_as_those_of_python(tmp_path: Path)
         node_values={"pll": {"settling_time": np.float64(0.4)}, "extract": {"harmonics": np.int64(5)}},
     )  # fmt: skip
     assert files(numpy) == files(own)
-    assert [type(level) for level in numpy.levels] == [float, float]
+    assert [type(level) for level in numpy.asked.levels] == [float, float]
 
 
 def test_frequencies_and_band_may_be_arrays() -> None:
     stepped = plan_test("beam", [np.float64(0.2)], test="stepped_sine", frequencies_hz=np.linspace(20.0, 21.0, 3))
-    assert (stepped.levels, stepped.frequencies_hz) == ((0.2,) * 3, (20.0, 20.5, 21.0))
+    assert (stepped.asked.levels, stepped.asked.frequencies_hz) == ((0.2,) * 3, (20.0, 20.5, 21.0))
     noise = plan_test("beam", np.array([0.05]), test="random", band_hz=np.array([10, 2000]), duration=np.float64(2.0))
-    assert noise.run_settings.kind == RandomTest(band_low_hz=10.0, band_high_hz=2000.0, duration=2.0)
-    assert type(noise.run_settings.kind.duration) is float
+    assert noise.asked.kind == RandomTest(band_low_hz=10.0, band_high_hz=2000.0, duration=2.0)
+    assert type(noise.asked.kind.duration) is float
 
 
 def test_a_wrong_setting_is_named() -> None:

@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 import nmt
 from nmt_core.errors import BenchError
 from nmt_core.kinds import ResponseCurveTest
-from nmt_core.vocabulary import PointStatus, SteeringAct
+from nmt_core.vocabulary import ControlKind, PointStatus, SteeringAct
 from nmt_extract.curves.response_curve import response_curves
 from nmt_extract.modal.table import write_results
 from nmt_extract.offline import extract_bag
@@ -157,7 +157,7 @@ def test_at_a_held_response_the_force_is_that_of_the_balance(tmp_path):
 def test_light_damping_does_not_ask_for_endless_patience():
     light = linear_description(load_rig("strong_cubic", ["structure.ground_dampers_ns_m=[0.01]"]))
     usual = linear_description(load_rig("strong_cubic"))
-    asked = [curve_values(ResponseCurveTest(), linear, {}, "force") for linear in (light, usual)]
+    asked = [curve_values(ResponseCurveTest(), linear, {}, ControlKind.FORCE) for linear in (light, usual)]
     assert asked[0]["amplitude_tolerance"] == CURVE.least_tolerance == 5e-5
     assert asked[1]["amplitude_tolerance"] == pytest.approx(CURVE.steadiness * 2.0 * math.pi * 10.0 * 0.01, rel=1e-3)
     assert asked[1]["cutoff"] == pytest.approx(CURVE.cutoff_share * OMEGA, rel=1e-3)
@@ -165,10 +165,10 @@ def test_light_damping_does_not_ask_for_endless_patience():
 
 def test_dead_time_bounds_the_cut_off():
     linear = linear_description(load_rig("strong_cubic"))
-    found = curve_values(ResponseCurveTest(), linear, {}, "force", 0.02, 3)
+    found = curve_values(ResponseCurveTest(), linear, {}, ControlKind.FORCE, 0.02, 3)
     assert found["cutoff"] == pytest.approx(0.15 * OMEGA, rel=1e-3)  # never below the usual one
-    assert curve_values(ResponseCurveTest(), linear, {"cutoff": 5.0}, "force")["cutoff"] == 5.0
-    assert "cutoff" not in curve_values(ResponseCurveTest(), linear, {}, "response")
+    assert curve_values(ResponseCurveTest(), linear, {"cutoff": 5.0}, ControlKind.FORCE)["cutoff"] == 5.0
+    assert "cutoff" not in curve_values(ResponseCurveTest(), linear, {}, ControlKind.RESPONSE)
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,7 @@ def backbone_test(truth: Rig, model: Rig, bench: BenchSettings, bag: Path | None
     Raises:
         BenchError: a setting is refused.
     """
-    plan = TestPlan(
+    plan = TestPlan.of(
         rig=model,
         rig_yaml=rig_yaml(model),
         levels=bench.levels,
@@ -122,7 +122,7 @@ def backbone_test(truth: Rig, model: Rig, bench: BenchSettings, bag: Path | None
 
 def random_test(model: Rig, bench: BenchSettings, bag: Path | None = None) -> PlannedTest:
     """One window of random excitation at low level; arguments as for `backbone_test`."""
-    plan = TestPlan(
+    plan = TestPlan.of(
         rig=model,
         rig_yaml=rig_yaml(model),
         levels=(bench.random_level,),
@@ -231,9 +231,9 @@ def _record(built: Rig, test: PlannedTest, converters: Converters | None) -> Rec
         with session:
             result = session.run()
     except BenchError as error:
-        return RecordingOutcome(0, len(plan.levels), 0.0, str(error))
+        return RecordingOutcome(0, len(plan.asked.levels), 0.0, str(error))
     trouble = "" if result.code == ResultCode.SUCCEEDED else result.message
-    return RecordingOutcome(session.levels_locked, len(plan.levels), result.bench_time, trouble)
+    return RecordingOutcome(session.levels_locked, len(plan.asked.levels), result.bench_time, trouble)
 
 
 _DESCRIBED = ("run_id", "rig", "seed", "plan", "exciter_point", "linear", "extraction")

@@ -59,7 +59,7 @@ def curve_values(
     kind: KindOfTest,
     linear: LinearDescription | None,
     values: Mapping[str, Any],
-    control: str,
+    control: ControlKind,
     block_duration: float = 0.0,
     latency_blocks: int = 0,
 ) -> dict[str, Any]:
@@ -69,7 +69,7 @@ def curve_values(
         kind: of the test; the settings of another kind stay as they are.
         linear: linear description of the rig.
         values: what the rig and the test give.
-        control: what is held, ``force`` or ``response``; at a held response nothing folds over the frequency.
+        control: what is held; at a held response nothing folds over the frequency.
         block_duration: of the blocks, s; 0 = still open.
         latency_blocks: blocks between command and excitation.
 
@@ -89,13 +89,13 @@ def curve_values(
             "moves without a force and has no response curve from rest; use --kind self_excited."
         )
     dwell = 2.0 * math.pi * float(chosen.get("dwell_periods", defaults.dwell_periods)) * ratio
-    held = control == ControlKind.RESPONSE.label  # where the force is what settles, by twice the rate of the response
+    held = control is ControlKind.RESPONSE  # where the force is what settles, by twice the rate of the response
     for name, share in (
         ("amplitude_tolerance", CURVE.held_steadiness if held else CURVE.steadiness),
         ("frequency_tolerance", CURVE.frequency_steadiness),
     ):
         chosen.setdefault(name, max(min(dwell, 1.0) * share, CURVE.least_tolerance))
-    if control != ControlKind.FORCE.label:
+    if control is not ControlKind.FORCE:
         return chosen
     omega = linear.frequencies_rad_s[linear.target_mode]
     cutoff = CURVE.cutoff_share * omega

@@ -5,35 +5,29 @@ from __future__ import annotations
 import datetime
 import json
 import math
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.files.yaml_text import yaml_text
 from nmt_core.kinds import (
-    KindOfTest,
-    PhaseResonanceTest,
     SecondaryResonanceTest,
     SelfExcitedTest,
 )
 from nmt_core.messages.blocks import SAMPLE_TOPICS, Quantity
 from nmt_core.messages.bundle import LOOP_INPUT, MOST_BYTES, PLANT_BUNDLE, PLL_BUNDLE
-from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.run_settings import RunSettings
-from nmt_core.nodes.node_settings import PACINGS, NodeSettings
+from nmt_core.nodes.node_settings import NodeSettings
 from nmt_core.nodes.parameters import ParameterValue
 from nmt_core.settings import parameters_of, values_of, with_values
 from nmt_core.vocabulary import AUTOMATIC, MOTIONS, ControlKind, HarmonicsTarget
 from nmt_extract.extraction_settings import ExtractionSettings, ExtractSettings
 from nmt_extract.modal.hysteresis import HysteresisLayout
-from nmt_plant.devices.guarded_device import LEAST_LEAD
-from nmt_plant.devices.hardware_rig import HARDWARE_LEAD
 from nmt_plant.plant_settings import PlantSettings
 from nmt_plant.safety.output_guard import default_slew
 from nmt_pll.coverage import covers_linear
@@ -42,15 +36,14 @@ from nmt_pll.loop_settings import settings_from
 from nmt_pll.phase_loop.paper_settings import PaperSettings
 from nmt_pll.pll_settings import PAPER_PREFIX, PllSettings
 from nmt_pll.thresholds import HARMONICS
-from nmt_record.bag.bag_keys import SIMULATED_RIG, converter_name
 from nmt_record.bag.recorder_settings import RecorderSettings
-from nmt_rig.device_sections import SIMULATED, SIMULATED_OR_CONVERTERS, SPECIMEN
-from nmt_rig.linear_description import force_per_volt, linear_description
+from nmt_rig.linear_description import force_per_volt
 from nmt_rig.rig import Rig
 from nmt_sequencer.level_plan import LevelLimits
 from nmt_sequencer.sequencer_settings import SequencerSettings
 from nmt_session.coverage import covers
-from nmt_session.curve_loop import curve_values, with_course
+from nmt_session.curve_loop import curve_values
+from nmt_session.plan_of_test import TestPlan, level_limits, response_topic
 from nmt_session.versions import versions
 
 S = TypeVar("S", bound=NodeSettings)
@@ -62,12 +55,8 @@ MOST_WAITING = 64e6
 """Bytes of samples by which the plant may be ahead of the bag in lockstep."""
 READER_LEADS = (2.0, 20.0)
 """Least and most bench time that it may be ahead, s; the recorder tells every second of it how far the bag is."""
-RAMP_WINDOW = 20
-"""Whole periods of a window of the strategy ``ramp`` unless the test says otherwise."""
 RAMP_DELAY = 1.0
 """Periods from the start of a level to its window in the strategy ``ramp``."""
-REAL_TIME_LEAD = 6
-"""Blocks that wait at the output in real time unless the test says otherwise: a busy computer may be late by five."""
 OUTPUT_RECORD = "output.jsonl"
 """File beside the bag, in real time, in which the process that owns the output says what the output does."""
 
@@ -79,187 +68,6 @@ NODES: dict[str, tuple[str, str, str]] = {
     "extract": ("nmt_extract", "extract", "nmt_extract.extract_node:ExtractNode"),
     "recorder": ("nmt_record", "recorder", "nmt_record.bag.recorder_node:RecorderNode"),
 }
-
-
-class PlanSettings(TypedDict, total=False):
-    """Keyword arguments of a test; meanings and defaults are those of the fields of `TestPlan`."""
-
-    run_id: str
-    pacing: str
-    latency_blocks: int
-    window_periods: int | None
-    ramp: float | None
-    timeout: float | None
-    stop_on_lost_lock: bool
-    linear: LinearDescription | None
-    node_values: Mapping[str, Mapping[str, Any]]
-    control: str
-    frequencies_hz: Sequence[float]
-    device: str
-    device_address: str
-    linked: bool
-    levels_without: Sequence[int]
-
-
-@dataclass(frozen=True)
-class TestPlan:
-    """One test of a rig; numbers of numpy become Python's.
-
-    Attributes:
-        rig: the rig with all overrides applied.
-        rig_yaml: its text, kept in the bag.
-        levels: amplitudes in order, in the unit of ``control``.
-        run_id: name of the run; empty = from the clock.
-        pacing: ``lockstep`` or ``realtime``; a converter is always in real time.
-        latency_blocks: blocks of buffering between command and excitation. In real time as many wait at the output; 0
-            stands for `REAL_TIME_LEAD` there.
-        window_periods, ramp, timeout: periods, s, s; None = the rig's own.
-        stop_on_lost_lock: end the test at the first level that does not lock.
-        linear: linear description for loop and extraction; None = from the rig's model, for tests that need one.
-        node_values: further parameters by node name.
-        control: what the levels are: ``voltage`` (V), ``response`` (amplitude at the drive point, m or m/s²) or
-            ``force`` (N).
-        kind: kind of test with its settings, see :mod:`nmt_core.kinds`. Only kinds that control a phase use a linear
-            description.
-        frequencies_hz: start of the sweep or frequency of the stepped sine, one for all levels or one a level.
-        device: what is driven: empty or ``simulated``, or a kind of converter, see `nmt_rig.device_sections`.
-        device_address: of NI's device server.
-        linked: whether plant, loop and sequencer are on one host, so that in lockstep they may hand on the sample path
-            past the middleware.
-        levels_without: indices of levels without control of the force's harmonics, for comparison.
-        tick_blocks: blocks between two decisions of the sequencer.
-        block_reason: why blocks are as long as they are, where that was chosen; see `nmt_session.block_length`.
-
-    Raises:
-        BenchError: the rig, the levels or a setting is refused.
-    """
-
-    __test__ = False
-
-    rig: Rig
-    rig_yaml: str
-    levels: Sequence[float]
-    run_id: str = ""
-    pacing: str = "lockstep"
-    latency_blocks: int = 0
-    window_periods: int | None = None
-    ramp: float | None = None
-    timeout: float | None = None
-    stop_on_lost_lock: bool = False
-    linear: LinearDescription | None = None
-    node_values: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    control: str = "voltage"
-    kind: KindOfTest = field(default_factory=PhaseResonanceTest)
-    frequencies_hz: Sequence[float] = ()
-    device: str = ""
-    device_address: str = ""
-    linked: bool = True
-    levels_without: Sequence[int] = ()
-    tick_blocks: int = 5
-    block_reason: str = ""
-
-    def __post_init__(self) -> None:
-        plain = {item.name: as_plain(getattr(self, item.name)) for item in fields(self)}
-        plain["run_id"] = self.run_id or time.strftime(f"{self.rig.name}-%Y%m%d-%H%M%S")
-        plain["node_values"] = plain["node_values"] or {}
-        for name in ("levels", "frequencies_hz", "levels_without"):
-            plain[name] = tuple(plain[name])
-        for name, value in plain.items():
-            object.__setattr__(self, name, value)
-        for what, value, known in (
-            ("Pacing", self.pacing, PACINGS),
-            ("Device", self.device or SIMULATED, SIMULATED_OR_CONVERTERS),
-        ):
-            if value not in known:
-                raise BenchError(f"{what} '{value}' is not known; use {' or '.join(known)}.")
-        if self.is_on_hardware and self.pacing != "realtime":
-            raise BenchError("A test on hardware is in real time; leave out --pacing lockstep.")
-        control = ControlKind.named(self.control)
-        level_limits(self.rig).check(self.levels, control, self.kind, f"The test of rig {self.rig.name}")
-        if self.latency_blocks < 0:
-            raise BenchError(f"latency_blocks must not be negative, got {self.latency_blocks}.")
-        least, window = self.kind.least_periods, self.window_periods
-        if window is not None and window < least:
-            raise BenchError(f"A window needs at least {least} periods, got {window}.")
-        for name in ("ramp", "timeout"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < 1e6:
-                raise BenchError(f"The {name} must be positive and below 1e6 s, got {value:g}.")
-        self.kind.check(self.level_frequencies_hz, len(self.levels), control, float(self.rig.sample_rate_hz))
-
-    @property
-    def lead_blocks(self) -> int:
-        """Blocks between command and excitation that the nodes have to reckon with."""
-        if self.pacing != "realtime":
-            return self.latency_blocks
-        usual = HARDWARE_LEAD if self.is_on_hardware else REAL_TIME_LEAD
-        return max(self.latency_blocks or usual, LEAST_LEAD)
-
-    @property
-    def is_on_hardware(self) -> bool:
-        """Whether a converter is driven."""
-        return self.device not in ("", SIMULATED)
-
-    @property
-    def device_name(self) -> str:
-        """What the bag says of the device."""
-        if not self.is_on_hardware:
-            return SIMULATED_RIG
-        own = self.rig.device is not None and self.rig.device.kind == self.device
-        return converter_name(self.device, "" if own else SPECIMEN)
-
-    @property
-    def ramps(self) -> bool:
-        """Whether windows lie in slow ramps from level to level."""
-        return isinstance(self.kind, PhaseResonanceTest) and self.kind.strategy == "ramp"
-
-    @property
-    def driven(self) -> DrivenTest:
-        """What drives the test, for those who say whether they take it."""
-        return DrivenTest.of(self.run_settings, tuple(exciter.kind for exciter in self.rig.all_exciters))
-
-    @property
-    def level_frequencies_hz(self) -> tuple[float, ...]:
-        """Frequency of each level, Hz; empty = none given."""
-        one_for_all = len(self.frequencies_hz) == 1
-        return tuple(map(float, self.frequencies_hz)) * (len(self.levels) if one_for_all else 1)
-
-    @property
-    def used_linear(self) -> LinearDescription | None:
-        """Linear description that loop and extraction get; the model's only where the test needs one."""
-        if self.linear is None and self.kind.closes_phase_loop:
-            return linear_description(self.rig)
-        return self.linear
-
-    @property
-    def level_unit(self) -> str:
-        """Unit of the levels."""
-        control = ControlKind.named(self.control)
-        if control is not ControlKind.RESPONSE:
-            return control.level_unit()
-        return control.level_unit(Quantity[_response_topic(self.rig).upper()])
-
-    @property
-    def run_settings(self) -> RunSettings:
-        """What the run is asked for; what the test leaves open is the rig's."""
-        test = self.rig.test
-        window, ramp = self.window_periods, self.ramp
-        if self.ramps:
-            window = RAMP_WINDOW if window is None else window
-            linear = self.linear or linear_description(self.rig)
-            ramp = window / linear.frequency_hz if ramp is None else ramp
-        return RunSettings(
-            run_id=self.run_id,
-            levels=tuple(float(level) for level in self.levels),
-            control=ControlKind.named(self.control),
-            ramp=float(test.ramp_s if ramp is None else ramp),
-            window_periods=int(test.window_periods if window is None else window),
-            timeout=float(test.lock_timeout_s if self.timeout is None else self.timeout),
-            stop_on_lost_lock=self.stop_on_lost_lock,
-            kind=with_course(self.kind, lambda: self.used_linear),
-            frequencies_hz=self.level_frequencies_hz,
-            levels_without=frozenset(self.levels_without),
-        )
 
 
 @dataclass(frozen=True)
@@ -316,121 +124,185 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
     Raises:
         BenchError: the rig has no response sensor at the drive point, or a setting is refused.
     """
-    rig = test.rig
-    linear = test.used_linear
-    linear_json = "" if linear is None else linear.to_json()
-    response = _response_topic(rig)
-    topics = _sample_topics(rig)
-    limits = level_limits(rig)
-    extraction = ExtractionSettings(
-        harmonics=_extracted_harmonics(test, linear),
-        topics=_extraction_topics(rig, topics),
-        power_balance=test.ramps,
-        hysteresis=_hysteresis_layout(rig),
-    )
-    layout = extraction.hysteresis
-    bundle = _bundle_blocks(test, len(topics))
-    linked = _is_linked(test)
-    wants_shape = _wants_shape(test)
-    if wants_shape and linear is not None and len(linear.exciter_points) < 2:
-        check_modes(linear, f"The test of rig {rig.name}")
-    joined = linked or (not wants_shape and _joins_loop_input(test, response))
     for name in test.node_values:
         if name not in NODES:
             raise BenchError(f"Node '{name}' is not part of the bench; there are {', '.join(NODES)}.")
-    peers = expected_peers(topics, extraction.topics, response, bundle > 0, joined)
-    plant = PlantSettings(
-        rig_file=str(rig_file),
-        pacing=test.pacing,
-        latency_blocks=test.lead_blocks,
-        watched_nodes=("pll", "sequencer"),
-        reader_lead=_reader_lead(rig) if test.pacing == "lockstep" else 0.0,
-        device=test.device if test.is_on_hardware else "",
-        device_address=test.device_address if test.is_on_hardware else "",
-        output_record=str(bag.absolute().parent / OUTPUT_RECORD) if test.pacing == "realtime" else "",
-        bundle_blocks=bundle,
-        linked=linked,
-    )
-    if joined:
-        point = 0 if wants_shape else int(rig.drive_point)
-        plant = replace(plant, loop_topics=("force", response), drive_point=point)
-    pll = PllSettings(
-        sample_rate=float(rig.sample_rate_hz),
-        block_samples=int(rig.block_samples),
-        pacing=test.pacing,
-        linear_json=linear_json,
-        drive_point=int(rig.drive_point),
-        exciters=len(rig.all_exciters),
-        response_topic=response,
-        watched_nodes=("plant", "sequencer"),
-        force_per_volt_json=_known_force(test, linear),
-        bundle_blocks=bundle,
-        linked=linked,
-        joined_input=joined,
-    )
-    if isinstance(test.kind, SelfExcitedTest):
-        pll = replace(pll, self_excited_method=test.kind.method, response_limit=limits.largest_response)
-    sequencer = SequencerSettings(
-        sample_rate=float(rig.sample_rate_hz),
-        block_samples=int(rig.block_samples),
-        pacing=test.pacing,
-        latency_blocks=test.lead_blocks,
-        tick_blocks=test.tick_blocks,
-        watched_nodes=("plant", "pll", "extract", "recorder"),
-        limits=limits,
-        linked=linked,
-    )
-    extract = ExtractSettings(
-        pacing=test.pacing,
-        rig=rig.name,
-        linear_json=linear_json,
-        extraction=replace(extraction, hysteresis=None),
-        hysteresis_json="" if layout is None else json.dumps(layout.to_mapping()),
-        bundled=(*extraction.topics, "frequency") if bundle else ("",),
-        linked=linked and bundle > 0,
-    )
-    recorder = RecorderSettings(
-        pacing=test.pacing,
-        output=str(bag),
-        chunk_messages=_chunk_messages(rig, len(topics)),
-        bundled=(*topics, "monitor", *LOOP_TOPICS) if bundle else ("",),
-        linked=linked and bundle > 0,
-    )
-    if rig.recording is not None:
-        recorder = replace(recorder, compression=rig.recording.compression)
-    plant = _given(plant, test, "plant", peers)
-    pll = _given(_with_loops(pll, test, linear, response), test, "pll", peers)
-    sequencer = _given(sequencer, test, "sequencer", peers)
-    extract = _given(extract, test, "extract", peers)
-    recorder = _given(recorder, test, "recorder", peers)
+    linear = test.used_linear
+    wiring = _wiring(test, linear)
+    if wiring.wants_shape and linear is not None and len(linear.exciter_points) < 2:
+        check_modes(linear, f"The test of rig {test.rig.name}")
+    peers = wiring.peers
+    plant = _given(_plant_settings(test, wiring, bag, rig_file), test, "plant", peers)
+    loops = _with_loops(_pll_settings(test, wiring, linear), test, linear, wiring.response)
+    pll = _given(loops, test, "pll", peers)
+    sequencer = _given(_sequencer_settings(test, wiring), test, "sequencer", peers)
+    extract = _given(_extract_settings(test, wiring), test, "extract", peers)
+    recorder = _given(_recorder_settings(test, wiring, bag), test, "recorder", peers)
     refusal = covers(test.driven, pll.loop, test.ramps, test.device)
     if not refusal and linear is not None:
         refusal = covers_linear(test.driven, linear)
     if refusal:
         raise BenchError(refusal)
     nodes = {"plant": plant, "pll": pll, "sequencer": sequencer, "extract": extract, "recorder": recorder}
-    asked = test.run_settings
-    run = {
-        "run_id": test.run_id,
+    run = _description(test, wiring, nodes, device)
+    recorder = replace(recorder, run_json=json.dumps(run), rig_yaml=test.rig_yaml)
+    return NodePlan(plant, pll, sequencer, extract, recorder, run, test.asked)
+
+
+@dataclass(frozen=True)
+class _Wiring:
+    """What several nodes of a test are told alike.
+
+    Attributes:
+        linear_json: linear description of loop and extraction; empty = none.
+        response: topic of the response that the loop controls.
+        topics: sample topics of the rig.
+        extraction: settings of the extraction.
+        bundle: blocks of a bundle for recorder and extraction; 0 = none.
+        linked: whether the nodes hand on the sample path past the middleware.
+        wants_shape: whether the loop takes all channels.
+        joined: whether the loop takes force and response as one message.
+        limits: largest levels.
+    """
+
+    linear_json: str
+    response: str
+    topics: list[str]
+    extraction: ExtractionSettings
+    bundle: int
+    linked: bool
+    wants_shape: bool
+    joined: bool
+    limits: LevelLimits
+
+    @property
+    def peers(self) -> dict[str, list[str]]:
+        """Connections that each node waits for."""
+        return expected_peers(self.topics, self.extraction.topics, self.response, self.bundle > 0, self.joined)
+
+
+def _wiring(test: TestPlan, linear: LinearDescription | None) -> _Wiring:
+    response, topics = response_topic(test.rig), _sample_topics(test.rig)
+    linked, wants_shape = _is_linked(test), _wants_shape(test)
+    return _Wiring(
+        linear_json="" if linear is None else linear.to_json(),
+        response=response,
+        topics=topics,
+        extraction=ExtractionSettings(
+            harmonics=_extracted_harmonics(test, linear),
+            topics=_extraction_topics(test.rig, topics),
+            power_balance=test.ramps,
+            hysteresis=_hysteresis_layout(test.rig),
+        ),
+        bundle=_bundle_blocks(test, len(topics)),
+        linked=linked,
+        wants_shape=wants_shape,
+        joined=linked or (not wants_shape and _joins_loop_input(test, response)),
+        limits=level_limits(test.rig),
+    )
+
+
+def _plant_settings(test: TestPlan, wiring: _Wiring, bag: Path, rig_file: Path) -> PlantSettings:
+    settings = PlantSettings(
+        rig_file=str(rig_file),
+        pacing=test.pacing,
+        latency_blocks=test.lead_blocks,
+        watched_nodes=("pll", "sequencer"),
+        reader_lead=_reader_lead(test.rig) if test.pacing == "lockstep" else 0.0,
+        device=test.device if test.is_on_hardware else "",
+        device_address=test.device_address if test.is_on_hardware else "",
+        output_record=str(bag.absolute().parent / OUTPUT_RECORD) if test.pacing == "realtime" else "",
+        bundle_blocks=wiring.bundle,
+        linked=wiring.linked,
+    )
+    if not wiring.joined:
+        return settings
+    point = 0 if wiring.wants_shape else int(test.rig.drive_point)
+    return replace(settings, loop_topics=("force", wiring.response), drive_point=point)
+
+
+def _pll_settings(test: TestPlan, wiring: _Wiring, linear: LinearDescription | None) -> PllSettings:
+    rig, kind = test.rig, test.kind
+    settings = PllSettings(
+        sample_rate=float(rig.sample_rate_hz),
+        block_samples=int(rig.block_samples),
+        pacing=test.pacing,
+        linear_json=wiring.linear_json,
+        drive_point=int(rig.drive_point),
+        exciters=len(rig.all_exciters),
+        response_topic=wiring.response,
+        watched_nodes=("plant", "sequencer"),
+        force_per_volt_json=_known_force(test, linear),
+        bundle_blocks=wiring.bundle,
+        linked=wiring.linked,
+        joined_input=wiring.joined,
+    )
+    if isinstance(kind, SelfExcitedTest):
+        limit = wiring.limits.largest_response
+        return replace(settings, self_excited_method=kind.method, response_limit=limit)
+    return settings
+
+
+def _sequencer_settings(test: TestPlan, wiring: _Wiring) -> SequencerSettings:
+    return SequencerSettings(
+        sample_rate=float(test.rig.sample_rate_hz),
+        block_samples=int(test.rig.block_samples),
+        pacing=test.pacing,
+        latency_blocks=test.lead_blocks,
+        tick_blocks=test.tick_blocks,
+        watched_nodes=("plant", "pll", "extract", "recorder"),
+        limits=wiring.limits,
+        linked=wiring.linked,
+    )
+
+
+def _extract_settings(test: TestPlan, wiring: _Wiring) -> ExtractSettings:
+    layout = wiring.extraction.hysteresis
+    return ExtractSettings(
+        pacing=test.pacing,
+        rig=test.rig.name,
+        linear_json=wiring.linear_json,
+        extraction=replace(wiring.extraction, hysteresis=None),
+        hysteresis_json="" if layout is None else json.dumps(layout.to_mapping()),
+        bundled=(*wiring.extraction.topics, "frequency") if wiring.bundle else ("",),
+        linked=wiring.linked and wiring.bundle > 0,
+    )
+
+
+def _recorder_settings(test: TestPlan, wiring: _Wiring, bag: Path) -> RecorderSettings:
+    settings = RecorderSettings(
+        pacing=test.pacing,
+        output=str(bag),
+        chunk_messages=_chunk_messages(test.rig, len(wiring.topics)),
+        bundled=(*wiring.topics, "monitor", *LOOP_TOPICS) if wiring.bundle else ("",),
+        linked=wiring.linked and wiring.bundle > 0,
+    )
+    recording = test.rig.recording
+    return settings if recording is None else replace(settings, compression=recording.compression)
+
+
+def _description(test: TestPlan, wiring: _Wiring, nodes: Mapping[str, NodeSettings], device: str) -> dict[str, Any]:
+    """Content of ``run.json``."""
+    rig = test.rig
+    return {
+        "run_id": test.asked.run_id,
         "rig": rig.name,
         "seed": rig.seed,
         "plan": {
-            **asked.description,
+            **test.asked.description,
             "pacing": test.pacing,
-            **vars(limits),
+            **vars(wiring.limits),
         },
         "block": {"samples": int(rig.block_samples), "reason": test.block_reason},
         "device": device,
         "exciter_point": rig.drive_point,
         **({"exciter_points": list(rig.exciter_points)} if len(rig.all_exciters) > 1 else {}),
-        "linear": None if linear is None else json.loads(linear_json),
-        "extraction": extraction.to_mapping(),
+        "linear": json.loads(wiring.linear_json) if wiring.linear_json else None,
+        "extraction": wiring.extraction.to_mapping(),
         "parameters": {name: values_of(settings) for name, settings in nodes.items()},
         "versions": versions(),
         "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
     }
-    recorder = replace(recorder, run_json=json.dumps(run), rig_yaml=test.rig_yaml)
-    return NodePlan(plant, pll, sequencer, extract, recorder, run, asked)
 
 
 def _given(settings: S, test: TestPlan, name: str, peers: Mapping[str, Sequence[str]]) -> S:
@@ -440,26 +312,6 @@ def _given(settings: S, test: TestPlan, name: str, peers: Mapping[str, Sequence[
         BenchError: the node has no such setting, or refuses its value.
     """
     return replace(with_values(settings, test.node_values.get(name, {}), name), expected_peers=tuple(peers[name]))
-
-
-def as_plain(value: Any) -> Any:
-    """Numbers and arrays of numpy as Python's, at any depth: neither JSON nor YAML takes the former."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return {name: as_plain(item) for name, item in value.items()}
-    return [as_plain(item) for item in value] if isinstance(value, list | tuple) else value
-
-
-def level_limits(rig: Rig) -> LevelLimits:
-    """Largest levels that the limits of a rig allow."""
-    limits = rig.limits
-    response = {
-        Quantity.ACCELERATION: limits.acceleration_m_s2,
-        Quantity.VELOCITY: limits.velocity_m_s,
-        Quantity.DISPLACEMENT: limits.displacement_m,
-    }[next(quantity for quantity in Quantity if quantity.topic == _response_topic(rig))]
-    return LevelLimits(*(float(limit or 0.0) for limit in (limits.voltage_v, limits.force_n, response)))
 
 
 def _bundle_blocks(test: TestPlan, topics: int) -> int:
@@ -609,16 +461,6 @@ def _extraction_topics(rig: Rig, topics: Sequence[str]) -> tuple[str, ...]:
     return tuple(topic for topic in topics if topic in chosen)
 
 
-def _response_topic(rig: Rig) -> str:
-    for quantity in (Quantity[rig.extraction.quantity.upper()], Quantity.DISPLACEMENT, Quantity.ACCELERATION):
-        if rig.drive_point in rig.response_points(quantity):
-            return quantity.topic
-    raise BenchError(
-        f"Rig {rig.name} has no displacement or acceleration sensor at its drive point {rig.drive_point}; "
-        "phase resonance needs one: add {quantity: acceleration, point: drive} to its sensors."
-    )
-
-
 def _with_loops(pll: PllSettings, test: TestPlan, linear: LinearDescription | None, response: str) -> PllSettings:
     """The settings with those that the rig gives the loops.
 
@@ -645,13 +487,17 @@ def _with_loops(pll: PllSettings, test: TestPlan, linear: LinearDescription | No
 def _add_floors(values: dict[str, Any], test: TestPlan, linear: LinearDescription, response: str) -> None:
     scale = linear.frequencies_rad_s[linear.target_mode] ** MOTIONS.get(Quantity[response.upper()], 0)
     force_per_volt, response_per_volt = linear.force_per_volt, linear.displacement_per_volt * scale
-    per_volt = {"voltage": 1.0, "response": response_per_volt, "force": force_per_volt}[test.control]
-    lowest = min(test.levels) / per_volt
+    per_volt = {
+        ControlKind.VOLTAGE: 1.0,
+        ControlKind.RESPONSE: response_per_volt,
+        ControlKind.FORCE: force_per_volt,
+    }[test.control]
+    lowest = min(test.asked.levels) / per_volt
     if "force_floor" not in values and lowest * force_per_volt > 0:
         values["force_floor"] = 0.02 * lowest * force_per_volt
     if isinstance(test.kind, SecondaryResonanceTest):  # its response is not that of the mode in phase resonance
         return
-    if test.kind.is_curve and test.control == "force":  # a stiff mode answers as a spring at least
+    if test.kind.is_curve and test.control is ControlKind.FORCE:  # a stiff mode answers as a spring at least
         response_per_volt *= 2.0 * linear.plant_damping_ratio
     if "response_floor" not in values and lowest * response_per_volt > 0:
         values["response_floor"] = 0.02 * lowest * response_per_volt

@@ -12,6 +12,8 @@ from nmt_core.files.hardened import read_text, yaml_value
 from nmt_core.kinds import KindOfTest, SelfExcitedTest, kind_named
 from nmt_core.kinds.request import TestRequest
 from nmt_core.messages.linear_description import LinearDescription
+from nmt_core.messages.run_settings import RunSettings
+from nmt_core.vocabulary import ControlKind
 from nmt_pll.loop_settings import LoopSettings
 from nmt_rig.one_of_several import named_as_exciter
 from nmt_rig.rig import Rig, load_rig
@@ -19,7 +21,7 @@ from nmt_rig.rig_snapshot import rig_text
 from nmt_sequencer.level_plan import directed, parse_levels
 from nmt_session.block_length import LevelTime, choose_block
 from nmt_session.curve_loop import SHORTEST_BLOCK, curve_values
-from nmt_session.node_plan import PlanSettings, TestPlan, as_plain
+from nmt_session.plan_of_test import PlanSettings, TestPlan, as_plain
 
 
 class TestSettings(PlanSettings, total=False):
@@ -73,7 +75,7 @@ def plan_test(
         seed: seed of all noise; None = the rig's own.
         compare: with control of the force's harmonics, every so manyth level is run without it first; 0 = none.
         test: kind of test, a name of :mod:`nmt_core.kinds`, or one with its settings.
-        settings: fields of :class:`nmt_session.node_plan.TestPlan`, and the settings of the kind of test.
+        settings: those of :class:`nmt_session.plan_of_test.PlanSettings`, and the settings of the kind of test.
 
     Raises:
         BenchError: the rig, the levels or a setting is refused.
@@ -100,10 +102,10 @@ def plan_test(
     if compare:
         amplitudes, without = _with_comparison(amplitudes, compare)
         settings["levels_without"] = without
-    planned = TestPlan(loaded, text, amplitudes, kind=kind, **settings)
+    planned = TestPlan.of(loaded, text, amplitudes, kind, **settings)
     if compare and not kind.controlled_harmonics:
         raise BenchError("A comparison needs control of the force's harmonics: give --harmonics-control.")
-    if compare and len(planned.frequencies_hz) > 1:
+    if compare and len(settings.get("frequencies_hz", ())) > 1:
         raise BenchError("A comparison takes one frequency for all levels; leave out --compare.")
     return _with_chosen_block(planned) if _leaves_block_open(planned) else planned
 
@@ -144,13 +146,13 @@ def kind_of_rig(test: str, rig: Rig, settings: dict[str, Any]) -> KindOfTest:
     Args:
         test: name of a kind that the bench does.
         rig: of it are the settings that are not given, or None.
-        settings: in the words of Python; those that are no fields of a `TestPlan` are taken out.
+        settings: in the words of Python; those of the plan and of the run stay, the others are taken out.
 
     Raises:
         BenchError: no such kind, or a setting that it has not or that is not understood.
     """
     kind = kind_named(test)
-    of_plan = {item.name for item in fields(TestPlan)}
+    of_plan = {item.name for record in (TestPlan, RunSettings) for item in fields(record)}
     chosen = {name: settings.pop(name) for name in list(settings) if name not in of_plan}
     chosen = {name: as_plain(value) for name, value in chosen.items() if value is not None}
     for name in kind.FROM_RIG:
@@ -222,13 +224,13 @@ def _with_chosen_block(plan: TestPlan) -> TestPlan:
     known = {item.name for item in fields(LoopSettings)}
     values = curve_values(plan.kind, linear, _loop_values(plan), plan.control)
     settings = LoopSettings(**{name: value for name, value in values.items() if name in known})
-    asked = plan.run_settings
+    asked = plan.asked
     window = plan.kind.window_s or asked.window_periods / linear.frequency_hz
-    level = LevelTime(asked.ramp, window, plan.control != "voltage")
+    level = LevelTime(asked.ramp, window, plan.control is not ControlKind.VOLTAGE)
     rate = float(plan.rig.sample_rate_hz)
     quantities = [sensor.quantity for sensor in plan.rig.sensors]
     channels = max(quantities.count(quantity) for quantity in quantities)
-    unstable = plan.kind.is_curve and plan.control == "force"
+    unstable = plan.kind.is_curve and plan.control is ControlKind.FORCE
     choice = choose_block(linear, settings, level, rate, channels, SHORTEST_BLOCK if unstable else 0.0)
     rig = plan.rig.model_copy(update={"block_samples": choice.block_samples})
     return replace(

@@ -52,7 +52,8 @@ from nmt_record.bag.bag_keys import SIMULATED_RIG
 from nmt_record.bag.run_recorder import RunRecorder
 from nmt_sequencer.run_core import RunCore
 from nmt_sequencer.steering import SteeringRequest
-from nmt_session.node_plan import TestPlan, plan_nodes
+from nmt_session.node_plan import plan_nodes
+from nmt_session.plan_of_test import TestPlan
 from nmt_session.run_result import Progress, RunResult
 
 _PROGRESS_PERIOD = 0.1  # s of wall time

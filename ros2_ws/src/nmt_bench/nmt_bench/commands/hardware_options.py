@@ -11,7 +11,7 @@ from nmt_rig.one_of_several import named_as_exciter
 from nmt_rig.rig import Rig, load_rig
 
 if TYPE_CHECKING:
-    from nmt_session.node_plan import PlanSettings
+    from nmt_session.plan_of_test import PlanSettings
 
 
 def rig_changes(options: RigOptions) -> list[str]:

@@ -447,10 +447,10 @@ def measure(bench: Bench, console: Any, quiet: bool, page: bool = False) -> RunR
                 console.print(line, soft_wrap=True)
         if quiet:
             return bench.run()
-        levels, unit = bench.test.levels, bench.test.level_unit
+        levels, unit = bench.test.asked.levels, bench.test.level_unit
         console.print(
             f"{bench.rig.name}, drive point {bench.rig.drive_point}, {len(levels)} levels from {min(levels):g} to "
-            f"{max(levels):g} {unit_text(unit)}, run {bench.test.run_id}; nodes started in "
+            f"{max(levels):g} {unit_text(unit)}, run {bench.test.asked.run_id}; nodes started in "
             f"{time.monotonic() - began:.1f} s in ROS domain {bench.domain_id}"
         )
         with RunProgress(bench.rig.sample_rate_hz, len(levels), unit, console) as progress:
@@ -495,7 +495,7 @@ def _write_tables(result: RunResult, bench: Bench, folder: Path) -> None:
     from nmt_extract.modal.table import write_results
 
     inputs = {
-        "run_id": bench.test.run_id,
+        "run_id": bench.test.asked.run_id,
         "rig": bench.rig.name,
         "linear": bench.plan.run["linear"],
         "extraction": bench.plan.run["extraction"],
@@ -608,7 +608,7 @@ def _print_table(result: RunResult, bench: Bench, found: Evaluation, console: An
         console.print(line, soft_wrap=True)
     described = bench.plan.run.get("linear")
     linear = LinearDescription.from_mapping(dict(described)) if described else None
-    return print_verdict(result.points, console, len(bench.test.levels), linear)
+    return print_verdict(result.points, console, len(bench.test.asked.levels), linear)
 
 
 def _print_files(found: Evaluation, folder: Path, console: Any) -> None:

@@ -387,7 +387,7 @@ def _report(
         ),
         notices=remarks,
         facts=[
-            ("Run", bench.test.run_id),
+            ("Run", bench.test.asked.run_id),
             ("Held", {"force": "force", "voltage": "drive voltage", "response": "response"}[options.control]),
             ("Frequencies", f"{plain(float(start[0]), 2)} to {plain(float(stop[1]), 2)} Hz"),
             ("Rate", f"{options.stepped} steps" if stepped else f"{options.rate:g} Hz/s"),

@@ -13,7 +13,7 @@ from nmt_rig.device_sections import DEVICE_KINDS, DEVICES, SIMULATED_OR_CONVERTE
 from nmt_rig.rig import Rig
 
 if TYPE_CHECKING:
-    from nmt_session.node_plan import PlanSettings
+    from nmt_session.plan_of_test import PlanSettings
 
 
 def parsed_device(text: str, rig: Rig) -> tuple[str, str]:

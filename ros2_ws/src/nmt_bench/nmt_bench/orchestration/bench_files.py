@@ -11,7 +11,8 @@ from nmt_core.errors import BenchError
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_snapshot import rig_text
 from nmt_sequencer.level_plan import parse_levels
-from nmt_session.node_plan import NodePlan, PlanSettings, TestPlan, plan_nodes
+from nmt_session.node_plan import NodePlan, plan_nodes
+from nmt_session.plan_of_test import PlanSettings, TestPlan
 from nmt_session.planning import kind_of_rig
 
 
@@ -47,7 +48,7 @@ def write_bench_files(
     text = rig_text(rig, rig_name, list(changes))
     settings: PlanSettings = {"pacing": pacing, "linked": False}  # whoever starts the nodes chooses their hosts
     settings.update(checked_device(rig, device, check_command(rig_name, device, changes)))
-    test = TestPlan(
+    test = TestPlan.of(
         rig=rig,
         rig_yaml=text,
         levels=tuple(parse_levels(levels or rig.test.levels)),

@@ -9,13 +9,13 @@ import pytest
 
 from nmt_bench.cli import main
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bag_writer import BagWriter, Storage
 from nmt_record.bag.message_definitions import local_definitions
 
 
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
-    writer = BagWriter(tmp_path / "bag", run_json='{"run_id": "r"}', chunk_messages=2)
+    writer = BagWriter(tmp_path / "bag", run_json='{"run_id": "r"}', storage=Storage(chunk_messages=2))
     writer.add_topic("note", "std_msgs/msg/String")
     for index in range(10):
         writer.write("note", b"\0\1\0\0" + bytes([6, 0, 0, 0]) + b"note%d\0" % index, index)

@@ -26,7 +26,7 @@ from nmt_extract.extractor import Extractor
 from nmt_extract.modal.table import read_json, write_results
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bag_writer import BagWriter, Storage
 
 SAMPLES = round(5 * RATE / FREQUENCY)
 LOCK = lock_event(400, SAMPLES, 5, sample=399)
@@ -57,7 +57,9 @@ def make_bag(tmp_path, stream):
 
     def make(run=RUN, lock=LOCK, states=None, leave_out=(), close=True, drop=()):
         blocks = BlockWriter("beam")
-        writer = BagWriter(tmp_path / "bag", run_json=json.dumps(run) if run else "", rig_yaml="", chunk_messages=4)
+        writer = BagWriter(
+            tmp_path / "bag", run_json=json.dumps(run) if run else "", rig_yaml="", storage=Storage(chunk_messages=4)
+        )
         writers.append(writer)
         for topic, kind in TOPICS.items():
             writer.add_topic(topic, kind)

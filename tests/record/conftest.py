@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bag_writer import BagWriter, Storage
 from nmt_record.bag.bench_topics import BENCH_TOPICS, SAMPLE_BLOCK
 from nmt_record.bag.message_definitions import DefinitionStore, local_definitions
 
@@ -57,13 +57,19 @@ def make_block(store: DefinitionStore) -> Callable[..., bytes]:
 def make_bag(tmp_path: Path, make_block: Callable[..., bytes]) -> Iterator[Callable[..., Path]]:
     left_open = []
 
-    def make(name: str = "bag", blocks: int = 40, per_chunk: int = 5, close: bool = True, **options: Any) -> Path:
+    def make(
+        name: str = "bag",
+        blocks: int = 40,
+        per_chunk: int = 5,
+        close: bool = True,
+        storage: Mapping[str, Any] | None = None,
+        **options: Any,
+    ) -> Path:
         writer = BagWriter(
             tmp_path / name,
             run_json=RUN_JSON,
             rig_yaml=RIG_YAML,
-            chunk_messages=per_chunk,
-            flush_interval=60.0,
+            storage=Storage(chunk_messages=per_chunk, flush_interval=60.0, **(storage or {})),
             **options,
         )
         writer.add_topic("displacement", SAMPLE_BLOCK)

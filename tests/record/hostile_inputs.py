@@ -35,7 +35,7 @@ from nmt_core.messages.records import LoopStatus
 from nmt_extract.curves.response_table import read_response_csv
 from nmt_extract.modal.table import read_csv, read_json
 from nmt_record.bag.bag_reader import Bag
-from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bag_writer import BagWriter, Storage
 from nmt_record.exchange.arrays.uff import TIME_RESPONSE, Axis, UffFunction, write_uff
 from nmt_record.exchange.imports.imported_run import read_import
 from nmt_record.exchange.reduced.frf_table import read_frf_table
@@ -225,7 +225,7 @@ def bombs(
 
 
 def sound_bag(folder: Path) -> Path:
-    writer = BagWriter(folder / "sound_bag", run_json='{"run_id": "r"}', chunk_messages=5)
+    writer = BagWriter(folder / "sound_bag", run_json='{"run_id": "r"}', storage=Storage(chunk_messages=5))
     writer.add_topic("note", "std_msgs/msg/String")
     for index in range(40):
         writer.write("note", b"\0\1\0\0" + bytes([7, 0, 0, 0]) + b"note%02d\0" % index, index)

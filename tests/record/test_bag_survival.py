@@ -20,7 +20,7 @@ from rosbags.rosbag2 import Reader
 
 from nmt_core.errors import BenchError
 from nmt_record import Bag, BagWriter
-from nmt_record.bag.bag_writer import open_unbuffered
+from nmt_record.bag.bag_writer import Storage, open_unbuffered
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK
 
 SETTINGS = settings(
@@ -58,8 +58,8 @@ def test_killed_writer_loses_less_than_a_second(tmp_path, make_block):
         """
         import sys, time
         from pathlib import Path
-        from nmt_record import BagWriter
-        writer = BagWriter(sys.argv[1], run_json='{"run_id": "r"}', chunk_messages=100_000)
+        from nmt_record.bag.bag_writer import BagWriter, Storage
+        writer = BagWriter(sys.argv[1], run_json='{"run_id": "r"}', storage=Storage(chunk_messages=100_000))
         writer.add_topic("displacement", "nmt_msgs/msg/SampleBlock")
         raw = Path(sys.argv[2]).read_bytes()
         for index in range(4_000):
@@ -180,9 +180,8 @@ def test_full_disk_keeps_the_whole_chunks(make_block, tmp_path, room):
         writer = BagWriter(
             path,
             run_json='{"run_id": "r"}',
-            chunk_messages=4,
+            storage=Storage(chunk_messages=4, flush_interval=60.0),
             open_file=lambda p: FullDisk(p, room),
-            flush_interval=60.0,
         )
     except BenchError as error:
         refusal = str(error)
@@ -219,7 +218,7 @@ def test_full_disk_keeps_the_whole_chunks(make_block, tmp_path, room):
 
 def test_full_disk_leaves_a_regular_file(make_block, tmp_path):
     """With room for the shortest end, readers of others open what a full disk left."""
-    writer = BagWriter(tmp_path / "bag", chunk_messages=4, open_file=lambda p: FullDisk(p, 20_000))
+    writer = BagWriter(tmp_path / "bag", storage=Storage(chunk_messages=4), open_file=lambda p: FullDisk(p, 20_000))
     writer.add_topic("displacement", SAMPLE_BLOCK)
     for index in range(400):
         with contextlib.suppress(BenchError):
@@ -241,8 +240,8 @@ def test_limit_on_the_size_of_files(make_block, tmp_path):
         import resource, sys
         from pathlib import Path
         from nmt_core.errors import BenchError
-        from nmt_record import BagWriter
-        writer = BagWriter(sys.argv[1], chunk_messages=7)
+        from nmt_record.bag.bag_writer import BagWriter, Storage
+        writer = BagWriter(sys.argv[1], storage=Storage(chunk_messages=7))
         writer.add_topic("displacement", "nmt_msgs/msg/SampleBlock")
         raw = Path(sys.argv[2]).read_bytes()
         resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from nmt_core.errors import BenchError
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import assemble
-from nmt_rig.model.beam import euler_bernoulli_beam
+from nmt_rig.model.beam import Supports, euler_bernoulli_beam
 from nmt_rig.model.continuation import NotConvergedError
 from nmt_rig.model.epmc import epmc_backbone
 from nmt_rig.model.exciter import OutputRow
@@ -83,7 +83,7 @@ def test_free_beams_have_two_modes_at_exactly_zero():
 
 
 def test_a_free_beam_bounces_on_its_soft_springs():
-    structure = beam("free-free", 12, suspension_stiffness=2.0, suspension_damping=0.1)
+    structure = beam("free-free", 12, supports=Supports(suspension_stiffness=2.0, suspension_damping=0.1))
     modes = sticking_modes(structure)
     mass = PER_LENGTH * LENGTH
     # Rigid body on two springs at its ends: bounce and rocking (inertia m L²/12); the beam is 10⁵ times stiffer.
@@ -97,9 +97,9 @@ def test_a_free_beam_bounces_on_its_soft_springs():
 
 def test_stiff_springs_make_a_clamp_and_soft_ones_a_hinge():
     clamped = sticking_modes(beam("clamped-clamped", 8), [], 3).frequencies
-    held = beam("clamped-clamped", 8, clamp_rotational_stiffness=1e9)
+    held = beam("clamped-clamped", 8, supports=Supports(clamp_rotational_stiffness=1e9))
     np.testing.assert_allclose(sticking_modes(held, [], 3).frequencies, clamped, rtol=1e-6)
-    hinged = beam("clamped-clamped", 8, clamp_rotational_stiffness=1e-6)
+    hinged = beam("clamped-clamped", 8, supports=Supports(clamp_rotational_stiffness=1e-6))
     pinned = sticking_modes(beam("pinned-pinned", 8), [], 3).frequencies
     np.testing.assert_allclose(sticking_modes(hinged, [], 3).frequencies, pinned, rtol=1e-6)
 
@@ -147,7 +147,7 @@ def test_a_floating_beam_needs_its_cords_for_the_mean_position():
     with pytest.raises(NotConvergedError, match="has no mean position"):
         backbone(FourierBasis.up_to(5))
     odd = backbone(FourierBasis.up_to(5, odd_only=True))
-    held = backbone(FourierBasis.up_to(5), suspension_stiffness=0.2)
+    held = backbone(FourierBasis.up_to(5), supports=Supports(suspension_stiffness=0.2))
     np.testing.assert_allclose(held.omega_rad_s, odd.omega_rad_s, rtol=2e-5)
     assert odd.omega_rad_s[-1] > 1.1 * odd.omega_rad_s[0]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_rig.model.assembly import ElectromechanicalSystem, assemble
-from nmt_rig.model.beam import euler_bernoulli_beam
+from nmt_rig.model.beam import Supports, euler_bernoulli_beam
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.linear_modes import modal_damping_matrix, sticking_modes
 from nmt_rig.model.local_elements.attachments import Attachment, AttachmentSection
@@ -62,11 +62,13 @@ def _bare_structure(s: BeamSection | ChainSection | ModalSection | MatricesSecti
             s.elements,
             s.stiffness_damping_s,
             s.mesh_refinement,
-            s.clamp_rotational_stiffness_nm_rad,
-            s.clamp_lateral_stiffness_n_m,
             s.boundary,
-            s.suspension_stiffness_n_m,
-            s.suspension_damping_ns_m,
+            Supports(
+                s.clamp_rotational_stiffness_nm_rad,
+                s.clamp_lateral_stiffness_n_m,
+                s.suspension_stiffness_n_m,
+                s.suspension_damping_ns_m,
+            ),
         )
     if isinstance(s, ChainSection):
         return lumped_chain(s.masses_kg, s.springs_n_m, s.dampers_ns_m, s.ground_springs_n_m, s.ground_dampers_ns_m)

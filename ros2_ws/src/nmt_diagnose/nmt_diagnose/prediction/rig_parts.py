@@ -192,15 +192,7 @@ def rig_parts(
     """
     rig = _prepared(rig, settings, seconds, ideal_force, channels)
     forced = ideal_force and isinstance(rig.exciter, ShakingTableSection)
-    kept = near is not None and same_structure(rig, near.rig)
-    if near is not None and kept and rig.all_exciters == near.rig.all_exciters:
-        structure, bare = near.structure, near.bare
-    else:
-        without = rig.model_copy(update={"local_elements": []})
-        structure = near.structure if near is not None and kept else build_structure(without)
-        bare = build_system(without, structure)
-        if forced:
-            bare = driven_by_force(bare)
+    structure, bare = _bare(rig, forced, near)
     system, size = bare, bare.size
 
     stiffness, damping = system.stiffness, system.damping
@@ -273,6 +265,17 @@ def rig_parts(
         bare=bare,
         rig=rig,
     )
+
+
+def _bare(rig: Rig, forced: bool, near: RigParts | None) -> tuple[Structure, ElectromechanicalSystem]:
+    """Structure alone, and with its exciter; those of ``near`` where they are the same."""
+    kept = near is not None and same_structure(rig, near.rig)
+    if near is not None and kept and rig.all_exciters == near.rig.all_exciters:
+        return near.structure, near.bare
+    without = rig.model_copy(update={"local_elements": []})
+    structure = near.structure if near is not None and kept else build_structure(without)
+    bare = build_system(without, structure)
+    return structure, driven_by_force(bare) if forced else bare
 
 
 def same_structure(rig: Rig, other: Rig) -> bool:

@@ -6,7 +6,6 @@ acceleration channel records the same in m/s². For checking cabling, sequencing
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -30,8 +29,8 @@ class LoopbackDevice(GuardedDevice):
         quiet_ramp: s, ramp to zero after a trip.
         point: measurement point of both channels.
         owned: whether a process of its own owns the converter, for real time; what is put out comes back through it.
-        arguments: other ones of `converter.LoopbackConverter`, which that process then has.
-        **output: settings of `guarded_device.owned_output`.
+        **output: settings of `guarded_device.owned_output`; ``arguments`` are other ones of
+            `converter.LoopbackConverter`, which that process then has.
     """
 
     def __init__(
@@ -45,7 +44,6 @@ class LoopbackDevice(GuardedDevice):
         quiet_ramp: float = 0.1,
         point: int = 1,
         owned: bool = False,
-        arguments: Mapping[str, Any] | None = None,
         **output: Any,
     ) -> None:
         channels = (
@@ -56,9 +54,9 @@ class LoopbackDevice(GuardedDevice):
         settings = GuardSettings({Quantity.VOLTAGE: voltage_limit}, quiet_ramp, watchdog_blocks, quiet_ramp)
         output = {
             "converter": "nmt_plant.converters.converter:LoopbackConverter",
-            "arguments": {"sample_rate": sample_rate, **(arguments or {})},
             "inputs": 1,
             **output,
+            "arguments": {"sample_rate": sample_rate, **output.get("arguments", {})},
         }
         super().__init__(
             sample_rate,

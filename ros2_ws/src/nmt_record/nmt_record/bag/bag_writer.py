@@ -42,6 +42,38 @@ def open_unbuffered(path: Path) -> io.RawIOBase:
     return open(path, "xb", buffering=0)
 
 
+@dataclass(frozen=True)
+class Storage:
+    """How messages lie in the files of a bag.
+
+    Attributes:
+        chunk_messages: messages after which a chunk is closed and flushed.
+        flush_interval: s of wall time after which :meth:`BagWriter.write` and :meth:`BagWriter.flush_if_due` close a
+            chunk.
+        compression: of the chunks: ``none``, ``zstd`` or ``lz4``.
+        split_bytes: size of a file after which the next one begins; 0 = one file.
+        split_duration: s from the first to the newest time of reception in a file after which the next one begins;
+            0 = one file.
+
+    Raises:
+        BenchError: there is no such compression.
+    """
+
+    chunk_messages: int = 500
+    flush_interval: float = 0.5
+    compression: str = "none"
+    split_bytes: int = 0
+    split_duration: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.compression not in COMPRESSIONS:
+            raise BenchError(f"'{self.compression}' is not a compression of bags; choose {', '.join(COMPRESSIONS)}.")
+
+
+USUAL = Storage()
+"""One file, chunks not compressed."""
+
+
 class BagWriter:
     """One rosbag2 folder being written.
 
@@ -52,13 +84,8 @@ class BagWriter:
         path: folder to create; the file in it is ``<folder>_0.mcap``, further ones count up.
         run_json: self-description of the run, a JSON object; empty = none.
         rig_yaml: the rig file as used.
-        chunk_messages: messages after which a chunk is closed and flushed.
-        flush_interval: s of wall time after which :meth:`write` and :meth:`flush_if_due` close a chunk.
         records: write start and stop record; off for copies, which have them already.
-        compression: of the chunks: ``none``, ``zstd`` or ``lz4``.
-        split_bytes: size of a file after which the next one begins; 0 = one file.
-        split_duration: s from the first to the newest time of reception in a file after which the next one begins;
-            0 = one file.
+        storage: how messages lie in its files.
         repair_json: what a repaired copy has lost, a JSON object; empty = it is no repaired copy.
         open_file: opens the MCAP file; must return an unbuffered file.
         clock: time of reception of messages that come without one, ns; None = the wall clock.
@@ -69,8 +96,7 @@ class BagWriter:
         counts: messages handed in by topic.
 
     Raises:
-        BenchError: the folder exists, cannot be created or written, ``run_json`` is not a JSON object, or there is no
-            such compression.
+        BenchError: the folder exists, cannot be created or written, or ``run_json`` is not a JSON object.
     """
 
     def __init__(
@@ -79,12 +105,8 @@ class BagWriter:
         *,
         run_json: str = "",
         rig_yaml: str = "",
-        chunk_messages: int = 500,
-        flush_interval: float = 0.5,
         records: bool = True,
-        compression: str = "none",
-        split_bytes: int = 0,
-        split_duration: float = 0.0,
+        storage: Storage = USUAL,
         repair_json: str = "",
         open_file: Callable[[Path], Any] = open_unbuffered,
         clock: Callable[[], int] | None = None,
@@ -98,12 +120,8 @@ class BagWriter:
         self._custom = {key: text for key, text in self._custom.items() if text}
         self._records = records
         self._clock = clock or (lambda: time.time_ns())
-        self._chunk_messages = chunk_messages
-        self._flush_interval = flush_interval
-        if compression not in COMPRESSIONS:
-            raise BenchError(f"'{compression}' is not a compression of bags; choose {', '.join(COMPRESSIONS)}.")
-        self._compression = COMPRESSIONS[compression]
-        self._split_bytes, self._split_ns = split_bytes, round(split_duration * 1e9)
+        self._storage = storage
+        self._split_ns = round(storage.split_duration * 1e9)
         self._open_file = open_file
         self._files: list[_FileSpan] = []
         self._channels: dict[str, int] = {}
@@ -195,9 +213,9 @@ class BagWriter:
         self._pending += 1
         self._pending_bytes += len(raw)
         if (
-            self._pending >= self._chunk_messages
+            self._pending >= self._storage.chunk_messages
             or self._pending_bytes >= _BYTES_PER_CHUNK
-            or time.monotonic() - self._chunk_opened >= self._flush_interval
+            or time.monotonic() - self._chunk_opened >= self._storage.flush_interval
         ):
             self.flush()
 
@@ -211,7 +229,7 @@ class BagWriter:
 
     def flush_if_due(self) -> None:
         """Flush if the oldest unwritten message has waited for the flush interval."""
-        due = time.monotonic() - self._chunk_opened >= self._flush_interval
+        due = time.monotonic() - self._chunk_opened >= self._storage.flush_interval
         if self.state == "open" and self._pending and due:
             self.flush()
 
@@ -319,7 +337,7 @@ class BagWriter:
         self._channels, self._schemas = {}, {}
         self._file = _ChunkFile(self._open_file(self.file_path))
         # One chunk is as large as flush() lets it become. Uncompressed by default: samples of noise hardly compress.
-        self._mcap = Writer(self._file, chunk_size=2**62, compression=self._compression)
+        self._mcap = Writer(self._file, chunk_size=2**62, compression=COMPRESSIONS[self._storage.compression])
         self._chunk = ChunkMessages(self._mcap)
         self._mcap.start(profile="ros2", library="nmt_record")
         self._file.keep()
@@ -333,7 +351,7 @@ class BagWriter:
 
     def _file_is_full(self) -> bool:
         span = self._files[-1]
-        too_large = 0 < self._split_bytes <= self._file.tell()
+        too_large = 0 < self._storage.split_bytes <= self._file.tell()
         too_long = span.times is not None and 0 < self._split_ns <= span.times[1] - span.times[0]
         return span.messages > 0 and (too_large or too_long)
 

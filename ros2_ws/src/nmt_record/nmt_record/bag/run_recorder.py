@@ -16,7 +16,7 @@ from nmt_core.messages.cdr import read_stamp
 from nmt_core.messages.run_announcement import RunAnnouncement
 from nmt_core.messages.wire import DRIVE_STOP, RUN_STATE, BlockReader
 from nmt_core.vocabulary import ResultCode, RunPhase, StopCause
-from nmt_record.bag.bag_writer import BagWriter, parse_run
+from nmt_record.bag.bag_writer import BagWriter, Storage, parse_run
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK, BenchTopic, parse_topic
 from nmt_record.bag.gap_counter import GapCounter
 from nmt_record.bag.message_definitions import local_definitions
@@ -71,11 +71,13 @@ class RunRecorder:
             path or settings.output,
             run_json=run_json,
             rig_yaml=_text("rig_yaml", settings.rig_yaml, "rig_file", settings.rig_file),
-            chunk_messages=settings.chunk_messages,
-            flush_interval=settings.flush_interval,
-            compression=settings.compression,
-            split_bytes=settings.split_bytes,
-            split_duration=settings.split_duration,
+            storage=Storage(
+                chunk_messages=settings.chunk_messages,
+                flush_interval=settings.flush_interval,
+                compression=settings.compression,
+                split_bytes=settings.split_bytes,
+                split_duration=settings.split_duration,
+            ),
             clock=clock,
         )
         self.run_id = _run_id(run_json)

@@ -255,101 +255,15 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
     exciters = space.b_inputs.shape[1]
     of_ports = slice(exciters, exciters + ports)
     inputs = np.column_stack([space.b_inputs, space.b_ports])
-    values, vectors = np.linalg.eig(space.a)
-    scale = np.linalg.norm(vectors, axis=1)
-    scale[scale == 0.0] = 1.0
-    modal = not force_dense and np.linalg.cond(vectors / scale[:, None]) < _WORST_CONDITION
-    m = space.mechanical_size
-
-    if modal:
-        upper = np.flatnonzero(values.imag > 0)
-        real = np.flatnonzero(values.imag == 0)
-        pairs = upper.size + (real.size + 1) // 2
-        first, second = real[0::2], real[1::2]
-        left = np.linalg.inv(vectors)
-        size = 2 * pairs
-        to_working = np.zeros((size, space.size))
-        from_working = np.zeros((space.size, size))
-        u, f, g = upper.size, first.size, second.size
-        to_working[:u], to_working[pairs : pairs + u] = left[upper].real, left[upper].imag
-        from_working[:, :u] = 2.0 * vectors[:, upper].real
-        from_working[:, pairs : pairs + u] = -2.0 * vectors[:, upper].imag
-        to_working[u : u + f], to_working[pairs + u : pairs + u + g] = left[first].real, left[second].real
-        from_working[:, u : u + f] = vectors[:, first].real
-        from_working[:, pairs + u : pairs + u + g] = vectors[:, second].real
-        pair = np.zeros((levels + 1, 4, pairs))
-        dense = np.zeros((0, size, size))
-        left_inputs = left @ inputs
-        left_ports = left_inputs[:, of_ports]
-        projection = np.zeros((ports, size))
-        projection[:, :u], projection[:, pairs : pairs + u] = left_ports[upper].real.T, left_ports[upper].imag.T
-        projection[:, u : u + f] = left_ports[first].real.T
-        projection[:, pairs + u : pairs + u + g] = left_ports[second].real.T
-        holds = np.zeros((levels + 1, 4, 4, pairs))
+    form = None if force_dense else _modal_form(space)
+    if form is None:
+        matrices = _dense_steps(space, inputs, step, levels)
     else:
-        size = space.size
-        from_working = to_working = np.eye(size)
-        pair = np.zeros((0, 4, 0))
-        dense = np.zeros((levels + 1, size, size))
-        projection, holds = np.zeros((0, 0)), np.zeros((0, 4, 4, 0))
-
-    weights = [np.zeros((levels + 1, size, exciters + ports)) for _ in range(6)]
-    if modal:
-        steps = step / 2.0 ** np.arange(levels + 1)
-        with np.errstate(over="ignore", invalid="ignore"):  # what grows without bound is refused when it moves
-            phi_of_levels = phi_functions(np.asarray(values * steps[:, None], dtype=complex), 4)
-    for level in range(levels + 1):
-        h = step / 2.0**level
-        if modal:
-            phi = phi_of_levels[:, level]
-            e = phi[0]
-            pair[level, 0, :u], pair[level, 1, :u] = e[upper].real, -e[upper].imag
-            pair[level, 2, :u], pair[level, 3, :u] = e[upper].imag, e[upper].real
-            pair[level, 0, u : u + f] = e[first].real
-            pair[level, 3, u : u + g] = e[second].real
-            for weight, hold in zip(weights, _holds(phi[1:], h), strict=True):
-                product = hold[:, None] * left_inputs
-                weight[level, :u], weight[level, pairs : pairs + u] = product[upper].real, product[upper].imag
-                weight[level, u : u + f] = product[first].real
-                weight[level, pairs + u : pairs + u + g] = product[second].real
-            for row, hold in enumerate(_holds(phi[1:], h)[2:]):
-                holds[level, row, 0, :u], holds[level, row, 1, :u] = hold[upper].real, -hold[upper].imag
-                holds[level, row, 2, :u], holds[level, row, 3, :u] = hold[upper].imag, hold[upper].real
-                holds[level, row, 0, u : u + f] = hold[first].real
-                holds[level, row, 3, u : u + g] = hold[second].real
-        else:
-            augmented = np.zeros((5 * size, 5 * size))
-            augmented[:size, :size] = space.a * h
-            for k in range(4):
-                augmented[k * size : (k + 1) * size, (k + 1) * size : (k + 2) * size] = np.eye(size)
-            exponential = expm(augmented)[:size]
-            dense[level] = exponential[:, :size]
-            phi_matrices = [exponential[:, (k + 1) * size : (k + 2) * size] for k in range(4)]
-            for weight, hold in zip(weights, _holds(phi_matrices, h), strict=True):
-                weight[level] = hold @ inputs
-
-    own = space.directions.shape[0]  # ports of local elements
-    seen = 3 * own
-    total = seen + 2 * space.observed.shape[0]
-    port_map = space.directions[:, :m]
-    rows = np.zeros((total, space.size))
-    rows[:own, :m] = port_map
-    rows[own : 2 * own, m : 2 * m] = port_map
-    rows[2 * own : seen] = port_map @ space.a[m : 2 * m]
-    feedthrough = np.zeros((total, ports))
-    feedthrough[2 * own : seen] = port_map @ space.b_ports[m : 2 * m]
-    port_inputs = np.zeros((exciters, total))
-    for j, b_input in enumerate(space.b_inputs.T):
-        port_inputs[j, 2 * own : seen] = port_map @ b_input[m : 2 * m]
-    if space.couplings:
-        rates = seen + space.observed.shape[0]
-        rows[seen:rates] = space.observed
-        rows[rates:] = space.observed @ space.a
-        feedthrough[rates:] = space.observed @ space.b_ports
-        for j, b_input in enumerate(space.b_inputs.T):
-            port_inputs[j, rates:] = space.observed @ b_input
-    port_rows = rows @ from_working
-    compliance = np.zeros((levels + 1, total, 2 * ports))
+        matrices = _modal_steps(form, inputs, of_ports, step, levels)
+    weights, size = matrices.weights, matrices.from_working.shape[1]
+    rows, port_inputs, feedthrough = _port_rows(space)
+    port_rows = rows @ matrices.from_working
+    compliance = np.zeros((levels + 1, rows.shape[0], 2 * ports))
     for level in range(levels + 1):
         compliance[level, :, :ports] = port_rows @ weights[4][level][:, of_ports] + feedthrough
         compliance[level, :, ports:] = port_rows @ weights[5][level][:, of_ports]
@@ -366,17 +280,166 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
     )
     end_weights = np.concatenate([weights[4][:, :, of_ports], weights[5][:, :, of_ports]], axis=2)
     return Propagator(
-        modal=bool(modal),
-        pair=pair,
-        dense=dense,
+        modal=form is not None,
+        pair=matrices.pair,
+        dense=matrices.dense,
         start_weights=np.ascontiguousarray(start_weights.transpose(0, 2, 1)),
         end_weights=np.ascontiguousarray(end_weights.transpose(0, 2, 1)),
         port_rows=np.ascontiguousarray(port_rows),
         port_inputs=port_inputs,
         port_feedthrough=feedthrough,
         compliance=compliance,
-        from_working=from_working,
-        to_working=to_working,
-        projection=projection,
-        holds=holds,
+        from_working=matrices.from_working,
+        to_working=matrices.to_working,
+        projection=matrices.projection,
+        holds=matrices.holds,
     )
+
+
+@dataclass(frozen=True)
+class _ModalForm:
+    """Modes of A in real pairs (x, y): real and imaginary part of a complex pair, or two real modes.
+
+    Attributes:
+        values: (N,) eigenvalues.
+        vectors: (N, N) eigenvectors in columns.
+        upper: complex modes of positive frequency.
+        first, second: real modes that are x and y of their pairs; there is one more of the first where their number is
+            odd.
+    """
+
+    values: NDArray[np.complex128]
+    vectors: NDArray[np.complex128]
+    upper: NDArray[np.int64]
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs."""
+        return self.upper.size + self.first.size
+
+    @property
+    def from_working(self) -> Array:
+        """(N, 2 pairs)."""
+        u, f, g = self.upper.size, self.first.size, self.second.size
+        result = np.zeros((self.values.size, 2 * self.pairs))
+        result[:, :u] = 2.0 * self.vectors[:, self.upper].real
+        result[:, self.pairs : self.pairs + u] = -2.0 * self.vectors[:, self.upper].imag
+        result[:, u : u + f] = self.vectors[:, self.first].real
+        result[:, self.pairs + u : self.pairs + u + g] = self.vectors[:, self.second].real
+        return result
+
+    def rows(self, modal: NDArray[np.complexfloating[Any, Any]]) -> Array:
+        """(2 pairs, …) of what has a row for each mode: all x, then all y."""
+        u, f, g = self.upper.size, self.first.size, self.second.size
+        result = np.zeros((2 * self.pairs, modal.shape[1]))
+        result[:u], result[self.pairs : self.pairs + u] = modal[self.upper].real, modal[self.upper].imag
+        result[u : u + f] = modal[self.first].real
+        result[self.pairs + u : self.pairs + u + g] = modal[self.second].real
+        return result
+
+    def blocks(self, factors: NDArray[np.complex128]) -> Array:
+        """Blocks [xx, xy, yx, yy], shape (4, pairs), that multiply each mode by its factor."""
+        u, f, g = self.upper.size, self.first.size, self.second.size
+        result = np.zeros((4, self.pairs))
+        result[0, :u], result[1, :u] = factors[self.upper].real, -factors[self.upper].imag
+        result[2, :u], result[3, :u] = factors[self.upper].imag, factors[self.upper].real
+        result[0, u : u + f] = factors[self.first].real
+        result[3, u : u + g] = factors[self.second].real
+        return result
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Step matrices before the ports are told apart from the inputs; as of :class:`Propagator`.
+
+    Attributes:
+        weights: six arrays (K+1, Z, exciters + ports) in the order of :func:`_holds`.
+    """
+
+    pair: Array
+    dense: Array
+    weights: list[Array]
+    from_working: Array
+    to_working: Array
+    projection: Array
+    holds: Array
+
+
+def _modal_form(space: StateSpace) -> _ModalForm | None:
+    """The modes of a system; None where its eigenvectors lose too many digits."""
+    values, vectors = np.linalg.eig(space.a)
+    scale = np.linalg.norm(vectors, axis=1)
+    scale[scale == 0.0] = 1.0
+    if not np.linalg.cond(vectors / scale[:, None]) < _WORST_CONDITION:
+        return None
+    real = np.flatnonzero(values.imag == 0)
+    return _ModalForm(values, vectors, np.flatnonzero(values.imag > 0), real[0::2], real[1::2])
+
+
+def _modal_steps(form: _ModalForm, inputs: Array, of_ports: slice, step: float, levels: int) -> _Steps:
+    left = np.linalg.inv(form.vectors)
+    left_inputs = left @ inputs
+    size = 2 * form.pairs
+    pair = np.zeros((levels + 1, 4, form.pairs))
+    holds = np.zeros((levels + 1, 4, 4, form.pairs))
+    weights = [np.zeros((levels + 1, size, inputs.shape[1])) for _ in range(6)]
+    steps = step / 2.0 ** np.arange(levels + 1)
+    with np.errstate(over="ignore", invalid="ignore"):  # what grows without bound is refused when it moves
+        phi_of_levels = phi_functions(np.asarray(form.values * steps[:, None], dtype=complex), 4)
+    for level in range(levels + 1):
+        phi = phi_of_levels[:, level]
+        pair[level] = form.blocks(phi[0])
+        found = _holds(phi[1:], step / 2.0**level)
+        for weight, hold in zip(weights, found, strict=True):
+            weight[level] = form.rows(hold[:, None] * left_inputs)
+        for row, hold in enumerate(found[2:]):
+            holds[level, row] = form.blocks(hold)
+    projection = form.rows(left_inputs[:, of_ports]).T.copy()
+    return _Steps(pair, np.zeros((0, size, size)), weights, form.from_working, form.rows(left), projection, holds)
+
+
+def _dense_steps(space: StateSpace, inputs: Array, step: float, levels: int) -> _Steps:
+    size = space.size
+    dense = np.zeros((levels + 1, size, size))
+    weights = [np.zeros((levels + 1, size, inputs.shape[1])) for _ in range(6)]
+    for level in range(levels + 1):
+        h = step / 2.0**level
+        augmented = np.zeros((5 * size, 5 * size))
+        augmented[:size, :size] = space.a * h
+        for k in range(4):
+            augmented[k * size : (k + 1) * size, (k + 1) * size : (k + 2) * size] = np.eye(size)
+        exponential = expm(augmented)[:size]
+        dense[level] = exponential[:, :size]
+        phi_matrices = [exponential[:, (k + 1) * size : (k + 2) * size] for k in range(4)]
+        for weight, hold in zip(weights, _holds(phi_matrices, h), strict=True):
+            weight[level] = hold @ inputs
+    unit = np.eye(size)
+    return _Steps(np.zeros((0, 4, 0)), dense, weights, unit, unit, np.zeros((0, 0)), np.zeros((0, 4, 4, 0)))
+
+
+def _port_rows(space: StateSpace) -> tuple[Array, Array, Array]:
+    """What the ports see of the state, of each input and of the port forces: rows (R, N), (exciters, R), (R, ports)."""
+    m = space.mechanical_size
+    count = space.directions.shape[0]  # ports of local elements
+    local = 3 * count
+    total = local + 2 * space.observed.shape[0]
+    port_map = space.directions[:, :m]
+    rows = np.zeros((total, space.size))
+    rows[:count, :m] = port_map
+    rows[count : 2 * count, m : 2 * m] = port_map
+    rows[2 * count : local] = port_map @ space.a[m : 2 * m]
+    feedthrough = np.zeros((total, space.b_ports.shape[1]))
+    feedthrough[2 * count : local] = port_map @ space.b_ports[m : 2 * m]
+    port_inputs = np.zeros((space.b_inputs.shape[1], total))
+    for j, b_input in enumerate(space.b_inputs.T):
+        port_inputs[j, 2 * count : local] = port_map @ b_input[m : 2 * m]
+    if space.couplings:
+        rates = local + space.observed.shape[0]
+        rows[local:rates] = space.observed
+        rows[rates:] = space.observed @ space.a
+        feedthrough[rates:] = space.observed @ space.b_ports
+        for j, b_input in enumerate(space.b_inputs.T):
+            port_inputs[j, rates:] = space.observed @ b_input
+    return rows, port_inputs, feedthrough

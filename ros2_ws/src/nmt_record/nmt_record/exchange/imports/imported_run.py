@@ -20,7 +20,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import LevelCommand, LockEvent, LoopStatus
 from nmt_core.messages.wire import LEVEL, LOCK_EVENT, BlockWriter, write_status
 from nmt_core.vocabulary import ControlKind, LoopState, TestKind
-from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bag_writer import BagWriter, Storage
 from nmt_record.bag.bench_topics import BENCH_TOPICS
 from nmt_record.bag.message_definitions import local_definitions
 from nmt_record.exchange.clocks.column_clock import Clock, find_clock
@@ -219,7 +219,7 @@ def write_import(run: ImportedRun, folder: Path, rig: str, rig_yaml: str, versio
         folder,
         run_json=json.dumps(_description(run, rig, versions)),
         rig_yaml=rig_yaml,
-        flush_interval=math.inf,
+        storage=Storage(flush_interval=math.inf),
         # The same import gives the same file.
         clock=lambda: 0,
     )

@@ -175,7 +175,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     },
     "MatricesSection": {
         "kind": "mass, stiffness and damping matrix, for example of a finite-element code",
-        "points_at": "points and the rows of the matrices that move there",
+        "points_at": "points and the nodes or rows of the matrices that move there",
         "mass_kg": "mass matrix, by rows",
         "stiffness_n_m": "stiffness matrix, by rows",
         "damping_ns_m": "damping matrix, by rows; left out = none, or by `damping_ratios`",
@@ -183,10 +183,16 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "base_vector": "displacement of each row by that of a shaking table",
         "base_load_kg": "load of each row by the acceleration of the table; left out = mass matrix times `base_vector`",
         "file": "`.npz` or `.mat` (up to -v7) with M, K and, where there are, C, r (`base_vector`), p "
-        "(`base_load_kg`), relative to the rig file; read when the rig is loaded",
+        "(`base_load_kg`), or a file of a finite-element program, relative to the rig file; read when the rig is "
+        "loaded",
         "mass_file": "mass matrix alone: Matrix Market (`.mtx`), `.npy`, or scipy's sparse `.npz`",
         "stiffness_file": "stiffness matrix alone",
         "damping_file": "damping matrix alone",
+        "rows_file": "node.direction of each row, as `17.3` for node 17 in z, or EXTRN cards of Nastran, for matrices "
+        "that do not name their rows",
+        "nodes_file": "coordinates of the nodes: `*NODE` of Abaqus or CalculiX, GRID cards, or node,x,y,z a line",
+        "units": "length, mass and force of the files, as `mm-t-N`; left out = `m-kg-N`, asked for where the mass "
+        "cannot be",
         "modes": "reduce to the points and this number of modes with the points held (Craig–Bampton); needed beyond 60 "
         "rows",
         "mass_factor": "factor on the mass matrix",
@@ -196,8 +202,12 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     },
     "MatrixPointSection": {
         "point": "point number",
-        "row": "row of the matrices of its lateral motion, counted from 0",
+        "row": "row of the matrices of its lateral motion, counted from 0; follows from `node` or `at`",
         "rotation_row": "row of its rotation; left out = it does not rotate",
+        "node": "its node, in place of `row`",
+        "at": "a place in the units of the file, in place of `row`: the node next to it, told with its distance",
+        "direction": "direction of its motion, beside `node` or `at`",
+        "rotation": "direction of its rotation, beside `node` or `at`",
     },
     "ChainSection": {
         "kind": "masses in a row",

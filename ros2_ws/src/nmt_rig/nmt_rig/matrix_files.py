@@ -1,4 +1,4 @@
-"""Matrices from files: NPZ or MATLAB with several of them, or one of each in Matrix Market, NPZ or NPY form."""
+"""Matrices from files: NPZ, MATLAB, those of finite-element programs, or one of each in Matrix Market, NPZ, NPY."""
 
 from __future__ import annotations
 
@@ -13,6 +13,20 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import LARGEST_ARRAYS, open_regular, read_array, read_arrays
 from nmt_core.files.mat_file import read_mat
 from nmt_rig.file_errors import BadFileError
+from nmt_rig.named_rows import ModelPart, NamedModel, label, united
+from nmt_rig.superelement_binaries import read_full, read_op2, read_op4
+from nmt_rig.superelement_texts import (
+    is_matrix_market,
+    quantity_of,
+    read_abaqus,
+    read_calculix,
+    read_dmig,
+    read_nodes,
+    read_row_names,
+    sister,
+)
+
+QUANTITIES = ("mass", "stiffness", "damping")
 
 _NAMES = {
     "mass": ("M", "mass"), "stiffness": ("K", "stiffness"), "damping": ("C", "damping"),
@@ -20,6 +34,81 @@ _NAMES = {
 }  # fmt: skip
 # What scipy.sparse.save_npz writes.
 _SPARSE = ("data", "indices", "indptr", "shape")
+_BULK = (".pch", ".bdf", ".dat", ".nas", ".asm", ".dmig")
+_LISTS = (".sti", ".mas", ".dam")
+_TEXTS = (".mtx", ".inp", ".txt")
+
+
+def read_part(path: Path, quantity: str | None = None) -> ModelPart:
+    """What one file says of a structure: several matrices, or one.
+
+    Args:
+        path: the file.
+        quantity: which matrix it is where the rig file says so, None where the file has to.
+
+    Raises:
+        BadFileError: another kind of file, or nothing in it that is needed.
+        OSError: the file cannot be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix in _TEXTS and not is_matrix_market(path):
+        return read_abaqus(path, quantity or quantity_of(path))
+    if suffix in _LISTS:
+        return read_calculix(path, str(quantity or quantity_of(path)))
+    reader = {".op4": read_op4, ".op2": read_op2, ".full": read_full, **dict.fromkeys(_BULK, read_dmig)}.get(suffix)
+    if reader is not None:
+        part = reader(path)
+        if quantity is None:
+            return part
+        if quantity not in part.matrices and quantity not in part.entries:
+            raise BadFileError(f"it has no {quantity}")
+        return ModelPart(
+            {name: value for name, value in part.matrices.items() if name == quantity}, part.labels,
+            {name: value for name, value in part.entries.items() if name == quantity}, part.nodes,
+        )  # fmt: skip
+    if suffix == ".sub":
+        raise BadFileError("no package reads .sub; write its matrices with *EXPORT,…,MMF of APDL (Matrix Market)")
+    return ModelPart({quantity: read_matrix(path)}) if quantity else _named_arrays(path)
+
+
+def read_model(paths: Mapping[str, Path]) -> NamedModel:
+    """One structure from its files.
+
+    Args:
+        paths: by key of the rig file: file, mass_file, stiffness_file, damping_file, rows_file, nodes_file. A file that
+            holds one matrix as Abaqus and CalculiX write it stands for those beside it, too.
+
+    Raises:
+        BadFileError: what is wrong with the files together; with one of them, it names the file.
+        OSError: a file cannot be read.
+    """
+    parts = []
+    for key, path in paths.items():
+        try:
+            if key == "rows_file":
+                parts.append(ModelPart(labels=read_row_names(path)))
+            elif key == "nodes_file":
+                parts.append(read_nodes(path))
+            elif key == "file":
+                parts.extend(_with_sisters(path, read_part(path)))
+            else:
+                parts.append(read_part(path, key.removesuffix("_file")))
+        except BadFileError as error:
+            raise BadFileError(f"{path.name}: {error}") from error
+    return united(parts)
+
+
+def _with_sisters(path: Path, part: ModelPart) -> list[ModelPart]:
+    """A part, and those of the other matrices that the program wrote beside its file."""
+    quantity = quantity_of(path)
+    if (
+        quantity is None
+        or [*part.matrices, *part.entries] != [quantity]
+        or path.suffix.lower() not in (*_LISTS, *_TEXTS)
+    ):
+        return [part]
+    beside = {name: sister(path, quantity, name) for name in QUANTITIES if name != quantity}
+    return [part, *(read_part(found, name) for name, found in beside.items() if found is not None)]
 
 
 def read_matrices(path: Path) -> dict[str, Any]:
@@ -31,12 +120,26 @@ def read_matrices(path: Path) -> dict[str, Any]:
         BadFileError: another kind of file, or none of the names in it.
         OSError: the file cannot be read.
     """
+    return dict(_named_arrays(path).matrices)
+
+
+def _named_arrays(path: Path) -> ModelPart:
+    """Matrices of an NPZ or MATLAB file; `rows` (n, 2) names their rows by node and direction, `nodes` (m, 4) are
+    number and coordinates, `coordinate` names rows as SDynPy does.
+
+    Raises:
+        BadFileError: another kind of file, or none of the names in it.
+        OSError: the file cannot be read.
+    """
     if path.suffix.lower() == ".npz":
         content = _weighed(read_arrays, path)
     elif path.suffix.lower() == ".mat":
         content = _weighed(read_mat, path)
     else:
-        raise BadFileError("structure.file must be .npz or .mat; single matrices go into mass_file and stiffness_file")
+        raise BadFileError(
+            "structure.file must be .npz or .mat, .pch, .bdf, .op4, .op2, .mtx, .sti, .full; single matrices go into "
+            "mass_file and stiffness_file"
+        )
     found: dict[str, Any] = {}
     for quantity, names in _NAMES.items():
         for name in names:
@@ -47,7 +150,43 @@ def read_matrices(path: Path) -> dict[str, Any]:
                 break
     if not found:
         raise BadFileError(f"it has none of M, K, C; it has {', '.join(sorted(content)) or 'nothing'}")
-    return found
+    return ModelPart(found, _row_labels(content), nodes=_node_table(content))
+
+
+def _row_labels(content: Mapping[str, Any]) -> Any:
+    """Labels of `rows`, or of the coordinates of SDynPy; None without them."""
+    if "coordinate" in content:
+        fields = np.asarray(content["coordinate"])
+        if fields.dtype.names is None or not {"node", "direction"} <= set(fields.dtype.names):
+            raise BadFileError("coordinate is not an array of nodes and directions of SDynPy")
+        change = content.get("transformation")
+        if change is not None and not (change.ndim == 2 and np.array_equal(change, np.eye(*change.shape))):
+            raise BadFileError("its transformation is not the identity; save the system in its physical coordinates")
+        pairs = np.stack([fields["node"].reshape(-1), fields["direction"].reshape(-1)], axis=1)
+    elif "rows" in content:
+        pairs = np.asarray(content["rows"])
+    else:
+        return None
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "biuf":
+        raise BadFileError("rows must have two columns: node and direction 1 to 6")
+    numbers = pairs.astype(float)
+    if np.any(numbers != np.round(numbers)) or np.any((numbers[:, 1] < 0) | (numbers[:, 1] > 99)):
+        raise BadFileError("rows must be whole numbers: node and direction 1 to 6")
+    if np.any(np.abs(numbers) > 1e12):
+        raise BadFileError("rows name nodes beyond 10¹²")
+    return label(pairs[:, 0], pairs[:, 1])
+
+
+def _node_table(content: Mapping[str, Any]) -> Any:
+    """(m, 4) number and coordinates of `nodes`; None without them."""
+    if "nodes" not in content:
+        return None
+    table = _number_array(content["nodes"], "nodes")
+    if sparse.issparse(table) or table.ndim != 2 or table.shape[1] != 4 or not np.all(np.isfinite(table)):
+        raise BadFileError("nodes must have four columns of finite numbers: number, x, y, z")
+    if np.any(np.abs(table[:, 0]) > 1e12):
+        raise BadFileError("nodes has numbers beyond 10¹²")
+    return table
 
 
 def read_matrix(path: Path) -> Any:

@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,21 +22,27 @@ from nmt_core.files.yaml_document import YamlDocument
 from nmt_rig.file_errors import BadFileError
 from nmt_rig.modal_files import read_modal_csv, read_uff55
 
+if TYPE_CHECKING:
+    from nmt_rig.named_rows import NamedModel
+
 # Larger structures are integrated too slowly, and their rig files become too long.
 LARGEST = 60
 _LARGEST_CONDENSED = 2000
 # The reduction of smaller files takes less time than a node's start.
 _SMALL_FILE = 2**18
 # Changes where the reduction gives other numbers for the same files.
-_REDUCTION = "1"
-_FILE_KEYS = ("file", "mass_file", "stiffness_file", "damping_file")
+_REDUCTION = "2"
+_FILE_KEYS = ("file", "mass_file", "stiffness_file", "damping_file", "rows_file", "nodes_file")
+_DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 _MATRIX_KEYS = ("mass_kg", "stiffness_n_m", "damping_ns_m")
 
 
 def names_files(key: str) -> bool:
     """Whether an override's key says which files or reduction a structure is read with, or replaces the structure."""
     first, _, rest = key.partition(".")
-    return first == "structure" and rest in ("", *_FILE_KEYS, "modes", "direction", "points_at", "base_vector")
+    return first == "structure" and rest in (
+        "", *_FILE_KEYS, "units", "modes", "direction", "points_at", "base_vector"
+    )  # fmt: skip
 
 
 def with_file_contents(document: YamlDocument, folder: Path) -> YamlDocument:
@@ -170,14 +176,16 @@ def _modal(document: YamlDocument, structure: Mapping[str, Any], folder: Path) -
 def _matrices(document: YamlDocument, structure: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     key = next((key for key in _FILE_KEYS if structure.get(key) is not None), "modes")
     place = document.place(("structure", key))
-    paths = {name: _path(document, structure, name, folder) for name in _FILE_KEYS}
-    points_at, kept = _kept_rows(document, structure.get("points_at"))
+    named = {name: _path(document, structure, name, folder) for name in _FILE_KEYS}
+    paths = {name: path for name, path in named.items() if path is not None}
+    entries = _point_entries(document, structure.get("points_at"), bool(paths))
     source = _source(*paths.values())
-    stored = _stored_reduction(structure, paths, kept)
-    found = _read_reduction(stored, len(kept))
+    stored = _stored_reduction(structure, paths, entries)
+    found = _read_reduction(stored, len(entries))
     if not found:
         try:
-            found = _reduced(_quantities(document, structure, key, paths), kept, structure.get("modes"))
+            model = _model(document, structure, key, paths)
+            found = _reduced(model, entries, structure)
         except ValueError as error:
             raise BenchError(f"{place}: {error}.") from error
         if stored is not None:
@@ -185,32 +193,26 @@ def _matrices(document: YamlDocument, structure: Mapping[str, Any], folder: Path
             with contextlib.suppress(OSError):
                 stored.parent.mkdir(exist_ok=True)
                 write_whole(stored, json.dumps(found))
-    number, note = dict(zip(kept, found.pop("rows"), strict=True)), found.pop("note")
-    points_at = [
-        {name: value if name == "point" or value is None else number[value] for name, value in entry.items()}
-        for entry in points_at
-    ]
-    rest = {k: v for k, v in structure.items() if k not in (*_FILE_KEYS, *_MATRIX_KEYS, "modes", "base_vector")}
+    note = found.pop("note")
+    away = (*_FILE_KEYS, *_MATRIX_KEYS, "units", "modes", "base_vector")
+    rest = {k: v for k, v in structure.items() if k not in away}
     source = f"{source}; {note}" if source and note else source or structure.get("source", "")
-    return rest | {"points_at": points_at, **found, "source": source}
+    return rest | {**found, "source": source}
 
 
-def _quantities(
-    document: YamlDocument, structure: Mapping[str, Any], key: str, paths: Mapping[str, Path | None]
-) -> dict[str, Any]:
+def _model(document: YamlDocument, structure: Mapping[str, Any], key: str, paths: Mapping[str, Path]) -> NamedModel:
     """Matrices and vectors by quantity, from the files and from what stands in the rig file itself."""
     # Late: file formats of scipy take a third of a second, in every node that loads a rig.
-    from nmt_rig.matrix_files import read_matrices, read_matrix
+    from nmt_rig.matrix_files import read_model
 
     place = document.place(("structure", key))
-    found: dict[str, Any] = {}
-    for name, path in paths.items():
-        if path is None:
-            continue
-        read = read_matrices if name == "file" else read_matrix
-        content = _reading(document.place(("structure", name)), path, read)
-        given = content if name == "file" else {name.removesuffix("_file"): content}
-        _once(found, given, place, key, name)
+    try:
+        model = read_model(paths)
+    except OSError as error:
+        raise BenchError(f"{place}: {error.filename} cannot be read: {error.strerror or error}.") from error
+    except BadFileError as error:
+        raise BenchError(f"{place}: {error}.") from error
+    found = model.matrices
     for name in (*_MATRIX_KEYS, "base_vector", "base_load_kg"):
         if structure.get(name) is None or structure[name] == []:
             continue
@@ -221,33 +223,39 @@ def _quantities(
             raise BenchError(
                 f"{document.place(('structure', name))}: structure.{name} must be rows of numbers of equal length."
             ) from error
-        _once(found, {quantity: value}, place, key, name)
+        if quantity in found:
+            raise BenchError(f"{place}: structure.{key} and structure.{name} both give the {quantity}; remove one.")
+        found[quantity] = value
     for quantity in ("mass", "stiffness"):
         if quantity not in found:
             raise BenchError(f"{place}: the {quantity} matrix is missing; give structure.file, or {quantity}_file.")
     if "damping" in found and structure.get("damping_ratios") is not None:
         raise BenchError(f"{place}: the files give a damping matrix, and structure.damping_ratios too; remove one.")
-    return found
+    return model
 
 
-def _once(found: dict[str, Any], given: Mapping[str, Any], place: str, key: str, name: str) -> None:
-    """Take quantities that nothing else gives."""
-    for quantity in given:
-        if quantity in found:
-            raise BenchError(f"{place}: structure.{key} and structure.{name} both give the {quantity}; remove one.")
-    found.update(given)
-
-
-def _reduced(quantities: Mapping[str, Any], kept: list[int], modes: Any) -> dict[str, Any]:
-    """Matrices of at most ``LARGEST`` rows as lists, the new rows of the kept ones, what was condensed in words.
+def _reduced(model: NamedModel, entries: list[dict[str, Any]], structure: Mapping[str, Any]) -> dict[str, Any]:
+    """Matrices of at most ``LARGEST`` rows as lists, points with their rows of them, what was done in words.
 
     Raises:
-        ValueError: matrices that are no passive structure, or too large without `modes`.
+        ValueError: points that the files do not have, matrices that are no passive structure, or too large without
+            `modes`, or figures that cannot be in SI units where no others are stated.
     """
     # Late: scipy's sparse matrices take a third of a second, in every node that loads a rig.
-    from nmt_rig.model.matrix_structure import Matrices, condensed, craig_bampton
+    from nmt_rig.model.matrix_structure import Matrices, condensed, craig_bampton, regular
+    from nmt_rig.named_rows import Units
 
-    matrices = Matrices(**quantities).checked()
+    units, modes = structure.get("units"), structure.get("modes")
+    points_at, notes = _found_points(model, entries)
+    kept = [entry[key] for entry in points_at for key in ("row", "rotation_row") if entry.get(key) is not None]
+    rotations = [entry["rotation_row"] for entry in points_at if entry.get("rotation_row") is not None]
+    system = Units.named(str(units or "m-kg-N"))
+    if units is None and (doubt := model.doubt_of_units()):
+        raise ValueError(
+            f"read in metres, kilograms and newtons {doubt}; state the units of the file, as units: mm-t-N"
+        )
+    turned = [entry["row"] for entry in points_at if str(entry.get("direction")).startswith("r")]
+    matrices = Matrices(**system.in_si(model.matrices, rotations + turned)).checked()
     if beyond := [row for row in kept if row >= matrices.size]:
         raise ValueError(f"structure.points_at names row {beyond[0]}, but the rows are 0 to {matrices.size - 1}")
     massless = int(matrices.massless().size)
@@ -269,28 +277,64 @@ def _reduced(quantities: Mapping[str, Any], kept: list[int], modes: Any) -> dict
             f"row {kept[rows.index(without[0])] if without[0] in rows else without[0]} moves a point or a damper and "
             "has no mass; reduce the structure with structure.modes"
         )
+    if not regular(plain.mass):
+        raise ValueError("a combination of the rows moves no mass; reduce the structure with structure.modes")
     found = {"mass_kg": plain.mass, "stiffness_n_m": plain.stiffness, "damping_ns_m": plain.damping,
              "base_vector": matrices.base_vector, "base_load_kg": matrices.load()}  # fmt: skip
     lists = {name: np.asarray(value, dtype=float).tolist() for name, value in found.items() if value is not None}
-    note = f"{massless} rows without mass follow the others statically" if massless else ""
-    return {**lists, "rows": rows, "note": note}
+    if massless:
+        notes.append(f"{massless} rows without mass follow the others statically")
+    if model.held:
+        notes.append(f"{model.held} rows are held and were left out")
+    number = dict(zip(kept, rows, strict=True))
+    placed = [
+        {k: number[v] if k in ("row", "rotation_row") and v is not None else v for k, v in entry.items()}
+        for entry in points_at
+    ]
+    return {**lists, "points_at": placed, "note": "; ".join(notes)}
 
 
-def _stored_reduction(structure: Mapping[str, Any], paths: Mapping[str, Path | None], kept: list[int]) -> Path | None:
+def _found_points(model: NamedModel, entries: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[str]]:
+    """Points with the rows that their nodes and directions are, and which node is next to a place, in words.
+
+    Raises:
+        ValueError: a node, a direction or coordinates that the files do not have.
+    """
+    found, notes = [], []
+    for entry in entries:
+        if entry.get("row") is not None:
+            found.append(entry)
+            continue
+        number, node = entry["point"], entry.get("node")
+        try:
+            if node is None:
+                node, distance = model.nearest(entry["at"])
+                notes.append(f"point {number} is node {node}, {distance:.3g} from its place")
+            rows = {"row": model.row(node, entry["direction"])}
+            if entry.get("rotation") is not None:
+                rows["rotation_row"] = model.row(node, entry["rotation"])
+        except ValueError as error:
+            raise ValueError(f"point {number}: {error}") from error
+        found.append({**entry, "node": node, **rows})
+    return found, notes
+
+
+def _stored_reduction(
+    structure: Mapping[str, Any], paths: Mapping[str, Path], entries: list[dict[str, Any]]
+) -> Path | None:
     """Where the reduction of large files is kept, named by the digest of all that it follows from; None without one."""
-    files = [path for path in paths.values() if path is not None]
+    files = list(paths.values())
     if structure.get("modes") is None or not files or sum(path.stat().st_size for path in files) < _SMALL_FILE:
         return None
-    digest = hashlib.sha256(f"{_REDUCTION} {kept} {structure['modes']}".encode())
+    digest = hashlib.sha256(f"{_REDUCTION} {entries} {structure['modes']} {structure.get('units')}".encode())
     for name, path in paths.items():
-        if path is not None:
-            digest.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}".encode())
+        digest.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}".encode())
     for name in (*_MATRIX_KEYS, "base_vector", "base_load_kg", "damping_ratios"):
         digest.update(repr(structure.get(name)).encode())
     return files[0].parent / ".nmt-reduced" / f"{files[0].name}-{digest.hexdigest()[:16]}.json"
 
 
-def _read_reduction(path: Path | None, kept: int) -> dict[str, Any]:
+def _read_reduction(path: Path | None, points: int) -> dict[str, Any]:
     """What was kept of a reduction; empty where there is none, or it is damaged."""
     if path is None or not path.is_file():
         return {}
@@ -298,19 +342,38 @@ def _read_reduction(path: Path | None, kept: int) -> dict[str, Any]:
         found = json_value(read_text(path, "reduced structure"), path.name, bounded=False)
     except BenchError:
         return {}
-    good = isinstance(found, dict) and {"mass_kg", "stiffness_n_m", "rows", "note"} <= set(found)
-    return found if good and isinstance(found["rows"], list) and len(found["rows"]) == kept else {}
+    good = isinstance(found, dict) and {"mass_kg", "stiffness_n_m", "points_at", "note"} <= set(found)
+    return found if good and isinstance(found["points_at"], list) and len(found["points_at"]) == points else {}
 
 
-def _kept_rows(document: YamlDocument, points_at: Any) -> tuple[list[dict[str, Any]], list[int]]:
-    """Entries of points_at as they are, and the rows that they name, in order."""
+def _point_entries(document: YamlDocument, points_at: Any, files: bool) -> list[dict[str, Any]]:
+    """Entries of points_at, each by a row, by a node and its direction, or by a place and a direction.
+
+    A rig that carries its matrices names rows; node and place then only say where they come from.
+    """
     place = document.place(("structure", "points_at"))
-    good = isinstance(points_at, list) and points_at and all(isinstance(entry, dict) for entry in points_at)
-    rows = [entry.get(key) for entry in points_at for key in ("row", "rotation_row")] if good else [None]
-    named = [row for row in rows if row is not None]
-    if not good or not all(isinstance(row, int) and row >= 0 for row in named) or any(row is None for row in rows[::2]):
-        raise BenchError(
-            f"{place}: structure.points_at must be a list of points with their rows of the matrices, counted from 0: "
-            "{point: 1, row: 12}."
-        )
-    return points_at, named
+    example = "{point: 1, node: 17, direction: z}, {point: 1, at: [0.2, 0, 0], direction: z} or {point: 1, row: 12}"
+    if not isinstance(points_at, list) or not points_at or not all(isinstance(entry, dict) for entry in points_at):
+        raise BenchError(f"{place}: structure.points_at must be a list of points: {example}.")
+    for entry in points_at:
+        rows = [entry.get(key) for key in ("row", "rotation_row") if entry.get(key) is not None]
+        by_row = entry.get("row") is not None and all(_is_whole(row) and row >= 0 for row in rows)
+        names = [key for key in ("node", "at") if entry.get(key) is not None]
+        by_name = not rows and len(names) == 1 and entry.get("direction") in _DIRECTIONS
+        by_name = by_name and entry.get("rotation") in (None, *_DIRECTIONS[3:])
+        by_name = by_name and (_is_whole(entry.get("node")) if names == ["node"] else _is_place(entry.get("at")))
+        if not ((by_name and files) or (by_row and not (files and names))):
+            raise BenchError(f"{place}: structure.points_at must be a list of points, each by one of {example}.")
+    return points_at
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_place(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == 3
+        and all(isinstance(x, int | float) and not isinstance(x, bool) and np.isfinite(x) for x in value)
+    )

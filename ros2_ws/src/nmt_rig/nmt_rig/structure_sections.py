@@ -155,11 +155,15 @@ class ModalSection(StructureSection):
 
 
 class MatrixPointSection(Section):
-    """Rows of the matrices, counted from 0, that a point's lateral motion and its rotation are."""
+    """Where a point moves in the matrices: a node and its direction, the node next to a place, or a row from 0."""
 
     point: Point
     row: Annotated[int, Field(ge=0)]
     rotation_row: Annotated[int, Field(ge=0)] | None = None
+    node: int | None = None
+    at: Annotated[list[float], Field(min_length=3, max_length=3)] | None = None
+    direction: Literal["x", "y", "z", "rx", "ry", "rz"] | None = None
+    rotation: Literal["rx", "ry", "rz"] | None = None
 
 
 class MatricesSection(StructureSection):
@@ -177,6 +181,9 @@ class MatricesSection(StructureSection):
     mass_file: str | None = None
     stiffness_file: str | None = None
     damping_file: str | None = None
+    rows_file: str | None = None
+    nodes_file: str | None = None
+    units: str | None = None
     modes: Annotated[int, Field(ge=0)] | None = None
     mass_factor: Positive = 1.0
     stiffness_factor: Positive = 1.0

@@ -18,6 +18,13 @@ from nmt_rig.model.structure import Array
 _ROUNDING = 1e-8
 # Pivots below this share of the largest diagonal entry say that a structure moves freely.
 _FREE = 1e-12
+# Share of the mean ω² of the rows that the stiffness of a free structure is lifted by.
+_LIFT = 1e-9
+# Share of the largest 1/ω² below which a mode has no mass.
+_MASSLESS = 1e-14
+_RIGID_BODY_MODES = 6
+# Of the ω² of the next mode; ten thousand in frequency.
+_RIGID = 1e-8
 # Up to this size all eigenvalues are computed, beyond it the lowest ones by Lanczos iteration.
 _DENSE = 600
 
@@ -74,8 +81,7 @@ class Matrices:
             vector = getattr(self, name)
             if vector is not None and (vector.shape != (n,) or not np.all(np.isfinite(vector))):
                 raise ValueError(f"{name} must have {n} finite entries")
-        massive = np.setdiff1d(np.arange(n), _empty_rows(result["mass"]))
-        if not massive.size or not _positive_definite(_block(result["mass"], massive, massive)):
+        if not _massive(result["mass"]):
             raise ValueError(
                 "the mass must be positive definite but for rows of zeros; export it without Lagrange multipliers and "
                 "with the rigid elements eliminated"
@@ -164,6 +170,27 @@ def _factor(matrix: Any) -> Any:
     return factor if np.array_equal(factor.perm_r, factor.perm_c) else None
 
 
+def _massive(mass: Any) -> bool:
+    """Whether a mass is positive definite but for rows of zeros, within rounding of each row's own entries.
+
+    Superelements have combinations of rows that move no mass, too, as turning about a bar has.
+    """
+    massive = np.setdiff1d(np.arange(mass.shape[0]), _empty_rows(mass))
+    block = _block(mass, massive, massive)
+    diagonal = block.diagonal()
+    if not massive.size or np.any(diagonal <= 0.0):
+        return False
+    scale = sparse.diags(1.0 / np.sqrt(diagonal))
+    scaled = scale @ block @ scale if sparse.issparse(block) else block / np.sqrt(np.outer(diagonal, diagonal))
+    return _positive_definite(scaled, lift=True)
+
+
+def regular(mass: Array) -> bool:
+    """Whether a dense mass is positive definite beyond rounding, each row by its own entries."""
+    size = np.sqrt(np.diag(mass))
+    return bool(np.linalg.eigvalsh(mass / np.outer(size, size))[0] > 1e-12)
+
+
 def _positive_definite(matrix: Any, lift: bool = False) -> bool:
     """Whether a symmetric matrix is positive definite; with `lift` positive semidefinite within rounding."""
     largest = float(np.max(np.abs(matrix.diagonal()), initial=0.0))
@@ -235,6 +262,32 @@ def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matric
     )
 
 
+def lowest_frequencies(matrices: Matrices, count: int) -> Array:
+    """The lowest angular frequencies of the full structure, rad/s, behind zeros for the rigid-body modes of a free one.
+
+    Args:
+        matrices: checked matrices of n degrees of freedom.
+        count: number of frequencies beside the zeros; fewer come back where fewer rows have mass.
+
+    Raises:
+        ValueError: rows without mass and stiffness.
+    """
+    heavy = matrices.size - _empty_rows(matrices.mass).size
+    stiffness, mass = sparse.csc_matrix(matrices.stiffness), sparse.csc_matrix(matrices.mass)
+    lift = _LIFT * float(stiffness.diagonal().sum() / mass.diagonal().sum())
+    lifted = (stiffness + lift * mass).tocsc()
+    factor = _factor(lifted)
+    if factor is None or not np.all(factor.U.diagonal() > 0.0):
+        raise ValueError("rows without mass are not held by any stiffness")
+    modes = _lowest(lifted, mass, factor, min(count + _RIGID_BODY_MODES, heavy))
+    squares = np.einsum("ij,ij->j", modes, np.asarray(stiffness @ modes))
+    # Rounding leaves rigid-body modes a stiffness; nothing else lies so far below the next mode.
+    candidates = range(1, min(_RIGID_BODY_MODES, squares.size - 1) + 1)
+    free = max((k for k in candidates if squares[k - 1] < _RIGID * squares[k]), default=0)
+    squares[:free] = 0.0
+    return np.asarray(np.sqrt(squares[: free + count]))
+
+
 def _held(stiffness: Any) -> Any:
     """Factor of a stiffness that leaves no rigid-body motion, regular within rounding; None where it leaves one."""
     factor = _factor(stiffness)
@@ -250,6 +303,9 @@ def _lowest(stiffness: Any, mass: Any, factor: Any, count: int) -> Array:
     if n <= _DENSE or count >= n - 1:
         # Of the inverse problem, in which rows without mass have the eigenvalue 0.
         values, vectors = eigh(mass.toarray(), stiffness.toarray(), subset_by_index=[n - count, n - 1])
+        if values[0] <= _MASSLESS * values[-1]:
+            heavy = int(np.sum(values > _MASSLESS * values[-1]))
+            raise ValueError(f"{heavy} modes of the structure have mass, {count} are asked for")
         return np.asarray(vectors[:, ::-1] / np.sqrt(values[::-1]))
     # A fixed start vector: the same file gives the same numbers.
     inverse = LinearOperator((n, n), matvec=factor.solve, dtype=float)

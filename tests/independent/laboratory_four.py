@@ -1,234 +1,257 @@
-"""Laboratory four: robots simulated by MuJoCo with a drive, an encoder and a logger, one cause or none in each.
+"""Laboratory four: robots simulated by MuJoCo with drives, encoders and a logger, one cause, two or none in each.
 
-An arm and a leg with three joints and a single geared joint are driven by a PD law at 1 kHz that holds its command,
-log a quantised encoder, a filtered speed and a measured or computed torque, and are known by a model with the ordinary
-errors of a user. Run from the root of the repository::
-
-    PYTHONPATH=tests python -m independent.laboratory_four make --seeds 0:24 --out four
-    PYTHONPATH=tests python -m independent.laboratory_four score four
-
-``make`` writes a folder for each case: ``robot.xml``, ``log.npz``, ``log.yaml`` and ``truth.yaml``, which no diagnosis
-sees. ``score`` diagnoses every case and compares.
+An arm and a leg with three joints and a single geared joint are known by a model with the ordinary errors of a user.
+``campaign.py`` makes the cases and ``./nmt blind laboratory`` diagnoses them: ``robot.xml``, ``log.npz``, ``log.yaml``
+and ``truth.yaml``, which no diagnosis sees.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
-from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from independent.campaign import seeds_of
+from independent.simulated_robot import SECONDS, STEP_S, Cause, Chain, Robot, command_of, logged, robot_text
 
-MECHANICAL = ("coulomb", "viscous", "armature", "spring", "gravity", "ripple")
-LOGGED = ("torque_lag", "command_held", "velocity_late", "clock_factor", "rows_repeated", "velocity_sign")
-KINDS = ("healthy", "mechanical", "log", "mechanical", "outside", "mechanical")
-"""In turn; outside: friction that changes with the temperature, which no library has."""
-STEP_S = 5e-4
-LOG_EVERY = 4
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What is true of a case."""
-
-    kind: str
-    cause: str
-    joint: str
-    size: float
-    factor: float
-
-
-def arm(names: tuple[str, ...], axes: tuple[str, ...], inertias: list[dict[str, Any]]) -> str:
-    """A chain of links as MJCF."""
-    text, ends = "", ""
-    for name, axis, link in zip(names, axes, inertias, strict=True):
-        diagonal = " ".join(f"{x:.6g}" for x in link["inertia"])
-        centre = " ".join(f"{x:.6g}" for x in link["centre"])
-        text += (
-            f'<body name="{name}_link" pos="0 0 {-link["before"]:.4g}">'
-            f'<inertial pos="{centre}" mass="{link["mass"]:.6g}" diaginertia="{diagonal}"/>'
-            f'<joint name="{name}" axis="{axis}" range="-3 3" armature="{link["armature"]:.6g}" '
-            f'damping="{link["damping"]:.6g}" frictionloss="{link["coulomb"]:.6g}"/>'
-        )
-        ends += "</body>"
-    return (
-        '<mujoco model="laboratory"><compiler angle="radian"/>'
-        f'<option timestep="{STEP_S}" integrator="implicitfast"/><worldbody>{text}{ends}</worldbody></mujoco>'
-    )
-
-
+KINDS = ("healthy", "effect", "log", "effect", "log", "two", "effect", "log", "effect", "effect", "log", "unknown")
+EFFECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "coulomb": (("coulomb",), ()),
+    "viscous": (("viscous",), ()),
+    "armature": (("armature",), ("inertia_scale",)),
+    "stribeck": (("stribeck",), ("root_friction", "coulomb")),
+    "ripple": (("ripple",), ()),
+    "gravity": (("gravity_scale", "mass_centre"), ("inertia_scale", "armature", "spring", "offset")),
+    "spring": (("spring",), ("gravity_scale", "mass_centre")),
+    "load_friction": (("load_friction", "efficiency"), ("coulomb",)),
+    "efficiency": (("load_friction", "efficiency"), ("coulomb",)),
+    "backlash": (("backlash",), ("jerk", "elastic", "transmission")),
+    "elastic": (("elastic",), ("jerk", "backlash", "transmission")),
+    "end_stop": (("end_stop",), ("spring",)),
+}
+"""By cause: terms that name it, and terms that are a part of it or its class."""
+FAULTS: dict[str, tuple[str, ...]] = {
+    "command_held": ("command_held",),
+    "command_late": ("command_lag", "torque_lag"),
+    "measurement_late": ("command_lag", "torque_lag"),
+    "clock_jitter": ("hidden_jitter", "uneven_clock"),
+    "clock_alternating": ("hidden_jitter", "uneven_clock"),
+    "clock_factor": ("clock_factor",),
+    "rows_dropped": ("hidden_jitter", "rows_missing"),
+    "rows_repeated": ("rows_repeated",),
+    "speed_filter": ("velocity_late",),
+    "torque_is_law": ("torque_is_law",),
+    "torque_constant": ("gain",),
+    "gain": ("gain",),
+    "saturation": ("saturation",),
+    "order": ("order", "gravity_sign", "out_of_range"),
+    "joint_sign": ("gravity_sign", "joint_sign", "order"),
+    "speed_sign": ("velocity_sign", "velocity_factor"),
+    "speed_degrees": ("velocity_factor", "clock_factor", "velocity_degrees"),
+    "degrees": ("degrees", "out_of_range"),
+    "wrap": ("wrap",),
+}
+"""By fault of the log: findings that name it."""
+UNKNOWN = ("temperature", "band", "hose")
 ROBOTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "arm": (("base", "shoulder", "elbow"), ("0 0 1", "0 1 0", "0 1 0")),
     "leg": (("hip", "thigh", "calf"), ("1 0 0", "0 1 0", "0 1 0")),
     "geared": (("drive",), ("0 1 0",)),
 }
+_GAINS = np.array([80.0, 60.0, 40.0]), np.array([2.0, 1.5, 1.0])
+_ARITHMETIC = ("command_late", "gain", "saturation", "command_held")
+"""Causes that are there only where the torque is computed."""
+_SHARED = ("command_held", "command_late", "measurement_late", "clock_jitter", "clock_alternating", "clock_factor",
+           "rows_dropped", "rows_repeated", "speed_filter", "speed_degrees", "degrees")  # fmt: skip
+"""Faults of all joints at once."""
+_MEASURED = ("torque_constant", "torque_is_law", "order")
 
 
 def links_of(robot: str, rng: Any) -> list[dict[str, Any]]:
     """True links."""
-    links = []
+    links: list[dict[str, Any]] = []
     for number in range(len(ROBOTS[robot][0])):
-        mass = float(rng.uniform(0.8, 3.0)) / (1.0 + 0.7 * number)
+        mass = float(rng.uniform(1.2, 3.0)) / (1.0 + 0.7 * number)
         length = float(rng.uniform(0.2, 0.35))
         links.append({
             "mass": mass, "before": 0.0 if number == 0 else links[-1]["length"], "length": length,
             "centre": [0.01, 0.0, -0.45 * length], "inertia": [mass * length**2 / 10.0] * 2 + [mass * length**2 / 40.0],
             "armature": float(rng.uniform(0.02, 0.06)), "damping": float(rng.uniform(0.15, 0.5)),
-            "coulomb": float(rng.uniform(0.3, 0.8)),
+            "coulomb": float(rng.uniform(0.3, 0.8)), "reach": 3.0,
         })  # fmt: skip
     return links
 
 
 def believed(links: list[dict[str, Any]], rng: Any) -> list[dict[str, Any]]:
-    """The same with the ordinary errors of a user."""
+    """The same with the ordinary errors of a user, at most two standard deviations."""
+
+    def error(size: float) -> float:
+        return 1.0 + size * float(np.clip(rng.standard_normal(), -2.0, 2.0))
+
     found = []
     for link in links:
+        inertia = [x * error(0.05) for x in link["inertia"]]
+        # A diagonal inertia must keep its triangle.
+        largest = max(inertia)
         found.append({
             **link,
-            "mass": link["mass"] * (1 + 0.02 * rng.standard_normal()),
-            "centre": [x + 0.002 * float(rng.standard_normal()) for x in link["centre"]],
-            "inertia": [x * (1 + 0.05 * float(np.clip(rng.standard_normal(), -2, 2))) for x in link["inertia"]],
-            "armature": link["armature"] * (1 + 0.05 * rng.standard_normal()),
-            "damping": link["damping"] * (1 + 0.15 * rng.standard_normal()),
-            "coulomb": link["coulomb"] * (1 + 0.10 * rng.standard_normal()),
+            "mass": link["mass"] * error(0.02),
+            "centre": [x + 0.002 * (error(1.0) - 1.0) for x in link["centre"]],
+            "inertia": [x if x == largest else max(x, 0.51 * largest) if x > 0.4 * largest else x for x in inertia],
+            "armature": link["armature"] * error(0.05),
+            "damping": link["damping"] * error(0.15),
+            "coulomb": link["coulomb"] * error(0.10),
         })  # fmt: skip
-        # A diagonal inertia must keep its triangle.
-        largest = max(found[-1]["inertia"])
-        found[-1]["inertia"] = [max(x, 0.51 * largest) if x != largest else x for x in found[-1]["inertia"]]
+        high, middle, low = sorted(found[-1]["inertia"], reverse=True)
+        if high > middle + low:
+            found[-1]["inertia"] = [min(x, middle + 0.99 * low) for x in found[-1]["inertia"]]
     return found
 
 
-def command_of(time_s: Any, joints: int, rng: Any) -> Any:
-    """Chirp and slow sines, out of phase between the joints."""
-    columns = []
-    for joint in range(joints):
-        phase = 2.0 * np.pi * (0.15 * time_s + 0.5 * (0.08 + 0.01 * joint) * time_s**2)
-        slow = 0.35 * np.sin(2.0 * np.pi * (0.11 + 0.03 * joint) * time_s + rng.uniform(0, 6))
-        fade = 0.4 / (1.0 + 0.05 * time_s)
-        columns.append(0.3 * (joint - 1) + slow + fade * np.sin(phase + rng.uniform(0, 6)))
-    return np.column_stack(columns)
-
-
-def simulate(links: list[dict[str, Any]], robot: str, truth: Truth, rng: Any, held: int) -> dict[str, Any]:
-    """The real robot and its log, at 500 Hz for 24 s."""
-    import mujoco
-
-    names, axes = ROBOTS[robot]
-    model = mujoco.MjModel.from_xml_string(arm(names, axes, links))
-    model.dof_frictionloss[:] = 0.0
-    data = mujoco.MjData(model)
-    count = int(24.0 / STEP_S)
-    times = np.arange(count) * STEP_S
-    command = command_of(times, len(names), rng)
-    every = held * LOG_EVERY
-    command = command[(np.arange(count) // every) * every]
-    delay = round(truth.size / STEP_S) if truth.cause == "torque_lag" else 0
-    coulomb = np.array([link["coulomb"] for link in links])
-    kp = np.array([80.0, 60.0, 40.0][: len(names)])
-    kd = np.array([2.0, 1.5, 1.0][: len(names)])
-    hit = names.index(truth.joint) if truth.joint else -1
-    q, v, applied = (np.empty((count, len(names))) for _ in range(3))
-    torque = np.zeros(len(names))
-    data.qpos[:] = command[0]
-    queue = [torque] * (delay + 1)
-    for row in range(count):
-        if row % 2 == 0:
-            torque = kp * (command[row] - data.qpos) - kd * data.qvel
-        queue.append(torque)
-        acting = queue[-1 - delay]
-        q[row], v[row], applied[row] = data.qpos, data.qvel, torque
-        friction = coulomb * np.tanh(data.qvel / 1e-3)
-        extra = np.zeros(len(names))
-        if truth.cause == "spring":
-            extra[hit] = truth.size * data.qpos[hit]
-        elif truth.cause == "ripple":
-            extra[hit] = truth.size * np.sin(12.0 * data.qpos[hit])
-        elif truth.cause == "temperature":
-            extra[hit] = truth.size * np.exp(-times[row] / 8.0) * np.tanh(data.qvel[hit] / 1e-3)
-        data.qfrc_applied[:] = acting - friction - extra
-        mujoco.mj_step(model, data)
-    return logged(times, q, v, command, applied, kp, kd, truth, rng)
-
-
-def logged(
-    times: Any, q: Any, v: Any, command: Any, torque: Any, kp: Any, kd: Any, truth: Truth, rng: Any
-) -> dict[str, Any]:
-    """What the logger makes of it."""
-    counts = 2.0 * np.pi / 2**16
-    rows = slice(None, None, LOG_EVERY)
-    late = round(truth.size / STEP_S) if truth.cause == "velocity_late" else 0
-    speed = np.vstack([np.repeat(v[:1], late, axis=0), v[: len(v) - late]]) if late else v
-    position = np.round(q[rows] / counts) * counts
-    speed = speed[rows] + 0.002 * rng.standard_normal(position.shape)
-    clock = times[rows] * (truth.size if truth.cause == "clock_factor" else 1.0)
-    if truth.cause == "velocity_sign":
-        speed = -speed
-    if truth.cause == "rows_repeated":
-        again = np.flatnonzero(rng.uniform(size=len(position)) < truth.size)
-        again = again[again > 0]
-        position[again], speed[again] = position[again - 1], speed[again - 1]
-    return {
-        "time": clock, "q": position, "dq": speed, "q_des": command[rows], "kp": kp, "kd": kd,
-        "tau": torque[rows] + 0.01 * np.std(torque, axis=0) * rng.standard_normal(position.shape),
+def _sizes(name: str, rng: Any) -> dict[str, float]:
+    """Sizes of a cause."""
+    ranges: dict[str, dict[str, tuple[float, float]]] = {
+        "coulomb": {"factor": (1.8, 3.0)}, "viscous": {"factor": (2.5, 4.0)}, "armature": {"factor": (2.0, 3.5)},
+        "stribeck": {"excess": (1.0, 2.0), "speed": (0.15, 0.35)},
+        "ripple": {"torque": (0.4, 0.9), "order": (7.0, 20.0)}, "gravity": {"factor": (1.25, 1.5)},
+        "spring": {"stiffness": (2.5, 5.0), "rest": (-0.3, 0.3)}, "load_friction": {"share": (0.15, 0.3)},
+        "efficiency": {"eta": (0.7, 0.85)},
+        "backlash": {"gap": (0.015, 0.04), "stiffness": (2500.0, 3500.0), "damper": (2.0, 3.0)},
+        "elastic": {"stiffness": (60.0, 180.0), "damper": (0.2, 0.5)},
+        "end_stop": {"stiffness": (100.0, 300.0), "angle": (0.0, 0.0)},
+        "command_held": {"rows": (4.0, 8.0)}, "command_late": {"delay": (0.006, 0.012)},
+        "measurement_late": {"delay": (0.006, 0.012)}, "clock_jitter": {"share": (0.3, 0.45)},
+        "clock_factor": {"factor": (1.05, 1.1)}, "rows_dropped": {"share": (0.05, 0.1)},
+        "rows_repeated": {"share": (0.05, 0.15)}, "speed_filter": {"time": (0.006, 0.012)},
+        "torque_constant": {"factor": (1.2, 1.4)}, "gain": {"factor": (1.25, 1.5)}, "saturation": {"share": (0.3, 0.5)},
+        "temperature": {"friction": (0.5, 1.0)}, "band": {"friction": (0.6, 1.2)},
+        "hose": {"stiffness": (15.0, 30.0), "torque": (0.8, 1.5)},
     }  # fmt: skip
+    found = {key: float(rng.uniform(*span)) for key, span in ranges.get(name, {}).items()}
+    if "order" in found:
+        found["order"] = float(round(found["order"]))
+    return found
 
 
-def draw(seed: int) -> tuple[str, Truth]:
-    """Robot and cause of a case."""
+def draw(seed: int) -> tuple[str, str, list[Cause]]:
+    """Robot, kind and causes of a case; kinds and causes go round over the seeds, so that a run of them has all."""
     rng = np.random.default_rng([4, seed])
-    robot = list(ROBOTS)[seed % len(ROBOTS)]
-    kind = KINDS[(seed // len(ROBOTS)) % len(KINDS)]
-    joint = str(rng.choice(ROBOTS[robot][0]))
+    kind = KINDS[seed % len(KINDS)]
+    before = (seed // len(KINDS)) * KINDS.count(kind) + KINDS[: seed % len(KINDS)].count(kind)
+    robot = list(ROBOTS)[(seed + seed // len(KINDS)) % len(ROBOTS)]
+    joints = len(ROBOTS[robot][0])
     if kind == "healthy":
-        return robot, Truth(kind, "", "", 0.0, 1.0)
-    if kind == "outside":
-        return robot, Truth(kind, "temperature", joint, float(rng.uniform(0.5, 1.0)), 1.0)
-    if kind == "log":
-        cause = str(rng.choice(LOGGED))
-        sizes = {"torque_lag": 0.008, "command_held": 6.0, "velocity_late": 0.006, "clock_factor": 1.05,
-                 "rows_repeated": 0.1, "velocity_sign": -1.0}  # fmt: skip
-        return robot, Truth(kind, cause, "", sizes[cause], 1.0)
-    cause = str(rng.choice(MECHANICAL))
-    factor = float(rng.uniform(1.8, 3.0))
-    size = {"spring": 3.0, "ripple": 0.4}.get(cause, 0.0) * float(rng.uniform(0.8, 1.5))
-    return robot, Truth(kind, cause, joint, size, factor)
+        return robot, kind, []
+    if kind == "two":
+        robot, joints = ("arm", "leg")[before % 2], 3
+        first, second = rng.choice(list(EFFECTS)[:10], size=2, replace=False)
+        places = rng.choice(joints, size=2, replace=False)
+        pairs = [(str(first), int(places[0])), (str(second), int(places[1]))]
+        if before % 2:
+            fault = str(rng.choice(["speed_filter", "rows_repeated", "command_late"]))
+            pairs[1] = (fault, -1)
+        return robot, kind, [Cause(name, joint, _sizes(name, rng)) for name, joint in pairs]
+    names = {"effect": list(EFFECTS), "log": list(FAULTS), "unknown": list(UNKNOWN)}[kind]
+    name = names[(7 * before) % len(names)]
+    if name == "order":
+        robot, joints = ("arm", "leg")[before % 2], 3
+    joint = int(rng.integers(joints))
+    if name in ("gravity", "joint_sign") and robot == "arm":
+        joint = int(rng.integers(1, 3))
+    if name in ("wrap",) and robot != "geared":
+        joint = 0
+    if name in _SHARED:
+        joint = -1
+    return robot, kind, [Cause(name, joint, _sizes(name, rng))]
 
 
 def make_case(folder: Path, seed: int) -> str:
-    """Write a case that is not there yet."""
-    robot, truth = draw(seed)
-    name = f"{robot}_{seed:03d}"
-    case = folder / name
+    """Write a case that is not there yet; its name."""
+    robot, kind, causes = draw(seed)
+    case = folder / f"{robot}_{seed:04d}"
     if (case / "truth.yaml").is_file():
-        return name
+        return case.name
     rng = np.random.default_rng([5, seed])
-    nominal = links_of(robot, rng)
-    model = believed(nominal, rng)
     names, axes = ROBOTS[robot]
+    nominal = links_of(robot, rng)
+    by_name = {cause.name: cause for cause in causes}
+    if "wrap" in by_name:
+        nominal[by_name["wrap"].joint]["reach"] = 7.0
+    model = believed(nominal, rng)
     links = [dict(link) for link in nominal]
-    size = truth.size
-    if truth.cause in ("coulomb", "viscous", "armature"):
-        key = {"viscous": "damping"}.get(truth.cause, truth.cause)
-        links[names.index(truth.joint)][key] *= truth.factor
-        size = links[names.index(truth.joint)][key]
-    elif truth.cause == "gravity":
-        links[names.index(truth.joint)]["mass"] *= 1.0 + 0.15 * truth.factor
-        size = 0.15 * truth.factor
-    held = int(truth.size) if truth.cause == "command_held" else 1
-    columns = simulate(links, robot, truth, rng, held)
+    _changed(links, causes)
+    chain = _chain(by_name, rng)
+    command = _command(robot, by_name, chain, rng)
+    kp, kd = (gains[: len(names)].copy() for gains in _GAINS)
+    real = [kp.copy(), kd.copy()]
+    if "gain" in by_name:
+        real[0][by_name["gain"].joint] *= by_name["gain"].sizes["factor"]
+    delay = round(by_name["command_late"].sizes["delay"] / STEP_S) if "command_late" in by_name else 0
+    followed = np.vstack([np.repeat(command[:1], delay, axis=0), command[: len(command) - delay]]) if delay else command
+    causes = _with_sizes_of_motion(robot_text(names, axes, links), causes, (real[0], real[1]), chain, followed)
+    motion = Robot(robot_text(names, axes, links), causes, (real[0], real[1]), chain).run(followed)
+    columns = logged(motion, command, chain, causes, rng)
     case.mkdir(parents=True, exist_ok=True)
-    (case / "robot.xml").write_text(arm(names, axes, model))
-    measured = bool(seed % 2)
-    if not measured or truth.kind == "log":
+    (case / "robot.xml").write_text(robot_text(names, axes, model))
+    if not chain.measured:
         columns.pop("tau")
+    np.savez(case / "log.npz", **columns, kp=kp, kd=kd)
+    (case / "log.yaml").write_text(yaml.safe_dump(_sidecar(names, chain.measured), sort_keys=False))
+    truth = {"kind": kind, "causes": [_as_truth(cause, names, links) for cause in causes]}
+    (case / "truth.yaml").write_text(yaml.safe_dump(truth, sort_keys=False))
+    return case.name
+
+
+def _changed(links: list[dict[str, Any]], causes: list[Cause]) -> None:
+    """Links with the causes that are values of theirs."""
+    keys = {"coulomb": "coulomb", "viscous": "damping", "armature": "armature", "gravity": "mass"}
+    for cause in causes:
+        if cause.name in keys:
+            links[cause.joint][keys[cause.name]] *= cause.sizes["factor"]
+
+
+def _chain(by_name: dict[str, Cause], rng: Any) -> Chain:
+    measured = bool(rng.integers(2))
+    if set(by_name) & set(_ARITHMETIC):
         measured = False
-    np.savez(case / "log.npz", **columns)
+    if set(by_name) & set(_MEASURED):
+        measured = True
+    return Chain(
+        drive_steps=int(rng.choice([2, 4])), log_steps=int(rng.choice([4, 8])),
+        current_s=float(rng.uniform(2e-4, 8e-4)),
+        speed_s=float(rng.uniform(0.0, 8e-4)), counts=float(2 ** rng.integers(14, 17)), measured=measured, noise=0.01,
+    )  # fmt: skip
+
+
+def _command(robot: str, by_name: dict[str, Cause], chain: Chain, rng: Any) -> Any:
+    time = np.arange(int(SECONDS / STEP_S)) * STEP_S
+    centres = 0.3 * (np.arange(len(ROBOTS[robot][0])) - 1.0)
+    if "wrap" in by_name:
+        centres[by_name["wrap"].joint] = np.pi
+    command = command_of(time, centres, rng)
+    every = chain.log_steps * (round(by_name["command_held"].sizes["rows"]) if "command_held" in by_name else 1)
+    return command[(np.arange(len(time)) // every) * every]
+
+
+def _with_sizes_of_motion(
+    text: str, causes: list[Cause], gains: tuple[Any, Any], chain: Chain, command: Any
+) -> list[Cause]:
+    """Causes whose size follows from how the robot moves without them."""
+    if not any(cause.name in ("end_stop", "saturation") for cause in causes):
+        return causes
+    q, _, acting, _ = Robot(text, [], gains, chain).run(command)
+    found = []
+    for cause in causes:
+        sizes = dict(cause.sizes)
+        if cause.name == "end_stop":
+            sizes["angle"] = float(np.quantile(q[:, cause.joint], 0.93))
+        elif cause.name == "saturation":
+            sizes["limit"] = float(np.quantile(np.abs(acting[:, cause.joint]), 1.0 - 0.4 * sizes["share"]))
+        found.append(Cause(cause.name, cause.joint, sizes))
+    return found
+
+
+def _sidecar(names: tuple[str, ...], measured: bool) -> dict[str, Any]:
     sidecar: dict[str, Any] = {
         "robot_log": 1, "data": "log.npz", "joints": list(names), "time": {"column": "time"},
         "position": {"column": "q"}, "velocity": {"column": "dq"}, "command": {"position": "q_des"},
@@ -236,96 +259,23 @@ def make_case(folder: Path, seed: int) -> str:
     }  # fmt: skip
     if measured:
         sidecar["torque"] = {"column": "tau"}
-    (case / "log.yaml").write_text(yaml.safe_dump(sidecar, sort_keys=False))
-    facts = {"kind": truth.kind, "cause": truth.cause, "joint": truth.joint, "size": float(size)}
-    (case / "truth.yaml").write_text(yaml.safe_dump(facts, sort_keys=False))
-    return name
+    return sidecar
 
 
-NAMED = {
-    "gravity": ("gravity_scale", "mass_centre", "spring", "inertia_scale", "armature", "offset"),
-    "spring": ("spring", "gravity_scale", "mass_centre"),
-}
-"""Terms that are the cause or its honest class, where those are not the cause alone."""
-
-
-def judge(case: Path) -> dict[str, Any]:
-    """Diagnose a case and class the answer."""
-    from nmt_core.errors import BenchError
-    from nmt_robots.verdict.robot_diagnosis import diagnose_robot
-
-    truth = yaml.safe_load((case / "truth.yaml").read_text())
-    begin = time.process_time()
-    try:
-        answer = diagnose_robot(case / "robot.xml", case / "log.yaml")
-    except BenchError as error:
-        return {"case": case.name, **truth, "outcome": "refused", "answer": str(error), "cpu_s": 0.0}
-    cpu = time.process_time() - begin
-    differing = {
-        joint.joint.name: [term for term in joint.terms if term.differs] for joint in answer.joints if joint.differs
-    }
-    faults = sorted({finding.key for finding in answer.findings if finding.fault})
-    words = "; ".join(f"{name}: {', '.join(t.key for t in terms)}" for name, terms in differing.items())
-    outcome = _outcome(truth, differing, faults)
-    deviation = np.nan
-    for term in differing.get(truth["joint"], []):
-        if term.key == truth["cause"] and truth["size"]:
-            deviation = (term.value - truth["size"]) / term.std
-    left = max((joint.left / joint.torque for joint in answer.joints if joint.mechanics is not None), default=np.nan)
-    return {
-        "case": case.name, **truth, "outcome": outcome, "answer": f"[{', '.join(faults)}] {words}", "cpu_s": cpu,
-        "deviation": float(deviation), "left": float(left),
+def _as_truth(cause: Cause, names: tuple[str, ...], links: list[dict[str, Any]]) -> dict[str, Any]:
+    """A cause as ``truth.yaml`` has it."""
+    named, partly = EFFECTS.get(cause.name, (FAULTS.get(cause.name, ()), ()))
+    where = cause.name in FAULTS
+    truth: dict[str, Any] = {
+        "name": cause.name, "of": "log" if where else "joint",
+        "joint": "" if cause.joint < 0 else names[cause.joint],
+        "named": list(named), "partly": list(partly), "sizes": {k: float(v) for k, v in cause.sizes.items()},
     }  # fmt: skip
-
-
-def _outcome(truth: dict[str, Any], differing: dict[str, list[Any]], faults: list[str]) -> str:
-    """Right, or how it is wrong."""
-    if truth["kind"] == "healthy":
-        return "right" if not differing and not faults else "alarm"
-    if truth["kind"] == "log":
-        named = truth["cause"] in faults
-        if named and not differing:
-            return "right"
-        return "named, mechanics beside it" if named else "missed"
-    terms = differing.get(truth["joint"], [])
-    if truth["kind"] == "outside":
-        return "right" if not terms or terms[0].key in ("coulomb", "viscous") else "misnamed"
-    wanted = NAMED.get(truth["cause"], (truth["cause"],))
-    if terms and terms[0].key in wanted:
-        others = [name for name in differing if name != truth["joint"]]
-        return "right, others beside it" if others or (faults and faults != ["rows_repeated"]) else "right"
-    if any(term.key in wanted for term in terms):
-        return "among others"
-    return "wrong" if differing else "missed"
-
-
-def main() -> None:
-    """Make or score."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parts = parser.add_subparsers(dest="part", required=True)
-    make = parts.add_parser("make", help="write cases")
-    make.add_argument("--seeds", type=seeds_of, required=True, metavar="FIRST:END[:STEP]")
-    make.add_argument("--out", type=Path, required=True)
-    score = parts.add_parser("score", help="diagnose cases and compare")
-    score.add_argument("folder", type=Path)
-    options = parser.parse_args()
-    if options.part == "make":
-        for seed in options.seeds:
-            sys.stdout.write(f"{make_case(options.out, seed)}\n")
-        return
-    outcomes: Counter[tuple[str, str]] = Counter()
-    for path in sorted(options.folder.glob("*/truth.yaml")):
-        result = judge(path.parent)
-        outcomes[result["kind"], result["outcome"]] += 1
-        sys.stdout.write(
-            f"{result['case']} {result['kind']} {result['cause']}@{result['joint']} {result['size']:.3g}: "
-            f"{result['outcome']} | {result['answer']} | {result.get('deviation', np.nan):.1f} sigma, left "
-            f"{100 * result.get('left', np.nan):.1f} %, {result['cpu_s']:.1f} s\n"
-        )
-        sys.stdout.flush()
-    for (kind, outcome), count in sorted(outcomes.items()):
-        sys.stdout.write(f"{kind}: {outcome} {count}\n")
-
-
-if __name__ == "__main__":
-    main()
+    key = {"coulomb": "coulomb", "viscous": "damping", "armature": "armature"}.get(cause.name)
+    value = links[cause.joint][key] if key else {
+        "spring": cause.sizes.get("stiffness"), "ripple": cause.sizes.get("torque"),
+        "load_friction": cause.sizes.get("share"),
+    }.get(cause.name)  # fmt: skip
+    if value is not None:
+        truth["value"] = float(value)
+    return truth

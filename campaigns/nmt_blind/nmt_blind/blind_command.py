@@ -115,8 +115,8 @@ class LaboratoryOptions:
     """import and diagnose the cases that another laboratory has made, and class the answers"""
 
     folder: Path = argument(
-        "a folder for each case: model.yaml, sidecar.yaml (or several) with its data, truth.yaml; of real recordings "
-        "with a plan, the commands to run",
+        "a folder for each case: model.yaml, sidecar.yaml (or several) with its data, truth.yaml; of robots robot.xml, "
+        "log.yaml with its data, truth.yaml; of real recordings with a plan, the commands to run",
         metavar="DIR",
     )
     out: Path = needed_option(
@@ -285,9 +285,12 @@ def _progress(bar: _Bar) -> Callable[[int, int, str], None]:
 def _laboratory(options: LaboratoryOptions) -> int:
     from nmt_blind.campaign.foreign_run import print_lines, run_laboratory, write_tables
     from nmt_blind.campaign.recordings import has_plans
+    from nmt_blind.campaign.robot_case import has_robots
 
     if has_plans(options.folder):
         return _recordings(options)
+    if has_robots(options.folder):
+        return _robots(options)
     only = _cases(options.only)
     with _bar(options, "diagnosing") as bar:
         lines = run_laboratory(
@@ -321,6 +324,28 @@ def _recordings(options: LaboratoryOptions) -> int:
     console.print(summary_words(found), soft_wrap=True, markup=False, highlight=False)
     console.print(f"written: {', '.join(str(file) for file in files)}", soft_wrap=True)
     return EXIT_FAILED if any(answer.outcome == "no answer" for answer in found) else EXIT_DONE
+
+
+def _robots(options: LaboratoryOptions) -> int:
+    from nmt_blind.campaign.robot_run import run_robots, summary_lines, write_robot_tables
+
+    with _bar(options, "diagnosing") as bar:
+        lines = run_robots(
+            options.folder,
+            options.out,
+            (sys.executable, "-m", "nmt_bench"),
+            worker_count(options),
+            _cases(options.only),
+            options.force,
+            options.limit,
+            _progress(bar),
+        )
+        files = write_robot_tables(lines, options.out)
+    console = _console()
+    for line in summary_lines(lines):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
+    console.print(f"written: {', '.join(str(file) for file in files)}", soft_wrap=True)
+    return EXIT_FAILED if any(line.answer.outcome == "refused" for line in lines) else EXIT_DONE
 
 
 def _rigs(options: RigsOptions) -> int:

@@ -12,7 +12,7 @@ from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import write_whole
 
 FROZEN_FILE = "frozen.json"
-PACKAGES = ("nmt_core", "nmt_signals", "nmt_rig", "nmt_record", "nmt_extract", "nmt_diagnose")
+PACKAGES = ("nmt_core", "nmt_signals", "nmt_rig", "nmt_record", "nmt_extract", "nmt_diagnose", "nmt_robots")
 """What a diagnosis is made of."""
 _ENDINGS = (".py", ".json", ".yaml", ".msg")
 

@@ -11,7 +11,7 @@ from nmt_core.errors import BenchError
 from nmt_rig.linear_description import linear_description
 from nmt_rig.model.beam import euler_bernoulli_beam
 from nmt_rig.model.linear_modes import modal_damping_matrix, sticking_modes
-from nmt_rig.model.matrix_structure import Matrices, condensed, craig_bampton
+from nmt_rig.model.matrix_structure import TRUNCATION, Matrices, condensed, craig_bampton
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_structure
@@ -288,3 +288,44 @@ def test_a_large_reduction_is_kept_beside_its_file(tmp_path, beam, monkeypatch):
     export(tmp_path, beam, stuff=1.0)
     assert rig_of(tmp_path, text).structure.mass_kg == first.structure.mass_kg
     assert len(list((tmp_path / ".nmt-reduced").iterdir())) == 2
+
+
+def test_units_of_rows_between_the_points_change_no_reduction():
+    """Rotations in other units are the same structure: the pivots of a held stiffness are judged row by row."""
+    beam = euler_bernoulli_beam(0.7, 0.02, 0.008, 185e9, 7830.0, 7, 1e-6, refinement=4)
+    kept = [beam.points[2], beam.points[7]]
+    scale = np.ones(beam.mass.shape[0])
+    scale[1::2] = 1e-6
+    plain = craig_bampton(Matrices(beam.mass, beam.stiffness).checked(), kept, 5)
+    turned = [sparse.csr_matrix(matrix * np.outer(scale, scale)) for matrix in (beam.mass, beam.stiffness)]
+    scaled = craig_bampton(Matrices(*turned).checked(), kept, 5)
+    np.testing.assert_allclose(scaled.stiffness[:2, :2], plain.stiffness[:2, :2], rtol=1e-7)
+    np.testing.assert_allclose(np.diag(scaled.stiffness)[2:], np.diag(plain.stiffness)[2:], rtol=1e-7)
+
+
+@pytest.mark.parametrize(("modes", "points"), [(3, [7]), (5, [2, 7]), (8, [3, 5])])
+def test_a_reduction_says_up_to_where_its_frequencies_hold(modes, points):
+    beam = euler_bernoulli_beam(0.7, 0.02, 0.008, 185e9, 7830.0, 7, 1e-6, refinement=8)
+    small = craig_bampton(Matrices(beam.mass, beam.stiffness).checked(), [beam.points[p] for p in points], modes)
+    ours = np.sqrt(eigh(small.stiffness, small.mass, eigvals_only=True))
+    full = np.sqrt(eigh(beam.stiffness, beam.mass, eigvals_only=True))[: ours.size]
+    error = ours / full - 1.0
+    inside = full <= 2.0 * np.pi * small.band_hz
+    assert inside.sum() >= 2
+    assert np.all(error[inside] <= TRUNCATION)
+    # The bound is not far from what it bounds: some error is reached within thrice its frequency.
+    assert error[full <= 6.0 * np.pi * small.band_hz].max() > 0.1 * TRUNCATION
+
+
+def test_a_large_mass_or_stiffness_with_a_negative_eigenvalue_is_named():
+    n = 2500
+    chain = sparse.diags([2.0 * np.ones(n), -np.ones(n - 1), -np.ones(n - 1)], [0, 1, -1]).tocsr()
+    mass = (sparse.identity(n) + 0.2 * abs(chain - 2.0 * sparse.identity(n))).tolil()
+    assert Matrices(mass.tocsr(), chain).checked().size == n
+    mass[1200, 1300] = mass[1300, 1200] = 1.5
+    with pytest.raises(ValueError, match="mass must be positive definite"):
+        Matrices(mass.tocsr(), chain).checked()
+    wrong = chain.tolil()
+    wrong[1200, 1300] = wrong[1300, 1200] = -6.0
+    with pytest.raises(ValueError, match="stiffness has a negative eigenvalue"):
+        craig_bampton(Matrices(sparse.identity(n, format="csr"), wrong.tocsr()).checked(), [0], 2)

@@ -242,7 +242,7 @@ def _reduced(model: NamedModel, entries: list[dict[str, Any]], structure: Mappin
             `modes`, or figures that cannot be in SI units where no others are stated.
     """
     # Late: scipy's sparse matrices take a third of a second, in every node that loads a rig.
-    from nmt_rig.model.matrix_structure import Matrices, condensed, craig_bampton, regular
+    from nmt_rig.model.matrix_structure import TRUNCATION, Matrices, condensed, craig_bampton, regular
     from nmt_rig.named_rows import Units
 
     units, modes = structure.get("units"), structure.get("modes")
@@ -284,6 +284,8 @@ def _reduced(model: NamedModel, entries: list[dict[str, Any]], structure: Mappin
     lists = {name: np.asarray(value, dtype=float).tolist() for name, value in found.items() if value is not None}
     if massless:
         notes.append(f"{massless} rows without mass follow the others statically")
+    if matrices.band_hz is not None:
+        notes.append(f"modes left out move frequencies by less than {TRUNCATION:.1%} up to {matrices.band_hz:.4g} Hz")
     if model.held:
         notes.append(f"{model.held} rows are held and were left out")
     number = dict(zip(kept, rows, strict=True))

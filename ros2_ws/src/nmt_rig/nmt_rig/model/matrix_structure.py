@@ -10,14 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import eigh
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, splu
 
 from nmt_rig.model.structure import Array
 
 # Relative size of rounding in matrices that come through files.
 _ROUNDING = 1e-8
-# Pivots below this share of the largest diagonal entry say that a structure moves freely.
-_FREE = 1e-12
+# Pivots below this share of their own diagonal entry say that a structure moves freely; a fine mesh of a plate leaves
+# the fourth power of elements over the plate.
+_FREE = 1e-13
+# Beyond this size a stiffness is factored once, when the structure is reduced, and its signs are read there.
+_FACTORED_ONCE = 2000
+# Share by which the modes that a reduction leaves out may move a frequency, for the band that it states.
+TRUNCATION = 1e-3
 # Share of the mean ω² of the rows that the stiffness of a free structure is lifted by.
 _LIFT = 1e-9
 # Share of the largest 1/ω² below which a mode has no mass.
@@ -37,6 +42,8 @@ class Matrices:
         mass, damping, stiffness: (n, n) dense or sparse; damping None = none given.
         base_vector: (n,) r, None where it is not known; 0 for the modes of a reduced structure.
         base_load: (n,) M r + M_b, None = M r.
+        band_hz: of a reduced structure, up to which its frequencies are within ``TRUNCATION`` of the full ones; None =
+            not known.
     """
 
     mass: Any
@@ -44,6 +51,7 @@ class Matrices:
     damping: Any = None
     base_vector: Array | None = None
     base_load: Array | None = None
+    band_hz: float | None = None
 
     @property
     def size(self) -> int:
@@ -86,7 +94,8 @@ class Matrices:
                 "the mass must be positive definite but for rows of zeros; export it without Lagrange multipliers and "
                 "with the rigid elements eliminated"
             )
-        for name in ("stiffness", "damping"):
+        tested = ("damping",) if n > _FACTORED_ONCE else ("stiffness", "damping")
+        for name in tested:
             if name in result and not _positive_definite(result[name], lift=True):
                 raise ValueError(f"{name} has a negative eigenvalue; a passive structure at rest has none")
         return Matrices(result["mass"], result["stiffness"], result.get("damping"), self.base_vector, self.base_load)
@@ -180,9 +189,20 @@ def _massive(mass: Any) -> bool:
     diagonal = block.diagonal()
     if not massive.size or np.any(diagonal <= 0.0):
         return False
+    if not sparse.issparse(block) or massive.size <= _DENSE:
+        plain = block.toarray() if sparse.issparse(block) else block
+        return _positive_definite(plain / np.sqrt(np.outer(diagonal, diagonal)), lift=True)
+    if np.max(np.abs(block - sparse.diags(diagonal))) == 0.0:
+        return True
     scale = sparse.diags(1.0 / np.sqrt(diagonal))
-    scaled = scale @ block @ scale if sparse.issparse(block) else block / np.sqrt(np.outer(diagonal, diagonal))
-    return _positive_definite(scaled, lift=True)
+    scaled = sparse.csr_matrix(scale @ block @ scale)
+    try:
+        # A scaled mass is well conditioned, so that its lowest eigenvalue needs no factor; negative ones stand apart.
+        start = np.random.default_rng(0).standard_normal(massive.size)
+        (lowest,) = eigsh(scaled, k=1, which="SA", tol=1e-3, v0=start, maxiter=300, return_eigenvectors=False)
+    except ArpackNoConvergence:
+        return _positive_definite(scaled, lift=True)
+    return bool(lowest > -_ROUNDING)
 
 
 def regular(mass: Array) -> bool:
@@ -213,6 +233,11 @@ def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matric
     Static deflections under forces at the kept degrees of freedom are exact whatever the number of modes. Rows without
     mass follow the others statically, which is exact.
 
+    The modes left out add ω⁴ Σ L Lᵀ / (ω_k² − ω²) to the dynamic stiffness of the kept degrees of freedom, with the
+    loads L = φᵀ (M_ib + M_ii Ψ) of their static shapes Ψ. All modes together have Σ L Lᵀ / ω_k² = Pᵀ K_ii⁻¹ P, so that
+    R, the part of those left out, is known without them, and no frequency ω moves by more than
+    ω² ρ / (2 (1 − ω² / ω_m²)) of itself, ρ the largest eigenvalue of R against the statically condensed mass.
+
     Args:
         matrices: checked matrices of n degrees of freedom.
         kept: rows that stay degrees of freedom, in the new order; the modes come behind them.
@@ -237,6 +262,7 @@ def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matric
     k_ii, m_ii = stiffness[inner][:, inner], mass[inner][:, inner]
     basis = np.zeros((n, own.size + modes))
     basis[own, np.arange(own.size)] = 1.0
+    band_hz = None
     if inner.size:
         factor = _held(k_ii)
         if factor is None:
@@ -245,6 +271,7 @@ def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matric
             )
         basis[np.ix_(inner, np.arange(own.size))] = factor.solve(-stiffness[inner][:, own].toarray())
         basis[inner, own.size :] = _lowest(k_ii, m_ii, factor, modes)
+        band_hz = _band(basis, inner, own.size, k_ii, mass, factor) if 0 < modes < heavy else None
 
     def projected(matrix: Any) -> Any:
         if matrix is None:
@@ -253,13 +280,33 @@ def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matric
         return 0.5 * (result + result.T)
 
     load, r = matrices.load(), matrices.base_vector
+    reduced = projected(matrices.stiffness)
+    if not _positive_definite(reduced, lift=True):
+        raise ValueError("stiffness has a negative eigenvalue; a passive structure at rest has none")
     return Matrices(
         projected(matrices.mass),
-        projected(matrices.stiffness),
+        reduced,
         projected(matrices.damping),
         None if r is None else np.concatenate([r[own], np.zeros(modes)]),
         None if load is None else basis.T @ load,
+        band_hz,
     )
+
+
+def _band(basis: Array, inner: NDArray[np.int64], points: int, k_ii: Any, mass: Any, factor: Any) -> float:
+    """Frequency up to which the modes left out move no frequency by more than ``TRUNCATION``, Hz."""
+    inertia = np.asarray(mass @ basis[:, :points])
+    modes = basis[inner, points:]
+    squares = np.einsum("ij,ij->j", modes, np.asarray(k_ii @ modes))
+    loads = modes.T @ inertia[inner]
+    left_out = inertia[inner].T @ factor.solve(inertia[inner]) - loads.T @ (loads / squares[:, None])
+    static = basis[:, :points].T @ inertia
+    size = np.sqrt(np.diag(static))
+    if not np.all(size > 0.0) or not regular(static):
+        return 0.0
+    scale = np.outer(size, size)
+    largest = eigh(0.5 * (left_out + left_out.T) / scale, static / scale, eigvals_only=True)[-1]
+    return float(np.sqrt(2.0 * TRUNCATION / (max(largest, 0.0) + 2.0 * TRUNCATION / squares.max())) / (2.0 * np.pi))
 
 
 def lowest_frequencies(matrices: Matrices, count: int) -> Array:
@@ -278,7 +325,7 @@ def lowest_frequencies(matrices: Matrices, count: int) -> Array:
     lifted = (stiffness + lift * mass).tocsc()
     factor = _factor(lifted)
     if factor is None or not np.all(factor.U.diagonal() > 0.0):
-        raise ValueError("rows without mass are not held by any stiffness")
+        raise ValueError("stiffness has a negative eigenvalue, or nothing holds a row without mass")
     modes = _lowest(lifted, mass, factor, min(count + _RIGID_BODY_MODES, heavy))
     squares = np.einsum("ij,ij->j", modes, np.asarray(stiffness @ modes))
     # Rounding leaves rigid-body modes a stiffness; nothing else lies so far below the next mode.
@@ -289,10 +336,22 @@ def lowest_frequencies(matrices: Matrices, count: int) -> Array:
 
 
 def _held(stiffness: Any) -> Any:
-    """Factor of a stiffness that leaves no rigid-body motion, regular within rounding; None where it leaves one."""
+    """Factor of a stiffness that leaves no rigid-body motion, regular within rounding; None where it leaves one.
+
+    Raises:
+        ValueError: a negative eigenvalue.
+    """
+    diagonal = stiffness.diagonal()
+    if not np.all(diagonal > 0.0):
+        return None
     factor = _factor(stiffness)
-    largest = float(np.max(np.abs(stiffness.diagonal())))
-    return factor if factor is not None and factor.U.diagonal().min() > _FREE * largest else None
+    if factor is None:
+        return None
+    # Row k of L U is row perm_r⁻¹(k) of the matrix.
+    shares = factor.U.diagonal() / diagonal[np.argsort(factor.perm_r)]
+    if shares.min() < -_ROUNDING:
+        raise ValueError("stiffness has a negative eigenvalue; a passive structure at rest has none")
+    return factor if shares.min() > _FREE else None
 
 
 def _lowest(stiffness: Any, mass: Any, factor: Any, count: int) -> Array:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -39,7 +37,7 @@ def test_extraction_knows_the_levels_with_control():
     extractor.add_level(0, 0.1, "V")
     extractor.add_level(1, 0.1, "V", 9)
     extractor.add_level(2, 0.0, "V", 9)  # the end of the excitation is no level
-    assert extractor._history.driven == {1: 9}
+    assert extractor.history.driven == {1: 9}
     assert ChannelHistory().driven == {}
 
 
@@ -65,8 +63,7 @@ def test_the_crest_of_a_force_that_is_held_to_a_sine_is_not_judged(monkeypatch):
 
 
 def test_points_say_what_was_controlled():
-    plan = plan_test("beam", [0.2, 0.3308], window_periods=20, harmonics_control=9)
-    plan = replace(plan, levels_without=(0,))
+    plan = plan_test("beam", [0.2, 0.3308], window_periods=20, harmonics_control=9, levels_without=(0,))
     with Session(plan, record=False) as session:
         points = session.run().points
     assert [point.harmonics_control for point in points] == [0, 9]

@@ -258,7 +258,7 @@ def test_a_recording_of_itself_is_right_or_refused_by_every_consumer(
         assert not (tmp_path / "run" / "bag").exists()
         return
     recording = record(tmp_path, kind, exciters, settings)
-    steps = max(len(recording.plan.levels), len(recording.result.points))  # points are put along a response curve
+    steps = max(len(recording.plan.asked.levels), len(recording.result.points))  # points are put along a response curve
     assert recording.result.message.startswith(f"{steps} of {steps} levels")
     assert recording.plan.driven == test
     assert recorded_tests(Bag.open(recording.bag)) == (test,)

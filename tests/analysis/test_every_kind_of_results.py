@@ -17,7 +17,7 @@ from scipy.io import loadmat, netcdf_file
 
 import nmt
 from nmt.dataset_files import DATASET_ENDINGS
-from nmt.opening import _KINDS
+from nmt.opening import KINDS_OF_RESULTS
 from nmt_core.errors import BenchError
 
 matplotlib.use("Agg")
@@ -41,7 +41,7 @@ def results(request: pytest.FixtureRequest, folders: Path) -> nmt.Results:
 
 def test_every_class_that_can_be_opened_is_tried(folders: Path) -> None:
     tried = {type(nmt.open(folders / name)) for name in KINDS}
-    assert tried == {read.__self__ for _, read in _KINDS}  # type: ignore[attr-defined]
+    assert tried == {read.__self__ for _, read in KINDS_OF_RESULTS}  # type: ignore[attr-defined]
 
 
 def test_the_table_has_the_rows(results: nmt.Results) -> None:

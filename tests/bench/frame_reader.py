@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_bench.page.frames import _LENGTH, MAGIC
+from nmt_bench.page.frames import FRAME_LENGTH, MAGIC
 
 
 def read_frame(raw: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -18,7 +18,7 @@ def read_frame(raw: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
     """
     if raw[:4] != MAGIC or len(raw) < 8:
         raise ValueError("not a frame of the page")
-    (length,) = _LENGTH.unpack_from(raw, 4)
+    (length,) = FRAME_LENGTH.unpack_from(raw, 4)
     head = json.loads(raw[8 : 8 + length])
     position, arrays = 8 + length, {}
     for name, size in head.pop("arrays"):

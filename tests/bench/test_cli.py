@@ -168,7 +168,7 @@ def test_json_is_one_document_on_standard_output(capsys: pytest.CaptureFixture[s
 def test_tables_become_rows_of_numbers(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("# a comment\nlevel,state,frequency_hz\n1,ok,10.5\n2,,nan\n")
-    assert json_output._contents(path) == [
+    assert json_output.contents_of(path) == [
         {"level": 1, "state": "ok", "frequency_hz": 10.5},
         {"level": 2, "state": None, "frequency_hz": None},
     ]

@@ -67,7 +67,7 @@ import sys
 sys.path[0] = {os.path.dirname(node_loader.__file__)!r}
 import node_loader
 node_loader.PREPARED = ()
-for step in ("_load_type_supports", "_read_definitions", "_load_kernels", "_look_at_modules"):
+for step in ("load_type_supports", "read_definitions", "load_kernels", "_look_at_modules"):
     setattr(node_loader, step, lambda: None)
 node_loader.main()
 """
@@ -153,7 +153,7 @@ def test_a_forked_node_finds_what_one_of_its_own_finds(tmp_path: Path, monkeypat
         pid = nodes.pids["plant"]
         wait_until(lambda nodes=nodes: not nodes.is_alive("plant"))  # type: ignore[misc]
         log = (tmp_path / "out" / "log" / "plant.log").read_text()
-        assert isinstance(nodes._processes["plant"], AdoptedProcess) == (loader is not None)
+        assert isinstance(nodes.processes["plant"], AdoptedProcess) == (loader is not None)
         nodes.end()
         assert is_gone(pid)
         if loader is not None:
@@ -204,7 +204,7 @@ def test_a_folder_that_is_gone_hinders_no_node(tmp_path: Path, monkeypatch: pyte
 
 def test_what_cannot_be_imported_ahead_is_the_nodes_own_complaint(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(node_loader, "PREPARED", ("no_such_module", "json"))
-    for step in ("_load_type_supports", "_read_definitions", "_load_kernels"):
+    for step in ("load_type_supports", "read_definitions", "load_kernels"):
         monkeypatch.setattr(node_loader, step, lambda: 1 / 0)
     try:
         node_loader.prepare()
@@ -235,7 +235,7 @@ def test_a_node_is_killed_stopped_and_ended_alone(tmp_path: Path, monkeypatch: p
 
 
 def test_a_node_that_does_not_come_up_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nmt_bench.orchestration.node_processes._IDLE_START", 1.2)
+    monkeypatch.setattr("nmt_bench.orchestration.node_processes.IDLE_START", 1.2)
     nodes = a_bench(tmp_path, monkeypatch, plant=BUSY, pll=LONG, recorder=LONG)(loader := NodeLoader())
     nodes.start()
     loader.close()
@@ -325,7 +325,7 @@ def test_a_killed_loader_is_a_sentence(moment: str, tmp_path: Path) -> None:
 
 
 def test_a_loader_that_is_stopped_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(prepared_nodes, "_LONGEST", 0.3)
+    monkeypatch.setattr(prepared_nodes, "LONGEST", 0.3)
     loader = NodeLoader()
     os.kill(loader.pid, signal.SIGSTOP)
     with pytest.raises(BenchError, match="it is stopped or hangs"):
@@ -381,7 +381,7 @@ def test_nodes_hold_the_domain_for_as_long_as_they_live(
     nodes = a_bench(tmp_path, monkeypatch, plant=LONG, pll=LONG)(loader, domain.descriptor)
     try:
         nodes.start()
-        assert isinstance(nodes._processes["plant"], AdoptedProcess) == forks
+        assert isinstance(nodes.processes["plant"], AdoptedProcess) == forks
         if loader is not None:
             loader.close()
         domain.close()  # as the system does it for a launcher that is killed
@@ -403,7 +403,7 @@ def test_libraries_with_threads_are_not_forked(tmp_path: Path, monkeypatch: pyte
     nodes = a_bench(tmp_path, monkeypatch, plant=LONG)(loader)
     try:
         nodes.start()
-        assert isinstance(nodes._processes["plant"], subprocess.Popen)
+        assert isinstance(nodes.processes["plant"], subprocess.Popen)
     finally:
         nodes.end()
         loader.close()
@@ -415,19 +415,19 @@ def test_without_adoption_each_node_is_started_alone(monkeypatch: pytest.MonkeyP
     assert not can_adopt()
     assert take_loader() is None
     with nodes_ahead():
-        assert prepared_nodes._ahead == []
+        assert prepared_nodes.loaders_ahead == []
 
 
 def test_a_loader_ahead_is_taken_once_or_ended() -> None:
     with nodes_ahead(False):
-        assert prepared_nodes._ahead == []
+        assert prepared_nodes.loaders_ahead == []
     with nodes_ahead():
-        unused = prepared_nodes._ahead[0].pid
+        unused = prepared_nodes.loaders_ahead[0].pid
     assert is_gone(unused)
     with nodes_ahead():
         loader = take_loader()
         assert loader is not None
-        assert prepared_nodes._ahead == []
+        assert prepared_nodes.loaders_ahead == []
     assert not is_gone(loader.pid)
     loader.close()
     assert is_gone(loader.pid)
@@ -435,7 +435,7 @@ def test_a_loader_ahead_is_taken_once_or_ended() -> None:
 
 def adopts() -> bool:
     value = ctypes.c_int(-1)
-    assert ctypes.CDLL(None).prctl(adopted_process._PR_GET_CHILD_SUBREAPER, ctypes.byref(value), 0, 0, 0) == 0
+    assert ctypes.CDLL(None).prctl(adopted_process.PR_GET_CHILD_SUBREAPER, ctypes.byref(value), 0, 0, 0) == 0
     return bool(value.value)
 
 

@@ -360,7 +360,7 @@ def test_a_port_in_use_is_refused_with_a_sentence() -> None:
 def test_it_listens_on_loopback_alone() -> None:
     async def test() -> None:
         async with page() as (server, _, _client):
-            found: list[Any] = [item.getsockname()[0] for item in server._listening.sockets]
+            found: list[Any] = [item.getsockname()[0] for item in server.listening.sockets]
             assert found == ["127.0.0.1"]
 
     run(test)

@@ -93,9 +93,9 @@ def asked_for(command: ModuleType, words: list[str], monkeypatch: pytest.MonkeyP
     add_options(parser, kind)
     options = options_of(kind, parser.parse_args(words))
     calls = {
-        run_command: lambda: run_command._run(options),
-        sweep_command: lambda: sweep_command._measure(options, *sweep_command._checked(options)),
-        linear_command: lambda: linear_command._measure(options, linear_command._band(options.band), None),
+        run_command: lambda: run_command.run_test(options),
+        sweep_command: lambda: sweep_command.measure_sweep(options, *sweep_command.checked_request(options)),
+        linear_command: lambda: linear_command.measure_noise(options, linear_command.band_of(options.band), None),
     }
     with pytest.raises(AskedError) as asked:
         calls[command]()

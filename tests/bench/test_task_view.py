@@ -12,7 +12,7 @@ import aiohttp
 import pytest
 from bench.frame_reader import read_frame
 
-from nmt_bench.commands.diagnose_command import _tell
+from nmt_bench.commands.diagnose_command import tell_of
 from nmt_bench.page.start_goal import StartRequest, goal_of, start_request
 from nmt_bench.page.task_feed import TaskFeed, task_page
 from nmt_bench.page.task_view import TaskView
@@ -138,8 +138,8 @@ def test_a_command_serves_its_progress_in_a_process_of_its_own() -> None:
     with task_page(True, "Diagnosis of beam", console) as page:
         (line,) = said
         address = line.partition(": ")[2]
-        _tell(page, "reading")
-        _tell(page, ProgressSentence("fitting gap@7", 1, 4, [("cubic_stiffness@3", 0.0), ("gap@7", 12.34)]))
+        tell_of(page, "reading")
+        tell_of(page, ProgressSentence("fitting gap@7", 1, 4, [("cubic_stiffness@3", 0.0), ("gap@7", 12.34)]))
         head = asyncio.run(asyncio.wait_for(watch(), 60.0))
     assert [step["text"] for step in head["steps"]] == ["reading", "fitting gap@7"]
     assert head["rows"] == [["cubic_stiffness@3", "best"], ["gap@7", "12.3 behind"]]

@@ -29,8 +29,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 def shown(display: WorkDisplay) -> str:
-    assert display._bar is not None
-    return display._bar.tasks[0].description
+    assert display.bar is not None
+    return display.bar.tasks[0].description
 
 
 def terminal() -> Console:

@@ -12,7 +12,7 @@ import yaml
 import nmt_rig
 from nmt_core.files import yaml_text as module
 from nmt_core.files.hardened import BoundedYaml, fast_loader
-from nmt_core.files.yaml_document import _document
+from nmt_core.files.yaml_document import yaml_mapping
 from nmt_rig.rig import load_rig
 
 RIGS = Path(nmt_rig.__file__).parent / "rigs"
@@ -76,6 +76,6 @@ nested:
 @pytest.mark.parametrize("file", ["", "frame.yaml", "clamped_beam.yaml"])
 def test_both_parsers_read_a_file_by_hand_alike(file: str) -> None:
     text = (RIGS / file).read_text(encoding="utf-8") if file else BY_HAND
-    one, other = (_document(loader(text), "x", "file", "") for loader in (BoundedYaml, fast_loader()))
+    one, other = (yaml_mapping(loader(text), "x", "file", "") for loader in (BoundedYaml, fast_loader()))
     assert one == other
     assert len(one.places) > 20

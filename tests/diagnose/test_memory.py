@@ -90,13 +90,13 @@ def test_what_is_remembered_wrongly_is_looked_for_anew(counted: Counted, monkeyp
     cause = Cause("quintic_stiffness", Location.at("structure", 1))
     memory = Memory(near=(Remembered((cause,), ({"k": 2e14},), {}),))
     begun: list[bool] = []
-    original = memory_module._fitted
+    original = memory_module.fitted_again
 
     def noted(*arguments: Any, **more: Any) -> Any:
         begun.append(True)
         return original(*arguments, **more)
 
-    monkeypatch.setattr(memory_module, "_fitted", noted)
+    monkeypatch.setattr(memory_module, "fitted_again", noted)
     found, _ = counted.diagnosed(observed(LOW), memory)
     assert begun
     assert (found.diagnosis.ranking[0].effect, found.diagnosis.ranking[0].detail) == ("cubic_stiffness", "2")

@@ -441,14 +441,14 @@ def test_the_shipped_rigs_make_views() -> None:
 
 
 def test_a_loop_that_still_settles_leans_and_a_steady_offset_does_not() -> None:
-    from nmt_diagnose.measurements.locked_windows.reading import _lean
+    from nmt_diagnose.measurements.locked_windows.reading import phase_lean
 
     time = np.arange(10) / 10.0
     noise = 1e-5 * np.random.default_rng(3).standard_normal(10)
     settling = 1e-3 * np.exp(-0.6 * time) + noise
-    assert 0.7 * settling.mean() < _lean(settling) < 1.6 * settling.mean()
+    assert 0.7 * settling.mean() < phase_lean(settling) < 1.6 * settling.mean()
     # The scatter of ten values lets a small drift through now and then, never the offset itself.
-    assert _lean(1e-3 + noise) < 1e-4
+    assert phase_lean(1e-3 + noise) < 1e-4
 
 
 @pytest.mark.parametrize(("size", "rate"), [(-0.02, 2.0), (0.01, 1.2), (-0.03, 3.0)])

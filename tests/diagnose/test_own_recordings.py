@@ -16,9 +16,9 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.coverage import covers
-from nmt_diagnose.measurements.locked_windows.locked_window import _terms
+from nmt_diagnose.measurements.locked_windows.locked_window import drive_terms
 from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.recorded_decay.reading import _close_mode
+from nmt_diagnose.measurements.recorded_decay.reading import close_mode
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.read_observations import read_observations
@@ -142,9 +142,9 @@ def test_what_an_oscillator_did_not_make_is_no_drive() -> None:
     shares = np.zeros((10, 1, 4), dtype=complex)
     shares[:, 0] = [0.0, 1.0, 1e-5, 1e-3]
     shares[:, 0, 2:] += 1e-4 * rng.normal(size=(10, 2))
-    assert _terms(shares.mean(axis=0), shares, [0], 1)[0][1] == 0.0
-    assert _terms(shares.mean(axis=0), shares, [0], 1)[0][2] == pytest.approx(1e-3, rel=0.2)
-    assert _terms(shares.mean(axis=0), shares, [0], 3)[0][1] != 0.0
+    assert drive_terms(shares.mean(axis=0), shares, [0], 1)[0][1] == 0.0
+    assert drive_terms(shares.mean(axis=0), shares, [0], 1)[0][2] == pytest.approx(1e-3, rel=0.2)
+    assert drive_terms(shares.mean(axis=0), shares, [0], 3)[0][1] != 0.0
 
 
 def test_a_decay_of_close_modes_is_told_from_one_that_is_alone(tmp_path: Path) -> None:
@@ -153,9 +153,9 @@ def test_a_decay_of_close_modes_is_told_from_one_that_is_alone(tmp_path: Path) -
     close.write_text(rig_text("2 force", TestKind.PHASE_RESONANCE), encoding="utf-8")
     apart.write_text(rig_text("2 force", TestKind.RING_DOWN), encoding="utf-8")
     view = ModelView.of(load_rig(close), (1, 2))
-    assert "mode at 21.94 Hz rings so close to 20.13 Hz" in _close_mode(view, 20.13)
-    assert _close_mode(ModelView.of(load_rig(apart), (1, 2)), 20.13) == ""
-    assert _close_mode(ModelView.of(load_rig(close), (1,)), 20.13) == ""
+    assert "mode at 21.94 Hz rings so close to 20.13 Hz" in close_mode(view, 20.13)
+    assert close_mode(ModelView.of(load_rig(apart), (1, 2)), 20.13) == ""
+    assert close_mode(ModelView.of(load_rig(close), (1,)), 20.13) == ""
 
 
 KINDS = [kind for kind in TestKind if kind not in (TestKind.UNKNOWN, TestKind.RECORD)]

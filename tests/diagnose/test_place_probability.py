@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 from nmt_diagnose.effects.location import Cause, Explanation, Location
 from nmt_diagnose.ledger.comparison import Hypotheses
 from nmt_diagnose.ledger.diagnosis import Ranked, Share
-from nmt_diagnose.say.sentences import _places
+from nmt_diagnose.say.sentences import place_words
 from nmt_diagnose.thresholds import THRESHOLDS
 
 ROWS = 12
@@ -71,4 +71,4 @@ def test_likely_places_are_told_with_their_probabilities() -> None:
         "cubic_stiffness", "structure", "4", 0.9, (), {}, Share(0.9, 0.8, 1.0), 9.0,
         places={"4": 0.6, "7": 0.36, "9": 0.04},
     )  # fmt: skip
-    assert _places(head) == "; its place: point 4 (60 %), point 7 (36 %)"
+    assert place_words(head) == "; its place: point 4 (60 %), point 7 (36 %)"

@@ -11,7 +11,6 @@ from diagnose.oscillator_records import OMEGA, RATE, RATIO, RIG, band_noise, imp
 from scipy.signal import TransferFunction, lsim
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
@@ -19,7 +18,7 @@ from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 from nmt_diagnose.measurements.driven_record.predictor import RecordPredictor
-from nmt_diagnose.measurements.driven_record.reading import _begins_in_motion, _head
+from nmt_diagnose.measurements.driven_record.reading import head_of, starts_in_motion
 from nmt_diagnose.observations.noise.input_noise import InputNoise, input_noise, noise_lines, propagated_noise
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.parts_cache import PartsCache
@@ -91,7 +90,7 @@ def test_the_zero_of_a_sensor_is_an_error_of_the_record(tmp_path: Path) -> None:
     rig, rng = rig_in(tmp_path), np.random.default_rng(1)
     volts = band_noise(8192, 1, 0.02)
     y = linear_response(volts) + 1e-4 * rng.standard_normal(volts.size)
-    volts_zero, y_zero = 0.7 * TOLERANCES.zero * np.abs(volts).max(), 0.05
+    volts_zero, y_zero = 0.07 * np.abs(volts).max(), 0.05
     bag = imported(tmp_path, volts + volts_zero, y + y_zero, [(0, volts.size)])
     test = read_observations([bag], rig).tests[0]
     assert isinstance(test, DrivenRecord)
@@ -205,11 +204,11 @@ def test_the_begin_of_a_record_is_two_periods() -> None:
     rate, hertz = 1000.0, 5.0
     time_s = np.arange(8000) / rate
     sine = np.sin(2.0 * math.pi * hertz * time_s)[None]
-    assert _head(sine, rate) == pytest.approx(2.0 * rate / hertz, rel=0.03)
-    assert _head(np.sin(2.0 * math.pi * 400.0 * time_s)[None], rate) == 24
-    head = _head(sine, rate)
-    assert _begins_in_motion(np.cos(2.0 * math.pi * hertz * time_s)[None], head)
+    assert head_of(sine, rate) == pytest.approx(2.0 * rate / hertz, rel=0.03)
+    assert head_of(np.sin(2.0 * math.pi * 400.0 * time_s)[None], rate) == 24
+    head = head_of(sine, rate)
+    assert starts_in_motion(np.cos(2.0 * math.pi * hertz * time_s)[None], head)
     for share, moves in ((0.09, False), (0.11, True)):
         # A step of noise before the motion.
         begun = np.where(time_s < 0.1, share * np.std(sine) * np.sign(np.sin(2e3 * math.pi / 2.0 * time_s + 1.0)), sine)
-        assert _begins_in_motion(begun, head) is moves
+        assert starts_in_motion(begun, head) is moves

@@ -17,7 +17,7 @@ from scipy.stats import f as fisher
 from nmt_bench.commands import linear_command
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.effects.location import Cause, Explanation, Location
-from nmt_diagnose.effects.structure_effects import _excess, largest_air_drag
+from nmt_diagnose.effects.structure_effects import excess_exponent, largest_air_drag
 from nmt_diagnose.fit.best_fit import spread_of
 from nmt_diagnose.fit.fitting import Data, FitResult
 from nmt_diagnose.fit.noise import Groups, beyond_noise
@@ -33,7 +33,7 @@ from nmt_diagnose.prediction.converter import recorded_harmonics
 from nmt_diagnose.prediction.lateness import delay_of
 from nmt_diagnose.say.residual_tests import residual_tests
 from nmt_diagnose.say.result_rows import place_rows
-from nmt_diagnose.say.sentences import _where, sentences
+from nmt_diagnose.say.sentences import sentences, where_words
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import load_rig
@@ -267,7 +267,7 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "verdict.least_location_probability": (lambda: (listed(0.004), listed(0.006)), (1, 2)),
     "verdict.other_location_probability": (
         lambda: [
-            "otherwise" in _where([PlaceShare("joint", "", 1.0, 0.9), PlaceShare("exciter", "", 0.1, p)])
+            "otherwise" in where_words([PlaceShare("joint", "", 1.0, 0.9), PlaceShare("exciter", "", 0.1, p)])
             for p in (0.04, 0.06)
         ],
         [False, True],
@@ -297,7 +297,7 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
         lambda: [FitResult.converged.fget(SimpleNamespace(promised=fall)) for fall in (0.21, 0.19)],  # type: ignore[attr-defined]
         [False, True],
     ),
-    "candidates.largest_power_excess": (lambda: (_excess({"excess": 8.0}), _excess({"excess": 20.0})), (8.0, 9.0)),
+    "candidates.largest_power_excess": (lambda: [excess_exponent({"excess": e}) for e in (8.0, 20.0)], [8.0, 9.0]),
     # ½ ρ C_d A of the beam's face, and of 0.2 m² of sheet.
     "candidates.air_density_kg_m3": (lambda: drag("beam"), pytest.approx(0.5 * 1.2 * 10.0 * 0.7 * 0.00527668)),
     "candidates.largest_drag_coefficient": (lambda: drag("joint_resonator"), pytest.approx(0.5 * 1.2 * 10.0 * 0.2)),

@@ -17,7 +17,7 @@ from diagnose.test_warnings import GAP, best
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.ahead.apart import competing
-from nmt_diagnose.effects.sensor_effects import _late
+from nmt_diagnose.effects.sensor_effects import late_channels
 from nmt_diagnose.fit.explanations import Score
 from nmt_diagnose.fit.low_level_modes import Modes, disorder, modes_that_lack
 from nmt_diagnose.fit.misfit import misfit_of
@@ -27,7 +27,7 @@ from nmt_diagnose.ledger.held_out import splits
 from nmt_diagnose.ledger.warnings import warned
 from nmt_diagnose.measurements.backbone_table.reading import scatter_about_a_course
 from nmt_diagnose.measurements.driven_record.reading import refinement
-from nmt_diagnose.measurements.stepped_responses.table_reading import _groups, jumps_of, scatter_of_lines
+from nmt_diagnose.measurements.stepped_responses.table_reading import force_groups, jumps_of, scatter_of_lines
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.noise.settling import settling
 from nmt_diagnose.observations.observables import Part
@@ -82,7 +82,7 @@ def transient(windows: int) -> bool:
 
 
 def groups(step: float) -> int:
-    return len(_groups(np.array([1.0, 1.0 + step]), np.ones(2, dtype=bool)))
+    return len(force_groups(np.array([1.0, 1.0 + step]), np.ones(2, dtype=bool)))
 
 
 def jumps(step: float, beside: float) -> int:
@@ -162,7 +162,7 @@ def held_out(levels: int) -> bool:
 
 
 def late(delay_s: float) -> int:
-    return len(_late(SimpleNamespace(delays={"a": delay_s}, omega=100.0), ["a"]))  # type: ignore[arg-type]
+    return len(late_channels(SimpleNamespace(delays={"a": delay_s}, omega=100.0), ["a"]))  # type: ignore[arg-type]
 
 
 EDGES: dict[str, tuple[Callable[[], Any], Any]] = {

@@ -14,14 +14,14 @@ from nmt_core.errors import BenchError
 from nmt_core.key_units import unit_of_key
 from nmt_core.messages.blocks import Quantity
 from nmt_core.tolerances import MODEL_PRIORS
-from nmt_diagnose.chain.chain_columns import _distorted
+from nmt_diagnose.chain.chain_columns import distorted
 from nmt_diagnose.effects.calibration import mode_dampings
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
-from nmt_diagnose.measurements.locked_windows.reading import _lean
+from nmt_diagnose.measurements.locked_windows.reading import phase_lean
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.channels.plausibility import check_frequency, out_of_scale
-from nmt_diagnose.observations.noise.settling import _RATES, settling
+from nmt_diagnose.observations.noise.settling import RATES, settling
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_structure
@@ -73,18 +73,18 @@ def test_a_frequency_that_is_far_from_all_modes_is_of_another_structure() -> Non
 
 def test_a_phase_that_drifts_leans_by_twice_its_change() -> None:
     time = (np.arange(10) + 0.5) / 10 - 0.5
-    assert _lean(0.01 * time) == pytest.approx(0.02)
+    assert phase_lean(0.01 * time) == pytest.approx(0.02)
 
 
 def test_the_form_of_a_transient_is_known_to_two_per_cent() -> None:
     time = (np.arange(10) + 0.5) / 10
-    logs = np.outer(np.exp(-_RATES[10] * time), [-0.006, -0.006])
+    logs = np.outer(np.exp(-RATES[10] * time), [-0.006, -0.006])
     assert settling(logs, np.array([True, True])).doubt == pytest.approx(0.02, rel=0.02)
 
 
 def test_a_drive_is_distorted_by_a_thousandth() -> None:
     level = LockedLevel(0, 1.0, 0.0, 0.0, 10.0, 0.0, 1.0, 0.0, 1, terms=((1.0,), (2.0j,)))
-    assert _distorted(level, 3, 1.0).terms == ((1.0, 0.0, 1e-3), (2.0j, 0.0, 2e-3j))
+    assert distorted(level, 3, 1.0).terms == ((1.0, 0.0, 1e-3), (2.0j, 0.0, 2e-3j))
 
 
 def test_modes_near_the_band_of_the_tests_have_dampings_of_their_own() -> None:

@@ -91,7 +91,7 @@ def test_an_effect_stands_in_for_an_error_of_the_chain_that_nobody_believes() ->
     def taken(sigmas: float, column: np.ndarray) -> tuple[float, float] | None:
         own = np.zeros_like(errors.chain)
         own[position] = sigmas
-        return search._instead_of_chain_error(replace(null.fit, errors=replace(errors, chain=own)), column)
+        return search.instead_of_chain_error(replace(null.fit, errors=replace(errors, chain=own)), column)
 
     assert taken(20.0, -2.0 * slope) == pytest.approx((-10.0, 400.0))
     assert taken(-20.0, 0.5 * slope) == pytest.approx((-40.0, 400.0))

@@ -22,7 +22,7 @@ from nmt_core.messages.records import DriveCommand
 from nmt_core.vocabulary import Waveform
 from nmt_extract.linear.evaluation import evaluate_linear_test
 from nmt_extract.linear.file import Linearity, description, frf_table, linear_mapping, linearity
-from nmt_extract.linear.identification import _target_of, linear_test
+from nmt_extract.linear.identification import linear_test, target_of
 from nmt_extract.linear.results import LinearTest, LinearTestSettings
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_record.bag.bag_reader import Bag
@@ -221,14 +221,14 @@ def test_target_by_number_and_by_frequency(resonator):
     modes, plain = list(test.modes), settings(rig)
     # The rig counts its suspension mode, the band does not hold it.
     assert rig.test.mode == 2
-    assert _target_of(modes, plain, True) is modes[0]
-    assert _target_of(modes, plain, False) is modes[1]
-    assert _target_of(modes, replace(plain, mode=2), True) is modes[1]
-    assert _target_of(modes, replace(plain, near_hz=1000.0), True) is modes[1]
+    assert target_of(modes, plain, True) is modes[0]
+    assert target_of(modes, plain, False) is modes[1]
+    assert target_of(modes, replace(plain, mode=2), True) is modes[1]
+    assert target_of(modes, replace(plain, near_hz=1000.0), True) is modes[1]
     with pytest.raises(BenchError, match="--near"):
-        _target_of(modes, replace(plain, mode=7), True)
+        target_of(modes, replace(plain, mode=7), True)
     with pytest.raises(BenchError, match="10 % of 600 Hz"):
-        _target_of(modes, replace(plain, near_hz=600.0), True)
+        target_of(modes, replace(plain, near_hz=600.0), True)
 
 
 def test_one_mode_kept_is_the_target(resonator):

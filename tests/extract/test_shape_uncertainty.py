@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nmt_core.messages.blocks import Quantity
-from nmt_extract.linear.identification import _scaled
+from nmt_extract.linear.identification import scaled_mode
 from nmt_signals.rational_fit import StructureMode
 
 SHAPE = np.array([1.3, -0.7, 0.4])  # 1/√kg, the first is the drive point
@@ -17,7 +17,7 @@ KINDS = {Quantity.DISPLACEMENT: 0, Quantity.VELOCITY: 1, Quantity.ACCELERATION: 
 
 
 def shape_of(record, mode):
-    return _scaled(record, mode, None, (1.0, 1.0), None)
+    return scaled_mode(record, mode, None, (1.0, 1.0), None)
 
 
 @pytest.mark.parametrize("drive", KINDS)

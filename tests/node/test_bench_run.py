@@ -248,7 +248,7 @@ def test_in_lockstep_a_stopped_reader_is_waited_for(reader: str, tmp_path: Path)
                 stopped.append(progress.sample)
                 os.kill(process, signal.SIGSTOP)
 
-        turn = bench._turn
+        turn = bench.turn
 
         def look() -> None:
             turn()
@@ -256,7 +256,7 @@ def test_in_lockstep_a_stopped_reader_is_waited_for(reader: str, tmp_path: Path)
                 said.append(bench.client.plant_said["next_sample"])
                 os.kill(process, signal.SIGCONT)
 
-        bench._turn = look  # type: ignore[method-assign]
+        bench.turn = look  # type: ignore[method-assign]
         result = bench.run(strike)
     assert said, "the plant did not wait"
     assert result.code == ResultCode.SUCCEEDED, result.message
@@ -320,7 +320,7 @@ def test_what_ends_extraction_from_the_bag_as_well_costs_no_point_that_came(
     monkeypatch.setattr("nmt_extract.offline.extract_bag", failing)
     values = {"sequencer": {"points_timeout": 1.0}}
     with Bench("beam", [0.2, 0.3], out=tmp_path / "out", window_periods=10, node_values=values) as bench:
-        publisher = bench.nodes["extract"]._publisher
+        publisher = bench.nodes["extract"].publisher
         publish = publisher.publish
         publisher.publish = lambda raw: publish(raw) if MODAL_POINT.read(raw).level_index == 0 else None
         result = bench.run()
@@ -337,7 +337,7 @@ def test_points_that_do_not_come_are_missed_by_name(tmp_path: Path) -> None:
     values = {"sequencer": {"points_timeout": 1.0}}
     levels = [0.2, 0.3, 0.5]
     with Bench("beam", levels, out=tmp_path / "out", window_periods=20, node_values=values) as bench:
-        publisher = bench.nodes["extract"]._publisher
+        publisher = bench.nodes["extract"].publisher
         publish = publisher.publish
 
         def silent(raw: bytes) -> None:
@@ -402,7 +402,7 @@ def test_a_point_that_never_comes_in_real_time_is_not_waited_for_without_end() -
     values = {"sequencer": {"points_timeout": 1.0}}
     options = {"pacing": "realtime", "latency_blocks": 25, "window_periods": 5, "node_values": values}
     with Bench("beam", [0.7], **options) as bench:  # type: ignore[arg-type]
-        bench.nodes["extract"]._publisher.publish = lambda raw: None
+        bench.nodes["extract"].publisher.publish = lambda raw: None
         result = bench.run()
     assert result.code == ResultCode.POINTS_MISSING
     assert result.missing == (0,)
@@ -463,7 +463,7 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_recorded(tmp_path: Path) ->
 
         def fill_the_disk(progress: Progress) -> None:
             if progress.state == LoopState.LOCKED:
-                writer._mcap.flush = full
+                writer.mcap.flush = full
 
         result = bench.run(fill_the_disk)
     assert result.code == ResultCode.NODE_LOST

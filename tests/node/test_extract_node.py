@@ -100,9 +100,9 @@ class Stage:
     def received(self, topic):
         """Messages of a topic that the node has taken."""
         extractor = self.node.core.extractor
-        assembler = extractor._assembler
-        counts = {"frequency": assembler.table.kept[1], "level": len(extractor._levels)}
-        counts["lock"] = len(extractor._lock_samples)
+        assembler = extractor.assembler
+        counts = {"frequency": assembler.table.kept[1], "level": len(extractor.levels)}
+        counts["lock"] = len(extractor.lock_samples)
         return {**counts, **assembler.table.blocks}[topic]
 
     def close(self):

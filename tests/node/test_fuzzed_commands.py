@@ -105,11 +105,11 @@ def test_a_plant_that_gets_nothing_but_nonsense_keeps_its_limits(seed: int) -> N
             PlantSettings(rig_file=str(bench.out / "rig.yaml"), latency_blocks=4),
             context=bench.context, namespace="fuzz",
         )  # fmt: skip
-        bench._add("fuzzed", plant)
+        bench.add_node("fuzzed", plant)
         fuzzer = Fuzzer(bench)
-        bench._add("fuzzer", fuzzer)
-        bench._spin_until(lambda: fuzzer.drive.get_subscription_count() == 1, 20.0, "the plant")
-        bench._spin_until(lambda: fuzzer.state.get_subscription_count() == 1, 20.0, "the plant")
+        bench.add_node("fuzzer", fuzzer)
+        bench.spin_until(lambda: fuzzer.drive.get_subscription_count() == 1, 20.0, "the plant")
+        bench.spin_until(lambda: fuzzer.state.get_subscription_count() == 1, 20.0, "the plant")
         fuzzer.state.publish(msg.RunState(run_id="fuzz", phase=msg.RunState.RUNNING, horizon_sample=2**40))
         for count in range(500):
             near = plant.device.next_sample
@@ -159,7 +159,7 @@ def test_a_run_under_a_thousand_senseless_messages_ends(topic: str, tmp_path: Pa
     kind, make, service = KINDS[topic]
     with Bench("beam", [0.3], out=tmp_path / "out", overrides=RIG, window_periods=2000) as bench:
         node = Node("stranger", context=bench.context, enable_rosout=False, start_parameter_services=False)
-        bench._add("stranger", node)
+        bench.add_node("stranger", node)
         begun: list[float] = []
 
         def attack(progress: Progress) -> None:

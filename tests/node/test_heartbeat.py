@@ -29,12 +29,12 @@ def node(domain_id: int) -> Iterator[BenchNode]:
 def test_work_that_takes_long_is_busy_and_then_hung(node: BenchNode, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[DiagnosticStatus] = []
     monkeypatch.setattr(node.heartbeat, "_publish", said.append)
-    node._beat()  # the working thread
+    node.beat()  # the working thread
     with node.heartbeat.watched_work():
         end = time.monotonic() + 30.0
         while not said[-1].message.startswith("hung") and time.monotonic() < end:
             time.sleep(0.05)  # a piece of work
-        node._beat()
+        node.beat()
     words = [status.message.partition(" ")[0].rstrip(":") for status in said]
     assert [word for before, word in zip(["", *words], words, strict=False) if word != before] == [
         "ready",

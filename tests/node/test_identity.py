@@ -26,7 +26,7 @@ class Stranger(Node):  # type: ignore[misc]
     def __init__(self, bench: Bench) -> None:
         super().__init__("stranger", context=bench.context, enable_rosout=False, start_parameter_services=False)
         self.server: ActionServer | None = None
-        bench._add("stranger", self)
+        bench.add_node("stranger", self)
 
     def destroy_node(self) -> None:
         """A node does not destroy its action servers: this one would stay in the domain, whoever has it next."""
@@ -95,13 +95,13 @@ def test_a_second_one_ends_the_run_by_a_ramp_and_is_named(kind: str, tmp_path: P
 def test_no_run_begins_under_two(kind: str) -> None:
     intrude, sentence = KINDS[kind]
     with Bench("beam", [0.3], window_periods=10, node_values={"sequencer": {"ready_timeout": 1.0}}) as bench:
-        bench._spin_until(bench.client.server_is_ready, 20.0, "the action server")
+        bench.spin_until(bench.client.server_is_ready, 20.0, "the action server")
         stranger = Stranger(bench)
         intrude(stranger)
         bench.spin(0.5)
         if kind == "action server":
             goal = bench.client.send_goal(bench.plan.goal, None)
-            bench._spin_until(goal.done, 20.0, "the answer")
+            bench.spin_until(goal.done, 20.0, "the answer")
             assert not goal.result().accepted
             assert sentence in bench.nodes["sequencer"].second_publisher()
             return

@@ -67,8 +67,8 @@ def test_the_papers_loop_runs_through_the_nodes():
 
 def test_settings_of_the_papers_loop_come_from_the_rig_too():
     bench = Bench("beam", levels=[0.1], overrides=["pll.loop=paper", "pll.paper_gain=60"])
-    assert bench._dry.pll.paper_settings.gain == 60.0
-    assert bench._dry.pll.loop == "paper"
+    assert bench.plan.pll.paper_settings.gain == 60.0
+    assert bench.plan.pll.loop == "paper"
     with pytest.raises(BenchError, match="'paper_colour' is not known"):
         Bench("beam", levels=[0.1], overrides=["pll.paper_colour=1"])
 

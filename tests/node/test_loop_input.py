@@ -26,7 +26,7 @@ def test_the_loop_gets_force_and_response_at_the_drive_point_only(tmp_path: Path
         point = bench.rig.drive_point
         listener = Node("listener", context=bench.context, enable_rosout=False, start_parameter_services=False)
         listener.create_subscription(msg.Bundle, "loop_input", joined.append, SAMPLES_QOS, raw=True)
-        bench._add("listener", listener)
+        bench.add_node("listener", listener)
         result = bench.run()
         bench.spin(0.5)
     recorded: dict[str, list[SampleBlock]] = {"force": [], "acceleration": []}

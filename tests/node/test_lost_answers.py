@@ -18,7 +18,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_goal_whose_request_was_lost_is_sent_again(impatient: None, monkeypatch: pytest.MonkeyPatch) -> None:
     with Bench("beam", [0.3], window_periods=10) as bench:
-        send, asked = bench.client._client.send_goal_async, []
+        send, asked = bench.client.action_client.send_goal_async, []
 
         def lose_the_first(goal: Any, **options: Any) -> Any:
             asked.append(options["goal_uuid"])
@@ -28,7 +28,7 @@ def test_a_goal_whose_request_was_lost_is_sent_again(impatient: None, monkeypatc
                 return Future()
             return send(goal, **options)
 
-        monkeypatch.setattr(bench.client._client, "send_goal_async", lose_the_first)
+        monkeypatch.setattr(bench.client.action_client, "send_goal_async", lose_the_first)
         result = bench.run()
     assert result.code == ResultCode.SUCCEEDED
     assert len(asked) == 2
@@ -42,7 +42,7 @@ def test_a_goal_whose_answer_was_lost_runs_once(known: str, impatient: None, mon
     The status may come later than that refusal.
     """
     with Bench("beam", [0.3], window_periods=100) as bench:
-        send, asked = bench.client._client.send_goal_async, []
+        send, asked = bench.client.action_client.send_goal_async, []
 
         def lose_the_first_answer(goal: Any, **options: Any) -> Any:
             asked.append(send(goal, **options))
@@ -52,7 +52,7 @@ def test_a_goal_whose_answer_was_lost_runs_once(known: str, impatient: None, mon
                 return Future()
             return asked[-1]
 
-        monkeypatch.setattr(bench.client._client, "send_goal_async", lose_the_first_answer)
+        monkeypatch.setattr(bench.client.action_client, "send_goal_async", lose_the_first_answer)
         is_known = bench.client.is_known
         looks = {
             "at once": lambda: True,

@@ -21,18 +21,18 @@ from nmt_record.bag.run_recorder import free_path
 
 def send(bench: Bench, **goal: Any) -> Any:
     """Send a goal as an operator does, and wait for its result."""
-    client = bench.client._client
-    bench._spin_until(client.server_is_ready, 20.0, "the action server")
-    handle = bench._await(client.send_goal_async(RunLevels.Goal(**goal)), 20.0, "the answer")
+    client = bench.client.action_client
+    bench.spin_until(client.server_is_ready, 20.0, "the action server")
+    handle = bench.wait_for(client.send_goal_async(RunLevels.Goal(**goal)), 20.0, "the answer")
     assert handle.accepted
     answer = handle.get_result_async()
     # Not spin_once, which does not rest while the sequencer awaits the end of its run.
-    bench._work(answer, 60.0)
+    bench.work(answer, 60.0)
     return answer.result().result
 
 
 def wait_for_bag(bench: Bench) -> None:
-    bench._spin_until(lambda: bench.nodes["recorder"].state == "closed", 20.0, "the bag")
+    bench.spin_until(lambda: bench.nodes["recorder"].state == "closed", 20.0, "the bag")
 
 
 def wait_for_closed(bench: Bench, folder: Path) -> Bag:
@@ -44,7 +44,7 @@ def wait_for_closed(bench: Bench, folder: Path) -> Bag:
         except BenchError:
             return False
 
-    bench._spin_until(closed, 20.0, f"the bag {folder.name}")
+    bench.spin_until(closed, 20.0, f"the bag {folder.name}")
     return Bag.open(folder)
 
 
@@ -157,7 +157,7 @@ def test_without_a_recorder_no_run_begins(tmp_path: Path) -> None:
     values = {"sequencer": {"ready_timeout": 1.0, "watched_nodes": ["plant", "pll", "extract"]}}
     with Bench("beam", [0.3], out=tmp_path / "out", node_values=values) as bench:
         recorder = bench.nodes["recorder"]
-        bench._spin_until(bench.client.server_is_ready, 20.0, "the action server")
+        bench.spin_until(bench.client.server_is_ready, 20.0, "the action server")
         recorder.destroy_subscription(recorder._announcement_subscription)
         result = bench.run()
     assert result.code == ResultCode.NODE_LOST

@@ -31,7 +31,7 @@ from nmt_record.bag.bag_reader import Bag
 def stranger(bench: Bench) -> Node:
     """A node on the bench's domain that nobody asked for."""
     node = Node("stranger", context=bench.context, enable_rosout=False, start_parameter_services=False)
-    bench._add("stranger", node)
+    bench.add_node("stranger", node)
     return node
 
 
@@ -134,7 +134,7 @@ def test_a_run_does_not_begin_under_two_publishers() -> None:
 
 def test_blocks_of_another_source_do_not_reach_the_loop_unnoticed(tmp_path: Path) -> None:
     with Bench("beam", [0.3], out=tmp_path / "out", window_periods=300, linked=False) as bench:
-        bench.nodes["plant"].identity._topics.clear()  # as if it had not noticed the second publisher
+        bench.nodes["plant"].identity.topics.clear()  # as if it had not noticed the second publisher
         publisher = stranger(bench).create_publisher(SampleBlockMessage, "force", SAMPLES_QOS)
         sent: list[int] = []
 
@@ -161,7 +161,7 @@ def test_blocks_of_another_source_do_not_reach_the_loop_unnoticed(tmp_path: Path
 
 def test_lock_events_of_strangers_do_not_stop_the_nodes(tmp_path: Path) -> None:
     with Bench("beam", [0.3], out=tmp_path / "out", window_periods=300) as bench:
-        bench.nodes["pll"].identity._topics.clear()  # as if it had not noticed the second publisher
+        bench.nodes["pll"].identity.topics.clear()  # as if it had not noticed the second publisher
         lock = stranger(bench).create_publisher(LockEvent, "lock", SAMPLES_QOS)
         sent: list[int] = []
 

@@ -77,7 +77,7 @@ class Listener(Node):  # type: ignore[misc]
         super().__init__("listener", context=bench.context, enable_rosout=False, start_parameter_services=False)
         self.heard: list[DiagnosticStatus] = []
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
-        bench._add("listener", self)
+        bench.add_node("listener", self)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.heard += [status for status in message.status if status.name == "plant"]
@@ -90,8 +90,8 @@ def test_a_failed_device_is_an_error_at_once_and_ends_the_run(bench: Bench, monk
 
     def fail(_: Any) -> FloatArray:
         # Any later heartbeat would be another one: the error must be published with the failure.
-        monkeypatch.setattr(plant, "_beat", lambda: None)
-        plant._beat_timer.cancel()
+        monkeypatch.setattr(plant, "beat", lambda: None)
+        plant.beat_timer.cancel()
         raise DeviceFault("the amplifier is on fire")
 
     def break_it(progress: Progress) -> None:

@@ -203,7 +203,7 @@ def test_after_an_early_end_the_bag_stays_open_until_the_drive_is_at_zero(stage)
     rig.publish_state(RunState.DONE, sample=19, result_code=6)
     stage.until(lambda: recorder.core.end_sample == 19)
     for _ in range(5):
-        recorder._watch()
+        recorder.watch()
     assert recorder.state == "open"
     rig.publish_voltage(20, 0.4)
     rig.publish_voltage(40, 0.0)
@@ -222,18 +222,18 @@ def end_while_driven(stage, recorder):
 
 
 def test_the_ramp_of_a_plant_that_is_gone_is_not_waited_for(stage, monkeypatch):
-    monkeypatch.setattr("nmt_record.bag.recorder_node._LONGEST_RAMP", 1000.0)
+    monkeypatch.setattr("nmt_record.bag.recorder_node.LONGEST_RAMP", 1000.0)
     recorder = stage.start(settle_time=0.0)
     end_while_driven(stage, recorder)
     stage.until(lambda: recorder.core.end_sample == 19)
-    recorder._watch()
+    recorder.watch()
     assert recorder.state == "open"
     stage.rig.destroy_publisher(stage.rig.blocks.pop("voltage"))
     stage.until(lambda: recorder.state == "closed")
 
 
 def test_a_drive_that_never_comes_to_rest_does_not_keep_the_bag_open(stage, monkeypatch):
-    monkeypatch.setattr("nmt_record.bag.recorder_node._LONGEST_RAMP", 0.2)
+    monkeypatch.setattr("nmt_record.bag.recorder_node.LONGEST_RAMP", 0.2)
     recorder = stage.start(settle_time=0.0)
     end_while_driven(stage, recorder)
     stage.until(lambda: recorder.state == "closed")
@@ -320,7 +320,7 @@ def end_with_a_lock(stage, recorder):
 
 
 def test_a_source_that_goes_on_does_not_keep_the_bag_open(stage, monkeypatch):
-    monkeypatch.setattr("nmt_record.bag.recorder_node._LONGEST_END", 1000.0)
+    monkeypatch.setattr("nmt_record.bag.recorder_node.LONGEST_END", 1000.0)
     recorder = stage.start()
     first = end_with_a_lock(stage, recorder)
     stage.rig.modal_point.publish(ModalPoint())
@@ -332,7 +332,7 @@ def test_a_source_that_goes_on_does_not_keep_the_bag_open(stage, monkeypatch):
 
 def test_a_late_modal_point_is_in_the_bag(stage, monkeypatch):
     """Many times the silence that ends a run passes before it comes."""
-    monkeypatch.setattr("nmt_record.bag.recorder_node._LONGEST_END", 1000.0)
+    monkeypatch.setattr("nmt_record.bag.recorder_node.LONGEST_END", 1000.0)
     recorder = stage.start(settle_time=0.01)
     first = end_with_a_lock(stage, recorder)
     end = time.monotonic() + 0.5
@@ -344,7 +344,7 @@ def test_a_late_modal_point_is_in_the_bag(stage, monkeypatch):
 
 
 def test_a_modal_point_that_never_comes_does_not_keep_the_bag_open(stage, monkeypatch):
-    monkeypatch.setattr("nmt_record.bag.recorder_node._LONGEST_END", 0.5)
+    monkeypatch.setattr("nmt_record.bag.recorder_node.LONGEST_END", 0.5)
     recorder = stage.start()
     first = end_with_a_lock(stage, recorder)
     go_on_until(stage, lambda: recorder.state == "closed", first)
@@ -379,7 +379,7 @@ def lockstep_run(stage, **values):
 
 def look_at(recorder, count=5):
     for _ in range(count):
-        recorder._watch()
+        recorder.watch()
 
 
 def test_in_lockstep_a_bag_waits_for_its_backlog_however_long_that_takes(stage, monkeypatch):
@@ -418,11 +418,11 @@ def test_in_lockstep_the_points_that_the_sequencer_waits_for_are_in_the_bag(stag
         stage.rig.publish_block("force", 20 * index)
         stage.rig.publish_block("acceleration", 20 * index)
     stage.until(lambda: recorder.core.gaps.recorded == 200)
-    recorder._goal, recorder._announced = "ab", RunAnnouncement("ab", "run-7")
+    recorder.goal, recorder.announced = "ab", RunAnnouncement("ab", "run-7")
     monkeypatch.setattr(recorder, "count_publishers", lambda _: 1)
     look_at(recorder)
     assert recorder.state == "open"
-    recorder._announced = RunAnnouncement()
+    recorder.announced = RunAnnouncement()
     look_at(recorder)
     assert recorder.state == "closed"
 
@@ -458,7 +458,7 @@ def test_a_full_disk_is_reported_and_the_node_lives_on(stage, monkeypatch):
     stage.rig.publish_block("force", 20)
     stage.until(lambda: recorder.writer.counts.get("force") == 2)
     recorder.writer.flush()
-    monkeypatch.setattr(recorder.writer._mcap, "flush", full)
+    monkeypatch.setattr(recorder.writer.mcap, "flush", full)
     for index in range(2, 6):
         stage.rig.publish_block("force", 20 * index)
     stage.until(lambda: stage.rig.bag_states[-1]["state"] == "failed")

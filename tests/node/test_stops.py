@@ -34,7 +34,7 @@ QUALITIES = {
 
 def stranger(bench: Bench, name: str = "door") -> Node:
     node = Node(name, context=bench.context, enable_rosout=False, start_parameter_services=False)
-    bench._add(name, node)
+    bench.add_node(name, node)
     return node
 
 
@@ -42,8 +42,8 @@ def call(bench: Bench, service: str) -> tuple[bool, str]:
     """Call a service of a node of the bench, once the run is over."""
     node = stranger(bench, f"caller_of_{service}")
     client = node.create_client(Trigger, service)
-    bench._spin_until(client.service_is_ready, 5.0, service)
-    answer = bench._await(client.call_async(Trigger.Request()), 5.0, service)
+    bench.spin_until(client.service_is_ready, 5.0, service)
+    answer = bench.wait_for(client.call_async(Trigger.Request()), 5.0, service)
     return bool(answer.success), str(answer.message)
 
 
@@ -140,7 +140,7 @@ def test_the_external_stop_input_holds_until_it_is_released_and_reset(pacing: st
         line.unlink()
         bench.spin(0.5)
         client = bench.nodes["caller_of_reset"].create_client(Trigger, "reset")
-        assert bench._await(client.call_async(Trigger.Request()), 5.0, "reset").success
+        assert bench.wait_for(client.call_async(Trigger.Request()), 5.0, "reset").success
     assert_stopped(result, StopCause.EXTERNAL_INPUT, "the external stop input")
 
 
@@ -155,7 +155,7 @@ def test_the_command_stops_the_bench_of_a_domain(tmp_path: Path) -> None:
 
         result = bench.run(once_locked(stop))
         (process,) = started
-        bench._spin_while(lambda: process.poll() is None, 30.0)
+        bench.spin_while(lambda: process.poll() is None, 30.0)
         words, _ = process.communicate(timeout=30)
     assert process.returncode == 0
     assert f"Domain {bench.domain_id}: the drive is held at zero; sample" in words

@@ -102,8 +102,8 @@ def test_a_bridged_topic_is_recorded_and_extracted_as_any(tmp_path: Path) -> Non
                 assert time.monotonic() < end
 
         until(lambda: sensors.imu.get_subscription_count() and sensors.wrench.get_subscription_count())
-        until(lambda: sensors.lock.get_subscription_count() and bridge._outlets and all(
-            outlet.peers() for outlet in bridge._outlets.values()))  # fmt: skip
+        until(lambda: sensors.lock.get_subscription_count() and bridge.outlets and all(
+            outlet.peers() for outlet in bridge.outlets.values()))  # fmt: skip
         lock = lock_event(500, 2000, 40, frequency_hz=FREQUENCY)
         sensors.lock.publish(LOCK_EVENT.write(lock))
         for number in range(3200):

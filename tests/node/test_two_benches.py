@@ -42,12 +42,12 @@ def test_a_node_that_hangs_ends_its_own_bench_only(name: str, tmp_path: Path) ->
         (tmp_path / "rig.yaml").write_text(test.rig_yaml, encoding="utf-8")
         plan = plan_nodes(test, tmp_path / "second", tmp_path / "rig.yaml")
         for other in NODES:
-            bench._add(f"{NAMESPACE}/{other}", make_node(bench, other, plan.settings[other]))
+            bench.add_node(f"{NAMESPACE}/{other}", make_node(bench, other, plan.settings[other]))
         caller = Node("caller", context=bench.context, namespace=NAMESPACE, enable_rosout=False)
-        bench._add("caller", caller)
+        bench.add_node("caller", caller)
         client = ActionClient(caller, RunLevels, "run_levels")
-        bench._spin_until(client.server_is_ready, 20.0, "the second bench")
-        handle = bench._await(client.send_goal_async(RunLevels.Goal(**plan.goal)), 20.0, "its answer")
+        bench.spin_until(client.server_is_ready, 20.0, "the second bench")
+        handle = bench.wait_for(client.send_goal_async(RunLevels.Goal(**plan.goal)), 20.0, "its answer")
         second = handle.get_result_async()
         hung: list[int] = []
 
@@ -55,19 +55,19 @@ def test_a_node_that_hangs_ends_its_own_bench_only(name: str, tmp_path: Path) ->
             if progress.state == LoopState.LOCKED and not hung:
                 hung.append(progress.sample)
                 node = bench.nodes[name]
-                node._beat_timer.cancel()
+                node.beat_timer.cancel()
                 node.publish_diagnostics(DiagnosticStatus.ERROR, f"{HUNG}: nothing has been done for 61 s")
 
         first = bench.run(hang)
         assert hung
-        bench._spin_until(second.done, 60.0, "the end of the second run")
+        bench.spin_until(second.done, 60.0, "the end of the second run")
         assert first.code == ResultCode.NODE_LOST
         assert f"ode {name} hangs" in first.message or f"ode {name} reports: hung" in first.message
         answer = second.result().result
         assert (answer.result_code, answer.levels_locked) == (ResultCode.SUCCEEDED, 2)
         assert len(answer.points) == 2
         recorder = bench.nodes[f"{NAMESPACE}/recorder"]
-        bench._spin_until(lambda: recorder.writer.state == "closed", 20.0, "the second bag")
+        bench.spin_until(lambda: recorder.writer.state == "closed", 20.0, "the second bag")
     assert not list(Bag.open(tmp_path / "first" / "bag").blocks("voltage"))[-1].data.any()
     ended = set(Bag.open(tmp_path / "first" / "bag").topics) - {"drive_stop"}  # of a plant that stopped the drive
     assert set(Bag.open(tmp_path / "second").topics) == ended

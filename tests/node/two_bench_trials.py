@@ -73,10 +73,10 @@ def attempt(name: str, folder: Path) -> str:
         others = start_second(plan, folder)
         try:
             caller = Node("caller", context=bench.context, namespace=NAMESPACE, enable_rosout=False)
-            bench._add("caller", caller)
+            bench.add_node("caller", caller)
             client = ActionClient(caller, RunLevels, "run_levels")
-            bench._spin_until(client.server_is_ready, PATIENCE, "the second bench")
-            handle = bench._await(client.send_goal_async(RunLevels.Goal(**plan.goal)), PATIENCE, "its answer")
+            bench.spin_until(client.server_is_ready, PATIENCE, "the second bench")
+            handle = bench.wait_for(client.send_goal_async(RunLevels.Goal(**plan.goal)), PATIENCE, "its answer")
             future = handle.get_result_async()
             strike = Strike(bench, name, caller)
             first = bench.run(strike)

@@ -336,7 +336,7 @@ def hang(made):
 
 
 def end_of_the_plant(made):
-    made.device._link._channel.shutdown(socket.SHUT_RDWR)
+    made.device.link._channel.shutdown(socket.SHUT_RDWR)
     made.clock.sleep(1.5)
 
 

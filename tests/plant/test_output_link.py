@@ -245,7 +245,7 @@ def test_an_owned_device_says_when_its_output_was_stopped(
         with pytest.raises(BenchError, match="the external stop input still asks for zero"):
             device.reset()
         stop.unlink()
-        come(lambda: bool(device.read()) and not device._link.stop_is_set, clock.sleep)  # type: ignore[union-attr]
+        come(lambda: bool(device.read()) and not device.link.stop_is_set, clock.sleep)  # type: ignore[union-attr]
         device.reset()
         assert device.tripped == ""
         device.write(SINE)
@@ -281,8 +281,8 @@ def test_is_ready_says_whether_a_read_would_wait(patient: dict[str, Any], clock:
         device.read()
         for _ in range(LEAD + 2):
             come(lambda: device.is_ready, clock.sleep)
-            assert device._link is not None
-            assert device._link.available >= BLOCK
+            assert device.link is not None
+            assert device.link.available >= BLOCK
             device.read()
         assert device.next_sample == (LEAD + 3) * BLOCK
     finally:
@@ -352,7 +352,7 @@ def test_the_rig_measures_the_ramp_of_an_output_that_was_not_fed(patient: dict[s
         device.write(DriveCommand(Waveform.SINE, 22.0, 0.5))
         drive = [voltage(device.read()) for _ in range(30)]
         assert drive[-1].any()
-        link = device._link
+        link = device.link
         assert link is not None
         come(lambda: link.state is OutputState.HELD, clock.sleep)
         while not device.is_quiet or not device.tripped:

@@ -152,7 +152,7 @@ def test_a_sample_beyond_the_limit_at_either_output_takes_both_to_zero_from_ther
     with frame(kind) as made:
         device = made.start()
         drive(device, 50)
-        link = device._link
+        link = device.link
         real = link.feed
 
         def feed(values):
@@ -175,7 +175,7 @@ def test_the_device_stops_both_at_the_sample_that_is_beyond(row):
     with frame("portaudio") as made:
         device = made.start()
         drive(device, 50)
-        oscillator = device._oscillator
+        oscillator = device.oscillator
         real = oscillator.block
 
         def block(samples):

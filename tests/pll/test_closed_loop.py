@@ -216,7 +216,7 @@ def test_a_level_begins_in_the_block_of_its_sample():
     for _ in range(10):
         first = bench.next_sample
         output = bench.step()
-        voltage.append((first, output.amplitude, bench.device._oscillator.amplitude))
+        voltage.append((first, output.amplitude, bench.device.oscillator.amplitude))
     # The block that starts at sample 2000 is answered with the level: the drive follows in the next block.
     assert [amplitude for first, amplitude, _ in voltage if first < 2000] == [0.0] * 5
     assert [amplitude for first, amplitude, _ in voltage if first >= 2000] == [0.3] * 5

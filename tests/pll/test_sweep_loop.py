@@ -132,12 +132,12 @@ def test_a_held_amplitude_may_be_off_by_a_factor_of_two_for_a_second() -> None:
     second = round(loop.sample_rate)
     phasors = 14.65 + 0j, 1.0 + 0j
     for share in (0.52, 1.9):
-        loop._held = share * level.amplitude
-        assert loop._refusal(level, phasors, end) == ""
+        loop.held = share * level.amplitude
+        assert loop.refusal(level, phasors, end) == ""
     for share in (0.48, 2.1):
-        loop._held = share * level.amplitude
-        assert loop._refusal(level, phasors, end + round(0.9 * second)) == ""
-        assert "instead of 14.65" in loop._refusal(level, phasors, end + round(1.1 * second))
+        loop.held = share * level.amplitude
+        assert loop.refusal(level, phasors, end + round(0.9 * second)) == ""
+        assert "instead of 14.65" in loop.refusal(level, phasors, end + round(1.1 * second))
 
 
 def test_a_probe_begins_at_a_tenth_of_a_millivolt_and_grows_by_a_quarter_a_block() -> None:

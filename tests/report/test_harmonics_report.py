@@ -7,7 +7,7 @@ import numpy as np
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
 from nmt_report.run_data import ReferenceCurve, RunReportData
-from nmt_report.run_page import _harmonics_notes, _harmonics_table, worst_deviation
+from nmt_report.run_page import harmonics_notes, harmonics_table, worst_deviation
 
 REFERENCE = ReferenceCurve("EPMC", np.array([0.5, 4.0]), np.array([100.0, 100.0]), np.array([0.02, 0.02]))
 
@@ -41,7 +41,7 @@ def data(worst: float = 0.0199, **fields) -> RunReportData:
 
 
 def test_the_table_has_a_row_for_each_level_with_values():
-    table = _harmonics_table(data())
+    table = harmonics_table(data())
     cells = [row.cells for row in table.rows]
     assert [row[2] for row in cells] == ["none", "2 to 9", "auto"]
     assert cells[1][3:5] == ["0.100", "5.000"]
@@ -52,8 +52,8 @@ def test_the_table_has_a_row_for_each_level_with_values():
 
 def test_a_run_without_control_has_no_table_and_no_notes():
     plain = RunReportData(data().points[:1], 1e4, reference=REFERENCE)
-    assert _harmonics_table(plain) is None
-    assert _harmonics_notes(plain) == []
+    assert harmonics_table(plain) is None
+    assert harmonics_notes(plain) == []
 
 
 def test_levels_for_comparison_do_not_count_as_deviation():
@@ -64,8 +64,8 @@ def test_levels_for_comparison_do_not_count_as_deviation():
 
 def test_what_was_given_up_and_what_is_left_is_said():
     words = {2: "phase error 0.1 deg; force harmonics up to 9 within 0.1 %; harmonic 5 given up: no room"}
-    notes = _harmonics_notes(data(lock_words=words))
+    notes = harmonics_notes(data(lock_words=words))
     assert "Level 3: harmonic 5 given up: no room." in notes
     assert not any("one exciter" in note for note in notes)
-    left = _harmonics_notes(data(worst=0.018))
+    left = harmonics_notes(data(worst=0.018))
     assert any("place of the one exciter" in note for note in left)

@@ -12,11 +12,11 @@ from report.synthetic_run import synthetic_run
 
 from nmt_report import backbone_figures
 from nmt_report.error_bars import joined_error_bars
-from nmt_report.figure_files import _NUMBERS
+from nmt_report.figure_files import FIGURE_NUMBERS
 from nmt_report.figure_record import record, unpacked
 from nmt_report.run_report import report_html
 from nmt_report.shown_levels import MOST_CURVES, shown_note, spread_evenly
-from nmt_report.svg import BLUE, _shortened, figure_style, svg_text
+from nmt_report.svg import BLUE, figure_style, shortened_path, svg_text
 
 
 @pytest.mark.parametrize(("count", "most"), [(1, 2), (7, 7), (8, 7), (25, 24), (47, 24), (1000, 24), (13, 12)])
@@ -51,8 +51,8 @@ def test_a_shortened_path_is_the_same_path() -> None:
         numbers = np.round(rng.uniform(-900, 900, size.get(letter, 2)), 2) if letter != "z" else []
         steps.append(" ".join([str(letter), *(f"{value:.2f}" for value in numbers)]))
     way = " \n".join(steps) + " \n"
-    assert corners(_shortened(way)) == corners(way)
-    assert len(_shortened(way)) < len(way)
+    assert corners(shortened_path(way)) == corners(way)
+    assert len(shortened_path(way)) < len(way)
 
 
 def test_a_drawn_figure_is_recorded_as_one_that_is_drawn_for_it() -> None:
@@ -67,7 +67,7 @@ def test_a_drawn_figure_is_recorded_as_one_that_is_drawn_for_it() -> None:
 
     with figure_style():
         page = svg_text(figure(), "one", "title")
-        assert unpacked(_NUMBERS.findall(page)[0]) == record(figure(), "one", "title")
+        assert unpacked(FIGURE_NUMBERS.findall(page)[0]) == record(figure(), "one", "title")
 
 
 def test_error_bars_of_many_points_are_recorded_and_drawn_as_those_of_few() -> None:
@@ -87,7 +87,7 @@ def test_error_bars_of_many_points_are_recorded_and_drawn_as_those_of_few() -> N
 
     with figure_style():
         one, other = (svg_text(figure(joined), "one", "title") for joined in (True, False))
-    assert unpacked(_NUMBERS.findall(one)[0]) == unpacked(_NUMBERS.findall(other)[0])
+    assert unpacked(FIGURE_NUMBERS.findall(one)[0]) == unpacked(FIGURE_NUMBERS.findall(other)[0])
     ways = [[corners(way) for way in re.findall(r'<path d="([^"]*)"', page)] for page in (one, other)]
     assert ways[0] == ways[1]
 
@@ -100,7 +100,7 @@ def test_crowded_figures_keep_every_level_in_their_numbers(monkeypatch: pytest.M
     for levels in (few, many):
         data = synthetic_run(levels=levels, failed=None, reference=False)
         pages[levels] = report_html(replace(data, history=None, envelopes=[], excerpts=[]))
-        figures = {figure["name"]: figure for figure in map(unpacked, _NUMBERS.findall(pages[levels]))}
+        figures = {figure["name"]: figure for figure in map(unpacked, FIGURE_NUMBERS.findall(pages[levels]))}
         marks = [
             series
             for series in figures["backbone"]["panels"][0]["series"]
@@ -108,7 +108,7 @@ def test_crowded_figures_keep_every_level_in_their_numbers(monkeypatch: pytest.M
         ]
         assert np.allclose(
             [value for series in marks for value in series["y"]],
-            [point.omega_rad_s for point in data.points],
+            [point.omega_rad_s / (2.0 * np.pi) for point in data.points],
             rtol=1e-7,
         )
     assert "<title>level 1:" in pages[few]

@@ -25,7 +25,7 @@ from nmt_report.backbone_figures import participation_figure
 from nmt_report.history_figures import MOST_PANELS, chosen_excerpts, thinned
 from nmt_report.quantity_format import plain
 from nmt_report.run_data import ReferenceCurve
-from nmt_report.run_data_from_bag import _plant
+from nmt_report.run_data_from_bag import plant_facts
 from nmt_report.run_page import page as words_of_page
 from nmt_report.run_page import worst_deviation
 from nmt_report.run_report import list_files, read_reference, report_data_from_bag, report_html, write_report
@@ -446,7 +446,7 @@ def test_the_counters_are_those_of_the_only_plant_that_was_heard(names: list[str
         for number, name in enumerate(names)
     ]
     bag = SimpleNamespace(messages=lambda _: [("", 0, SimpleNamespace(status=[status])) for status in heard])
-    assert _plant(bag).get("overruns") == found  # type: ignore[arg-type]
+    assert plant_facts(bag).get("overruns") == found  # type: ignore[arg-type]
 
 
 def test_a_test_on_a_converter_says_how_its_blocks_came(html: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 from markupsafe import Markup
 
 from nmt_extract.curves.swept_response import FrequencyResponseTable
-from nmt_report.response_analysis import _until_given_up, held_force
+from nmt_report.response_analysis import held_force, until_given_up
 from nmt_report.response_figures import Overlay, force_figure, response_figure, synthesis_figure
 from nmt_report.response_page import ResponsePage, html_figures, html_table
 from nmt_report.svg import figure_style
@@ -34,11 +34,11 @@ def test_force_error() -> None:
 def test_the_ramp_of_a_sweep_that_was_given_up_is_no_part_of_it() -> None:
     force = np.full(100, 10.0)
     force[80:] = np.linspace(9.0, 0.0, 20)
-    kept = _until_given_up(table(force))
+    kept = until_given_up(table(force))
     assert np.all(kept.force_n == 10.0)
     assert kept.frequency_hz.size == kept.frf.shape[1] == kept.voltage_v.size == 78
     whole = table(np.full(100, 10.0))
-    assert _until_given_up(whole) is whole
+    assert until_given_up(whole) is whole
 
 
 def test_page_is_one_file_with_what_it_is_given() -> None:

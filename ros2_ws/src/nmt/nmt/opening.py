@@ -12,7 +12,7 @@ from nmt_core.errors import BenchError
 from nmt_core.kinds import kind_class
 from nmt_core.messages.driven_test import DrivenTest
 
-_KINDS: tuple[tuple[str, Callable[[Path], Results]], ...] = (
+KINDS_OF_RESULTS: tuple[tuple[str, Callable[[Path], Results]], ...] = (
     ("modal.json", RunResults.read),
     ("linear.json", LinearResult.read),
     ("diagnosis.json", DiagnosisResult.read),
@@ -68,7 +68,7 @@ def open(folder: Path | str) -> Results:
     path = Path(folder)
     if path.is_file():
         path = path.parent
-    for name, read in _KINDS:
+    for name, read in KINDS_OF_RESULTS:
         if (path / name).is_file():
             return read(path)
     if (path / "bag").exists():
@@ -80,5 +80,5 @@ def open(folder: Path | str) -> Results:
     for name, sentence in _WITHOUT_TABLE:
         if (path / name).exists():
             raise BenchError(f"{folder} {sentence}.")
-    known = ", ".join(name for name, _ in _KINDS)
+    known = ", ".join(name for name, _ in KINDS_OF_RESULTS)
     raise BenchError(f"{folder} holds no results that can be opened; it needs one of {known}.")

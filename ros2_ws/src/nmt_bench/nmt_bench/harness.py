@@ -107,7 +107,7 @@ class Bench:
         self._goal_handle: Any = None
         self._ran = False
         # Refuses what can be refused before anything is created.
-        self._dry = plan_nodes(self.test, Path("bag"), Path("rig.yaml"))
+        self.plan: NodePlan = plan_nodes(self.test, Path("bag"), Path("rig.yaml"))
 
     # -- life ----------------------------------------------------------------------------------------------------
 
@@ -156,7 +156,7 @@ class Bench:
 
         rig_file = self.out / "rig.yaml"
         rig_file.write_text(self.test.rig_yaml, encoding="utf-8")
-        self.plan: NodePlan = plan_nodes(self.test, self.out / "bag", rig_file.resolve(), self.test.device_name)
+        self.plan = plan_nodes(self.test, self.out / "bag", rig_file.resolve(), self.test.device_name)
         (self.out / "run.json").write_text(json.dumps(self.plan.run, indent=2) + "\n", encoding="utf-8")
 
         self.context = Context()
@@ -179,9 +179,9 @@ class Bench:
                 module, _, attribute = where.partition(":")
                 kind = getattr(importlib.import_module(module), attribute)
                 node = kind(self.plan.settings[name], context=self.context)
-                self._add(name, node)
+                self.add_node(name, node)
         self.client = RunClient(self.context, tuple(self.plan.settings), self.test.pacing == "lockstep")
-        self._add("client", self.client)
+        self.add_node("client", self.client)
         thresholds = gc.get_threshold()
         # A collection would look at all that the program around the bench holds, a fifth of a second in a large one.
         # What is garbage by now is freed after the bench.
@@ -189,7 +189,8 @@ class Bench:
         self._cleanup.callback(gc.set_threshold, *thresholds)
         self._cleanup.callback(gc.unfreeze)
 
-    def _add(self, name: str, node: Node) -> None:
+    def add_node(self, name: str, node: Node) -> None:
+        """Let a node of this process work with those of the bench; it ends with them."""
         self.nodes[name] = node
         self.executor.add_node(node)
         link = getattr(node, "link", None)
@@ -227,8 +228,8 @@ class Bench:
             raise BenchError("A bench runs once; make a new one for another run.")
         self._ran = True
         self._tell = on_note or (lambda sentence: None)
-        self._spin_until(lambda: self.client.server_is_ready(), START_TIMEOUT, "the sequencer's action server")
-        self._spin_until(
+        self.spin_until(lambda: self.client.server_is_ready(), START_TIMEOUT, "the sequencer's action server")
+        self.spin_until(
             lambda: not self.client.liveness.unheard, START_TIMEOUT, "the first heartbeat of every node of the bench"
         )
         handle = self._send_goal(on_progress)
@@ -246,12 +247,12 @@ class Bench:
         points: tuple[ModalPoint, ...] = ()
         with deferred_interrupts() as deferred:
             if lost and lost != "plant":
-                self._spin_while(lambda: not self.client.drive_is_at_zero, 3.0)
+                self.spin_while(lambda: not self.client.drive_is_at_zero, 3.0)
             obituary = self._obituary(lost)  # before what is left of the nodes is ended
             bag_state, lacks = self._await_bag(lost)
             if message is not None and message.result_code == ResultCode.LIMIT:
                 # The plant's next heartbeat says which.
-                self._spin_while(lambda: not self.client.plant_said.get("tripped"), 1.0)
+                self.spin_while(lambda: not self.client.plant_said.get("tripped"), 1.0)
         if message is None:
             code, text = ResultCode.NODE_LOST, obituary
             points = self._recorded_points()
@@ -336,19 +337,19 @@ class Bench:
         """Let in-process nodes work for a while of wall time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            self._work(Future(), min(0.1, max(0.0, end - time.monotonic())))
+            self.work(Future(), min(0.1, max(0.0, end - time.monotonic())))
 
     # -- waiting -------------------------------------------------------------------------------------------------
 
-    def _turn(self) -> None:
+    def turn(self) -> None:
         """Let the executor work for a moment; a signal that breaks into its conversions would end as a TypeError."""
         with unbroken():
             if self._links:
-                self._work(Future(), LINK_PERIOD)
+                self.work(Future(), LINK_PERIOD)
             else:
                 self.executor.spin_once(timeout_sec=_POLL)
 
-    def _work(self, future: Future, seconds: float) -> None:
+    def work(self, future: Future, seconds: float) -> None:
         """Let in-process nodes work until a future is done, for some seconds at most."""
         end = time.monotonic() + seconds
         while self._links and not future.done() and time.monotonic() < end:
@@ -361,8 +362,8 @@ class Bench:
     def _call(self, service: str) -> bool:
         client = self.client.create_client(Trigger, service)
         try:
-            self._spin_until(client.service_is_ready, 5.0, f"the service '{service}'")
-            answer = self._await(client.call_async(Trigger.Request()), 5.0, f"the service '{service}'")
+            self.spin_until(client.service_is_ready, 5.0, f"the service '{service}'")
+            answer = self.wait_for(client.call_async(Trigger.Request()), 5.0, f"the service '{service}'")
             return bool(answer.success)
         finally:
             self.client.destroy_client(client)
@@ -390,24 +391,35 @@ class Bench:
                 if sent[0].done():
                     return sent[0].result()
                 self._check_start()
-                self._turn()
+                self.turn()
             if time.monotonic() >= end:
                 raise BenchError(
                     f"Waited {START_TIMEOUT:g} s in vain for the goal's answer; the logs in {self.out / 'log'} may say "
                     "why."
                 )
 
-    def _spin_until(self, done: Callable[[], bool], timeout: float, what: str) -> None:
+    def spin_until(self, done: Callable[[], bool], timeout: float, what: str) -> None:
+        """Let in-process nodes work until something is so.
+
+        Args:
+            done: whether it is.
+            timeout: s of wall time.
+            what: is waited for, for the error.
+
+        Raises:
+            BenchError: it did not come within the time, or a node ended.
+        """
         end = time.monotonic() + timeout
         while not done():
             if time.monotonic() > end:
                 logs = self.out / "log"
                 raise BenchError(f"Waited {timeout:g} s in vain for {what}; the logs in {logs} may say why.")
             self._check_start()
-            self._turn()
+            self.turn()
 
-    def _await(self, future: Any, timeout: float, what: str) -> Any:
-        self._spin_until(future.done, timeout, what)
+    def wait_for(self, future: Any, timeout: float, what: str) -> Any:
+        """Result of a future; arguments and errors as of :meth:`spin_until`."""
+        self.spin_until(future.done, timeout, what)
         return future.result()
 
     def _check_start(self) -> None:
@@ -426,9 +438,9 @@ class Bench:
         while not future.done():
             try:
                 if self.use_processes:
-                    self._turn()
+                    self.turn()
                 else:
-                    self._work(future, 0.2)
+                    self.work(future, 0.2)
             except KeyboardInterrupt:
                 if interrupted:
                     raise
@@ -473,7 +485,7 @@ class Bench:
             lost = self._lost_node(time.monotonic())
             if lost:
                 return lost
-            self._turn()
+            self.turn()
         return ""
 
     def _recorded_points(self) -> tuple[ModalPoint, ...]:
@@ -524,14 +536,14 @@ class Bench:
         stands_still = lost == "plant" and self.test.pacing == "lockstep"
         if (lost == "sequencer" or stands_still) and self.processes is not None:
             # Nobody tells the recorder that the run is over: wait for the plant's own ramp, then end all nodes.
-            self._spin_while(lambda: not (client.drive_is_at_zero or stands_still), 10.0)
+            self.spin_while(lambda: not (client.drive_is_at_zero or stands_still), 10.0)
             self.spin(_LAST_WRITES)
             self.processes.end()
         begun = moved = time.monotonic()
         written = client.recorded
         ended = ("recorder", "sequencer", "plant") if stands_still else ("recorder", "sequencer")
         while client.bag.state == "open" and lost not in ended and time.monotonic() - moved < _STILL:
-            self._turn()
+            self.turn()
             lost = lost or self._lost_node(time.monotonic())
             if client.recorded != written:
                 written, moved = client.recorded, time.monotonic()
@@ -554,10 +566,11 @@ class Bench:
         """Bench time that the sequencer has told of, s."""
         return (self.client.newest_sample + 1) / self.rig.sample_rate_hz
 
-    def _spin_while(self, condition: Callable[[], bool], timeout: float) -> None:
+    def spin_while(self, condition: Callable[[], bool], timeout: float) -> None:
+        """Let in-process nodes work while something is so, for some seconds at most."""
         end = time.monotonic() + timeout
         while condition() and time.monotonic() < end:
-            self._turn()
+            self.turn()
 
     def _last_words(self, name: str) -> str:
         words = self.processes.last_words(name) if self.processes and name else ""

@@ -128,7 +128,7 @@ class BenchNode(Node):  # type: ignore[misc]
         starting = NodeStatus(self.heartbeat_name, self.instance, message="starting")
         self.heartbeat = Heartbeat(starting, self._publish_status, hang, self.in_lockstep, RCLError)
         self._beats = 0
-        self._beat_timer = self.steady_timer(HEARTBEAT_PERIOD, self._beat)
+        self.beat_timer = self.steady_timer(HEARTBEAT_PERIOD, self.beat)
 
     def _declare(self, kind: type[NodeSettings], settings: NodeSettings | None) -> NodeSettings:
         """Declare the parameters, and read them back once: from here on they are settings with types."""
@@ -230,7 +230,8 @@ class BenchNode(Node):  # type: ignore[misc]
         failed = status.level == DiagnosticStatus.ERROR
         self.liveness.hear(status.name, status.hardware_id, status.message, failed, time.monotonic())
 
-    def _beat(self) -> None:
+    def beat(self) -> None:
+        """Send a heartbeat: what is missing, what is waited for, and whether the working thread still works."""
         self.liveness.listened(time.monotonic())
         missing = self.transport.missing(self.expected_peers)
         self._beats += 1

@@ -37,7 +37,7 @@ class ExtractNode(BenchNode):
     def __init__(self, settings: ExtractSettings | None = None, **kwargs: Any) -> None:
         super().__init__("extract", ExtractSettings, settings, **kwargs)
         self.core = ExtractionCore(self.settings)
-        self._publisher = self.bench_publisher(ModalPoint, "modal_point", SAMPLES_QOS)
+        self.publisher = self.bench_publisher(ModalPoint, "modal_point", SAMPLES_QOS)
         self._progress = ReaderProgress(self, "extract")
         bundled = self.settings.bundled
         self._bundled = {topic: self.core.callback(topic) for topic in self.core.topics if topic in bundled}
@@ -75,7 +75,7 @@ class ExtractNode(BenchNode):
 
     def _publish_points(self) -> None:
         for point in self.core.points():
-            self._publisher.publish(MODAL_POINT.write(point))
+            self.publisher.publish(MODAL_POINT.write(point))
             if point.reason:
                 self.get_logger().warning(f"Level {point.level_index}: {point.reason}")
 

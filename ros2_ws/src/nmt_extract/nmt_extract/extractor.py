@@ -37,17 +37,17 @@ class Extractor:
     ) -> None:
         self.linear = linear
         self.settings = settings or ExtractionSettings()
-        self._assembler = WindowAssembler(
+        self.assembler = WindowAssembler(
             self.settings.topics,
             decode,
             require_loop_state=require_loop_state,
             minimum_periods=self.settings.minimum_periods,
         )
-        self.add_record = self._assembler.add_record
-        self._levels: dict[int, tuple[float, str, float, int]] = {}
-        self._history = ChannelHistory()
+        self.add_record = self.assembler.add_record
+        self.levels: dict[int, tuple[float, str, float, int]] = {}
+        self.history = ChannelHistory()
         self._passed_over: set[int] = set()
-        self._lock_samples: dict[int, int] = {}
+        self.lock_samples: dict[int, int] = {}
         self._state = 0
         self._acquiring_since = -1
         self._not_locked: list[ModalPoint] = []
@@ -65,11 +65,11 @@ class Extractor:
         if state == LoopState.ACQUIRING and previous != LoopState.ACQUIRING:
             self._acquiring_since = last_sample
         if state == LoopState.LOCK_LOST and previous != LoopState.LOCK_LOST:
-            locked = self._lock_samples.get(level_index, -1)
+            locked = self.lock_samples.get(level_index, -1)
             never_locked = not self._acquiring_since <= locked <= last_sample or locked < 0
             if never_locked and level_index not in self._passed_over:
                 self._not_locked.append(self._not_locked_point(last_sample, level_index, reason, response_unit))
-        self._assembler.add_state(last_sample, state, reason)
+        self.assembler.add_state(last_sample, state, reason)
 
     def add_level(
         self,
@@ -89,10 +89,10 @@ class Extractor:
         A level of amplitude zero ends the excitation and is no level of the plan.
         """
         if amplitude > 0.0:
-            self._levels[index] = (amplitude, unit, held_phase, parameter)
+            self.levels[index] = (amplitude, unit, held_phase, parameter)
             self._passed_over.discard(index)
             if harmonics_control:
-                self._history.driven[index] = harmonics_control
+                self.history.driven[index] = harmonics_control
 
     def pass_over_level(self, index: int) -> None:
         """A level of a test that gives no modal points: neither does its failure."""
@@ -100,35 +100,35 @@ class Extractor:
 
     def add_lock(self, lock: LockEvent) -> None:
         """Take a lock event."""
-        self._lock_samples[lock.level_index] = lock.sample
-        self._assembler.add_lock(lock)
+        self.lock_samples[lock.level_index] = lock.sample
+        self.assembler.add_lock(lock)
 
     @property
     def ready(self) -> bool:
         """Whether :meth:`take` would return points."""
-        return bool(self._not_locked) or self._assembler.ready
+        return bool(self._not_locked) or self.assembler.ready
 
     def take(self) -> list[ModalPoint]:
         """Points that have become ready since the last call."""
         points, self._not_locked = self._not_locked, []
-        for window in self._assembler.take():
+        for window in self.assembler.take():
             if isinstance(window, SpoiledWindow):
                 points.append(rejected_point(window.lock, window.sample_rate, window.reason))
             else:
-                points.append(modal_point(window, self.linear, self.settings, self._history))
+                points.append(modal_point(window, self.linear, self.settings, self.history))
         for point in points:
             self._counts[point.status] += 1
         return points
 
     def finish(self) -> list[ModalPoint]:
         """The streams have ended: the points of windows that were never completed, with the reason."""
-        self._assembler.finish()
+        self.assembler.finish()
         return self.take()
 
     @property
     def reached(self) -> tuple[int, float]:
         """Sample after the last one that all streams have brought, and the sample rate (Hz; NaN before the first)."""
-        return self._assembler.table.reached, self._assembler.sample_rate
+        return self.assembler.table.reached, self.assembler.sample_rate
 
     @property
     def counters(self) -> dict[str, int]:
@@ -138,12 +138,12 @@ class Extractor:
             "rejected": self._counts[PointStatus.REJECTED],
             "not_locked": self._counts[PointStatus.NOT_LOCKED],
         }
-        counters.update({f"gaps_{topic}": count for topic, count in self._assembler.table.gaps.items()})
-        counters.update({f"blocks_{topic}": count for topic, count in self._assembler.table.blocks.items()})
+        counters.update({f"gaps_{topic}": count for topic, count in self.assembler.table.gaps.items()})
+        counters.update({f"blocks_{topic}": count for topic, count in self.assembler.table.blocks.items()})
         return counters
 
     def _not_locked_point(self, sample: int, level_index: int, reason: str, response_unit: str) -> ModalPoint:
-        level, unit, held_phase, parameter = self._levels.get(level_index, (float("nan"), "", 0.0, 0))
+        level, unit, held_phase, parameter = self.levels.get(level_index, (float("nan"), "", 0.0, 0))
         why = f": {reason.rstrip('.')}" if reason else ""
         return ModalPoint(
             level_index=level_index,
@@ -153,5 +153,5 @@ class Extractor:
             level_unit=unit or response_unit,
             held_phase=held_phase,
             parameter=parameter,
-            time_ns=bench_time_ns(sample, self._assembler.sample_rate),
+            time_ns=bench_time_ns(sample, self.assembler.sample_rate),
         )

@@ -56,7 +56,7 @@ class TopicBridgeNode(BenchNode):
                 f"The reference '{reference}' is a topic that the bridge itself publishes; name another one."
             )
         self._writers = {quantity: BlockWriter(self.settings.rig) for quantity in quantities}
-        self._outlets = {
+        self.outlets = {
             quantity: self.bench_publisher(SampleBlock, quantity.topic, SAMPLES_QOS) for quantity in quantities
         }
         for topic, kind in table.topics.items():
@@ -83,7 +83,7 @@ class TopicBridgeNode(BenchNode):
 
     def _publish(self) -> None:
         for block in self.bridge.take():
-            self._outlets[block.quantity].publish(self._writers[block.quantity].write(block))
+            self.outlets[block.quantity].publish(self._writers[block.quantity].write(block))
             self.counters["blocks"] = int(self.counters.get("blocks", 0)) + 1
         for sentence in self.bridge.watch.findings(self.get_clock().now().nanoseconds):
             self.get_logger().warning(sentence)

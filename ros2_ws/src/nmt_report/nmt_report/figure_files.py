@@ -15,7 +15,7 @@ from nmt_report.figure_record import Record, tidy_csv, unpacked
 from nmt_report.figure_redraw import FORMATS, redraw, save
 from nmt_report.svg import FIGURE_TYPE
 
-_NUMBERS = re.compile(rf'<script type="{re.escape(FIGURE_TYPE)}">([A-Za-z0-9_=-]*)</script>')
+FIGURE_NUMBERS = re.compile(rf'<script type="{re.escape(FIGURE_TYPE)}">([A-Za-z0-9_=-]*)</script>')
 _LETTERS = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -48,7 +48,7 @@ def report_figures(report: Path | str) -> list[Record]:
         path = path / "report.html"
     if not path.exists():
         raise BenchError(f"There is no report.html in {report}; name a results folder or a report.")
-    figures = [unpacked(match[1]) for match in _NUMBERS.finditer(read_text(path, "report"))]
+    figures = [unpacked(match[1]) for match in FIGURE_NUMBERS.finditer(read_text(path, "report"))]
     if not figures:
         raise BenchError(f"{path} holds no figure data; make the report anew with this version ('./nmt extract BAG').")
     return figures

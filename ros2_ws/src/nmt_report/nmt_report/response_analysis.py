@@ -110,7 +110,7 @@ def responses_of_bag(bag: Bag, points: int = 400) -> tuple[list[FrequencyRespons
         try:
             signals = read_signals(bag, segment.usable_first_sample, segment.usable_samples)
             table = sweep_table(signals, segment.level, segment.level_unit, points)
-            tables.append(_until_given_up(table) if segment.fault else table)
+            tables.append(until_given_up(table) if segment.fault else table)
         except BenchError as error:
             remarks.append(f"Level {segment.level_index + 1}: {error}")
     for level, windows in steps.items():
@@ -126,7 +126,7 @@ def responses_of_bag(bag: Bag, points: int = 400) -> tuple[list[FrequencyRespons
     return tables, remarks
 
 
-def _until_given_up(table: FrequencyResponseTable) -> FrequencyResponseTable:
+def until_given_up(table: FrequencyResponseTable) -> FrequencyResponseTable:
     """A sweep that was not completed without its end, where the drive goes to zero."""
     ramp = np.flatnonzero(np.abs(table.force_n / np.median(table.force_n) - 1.0) > 0.05)
     if not ramp.size or table.level_unit != "N":

@@ -104,7 +104,7 @@ def report_data_from_bag(
         not_live=_not_live(points or recorded, recorded, locks) if "modal_point" in bag.topics else (),
         end_sample=end_sample,
         lock_words=words,
-        plant=_plant(bag),
+        plant=plant_facts(bag),
     )
 
 
@@ -134,7 +134,7 @@ def _not_live(
     return tuple(sorted({point.level_index for point in points} & locked - live))
 
 
-def _plant(bag: Bag) -> dict[str, str]:
+def plant_facts(bag: Bag) -> dict[str, str]:
     """The counters that the plant node published last; none where plants of several benches were heard."""
     said: dict[str, dict[str, str]] = {}
     with contextlib.suppress(BenchError):  # a damaged one costs no report

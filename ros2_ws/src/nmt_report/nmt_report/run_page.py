@@ -59,9 +59,9 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         modal_figures=figures.get("modal", ()),
         shape_figures=figures.get("shape", ()),
         run_figures=figures.get("run", ()),
-        harmonics_table=_harmonics_table(data),
+        harmonics_table=harmonics_table(data),
         exciter_table=exciter_table(data),
-        harmonics_notes=_harmonics_notes(data),
+        harmonics_notes=harmonics_notes(data),
         level_table=_level_table(data),
         block_reason=_block_reason(data),
         std_note=std_note(data.budgets),
@@ -366,7 +366,7 @@ _HARMONICS_COLUMNS = (
 _ONE_EXCITER = 0.01  # deviation of damping from the reference from which on the exciter's place is named
 
 
-def _harmonics_table(data: RunReportData) -> Table | None:
+def harmonics_table(data: RunReportData) -> Table | None:
     """What control of the force's harmonics has done at each level; none in a run without it."""
     if not any_control(data.points):
         return None
@@ -400,7 +400,7 @@ def _share_text(value: float, signed: bool = False) -> str:
     return text if not signed else f"{'+' if value >= 0.0 else '−'}{text}"
 
 
-def _harmonics_notes(data: RunReportData) -> list[str]:
+def harmonics_notes(data: RunReportData) -> list[str]:
     """Sentences on control of harmonics: what was given up, and what control cannot take away."""
     if not any_control(data.points):
         return []

@@ -120,7 +120,7 @@ def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | No
     text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
     text = text.replace('href="#', f'href="#{name}-').replace("url(#", f"url(#{name}-")
     # Two decimals are a hundredth of a point; more would double the size of the page.
-    text = re.sub(r'\bd="([^"]+)"', lambda match: f'd="{_shortened(match[1])}"', text)
+    text = re.sub(r'\bd="([^"]+)"', lambda match: f'd="{shortened_path(match[1])}"', text)
     text = re.sub(r">\s+<", "><", text)
     text = _merged_paths(_DOTS.sub(_dots, text))
     titles = {f"{name}-{gid}": f"<title>{escape(tip)}</title>" for gid, tip in (tips or {}).items()}
@@ -185,7 +185,7 @@ def _columns(figure: Figure, name: str) -> str:
     return f'<div class="panels">{views}</div>'
 
 
-def _shortened(way: str) -> str:
+def shortened_path(way: str) -> str:
     """A path with two decimals, each letter once for a row of equal steps, and lines after a move without theirs."""
     words: list[str] = []
     last = ""

@@ -247,7 +247,7 @@ class DiagnosisProgress:
         from rich.markup import escape
 
         if self._page is not None:
-            _tell(self._page, sentence)
+            tell_of(self._page, sentence)
         counted = sentence + self._count(sentence)
         if self._live:
             self._progress.update(self._task, description=escape(counted))
@@ -270,7 +270,7 @@ class DiagnosisProgress:
         return f" ({min(done + 1, total)} of {total}{left})"
 
 
-def _tell(page: TaskFeed, sentence: str) -> None:
+def tell_of(page: TaskFeed, sentence: str) -> None:
     """Tell the page a sentence, and what it carries."""
     from nmt_diagnose.search.progress import ProgressSentence
     from nmt_report.quantity_format import plain

@@ -115,7 +115,7 @@ def run(options: ExtractOptions) -> int:
     if linear is None and settings is None:
         from nmt_core.messages.wire import MODAL_POINT
 
-        console.print(_comparison(result.points, list(bag.records("modal_point", MODAL_POINT))))
+        console.print(comparison_with_live(result.points, list(bag.records("modal_point", MODAL_POINT))))
     tables = ("modal.csv", "modal.json", "uncertainty.csv", "uncertainty.json", "hysteresis.csv", "limit_cycles.csv")
     written = (*tables, "report.html")
     names = ", ".join(name for name in written if (options.out / name).exists())
@@ -187,7 +187,8 @@ def _method_error(folder: Path) -> MethodError | None:
     return found
 
 
-def _comparison(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) -> str:
+def comparison_with_live(points: Sequence[ModalPoint], recorded: Sequence[ModalPoint]) -> str:
+    """A sentence on how points extracted from a bag compare with those that its run gave."""
     if not recorded:
         return "The bag holds no live results to compare with."
     by_level = {point.level_index: point for point in recorded}

@@ -43,7 +43,7 @@ def json_document(command: str, options: Any, module: ModuleType, status: int) -
     if hasattr(module, "json_results"):
         results = module.json_results(options)
     elif out is not None and _RESULTS.get(command) in files:
-        results = _contents(out / _RESULTS[command])
+        results = contents_of(out / _RESULTS[command])
     document = {
         "command": command,
         "exit_code": status,
@@ -59,7 +59,8 @@ def json_refusal(command: str | None, status: int, sentence: str | None) -> str:
     return json.dumps({"command": command, "exit_code": status, "error": sentence}, ensure_ascii=False, indent=1) + "\n"
 
 
-def _contents(path: Path) -> Any:
+def contents_of(path: Path) -> Any:
+    """Content of a result file for JSON: rows of a table as mappings."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".json":
         return json.loads(text)

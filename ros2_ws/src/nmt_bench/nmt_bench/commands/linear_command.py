@@ -96,7 +96,7 @@ def run(options: LinearOptions) -> int:
     """
     if bool(options.rig) == (options.bag is not None):
         raise BenchError("Give either a rig to measure or --bag with a recording to evaluate.")
-    band = _band(options.band)
+    band = band_of(options.band)
     check_output(options.out, options.force)
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.work_display import WorkDisplay
@@ -116,10 +116,11 @@ def run(options: LinearOptions) -> int:
     from nmt_bench.orchestration.prepared_nodes import nodes_ahead
 
     with nodes_ahead(not options.one_process):
-        return _measure(options, band, console)
+        return measure_noise(options, band, console)
 
 
-def _measure(options: LinearOptions, band: tuple[float, float], console: Any) -> int:
+def measure_noise(options: LinearOptions, band: tuple[float, float], console: Any) -> int:
+    """Run the random test and evaluate it; returns the exit code."""
     from nmt_bench.commands.run_command import measure, pace_line
     from nmt_bench.commands.work_display import WorkDisplay
     from nmt_bench.orchestration.interrupts import terminate_as_interrupt
@@ -176,7 +177,12 @@ def _measure(options: LinearOptions, band: tuple[float, float], console: Any) ->
     return EXIT_DONE if result.complete else EXIT_FAILED
 
 
-def _band(text: str) -> tuple[float, float]:
+def band_of(text: str) -> tuple[float, float]:
+    """Band of ``low:high``, Hz.
+
+    Raises:
+        BenchError: it is none.
+    """
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:

@@ -240,10 +240,11 @@ def run(options: RunOptions) -> int:
     from nmt_bench.orchestration.prepared_nodes import nodes_ahead
 
     with nodes_ahead(not options.one_process):
-        return _run(options)
+        return run_test(options)
 
 
-def _run(options: RunOptions) -> int:
+def run_test(options: RunOptions) -> int:
+    """Run the test, its nodes started anew or ahead; as of :func:`run`."""
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.linear_input import check_fits, read_linear
     from nmt_bench.commands.work_display import WorkDisplay

@@ -87,15 +87,22 @@ def run(options: SweepOptions) -> int:
     Raises:
         BenchError: the rig, a level or an option is refused, or the nodes do not start.
     """
-    levels, start, stop = _checked(options)
+    levels, start, stop = checked_request(options)
     check_output(options.out, options.replace, "replace")
     from nmt_bench.orchestration.prepared_nodes import nodes_ahead
 
     with nodes_ahead(not options.one_process):
-        return _measure(options, levels, start, stop)
+        return measure_sweep(options, levels, start, stop)
 
 
-def _measure(options: SweepOptions, levels: list[float], start: float, stop: float) -> int:
+def measure_sweep(options: SweepOptions, levels: list[float], start: float, stop: float) -> int:
+    """Sweep at each level and write the tables; returns the exit code.
+
+    Args:
+        options: of the command.
+        levels: forces or voltages.
+        start, stop: frequencies, Hz.
+    """
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.run_command import measure
     from nmt_bench.orchestration.interrupts import terminate_as_interrupt
@@ -113,7 +120,7 @@ def _measure(options: SweepOptions, levels: list[float], start: float, stop: flo
         return _finish(options, bench, result, levels, folder, console)
 
 
-def _checked(options: SweepOptions) -> tuple[list[float], float, float]:
+def checked_request(options: SweepOptions) -> tuple[list[float], float, float]:
     """Levels and frequencies in the order of the test."""
     from nmt_sequencer.level_plan import parse_levels
 

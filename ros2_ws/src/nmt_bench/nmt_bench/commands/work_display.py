@@ -30,7 +30,7 @@ class WorkDisplay:
         self._console, self._steps, self._quiet = console, steps, quiet
         self._number = 0
         self._stack = ExitStack()
-        self._bar: Progress | None = None
+        self.bar: Progress | None = None
         self._starts: dict[str, float] = {}
         self._now = self._before = ("", 0, 0)
         self._began = self._said = time.monotonic()
@@ -43,8 +43,8 @@ class WorkDisplay:
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
-        if self._bar is not None:
-            self._bar.stop()
+        if self.bar is not None:
+            self.bar.stop()
 
     def step(self) -> None:
         """Go on to the next step."""
@@ -84,13 +84,13 @@ class WorkDisplay:
     def _show(self, sentence: str, done: int, total: int) -> None:
         from rich.markup import escape
 
-        if self._bar is None:
+        if self.bar is None:
             from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-            self._bar = Progress(
+            self.bar = Progress(
                 SpinnerColumn(), TimeElapsedColumn(), BarColumn(bar_width=16), TextColumn("{task.description}"),
                 console=self._console, transient=True,
             )  # fmt: skip
-            self._bar.add_task("", total=None)
-            self._bar.start()
-        self._bar.update(self._bar.task_ids[0], description=escape(sentence), completed=done, total=total or None)
+            self.bar.add_task("", total=None)
+            self.bar.start()
+        self.bar.update(self.bar.task_ids[0], description=escape(sentence), completed=done, total=total or None)

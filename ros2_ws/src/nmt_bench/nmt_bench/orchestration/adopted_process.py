@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 
-_PR_SET_CHILD_SUBREAPER, _PR_GET_CHILD_SUBREAPER = 36, 37
+_PR_SET_CHILD_SUBREAPER, PR_GET_CHILD_SUBREAPER = 36, 37
 _LONGEST_NAP = 0.05  # s
 _ADOPTING = threading.Lock()
 
@@ -40,7 +40,7 @@ def adopted_orphans() -> Iterator[None]:
     library = ctypes.CDLL(None, use_errno=True)
     before = ctypes.c_int(0)
     with _ADOPTING:
-        if library.prctl(_PR_GET_CHILD_SUBREAPER, ctypes.byref(before), 0, 0, 0) != 0:
+        if library.prctl(PR_GET_CHILD_SUBREAPER, ctypes.byref(before), 0, 0, 0) != 0:
             raise OSError(ctypes.get_errno(), "orphans cannot be adopted here")
         if library.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) != 0:
             raise OSError(ctypes.get_errno(), "orphans cannot be adopted here")

@@ -106,20 +106,21 @@ def prepare() -> None:
     """Load what nodes need; what fails here is left for the node to complain about."""
     gc.disable()
     steps: list[Callable[[], object]] = [partial(importlib.import_module, name) for name in PREPARED]
-    steps += [_load_type_supports, _read_definitions, _load_kernels, _look_at_modules]
+    steps += [load_type_supports, read_definitions, load_kernels, _look_at_modules]
     for step in steps:
         with contextlib.suppress(Exception):
             step()
     gc.freeze()
 
 
-def _load_type_supports() -> None:
+def load_type_supports() -> None:
+    """Load the middleware's support of the bench's messages."""
     load = importlib.import_module("rosidl_generator_py").import_type_support
     for package in TYPE_SUPPORTS:
         load(package)
 
 
-def _read_definitions() -> None:
+def read_definitions() -> None:
     """Definitions of messages, which the recorder writes into bags."""
     from nmt_record.bag.bench_topics import BENCH_TOPICS
     from nmt_record.bag.message_definitions import local_definitions
@@ -128,7 +129,7 @@ def _read_definitions() -> None:
         local_definitions().definition(topic.message_type)
 
 
-def _load_kernels() -> None:
+def load_kernels() -> None:
     """The time loop of a simulated rig, for the plant."""
     from nmt_plant.devices.simulated_rig import SimulatedRig
     from nmt_rig.rig import load_rig

@@ -22,7 +22,7 @@ from nmt_session.node_plan import NODES, NodePlan
 
 _GRACE = 15.0  # s in which a node that is told to end has nothing to do: it waits for the ramp to zero in vain
 _MOST_WORK = 120.0  # s of processor time that it may take for what it was sent
-_IDLE_START = 6.0  # s that a node which has not been heard of yet does nothing, after which it will not come up
+IDLE_START = 6.0  # s that a node which has not been heard of yet does nothing, after which it will not come up
 _WORKS = 0.2  # share of a core from which it does something
 _LOOK = 0.25  # s between two looks at processes
 _LOG_HEAD = re.compile(r"^\[\w+\] \[[\d.]+\] \[[^\]]*\]: ")
@@ -49,13 +49,13 @@ class NodeProcesses:
         held: int | None = None,
         quiet_s: float = 0.0,
     ) -> None:
-        self._plan, self._idle = plan, _IDLE_START + quiet_s
+        self._plan, self._idle = plan, IDLE_START + quiet_s
         self._log = out / "log"
         self._parameters = out / "nodes.yaml"
         self._environment = {**os.environ, **environment, LAUNCHER: str(os.getpid())}
         self._loader = loader
         self._held = () if held is None else (held,)
-        self._processes: dict[str, subprocess.Popen[bytes] | AdoptedProcess] = {}
+        self.processes: dict[str, subprocess.Popen[bytes] | AdoptedProcess] = {}
         self._starts: dict[str, _Doing] = {}
 
     def start(self) -> None:
@@ -82,7 +82,7 @@ class NodeProcesses:
         Raises:
             BenchError: it cannot be started.
         """
-        process = self._processes[name]
+        process = self.processes[name]
         process.send_signal(signal.SIGTERM)
         process.wait(_GRACE)
         with open(self._log / f"{name}.log", "ab") as log:
@@ -94,12 +94,12 @@ class NodeProcesses:
 
     def _fork(self, loader: NodeLoader, commands: Mapping[str, list[str]], logs: Mapping[str, IO[bytes]]) -> None:
         nodes = [NodeCommand(command, self._environment, logs[name].fileno()) for name, command in commands.items()]
-        self._processes.update(zip(commands, loader.fork(nodes, self._held), strict=True))
+        self.processes.update(zip(commands, loader.fork(nodes, self._held), strict=True))
         loader.release()
 
     def _start_alone(self, name: str, command: list[str], log: IO[bytes]) -> None:
         try:
-            self._processes[name] = subprocess.Popen(
+            self.processes[name] = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
@@ -115,11 +115,11 @@ class NodeProcesses:
     @property
     def pids(self) -> dict[str, int]:
         """Process ids by node name."""
-        return {name: process.pid for name, process in self._processes.items()}
+        return {name: process.pid for name, process in self.processes.items()}
 
     def first_dead(self) -> str:
         """Name of a node whose process has ended; empty if all live."""
-        return next((name for name, process in self._processes.items() if process.poll() is not None), "")
+        return next((name for name, process in self.processes.items() if process.poll() is not None), "")
 
     def not_coming_up(self, unheard: Sequence[str]) -> str:
         """A sentence on a node of which nothing has been heard and whose process does nothing; empty if none is so.
@@ -127,7 +127,7 @@ class NodeProcesses:
         A busy computer is no reason: what counts is the time in which the process could have worked and did not.
         """
         for name in unheard:
-            process = self._processes.get(name)
+            process = self.processes.get(name)
             if process is None or process.poll() is not None:
                 continue
             doing = self._starts.setdefault(name, _Doing(process.pid))
@@ -141,12 +141,12 @@ class NodeProcesses:
 
     def is_alive(self, name: str) -> bool:
         """Whether the process of a node has not ended."""
-        process = self._processes.get(name)
+        process = self.processes.get(name)
         return process is not None and process.poll() is None
 
     def last_words(self, name: str) -> str:
         """How the process ended and the last line of its log that is more than a note on its state."""
-        process = self._processes.get(name)
+        process = self.processes.get(name)
         code = process.poll() if process else None
         how = ""
         if code is not None and code < 0:
@@ -162,15 +162,15 @@ class NodeProcesses:
 
     def end(self) -> None:
         """Ask every process to end, wait, then kill what is left."""
-        for process in self._processes.values():
+        for process in self.processes.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGTERM)
                 process.send_signal(signal.SIGCONT)  # a stopped process would not hear of it
-        left = {name: _Doing(process.pid) for name, process in self._processes.items() if process.poll() is None}
+        left = {name: _Doing(process.pid) for name, process in self.processes.items() if process.poll() is None}
         while left:
             time.sleep(0.01)
             for name, doing in list(left.items()):
-                process = self._processes[name]
+                process = self.processes[name]
                 if process.poll() is None and (doing.look() > _GRACE or doing.worked > _MOST_WORK):
                     process.kill()
                     process.wait()

@@ -31,10 +31,10 @@ from nmt_bench.orchestration.bench_domain import ONE_THREAD
 from nmt_core.errors import BenchError
 from nmt_core.processes.parent_death import begin_group
 
-_LONGEST = 120.0  # s; a busy computer imports for long
+LONGEST = 120.0  # s; a busy computer imports for long
 _LOOK = 0.1  # s between two looks whether the loader lives
 _ANSWER = 65_536  # bytes
-_ahead: list[NodeLoader] = []
+loaders_ahead: list[NodeLoader] = []
 
 
 class NodeCommand(NamedTuple):
@@ -155,7 +155,7 @@ class NodeLoader:
                 socket.send_fds(self._channel, [b"!"], [file.fileno(), *(node.log for node in nodes), *held])
 
     def _answer(self) -> bytes:
-        end = time.monotonic() + _LONGEST
+        end = time.monotonic() + LONGEST
         ended = False
         while time.monotonic() < end:
             # Nodes hold the other side too: that it is closed is not how the end of the loader shows.
@@ -169,8 +169,7 @@ class NodeLoader:
                 raise self._end_of_loader()
             ended = self._process.poll() is not None
         raise BenchError(
-            f"The process that loads the nodes ({self.pid}) has said nothing for {_LONGEST:g} s; it is stopped or "
-            "hangs."
+            f"The process that loads the nodes ({self.pid}) has said nothing for {LONGEST:g} s; it is stopped or hangs."
         )
 
     def _end_of_loader(self) -> BenchError:
@@ -200,12 +199,12 @@ def nodes_ahead(wanted: bool = True) -> Iterator[None]:
     """
     loader = NodeLoader() if wanted and can_adopt() else None
     if loader is not None:
-        _ahead.append(loader)
+        loaders_ahead.append(loader)
     try:
         yield
     finally:
-        if loader in _ahead:
-            _ahead.remove(loader)
+        if loader in loaders_ahead:
+            loaders_ahead.remove(loader)
             loader.close()
 
 
@@ -215,6 +214,6 @@ def take_loader() -> NodeLoader | None:
     Raises:
         BenchError: it cannot be started.
     """
-    if _ahead:
-        return _ahead.pop()
+    if loaders_ahead:
+        return loaders_ahead.pop()
     return NodeLoader() if can_adopt() else None

@@ -37,7 +37,7 @@ class RunClient(Node):  # type: ignore[misc]
 
     def __init__(self, context: Context, nodes: Sequence[str], lockstep: bool) -> None:
         super().__init__("bench_client", context=context, enable_rosout=False, start_parameter_services=False)
-        self._client = ActionClient(self, RunLevels, "run_levels")
+        self.action_client = ActionClient(self, RunLevels, "run_levels")
         self.steer = self.create_client(Steer, "steer")
         self.liveness = Liveness(nodes, _SILENCE, lockstep=lockstep)
         self.bag = BagState("", "open")
@@ -56,12 +56,12 @@ class RunClient(Node):  # type: ignore[misc]
 
     def destroy_node(self) -> None:
         """Release the node; with a client of an action left, its participant would stay."""
-        self._client.destroy()
+        self.action_client.destroy()
         super().destroy_node()
 
     def server_is_ready(self) -> bool:
         """Whether the services and topics of the action are there, those of its answers included."""
-        return bool(self._client.server_is_ready()) and self.count_publishers("run_levels/_action/status") > 0
+        return bool(self.action_client.server_is_ready()) and self.count_publishers("run_levels/_action/status") > 0
 
     @staticmethod
     def new_goal_id() -> UUID:
@@ -78,7 +78,7 @@ class RunClient(Node):  # type: ignore[misc]
                 feedback = message.feedback
                 on_progress(Progress(*(getattr(feedback, item.name) for item in fields(Progress))))
 
-        return self._client.send_goal_async(
+        return self.action_client.send_goal_async(
             RunLevels.Goal(**goal), feedback_callback=on_feedback, goal_uuid=goal_id or self.new_goal_id()
         )
 
@@ -88,7 +88,7 @@ class RunClient(Node):  # type: ignore[misc]
 
     def handle_of(self, goal_id: UUID) -> ClientGoalHandle:
         """Handle of a goal whose answer was lost."""
-        return ClientGoalHandle(self._client, goal_id, RunLevels.Impl.SendGoalService.Response(accepted=True))
+        return ClientGoalHandle(self.action_client, goal_id, RunLevels.Impl.SendGoalService.Response(accepted=True))
 
     def _on_goals(self, message: GoalStatusArray) -> None:
         self._known_goals.update(bytes(status.goal_info.goal_id.uuid) for status in message.status_list)

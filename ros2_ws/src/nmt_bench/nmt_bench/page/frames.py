@@ -17,7 +17,7 @@ from nmt_bench.page.decimation import as_float32
 from nmt_core.files.plain_json import plain_json
 
 MAGIC = b"NMT1"
-_LENGTH = struct.Struct("<I")
+FRAME_LENGTH = struct.Struct("<I")
 
 
 def write_frame(head: Mapping[str, Any], arrays: Mapping[str, Any]) -> bytes:
@@ -31,4 +31,4 @@ def write_frame(head: Mapping[str, Any], arrays: Mapping[str, Any]) -> bytes:
     listed = [[name, part.size] for name, part in parts.items()]
     text = json.dumps(plain_json({**head, "arrays": listed}), ensure_ascii=False, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    return b"".join((MAGIC, _LENGTH.pack(len(text)), text, *(part.tobytes() for part in parts.values())))
+    return b"".join((MAGIC, FRAME_LENGTH.pack(len(text)), text, *(part.tobytes() for part in parts.values())))

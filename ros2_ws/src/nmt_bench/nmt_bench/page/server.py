@@ -141,7 +141,7 @@ class PageServer:
         await self._runner.setup()
         assert self._runner.server is not None
         self.door = Door(self._runner.server)
-        self._listening = await asyncio.get_running_loop().create_server(self.door, sock=self._socket)
+        self.listening = await asyncio.get_running_loop().create_server(self.door, sock=self._socket)
         self._sending = asyncio.get_running_loop().create_task(self._send_frames())
 
     async def close(self) -> None:
@@ -149,7 +149,7 @@ class PageServer:
         self._sending.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await self._sending
-        self._listening.close()
+        self.listening.close()
         for socket_ in list(self._viewers):
             with contextlib.suppress(Exception):
                 await asyncio.wait_for(socket_.close(code=WSCloseCode.GOING_AWAY), 1.0)

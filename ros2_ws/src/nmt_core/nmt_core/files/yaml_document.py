@@ -60,7 +60,7 @@ def parse_document(
     if len(text) > LARGEST_DOCUMENT:
         raise BenchError(f"{name} has {len(text)} characters, far too many for a {what}; is it the right file?")
     try:
-        return _document(fast_loader()(text), name, what, needs)
+        return yaml_mapping(fast_loader()(text), name, what, needs)
     except yaml.YAMLError:
         pass  # PyYAML's parser, which is slower, says better what is wrong
     try:
@@ -68,12 +68,12 @@ def parse_document(
     except yaml.YAMLError as error:
         raise BenchError(f"{name} is not a YAML text file: {str(error).splitlines()[0]}.") from error
     try:
-        return _document(loader, name, what, needs)
+        return yaml_mapping(loader, name, what, needs)
     except yaml.YAMLError as error:
         raise BenchError(_syntax_message(error, name)) from error
 
 
-def _document(loader: BoundedYaml, name: str, what: str, needs: str) -> YamlDocument:
+def yaml_mapping(loader: BoundedYaml, name: str, what: str, needs: str) -> YamlDocument:
     """Errors as :func:`parse_document`, and those of YAML as they are."""
     try:
         node = loader.get_single_node()

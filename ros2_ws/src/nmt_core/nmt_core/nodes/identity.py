@@ -40,7 +40,7 @@ class Identity:
 
     def __init__(self, graph: Graph, peers: Callable[[str], int]) -> None:
         self._graph, self._peers = graph, peers
-        self._topics: list[str] = []
+        self.topics: list[str] = []
         self._services: list[str] = []
         self._sources: dict[str, tuple[int, CommandSource]] = {}
         self._command_types: dict[str, str] = {}
@@ -48,7 +48,7 @@ class Identity:
 
     def claim(self, topic: str) -> None:
         """Watch that nobody else publishes on a topic that is this node's own."""
-        self._topics.append(topic)
+        self.topics.append(topic)
 
     def claim_service(self, name: str) -> None:
         """Watch that nobody else serves a service of this node."""
@@ -97,7 +97,7 @@ class Identity:
             servers = self._graph.servers(service)
             if servers:
                 return f"service {service} has several servers: {' and '.join(sorted(set(servers)))}"
-        for topic in self._topics:
+        for topic in self.topics:
             if self._graph.count_publishers(topic) < 2:
                 continue
             found = self._graph.publishers(topic)

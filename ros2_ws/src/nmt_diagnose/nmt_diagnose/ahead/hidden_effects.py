@@ -98,10 +98,10 @@ class Growth:
             return 0.0
         size = size_of_change(self._left, known, self._left.sigma, self._change).values
         most = max((value / max(self._wanted.get(kind, 0.0), 1e-300) for kind, value in size.items()), default=0.0)
-        least = min(most, self._beyond_noise(known))
+        least = min(most, self.beyond_noise(known))
         return self._probability * float(ndtr(self._found.sigmas * (1.0 - 1.0 / least))) if least > 0.0 else 0.0
 
-    def _beyond_noise(self, known: BoolArray) -> float:
+    def beyond_noise(self, known: BoolArray) -> float:
         """How much stronger it is than what leaves more than noise in a channel's rows of one kind."""
         left = self._ahead.beyond(np.nan_to_num(self._change) / self._left.sigma, known)
         rows = self._left.rows

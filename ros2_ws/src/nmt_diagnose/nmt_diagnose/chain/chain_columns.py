@@ -128,7 +128,7 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
         for number, chain in enumerate(observations.chains)
         if chain is not None and observations.tests[number].linear_chain
     }
-    builder = _Builder(observations, rig, prediction, numbers) if numbers else None
+    builder = ChainBuilder(observations, rig, prediction, numbers) if numbers else None
     found = builder.found() if builder else {}
     found.update(_unsettled(observations))
     found.update(_phase_at_lock(observations, rig, prediction))
@@ -201,7 +201,7 @@ def scale_columns(observations: Observations, rig: Rig, prediction: Prediction) 
     return np.column_stack([*found.values()]) if found else np.zeros((len(observations.rows), 0))
 
 
-class _Builder:
+class ChainBuilder:
     """Columns for the tests that have measuring chains."""
 
     def __init__(
@@ -216,7 +216,7 @@ class _Builder:
     def found(self) -> dict[str, FloatArray]:
         """All columns by name, of all rows."""
         found = self._channels() | self._clock() | self._voltage() | self._hold() | self._images()
-        found |= self._aims() | self._harmonics() | self._sweeps() | self._mesh()
+        found |= self.aims() | self._harmonics() | self._sweeps() | self._mesh()
         for module in (ModesLeftOut(self.tests), ShapeErrors(self.tests)):
             name = type(module).__name__
             found |= {f"{name} {k}": column for k, column in enumerate(module.columns(self.base))}
@@ -385,7 +385,7 @@ class _Builder:
             )
         }
 
-    def _aims(self) -> dict[str, FloatArray]:
+    def aims(self) -> dict[str, FloatArray]:
         """What the loop of each test held, all levels alike: it measured with a chain of its own.
 
         One of the two chains may have filters that keep images out, and the other none.
@@ -406,7 +406,7 @@ class _Builder:
         for order in (2, 3):
             for part, share in (("re", 1.0), ("im", 1j)):
                 moved = tuple(
-                    test.with_levels(partial(_distorted, order=order, share=share)) for test in self.tests.tests
+                    test.with_levels(partial(distorted, order=order, share=share)) for test in self.tests.tests
                 )
                 found[f"harmonic {order} of the drive {part}"] = self.tests.moved(moved, self.base)
         return found
@@ -431,7 +431,8 @@ def _driven_more(level: LockedLevel) -> LockedLevel:
     return replace(level, drive=level.drive * (1.0 + _GAIN_STEP))
 
 
-def _distorted(level: LockedLevel, order: int, share: complex) -> LockedLevel:
+def distorted(level: LockedLevel, order: int, share: complex) -> LockedLevel:
+    """A level whose drives have a thousandth of ``share`` more of a harmonic."""
     terms = []
     for exciter in level.terms:
         several = [*exciter, *[0j] * max(0, order - len(exciter))]

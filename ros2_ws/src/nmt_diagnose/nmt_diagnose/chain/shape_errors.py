@@ -41,7 +41,7 @@ class ShapeErrors:
         measured = {channel.point for channel in chain.channels.values()} & set(structure.points)
         ruling = self._ruling() & set(structure.points)
         found = []
-        for mode in self._modes(structure):
+        for mode in self.modes_near(structure):
             for point in sorted(ruling):
                 found.append(self._change(base, mode, [point]))
             others = sorted(measured - ruling)
@@ -51,7 +51,7 @@ class ShapeErrors:
                 found += [np.where(self._rows_at(point), change, 0.0) for point in others]
         return [column for column in found if column.any()]
 
-    def _modes(self, structure: ModalSection) -> list[int]:
+    def modes_near(self, structure: ModalSection) -> list[int]:
         """Modes about the frequencies of the rows."""
         frequency = self.chain.rows.frequency_hz
         frequency = frequency[frequency > 0.0]

@@ -144,7 +144,7 @@ def _hum_sites(rig: Rig, operating: OperatingRange) -> Iterable[Site]:
                 yield _site(rig, index, scale, hz, reference=hz)
 
 
-def _late(operating: OperatingRange, channels: Sequence[str]) -> tuple[float, ...]:
+def late_channels(operating: OperatingRange, channels: Sequence[str]) -> tuple[float, ...]:
     """Common delay of channels that a fit from zero would not reach, s; none where it would."""
     known = [operating.delays[name] for name in channels if name in operating.delays]
     delay = median(known) if known else 0.0
@@ -160,7 +160,7 @@ def _group_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     return tuple(
         Site(
             Location("response_sensor", detail=f"{quantity} channels"), scale, option=quantity,
-            starts={"tau": _late(operating, channels)},
+            starts={"tau": late_channels(operating, channels)},
         )
         for quantity, channels in groups.items()
         if len(channels) > 1
@@ -178,7 +178,7 @@ def _hold_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     """Without a recorded voltage nothing tells when the drive acts."""
     if not _sensors(rig, ("voltage",)):
         return ()
-    late = _late(operating, [channel for _, _, channel in _sensors(rig, ALL)])
+    late = late_channels(operating, [channel for _, _, channel in _sensors(rig, ALL)])
     starts = {"hold": tuple(2.0 * delay for delay in late if delay > 0.0)}
     return (Site(Location("exciter", detail="drive"), {"hold": 0.01 / operating.omega}, starts=starts),)
 
@@ -244,7 +244,7 @@ SENSOR_EFFECTS: tuple[Effect, ...] = (
         "channel_skew", "e^{−iωτ}", "sensors.delay_s", EffectParameter("tau", "s", signed=True),
         sites=_per_channel(
             ALL, "tau", lambda operating, channel: 0.005 / operating.omega,
-            lambda operating, channel: {"starts": {"tau": _late(operating, (channel,))}},
+            lambda operating, channel: {"starts": {"tau": late_channels(operating, (channel,))}},
         ),
         change=_set(delay_s=lambda sensor, site, values: sensor.delay_s + values["tau"]),
         equivalents={"low_pass": "a random test"},

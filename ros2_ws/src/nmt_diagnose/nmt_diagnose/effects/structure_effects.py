@@ -97,14 +97,14 @@ def _air_drag(effect: Effect) -> Effect:
     return replace(effect, sites=sites)
 
 
-def _excess(values: Mapping[str, float]) -> float:
+def excess_exponent(values: Mapping[str, float]) -> float:
     """Exponent of a power-law damper beyond 1 that a rig file takes."""
     return min(values["excess"], THRESHOLDS.candidates.largest_power_excess)
 
 
 def _with_power_law(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     """A damper that takes a force at the reference speed."""
-    exponent = 1.0 + _excess(values)
+    exponent = 1.0 + excess_exponent(values)
     coefficient = values["force"] / site.reference**exponent
     return with_local(rig, PowerLawDamperSection, site, coefficient_n_sp_mp=coefficient, exponent=exponent)
 
@@ -117,7 +117,7 @@ def _power_law(effect: Effect) -> Effect:
         parameters=(replace(force, unit="N"), excess),
         sites=partial(cast(Any, effect.sites), reference=lambda a, w: w * a),
         change=_with_power_law,
-        report=lambda site, values: {"force": (values["force"], "N"), "p": (1.0 + _excess(values), "1")},
+        report=lambda site, values: {"force": (values["force"], "N"), "p": (1.0 + excess_exponent(values), "1")},
     )
 
 

@@ -101,7 +101,7 @@ class Forward:
                 for position, state in enumerate(solved or ())
                 if state is None
             ]
-        self._add_unexcited(rig, values)
+        self.add_unexcited(rig, values)
         return Prediction(values, np.isfinite(values), tuple(reasons), tuple(states))
 
     def _tangents(self, rig: Rig, prediction: Prediction, cache: PartsCache) -> list[Any]:
@@ -124,10 +124,10 @@ class Forward:
                 advanced = None if tangent is None else predictor.advanced(rig, cache, tangent)
                 states = advanced or predictor.stepped(rig, cache, prediction.states[index])
             values[where] = predictor.values(rig, cache, states)
-        self._add_unexcited(rig, values)
+        self.add_unexcited(rig, values)
         return values
 
-    def _add_unexcited(self, rig: Rig, values: FloatArray) -> None:
+    def add_unexcited(self, rig: Rig, values: FloatArray) -> None:
         """What follows no excitation: hum by the rig's clock, steps, limits and lost samples of converters."""
         sensors: dict[str, SensorSection] = {}
         for sensor in rig.sensors:

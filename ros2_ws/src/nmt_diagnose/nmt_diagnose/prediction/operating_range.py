@@ -61,7 +61,7 @@ def operating_range(
     rotation = dict.fromkeys(points, 0.0)
     for number, test in enumerate(tests):
         motions = test.motions(rig, (*channels, *probes), settings, _frequency(test, number, observations))
-        motions = _as_measured(motions, (*channels, *probes), test, number, observations)
+        motions = as_measured(motions, (*channels, *probes), test, number, observations)
         for parts, frequency, drive, amplitudes, unknowns in motions:
             values = {c.name: abs(a) for c, a in zip((*channels, *probes), amplitudes, strict=True)}
             for channel, (gain, *_rest) in zip(channels, parts.channels, strict=False):
@@ -177,7 +177,7 @@ def _frequency(test: Measurement, number: int, observations: Observations | None
     return float(rows.frequency_hz[selected[np.argmin(rows.amplitude[selected])]]) if selected.size else math.nan
 
 
-def _as_measured(
+def as_measured(
     motions: list[Motion],
     channels: tuple[MeasuredChannel, ...],
     test: Measurement,
@@ -237,11 +237,11 @@ def _effective_masses(
     if isinstance(rig.structure, BeamSection):
         least = 1e-3 * max(shape[index + 1] ** 2 for index in system.points.values())
         inertia = {point: seen(shape[index + 1], least) for point, index in system.points.items()}
-    pairs = {(a, b): seen(motion[b] - motion[a], floor) for a, b in _joined(rig, system)}
+    pairs = {(a, b): seen(motion[b] - motion[a], floor) for a, b in joined_points(rig, system)}
     return mass, inertia, pairs
 
 
-def _joined(rig: Rig, system: ElectromechanicalSystem) -> list[tuple[int, int]]:
+def joined_points(rig: Rig, system: ElectromechanicalSystem) -> list[tuple[int, int]]:
     """Points that an element may join: neighbours in a chain; any two of modes or matrices with a few points.
 
     Fewer modes than points hold the motions of the points together: what joins two of them acts as to the ground.

@@ -70,7 +70,7 @@ def sentences(
             f"{_farthest(calibration)}.",
             _how_far(gap, "Re-fitting them"),
         )
-    place = _where(where)
+    place = where_words(where)
     if verdict is Verdict.UNKNOWN:
         part = math.isfinite(gap.closed) and gap.closed >= THRESHOLDS.verdict.nearest_closed_share
         most = "all" if part else "a third"
@@ -91,7 +91,7 @@ def sentences(
         which = f"{sure} {what}, probability {_sure(head.probability)}"
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
-    which += _places(head)
+    which += place_words(head)
     which += _beside(ranking)
     far = _how_far(gap, "Adding it") + f" The model as it was given stands at {gap.as_given:.2f}."
     return (place, which + ".", far + _left(remainder), *_ahead(ahead))
@@ -114,7 +114,7 @@ def _beside(ranking: Sequence[Ranked]) -> str:
     return ""
 
 
-def _places(head: Ranked) -> str:
+def place_words(head: Ranked) -> str:
     """The places of an explanation with their probabilities, where more than one is likely."""
     best = max(head.places.values(), default=0.0)
     likely = {at: p for at, p in head.places.items() if p > THRESHOLDS.verdict.as_likely_share * best}
@@ -169,7 +169,8 @@ def _left(remainder: Remainder | None) -> str:
     return text + "."
 
 
-def _where(where: Sequence[PlaceShare]) -> str:
+def where_words(where: Sequence[PlaceShare]) -> str:
+    """Where the gap lies, as a sentence."""
     if not where:
         return "Where the gap lies could not be told."
     first = where[0]

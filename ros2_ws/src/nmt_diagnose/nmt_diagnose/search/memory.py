@@ -96,7 +96,7 @@ class Memory:
         """
         if self.near:
             search.tell(f"fitting {len(self.near)} explanations from where they stood")
-        found = best_of([one for it in self.near if (one := _fitted(search, null, it)) is not None])
+        found = best_of([one for it in self.near if (one := fitted_again(search, null, it)) is not None])
         if not found or search.leaves_noise_only(found[0]):
             return found
         first = found[0].fit
@@ -105,7 +105,8 @@ class Memory:
         return found if again is not None and near.leaves_noise_only(again) else []
 
 
-def _fitted(search: Search, null: FittedExplanation, remembered: Remembered) -> FittedExplanation | None:
+def fitted_again(search: Search, null: FittedExplanation, remembered: Remembered) -> FittedExplanation | None:
+    """A remembered explanation fitted to new rows from where it stood; None where the rig has no such place."""
     candidates: list[Candidate] = []
     added: list[FloatArray] = []
     for cause, values in zip(remembered.causes, remembered.values, strict=True):

@@ -114,7 +114,7 @@ class Search:
                 weights = groups.weights(squares, counts)[groups.of]
             relief = 2.0 * strength * pull - strength**2 * stiff
             gain = before - groups.cost(squares, counts) + relief
-            instead = self._instead_of_chain_error(fitted, column)
+            instead = self.instead_of_chain_error(fitted, column)
             if instead is not None and instead[1] > gain and (signed or instead[0] > 0.0):
                 strength, gain = instead
                 relief = gain
@@ -123,7 +123,7 @@ class Search:
             result.append(Score(number, own_start, gain, reach, column, relief, signed, start))
         return sorted(result, key=lambda score: -score.gain)
 
-    def _instead_of_chain_error(self, fitted: FitResult, column: FloatArray) -> tuple[float, float] | None:
+    def instead_of_chain_error(self, fitted: FitResult, column: FloatArray) -> tuple[float, float] | None:
         """Strength of an effect that does what an incredible error of the chain does now, and what that saves.
 
         Far from rest, as for a delay of a good part of a turn, the change to first order leads away from it.

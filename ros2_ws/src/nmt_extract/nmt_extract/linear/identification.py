@@ -96,7 +96,7 @@ def linear_test(signals: Signals, settings: LinearTestSettings) -> LinearTest:
     found = [with_phase_error(mode, found, drive_rows) for mode in found]
     drive = channels.drives[0]
     suspension = _has_mass_line(force_frfs[0], drive, MOTIONS[signals.quantities[drive]], found)
-    target = _target_of(found, settings, suspension)
+    target = target_of(found, settings, suspension)
     kept = _kept(found, target, min(settings.modes, len(channels.points)))
     further = tuple(mode for mode in found if mode not in kept)
     narrowest = min(kept, key=lambda mode: mode.damping_ratio * mode.frequency_hz)
@@ -369,7 +369,7 @@ def _refine(
                 reasons.append(f"{name} is left out: coherence there is {coherence:.2f}, below {LOWEST_COHERENCE}")
                 continue
             start = pole.frequency_hz * (1.0 + 1j * pole.damping_ratio)
-            mode = _scaled(record, structure_mode(fit, start, record.force_rows), pole, (coherence, averaged), fit)
+            mode = scaled_mode(record, structure_mode(fit, start, record.force_rows), pole, (coherence, averaged), fit)
             mode = _with_model_error(record, mode, others)
         except (BenchError, np.linalg.LinAlgError) as error:
             reasons.append(f"{name} is left out: {str(error).rstrip('.')}")
@@ -387,7 +387,7 @@ def _refine(
     return sorted(modes, key=lambda mode: mode.frequency_hz), remarks
 
 
-def _scaled(
+def scaled_mode(
     record: _Record, mode: StructureMode, pole: StablePole, coherence: tuple[float, float], fit: RationalFit
 ) -> LinearMode:
     """Mass-normalised shape from the residues: φ_p φ_d = 2 i ω_d A_pd, displacement from any quantity by powers of λ.
@@ -462,7 +462,7 @@ def _with_model_error(record: _Record, mode: LinearMode, others: list[StablePole
     fit = record.fit(mode.averaged, others, _ORDER + 1, mode.fit)
     start = mode.frequency_hz * (1.0 + 1j * mode.damping_ratio)
     found = structure_mode(fit, start, record.force_rows)
-    other = _scaled(record, found, mode.averaged, (mode.coherence, mode.averaged_coherence), fit)
+    other = scaled_mode(record, found, mode.averaged, (mode.coherence, mode.averaged_coherence), fit)
     bias = 0.0 if record.force_rows else float(mode.fit.input_noise.max())
     return replace(
         mode,
@@ -491,7 +491,12 @@ def _has_mass_line(frf: FrfEstimate, drive: str, power: int, modes: list[LinearM
     return bool(np.median(receptance.real[use] * frequency[use] ** 2) < 0.0)
 
 
-def _target_of(modes: list[LinearMode], settings: LinearTestSettings, suspension: bool) -> LinearMode:
+def target_of(modes: list[LinearMode], settings: LinearTestSettings, suspension: bool) -> LinearMode:
+    """The mode that the settings name, else the lowest one above those of the suspension.
+
+    Raises:
+        BenchError: there is none.
+    """
     listed = ", ".join(f"{mode.frequency_hz:.5g}" for mode in modes)
     if settings.near_hz is not None:
         near = settings.near_hz

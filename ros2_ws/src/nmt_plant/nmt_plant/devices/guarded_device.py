@@ -223,7 +223,7 @@ class GuardedDevice(Device):
         self._groups = groups
         self._settings = settings
         self._seed = seed
-        self._link = output
+        self.link = output
         self._lead = 0 if output is None else output.settings.lead_blocks
         # A half-cosine from zero grows by at most this factor until its response is seen.
         self._rise_factor = float(2 + self._lead) ** 2
@@ -233,7 +233,7 @@ class GuardedDevice(Device):
 
     def _prepare(self) -> None:
         """State at sample 0: drive at zero, nothing tripped, nothing pending."""
-        self._oscillator = Oscillator(self._sample_rate, self._seed, self._exciters)
+        self.oscillator = Oscillator(self._sample_rate, self._seed, self._exciters)
         self._watchdog = DriveWatchdog(self._settings.watchdog_blocks)
         settings = self._settings
         self._outputs = [
@@ -298,8 +298,8 @@ class GuardedDevice(Device):
     @property
     def output_state(self) -> OutputState:
         """What the output does, as far as anybody knows."""
-        if self._link is not None:
-            state = self._link.state
+        if self.link is not None:
+            state = self.link.state
             return OutputState.RAMPING if state is OutputState.HELD and self._last != 0.0 else state
         if self.state is DeviceState.CLOSED:
             return OutputState.ENDED
@@ -316,19 +316,19 @@ class GuardedDevice(Device):
     @property
     def _at_zero(self) -> bool:
         """Whether the next sample put out is zero, and all that follow without a new command."""
-        if self._link is not None:
-            state = self._link.state
+        if self.link is not None:
+            state = self.link.state
             if state in (OutputState.RAMPING, OutputState.NOT_KNOWN):
                 return False
             follows = state in (OutputState.FOLLOWING, OutputState.AT_ZERO)
             if self._last != 0.0 or (follows and any(block.voltages.any() for block, _ in self._made)):
                 return False
-        return self._oscillator.is_quiet and all(output.reaches_zero for output in self._outputs)
+        return self.oscillator.is_quiet and all(output.reaches_zero for output in self._outputs)
 
     @property
     def output_sentence(self) -> str:
         """What is known of an output that a process of its own owns, for people; empty without one."""
-        return "" if self._link is None else self._link.sentence
+        return "" if self.link is None else self.link.sentence
 
     @property
     def is_ready(self) -> bool:
@@ -336,13 +336,13 @@ class GuardedDevice(Device):
 
         The first `read` sets the clock of the samples going and waits for its block.
         """
-        link = self._link
+        link = self.link
         return link is None or not self._fed or link.available >= self._block_samples or link.has_ended
 
     @property
     def lateness(self) -> float:
         """s since the block that `read` gives next was put out; 0 without a process that owns the output."""
-        return 0.0 if self._link is None or not self._fed else self._link.lateness
+        return 0.0 if self.link is None or not self._fed else self.link.lateness
 
     @property
     def turn_time(self) -> float:
@@ -352,17 +352,17 @@ class GuardedDevice(Device):
     @property
     def is_owned(self) -> bool:
         """Whether a process of its own owns the output."""
-        return self._link is not None
+        return self.link is not None
 
     @property
     def output_pid(self) -> int | None:
         """Process that owns the output; None without one."""
-        return None if self._link is None else self._link.pid
+        return None if self.link is None else self.link.pid
 
     @property
     def output_record(self) -> str:
         """File in which that process says what the output does; empty where there is none."""
-        return "" if self._link is None else self._link.settings.record
+        return "" if self.link is None else self.link.settings.record
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -384,9 +384,9 @@ class GuardedDevice(Device):
         Oscillator(self._sample_rate).block(1)
         watch_rows(np.zeros((1, 1)), 0.0, np.ones((4, 1)), np.zeros((4, 1)))
         self._prepare()
-        if self._link is not None:
+        if self.link is not None:
             load_filters()
-            self._link.start()
+            self.link.start()
 
     @final
     def _read(self) -> list[SampleBlock]:
@@ -419,7 +419,7 @@ class GuardedDevice(Device):
 
     @final
     def _look_at_stop_line(self) -> None:
-        if self._link is None and not self._reason and self._stop_requested():
+        if self.link is None and not self._reason and self._stop_requested():
             self._quiet("the external stop input", None, StopCause.EXTERNAL_INPUT)
 
     @final
@@ -430,34 +430,34 @@ class GuardedDevice(Device):
         self._pending = [command for command in self._pending if command.apply_at_sample > first]
         if not self._reason:
             for command in due:
-                self._oscillator.apply(command)
+                self.oscillator.apply(command)
 
     @final
     def _drive(self) -> OscillatorBlock:
         """The final samples of the next block to be made: what the oscillator gives, after rise, slew and limit."""
         n = self._block_samples
-        wanted = self._oscillator.bound(n)
+        wanted = self.oscillator.bound(n)
         if wanted == 0.0:
             share = 1.0
-        elif self._reason or self._oscillator.is_stopping:
+        elif self._reason or self.oscillator.is_stopping:
             share = self._share  # on the way to zero nothing rises
         else:
             allowed = max(self._free_rise, self._rise_factor * self._seen) * (1.0 + 1e-9)
             share = 1.0 if wanted <= allowed else allowed / wanted
         reached = share * wanted
-        predicts = self._oscillator.is_periodic and not self._oscillator.is_feedback
+        predicts = self.oscillator.is_periodic and not self.oscillator.is_feedback
         if not self._reason and predicts and self._guard.predict(reached):
             self._trip(self._guard.reason, StopCause.LIMIT, self._settings.limit_ramp)
             all_to_zero(self._outputs)
             self._quiet_link(None)
-        block = self._oscillator.block(n)
+        block = self.oscillator.block(n)
         wanted_samples = list(block.voltages)
         risen = self._rising(wanted_samples, share)
         self._reached = reached
         final = guard_together(self._outputs, risen, n)
         violations = [output.violation for output in self._outputs if output.violation is not None]
         if violations:
-            self._oscillator.ramp_to_zero(0.0)
+            self.oscillator.ramp_to_zero(0.0)
             if not self._reason:
                 index, value = min(violations)
                 self._trip(
@@ -477,31 +477,31 @@ class GuardedDevice(Device):
         Raises:
             DeviceFault: that process has died or does not answer.
         """
-        if self._link is None:
+        if self.link is None:
             self._seen = self._reached
             return block
         n = self._block_samples
         if not self._fed:
             self._fed = True
             for still, _ in self._made:
-                self._link.feed(still.voltages[:, :n])
-        self._link.feed(block.voltages[:, :n])
+                self.link.feed(still.voltages[:, :n])
+        self.link.feed(block.voltages[:, :n])
         self._made.append((block, self._reached))
         made, self._seen = self._made.popleft()
-        put_out, self.measured, self._lost = self._link.collect(n, 1.0 + 4.0 * self._lead * n / self._sample_rate)
+        put_out, self.measured, self._lost = self.link.collect(n, 1.0 + 4.0 * self._lead * n / self._sample_rate)
         self._last = float(np.abs(put_out[:, -1]).max())
-        if self._link.is_tripped and not self._reason:
-            if self._link.state is OutputState.NOT_KNOWN:
-                raise DeviceFault(self._link.sentence)
-            self._trip(f"output: {self._link.reason}", self._link.cause or StopCause.OUTPUT, 0.0)
+        if self.link.is_tripped and not self._reason:
+            if self.link.state is OutputState.NOT_KNOWN:
+                raise DeviceFault(self.link.sentence)
+            self._trip(f"output: {self.link.reason}", self.link.cause or StopCause.OUTPUT, 0.0)
         following = put_out[:, -1:] if self._reason else self._made[0][0].voltages[:, :1]
         return replace(made, voltages=np.concatenate([put_out, following], axis=1))
 
     def _quiet_link(self, ramp: float | None) -> None:
         """Tell the process that owns the output at once, past the blocks that wait there."""
-        if self._link is not None:
+        if self.link is not None:
             with contextlib.suppress(DeviceFault):  # the next read says so
-                self._link.quiet(self._reason, ramp)
+                self.link.quiet(self._reason, ramp)
 
     def _rising(self, voltages: Sequence[FloatArray], share: float) -> Sequence[FloatArray]:
         """The voltages times the share that is let through, along a half-cosine from the last block's share."""
@@ -549,7 +549,7 @@ class GuardedDevice(Device):
         if self._guard.check(blocks, self._seen):
             self._trip(self._guard.reason, StopCause.LIMIT, self._settings.limit_ramp)
             self._quiet_link(self._quiet_ramp)
-        elif self._watchdog.block(not self._oscillator.is_quiet):
+        elif self._watchdog.block(not self.oscillator.is_quiet):
             self._trip(
                 f"watchdog: no drive command for {self._watchdog.missed} blocks",
                 StopCause.WATCHDOG,
@@ -561,7 +561,7 @@ class GuardedDevice(Device):
     def _actuate(self) -> None:
         """Hand the drive to the output: while tripped it can only go to zero."""
         if self._reason:
-            self._oscillator.ramp_to_zero(0.0 if self._oscillator.is_quiet else self._quiet_ramp)
+            self.oscillator.ramp_to_zero(0.0 if self.oscillator.is_quiet else self._quiet_ramp)
 
     @final
     def _publish(self, blocks: Sequence[SampleBlock], overload: bool) -> list[SampleBlock]:
@@ -646,17 +646,17 @@ class GuardedDevice(Device):
         if not self._reason:
             self._trip(reason, cause, wanted)
         self._quiet_ramp = min(self._quiet_ramp, wanted)
-        self._oscillator.ramp_to_zero(self._quiet_ramp)
+        self.oscillator.ramp_to_zero(self._quiet_ramp)
         self._quiet_link(self._quiet_ramp)
 
     @final
     def _reset(self) -> None:
-        if self._stop_requested() if self._link is None else self._link.stop_is_set:
+        if self._stop_requested() if self.link is None else self.link.stop_is_set:
             raise BenchError("the external stop input still asks for zero; release it first")
-        if self._link is not None and not self._link.reset():
-            raise BenchError(f"the output is not released: {self._link.sentence}")
+        if self.link is not None and not self.link.reset():
+            raise BenchError(f"the output is not released: {self.link.sentence}")
         # The tripped drive must be at rest before anybody takes over again.
-        self._oscillator.ramp_to_zero(0.0)
+        self.oscillator.ramp_to_zero(0.0)
         self._pending.clear()
         for output in self._outputs:
             output.release()
@@ -668,7 +668,7 @@ class GuardedDevice(Device):
         self._flags = BlockFlag.NONE
 
     def _stop(self) -> None:
-        self._oscillator.ramp_to_zero(0.0)
+        self.oscillator.ramp_to_zero(0.0)
         self._pending.clear()
-        if self._link is not None:
-            self._link.close()
+        if self.link is not None:
+            self.link.close()

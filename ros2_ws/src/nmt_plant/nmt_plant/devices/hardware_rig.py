@@ -183,11 +183,11 @@ class HardwareRig(GuardedDevice):
         return true_values, bool(np.any(np.abs(self.measured) >= self._end_stops))
 
     def _watch(self, values: FloatArray, drive: OscillatorBlock) -> None:
-        if self._link is None:
+        if self.link is None:
             if self._specimen is not None:
                 self._clock.add(self._specimen.seconds, self._next_sample)
             return
-        report = self._link.last_report
+        report = self.link.last_report
         lost = report.lost_turns != self._lost_before
         self._lost_before = report.lost_turns
         self._clock.add(report.time, report.put_out, lost)
@@ -203,7 +203,7 @@ class HardwareRig(GuardedDevice):
     @property
     def turn_time(self) -> float:
         """s, of the converter's turns."""
-        return 0.0 if self._link is None else self._link.last_report.turn / self._sample_rate
+        return 0.0 if self.link is None else self.link.last_report.turn / self._sample_rate
 
     @property
     def overloaded(self) -> tuple[str, ...]:
@@ -214,9 +214,9 @@ class HardwareRig(GuardedDevice):
     @property
     def figures(self) -> ConverterFigures:
         """Delay, drift, clock and losses so far."""
-        if self._link is None:
+        if self.link is None:
             return ConverterFigures(1, 1, -1, 1.0, math.nan, self._clock.ppm, 0)
-        report = self._link.last_report
+        report = self.link.last_report
         return ConverterFigures(
             report.delay,
             report.delay + report.turn,

@@ -356,12 +356,12 @@ class ForceController:
         self._deviation[0, 0] = 0.0
         if self.off:
             self._deviation[:, 1:] = 0.0
-        self._judge_block()
-        self._quiet = self._quiet_share()
+        self.judge_block()
+        self._quiet = self.quiet_share()
         if self._relative and ramp_from > 0.0:  # the ramp itself moves the voltages
             self._past.clear()
         elif self.orders.size > 1 and not self.off:
-            self._learn(force, seen, response, known, frequency_hz)
+            self.learn_gains(force, seen, response, known, frequency_hz)
         gain = self._estimate.gain(known)
         step = self._step(gain)
         largest = HARMONICS.largest_step_share * amplitude
@@ -377,8 +377,8 @@ class ForceController:
         if self.given_up:
             self.terms = np.where(self._without_control, HARMONICS.fade_per_block * (self.terms - step), self.terms)
         if not self.off and self.orders.size > 1:
-            self._limit(amplitude, unit, frequency_hz, gain)
-            self._review()
+            self.limit_terms(amplitude, unit, frequency_hz, gain)
+            self.review()
 
     def _step(self, gain: ComplexArray) -> ComplexArray:
         """Changes of the voltages, V, (N, H), without bounds."""
@@ -395,7 +395,7 @@ class ForceController:
         step[:, 1:] = solved(gain, wanted.T).T
         return step
 
-    def _judge_block(self) -> None:
+    def judge_block(self) -> None:
         """Mean deviation and noise over the dwell so far."""
         self._record.add(self._deviation.ravel()[1:])  # without the reference
         length, most = self._record.length, self._record.blocks
@@ -411,7 +411,7 @@ class ForceController:
         grow = 2.0 ** (1.0 / (HARMONICS.noise_doubling_dwells * most))
         self._noise = np.where(self._noise > 0.0, np.minimum(noise, self._noise * grow), noise)
 
-    def _quiet_share(self) -> FloatArray:
+    def quiet_share(self) -> FloatArray:
         """Share of κ, (N, H - 1), so small in noise that what control puts of it into F_n stays below the tolerance.
 
         Noise σ behind the filter comes back with the variance σ² κ/ω_LP. Fundamentals have all of κ: near the resonance
@@ -422,7 +422,7 @@ class ForceController:
         ratio = (wanted / noise) ** 2 * self.setup.cutoff / self.rate
         return np.asarray(np.minimum(np.maximum(ratio, HARMONICS.lowest_gain_share), 1.0))
 
-    def _learn(
+    def learn_gains(
         self,
         force: ComplexArray,
         seen: ComplexArray,
@@ -449,7 +449,7 @@ class ForceController:
         scatter *= len(self._past) - 1  # overlapping differences tell the same thing as often
         self._estimate.learn(known * (seen - old_seen).T[:, None, :], change[1:], disturbance, scatter)
 
-    def _limit(self, amplitude: float, unit: float, frequency_hz: float, gain: ComplexArray) -> None:
+    def limit_terms(self, amplitude: float, unit: float, frequency_hz: float, gain: ComplexArray) -> None:
         """Keep every harmonic, and all of them together, below what is allowed; name what stays there."""
         magnitude = np.abs(self.terms[:, 1:])
         size = magnitude * unit
@@ -475,7 +475,7 @@ class ForceController:
             )
             self._limited[:] = 0.0
 
-    def _review(self) -> None:
+    def review(self) -> None:
         """From time to time: whether every harmonic that is not settled gets nearer to its target."""
         if self._motion > HARMONICS.steady_motion_change or not self._record.is_full:
             return  # what changes by itself says nothing of control

@@ -195,7 +195,7 @@ class _GivenFrequencyLoop(LevelLoop):
     def _approach(self, level: LevelCommand, end: int) -> None:
         self._stage = _Stage.APPROACH
         self._target_since = end
-        self._target_from = self._held
+        self._target_from = self.held
         ramp = max(level.ramp, self.block_duration)
         self._until = end + math.ceil(ramp * self.sample_rate)
         if level.frequency_hz != self._frequency:
@@ -222,7 +222,7 @@ class _GivenFrequencyLoop(LevelLoop):
         """One block of work on the level; why it has to be given up, empty if it goes on."""
         level = self._level
         assert level is not None
-        self._held = {
+        self.held = {
             ControlKind.FORCE: abs(phasors[0]),
             ControlKind.RESPONSE: abs(phasors[1]),
             ControlKind.VOLTAGE: self._commanded,
@@ -253,11 +253,11 @@ class _GivenFrequencyLoop(LevelLoop):
             self._reference = None
             self._good_until = end
             self._until = end + math.ceil(2.0 / self.cutoff * self.sample_rate)
-        return self._refusal(level, phasors, end)
+        return self.refusal(level, phasors, end)
 
     def _listen_on(self, level: LevelCommand, phasors: tuple[complex, complex], end: int) -> str:
         """Wait until the structure rests: what is left then is noise."""
-        self._noise = [*self._noise[-4:], self._held]
+        self._noise = [*self._noise[-4:], self.held]
         self.force_holder.listen(*phasors)
         if end < self._until:
             return ""
@@ -271,7 +271,7 @@ class _GivenFrequencyLoop(LevelLoop):
             )
         self._ramp = self.block_duration
         if level.control == ControlKind.VOLTAGE:
-            self._held = 0.0
+            self.held = 0.0
             self._approach(level, end)
             self._amplitude = min(SWEEPS.probe_voltage_v, level.amplitude)
         else:
@@ -283,28 +283,28 @@ class _GivenFrequencyLoop(LevelLoop):
     def _probe(self, level: LevelCommand, phasors: tuple[complex, complex], end: int) -> str:
         floor = self.settings.force_floor if level.control == ControlKind.FORCE else self.settings.response_floor
         wanted = max(SWEEPS.probe_noise_ratio * max(self._noise, default=0.0), floor)
-        if self._held >= min(wanted, 0.5 * level.amplitude):
+        if self.held >= min(wanted, 0.5 * level.amplitude):
             self._approach(level, end)
             return ""
         self._amplitude *= math.exp(SWEEPS.probe_log_growth)
-        return self._refusal(level, phasors, end)
+        return self.refusal(level, phasors, end)
 
-    def _refusal(self, level: LevelCommand, phasors: tuple[complex, complex], end: int) -> str:
+    def refusal(self, level: LevelCommand, phasors: tuple[complex, complex], end: int) -> str:
         """Why the level has to be given up, empty if it need not."""
         limit = self.settings.voltage_limit
         if limit > 0 and self._amplitude > limit:
             return (
                 f"the drive would need more than {limit:g} V at {self._frequency_at(end):.2f} Hz "
-                f"(held amplitude {self._held:.3g} of {level.amplitude:g})"
+                f"(held amplitude {self.held:.3g} of {level.amplitude:g})"
             )
         if end > self._deadline and self.machine.state == LoopState.ACQUIRING:
             return f"no stationary amplitude within the time-out: {self._obstacle(level) or 'still approaching'}"
         if self._stage == _Stage.WINDOW and level.control != ControlKind.VOLTAGE:
-            if self._held > 0 and abs(math.log(self._held / level.amplitude)) < SWEEPS.lost_log_deviation:
+            if self.held > 0 and abs(math.log(self.held / level.amplitude)) < SWEEPS.lost_log_deviation:
                 self._good_until = end
             elif end - self._good_until > SWEEPS.lost_duration_s * self.sample_rate:
                 return (
-                    f"the held amplitude is {self._held:.3g} instead of {level.amplitude:g} at "
+                    f"the held amplitude is {self.held:.3g} instead of {level.amplitude:g} at "
                     f"{self._frequency_at(end):.2f} Hz"
                 )
         if self._stage in (_Stage.SETTLE, _Stage.WINDOW) and abs(phasors[0]) < self.settings.force_floor:
@@ -320,7 +320,7 @@ class _GivenFrequencyLoop(LevelLoop):
             return None
         ratio = phasors[1] / phasors[0]
         self._reference = self._reference or ratio
-        deviation = math.log(self._held / level.amplitude) if self._held > 0 else -math.inf
+        deviation = math.log(self.held / level.amplitude) if self.held > 0 else -math.inf
         self.dwell.add(deviation, abs(phasors[0]), abs(phasors[1]))
         self.phase_dwell.add(0.0, 1.0 + turn(ratio, self._reference), 1.0)
         if not self.dwell.full or self._obstacle(level):

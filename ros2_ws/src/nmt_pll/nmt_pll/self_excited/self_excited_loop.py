@@ -181,7 +181,7 @@ class SelfExcitedLoop(LevelLoop):
         )
 
     @property
-    def _window_time(self) -> float:
+    def window_time(self) -> float:
         """Length of a window about an amplitude that a free motion passes with its present growth, s."""
         shortest = SELF_EXCITED.shortest_free_window_periods * 2.0 * math.pi / self.plant.omega
         return min(max(shortest, SELF_EXCITED.free_window_log_span / max(abs(self._growth), 1e-9)), 10.0 * shortest)
@@ -356,7 +356,7 @@ class SelfExcitedLoop(LevelLoop):
         self.dwell.add(detuning, frequency_hz, amplitude)
         if self.machine.state == LoopState.ACQUIRING and self.dwell.full:
             statistics = self.dwell.statistics()
-            obstacle = self._obstacle(statistics, target)
+            obstacle = self.obstacle(statistics, target)
             if not obstacle:
                 return self._lock(end, self.controller.output, self._phase(force, velocity), self._told(statistics))
             if end > self._deadline:
@@ -373,7 +373,7 @@ class SelfExcitedLoop(LevelLoop):
         """Phase of the velocity from the line of the force, rad: the force may work either way."""
         return math.remainder(cmath.phase(velocity * force.conjugate()), math.pi) if force else math.nan
 
-    def _obstacle(self, s: DwellStatistics, target: float) -> str:
+    def obstacle(self, s: DwellStatistics, target: float) -> str:
         """What keeps a held amplitude from being locked; noise excuses two standard uncertainties."""
         settings = self.settings
         if abs(s.mean) > SELF_EXCITED.largest_detuning + 2.0 * s.mean_std:
@@ -416,14 +416,15 @@ class SelfExcitedLoop(LevelLoop):
         # The filter is late by its time constant.
         distance = math.log(level.amplitude) - (self._logarithms[-1] + growth / self.cutoff)
         settled = (
-            since > 4.0 * SELF_EXCITED.growth_periods * 2.0 * math.pi / self.plant.omega and abs(growth) < self._still
+            since > 4.0 * SELF_EXCITED.growth_periods * 2.0 * math.pi / self.plant.omega
+            and abs(growth) < self.still_growth
         )
         if settled and abs(distance) < SELF_EXCITED.limit_cycle_log_distance:
             return self._open(level, end, growth)
         if distance > 0.0 if self._from_above else distance < 0.0:
             return self._open(level, end, growth)
         late = since > 3.0 * SELF_EXCITED.growth_periods * 2.0 * math.pi / self.plant.omega
-        away = late and (growth < -self._still if not self._from_above else growth > self._still)
+        away = late and (growth < -self.still_growth if not self._from_above else growth > self.still_growth)
         if settled or away or since > level.duration:
             if settled:
                 self._settled_at = self._amplitude_now
@@ -431,15 +432,15 @@ class SelfExcitedLoop(LevelLoop):
         return None
 
     @property
-    def _still(self) -> float:
+    def still_growth(self) -> float:
         """Growth that counts as none, 1/s."""
         return SELF_EXCITED.settled_growth_ratio * self.plant.omega
 
     def _open(self, level: LevelCommand, end: int, growth: float) -> LockWindow:
         """Name the window about the moment in which the level's amplitude is passed: it begins before now."""
-        side = "steady" if abs(growth) < self._still else "ring-down" if growth < 0.0 else "ring-up"
+        side = "steady" if abs(growth) < self.still_growth else "ring-down" if growth < 0.0 else "ring-up"
         self.machine.lock(end, f"envelope, {side}: the response grows by {growth:.4g} 1/s")
-        half = 0.5 * self._window_time * self.sample_rate
+        half = 0.5 * self.window_time * self.sample_rate
         released = self._release_from + (2 + self.settings.latency_blocks) * self._block_samples
         first = max(released, end - round(half))
         self._window_until = end + max(round(half), self._block_samples)

@@ -243,7 +243,7 @@ class BagWriter:
             return
         try:
             self._hand_over()
-            self._mcap.flush()
+            self.mcap.flush()
         except OSError as error:
             raise self._fail(error) from error
         self._file.keep()
@@ -337,15 +337,15 @@ class BagWriter:
         self._channels, self._schemas = {}, {}
         self._file = _ChunkFile(self._open_file(self.file_path))
         # One chunk is as large as flush() lets it become. Uncompressed by default: samples of noise hardly compress.
-        self._mcap = Writer(self._file, chunk_size=2**62, compression=COMPRESSIONS[self._storage.compression])
-        self._chunk = ChunkMessages(self._mcap)
-        self._mcap.start(profile="ros2", library="nmt_record")
+        self.mcap = Writer(self._file, chunk_size=2**62, compression=COMPRESSIONS[self._storage.compression])
+        self._chunk = ChunkMessages(self.mcap)
+        self.mcap.start(profile="ros2", library="nmt_record")
         self._file.keep()
 
     def _end_file(self) -> None:
         metadata = yaml_text(self._metadata(), sort_keys=True, ascii_only=True).strip()
-        self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata})
-        self._mcap.finish()
+        self.mcap.add_metadata("rosbag2", {"serialized_metadata": metadata})
+        self.mcap.finish()
         self._file.keep()
         self._file.close()
 
@@ -362,14 +362,14 @@ class BagWriter:
         message_type, definition, profiles = self._known[topic]
         key = (message_type, definition.text)
         if key not in self._schemas:
-            self._schemas[key] = self._mcap.register_schema(
+            self._schemas[key] = self.mcap.register_schema(
                 message_type, definition.encoding if definition.text else "", definition.text.encode()
             )
         metadata = {
             "offered_qos_profiles": yaml_text(profiles, sort_keys=True, ascii_only=True).strip() if profiles else "",
             "topic_type_hash": definition.type_hash,
         }
-        channel = self._mcap.register_channel(f"/{topic}", "cdr", self._schemas[key], metadata)
+        channel = self.mcap.register_channel(f"/{topic}", "cdr", self._schemas[key], metadata)
         self._channels[topic] = channel
         self._topics[topic] = {
             "name": f"/{topic}",

@@ -36,9 +36,9 @@ _QOS = {
     Service.DEFAULT: QoSProfile(depth=100),
 }
 # Neither what goes on after the run without a stamp nor a modal point that never comes keeps the bag open for ever.
-_LONGEST_END = 3.0
+LONGEST_END = 3.0
 # After a run that ended early the plant takes the drive to zero by itself: its ramp belongs into the bag.
-_LONGEST_RAMP = 6.0  # s
+LONGEST_RAMP = 6.0  # s
 _RAMP_GRACE = 30.0  # s that a recorder in lockstep which was told to end waits for a plant that is there
 
 
@@ -148,8 +148,8 @@ class RecorderNode(BenchNode):
         self._last_time = self._last_own_time = time.monotonic()
         self._seen = 0.0  # time of the newest message when it was looked last
         self._is_drained = False
-        self._announced = RunAnnouncement()
-        self._goal = ""  # of the run that the newest bag is for
+        self.announced = RunAnnouncement()
+        self.goal = ""  # of the run that the newest bag is for
         self._refusal = ""  # why no bag was opened for it
         self.core = RunRecorder(settings)
         self._state_publisher = self.create_publisher(String, BAG_TOPIC, STATE_QOS)
@@ -172,7 +172,7 @@ class RecorderNode(BenchNode):
         self._announcement_subscription = self.create_subscription(
             String, ANNOUNCEMENT_TOPIC, self._on_announcement, STATE_QOS
         )
-        self.steady_timer(min(0.1, settings.flush_interval / 2.0), self._watch)
+        self.steady_timer(min(0.1, settings.flush_interval / 2.0), self.watch)
         self.get_logger().info(f"Bag {self.writer.path} opened")
         self._publish_state("")
 
@@ -180,7 +180,7 @@ class RecorderNode(BenchNode):
 
     def _on_announcement(self, message: Any) -> None:
         try:
-            self._announced = RunAnnouncement.from_json(message.data)
+            self.announced = RunAnnouncement.from_json(message.data)
         except ValueError as error:
             self.get_logger().error(f"Announcement of a run refused: {error}", throttle_duration_sec=1.0)
             return
@@ -188,8 +188,8 @@ class RecorderNode(BenchNode):
 
     def _open_for_announced(self) -> None:
         """Have a bag open for the run that is about to begin, and say so; after a failure say why."""
-        announced = self._announced
-        if not announced.goal or announced.goal == self._goal:
+        announced = self.announced
+        if not announced.goal or announced.goal == self.goal:
             return
         if self.writer.state == "open" and self.core.begun:
             if self.core.end_sample is not None:
@@ -200,7 +200,7 @@ class RecorderNode(BenchNode):
         except BenchError as error:
             self._refusal = str(error)
             self.get_logger().error(self._refusal)
-        self._goal = announced.goal
+        self.goal = announced.goal
         self._publish_state(self._refusal)
 
     def _open_bag(self, announced: RunAnnouncement) -> None:
@@ -264,7 +264,7 @@ class RecorderNode(BenchNode):
         if not self.core.after_end:
             self._tell_recorded()
 
-    def _watch(self) -> None:
+    def watch(self) -> None:
         """Flush what has waited long enough, close the bag when the run is over, and open the next one."""
         self._is_drained, self._seen = self._last_time == self._seen, self._last_time
         if self.in_lockstep and self._is_drained:
@@ -287,15 +287,15 @@ class RecorderNode(BenchNode):
         if self.in_lockstep:
             self._close_in_lockstep(silence)
         elif self.core.gaps.reached(self.core.end_sample):
-            if since_end < _LONGEST_RAMP and self.core.awaits_ramp and self._plant_is_there:
+            if since_end < LONGEST_RAMP and self.core.awaits_ramp and self._plant_is_there:
                 return
             # A source in real time goes on: what is stamped after the end of the run breaks no silence.
             own_silence = now - self._last_own_time
             silent = silence >= self.settings.settle_time
             silent = silent or (own_silence >= self.settings.settle_time and not self.core.awaits_points)
-            if silent or since_end >= _LONGEST_END:
+            if silent or since_end >= LONGEST_END:
                 self.close("", "done")
-        elif silence >= self.settings.patience or since_end >= self.settings.patience + _LONGEST_END:
+        elif silence >= self.settings.patience or since_end >= self.settings.patience + LONGEST_END:
             self.close(f"blocks up to sample {self.core.end_sample} did not arrive", "incomplete")
 
     def _close_in_lockstep(self, silence: float) -> None:
@@ -306,7 +306,7 @@ class RecorderNode(BenchNode):
         lacks = not core.gaps.reached(end)
         waits = (lacks or core.awaits_ramp) and self._plant_is_there
         # The sequencer waits for the points, and takes the announcement back when it has them.
-        waits = waits or (self._announced.goal == self._goal != "" and self.count_publishers(ANNOUNCEMENT_TOPIC) > 0)
+        waits = waits or (self.announced.goal == self.goal != "" and self.count_publishers(ANNOUNCEMENT_TOPIC) > 0)
         if silence < (HANG_LIMIT if waits else self.settings.patience if lacks or core.awaits_points else 0.0):
             return
         self.close(f"blocks up to sample {end} did not arrive" if lacks else "", "incomplete" if lacks else "done")
@@ -326,7 +326,7 @@ class RecorderNode(BenchNode):
             return
         state = "failed" if self._refusal else self.writer.state
         lacks = 0.0 if state == "open" else self.core.lacks_s
-        told = BagState(str(self.writer.path), state, self.writer.messages, reason, self._goal, self._recorded_s, lacks)
+        told = BagState(str(self.writer.path), state, self.writer.messages, reason, self.goal, self._recorded_s, lacks)
         text = told.to_json()
         self._state_publisher.publish(String(data=text))
 

@@ -108,10 +108,10 @@ def _one(name: str, stretch: SampleStretch, bag: BagWindows, budget: int) -> Obs
         why = "it has no response" if not present else f"{stretch.samples} samples are too few"
         return empty((*notes, f"{name}: the record is left out: {why}."))
     responses = np.array([stretch.row(recorded[channel.name]) for channel in present])
-    first = _head(responses, stretch.sample_rate)
-    in_motion = _begins_in_motion(responses, first)
+    first = head_of(responses, stretch.sample_rate)
+    in_motion = starts_in_motion(responses, first)
     slowest = _slowest(view)
-    start = _start(slowest, stretch) if in_motion else 0
+    start = start_of(slowest, stretch) if in_motion else 0
     independent = max(
         THRESHOLDS.reading.record_fewest_rows, int((stretch.samples - start) / stretch.sample_rate * slowest)
     )
@@ -183,7 +183,7 @@ def _from_input(
         return propagated_noise(noise, over_volt[1:] / over_volt[0], lines)
 
 
-def _head(responses: FloatArray, sample_rate: float) -> int:
+def head_of(responses: FloatArray, sample_rate: float) -> int:
     """Samples from which the state is read that a record begins in: some periods of its strongest line."""
     samples = responses.shape[1]
     centred = responses[0] - responses[0].mean()
@@ -195,7 +195,7 @@ def _head(responses: FloatArray, sample_rate: float) -> int:
     )
 
 
-def _begins_in_motion(responses: FloatArray, head: int) -> bool:
+def starts_in_motion(responses: FloatArray, head: int) -> bool:
     """Whether some channel moves from the first samples on."""
     first = responses[:, : max(3, head // THRESHOLDS.reading.record_head_samples)]
     centre = responses.mean(axis=1, keepdims=True)
@@ -209,7 +209,7 @@ def _slowest(view: ModelView) -> float:
     return float(np.min(-modes.eigenvalues.real)) if modes.eigenvalues.size else 0.0
 
 
-def _start(slowest: float, stretch: SampleStretch) -> int:
+def start_of(slowest: float, stretch: SampleStretch) -> int:
     """First sample that an unknown initial state does not reach, at most a tenth of the record."""
     longest = THRESHOLDS.reading.record_longest_start * stretch.samples
     return int(

@@ -137,7 +137,7 @@ def _one(
     responses = np.array([stretch.row(recorded[channel.name]) for channel in present])
     start = _start(motion[0], rate)
     moving = _moving(found, start, rate)
-    count = _independent(responses[0][start:], rate)
+    count = independent_values(responses[0][start:], rate)
     indices = spread_samples(0, moving.size, min(count, max(1, budget // len(present)), moving.size))
     indices = moving[indices]
     if indices.size < THRESHOLDS.reading.stretch_fewest_samples:
@@ -286,7 +286,7 @@ def _moving(motion: _Motion, start: int, sample_rate: float) -> IntArray:
     return np.flatnonzero(~resting)
 
 
-def _independent(force: FloatArray, sample_rate: float) -> int:
+def independent_values(force: FloatArray, sample_rate: float) -> int:
     """Independent values of a force: two for each period of the highest frequency that it has power at."""
     frequency, power = welch(force - force.mean(), sample_rate, nperseg=min(force.size, 1024))
     share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)

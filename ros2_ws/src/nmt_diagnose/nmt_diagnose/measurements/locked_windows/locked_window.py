@@ -181,7 +181,7 @@ def analyse_window(
         over_window, without, single = (_turned(part, reference) for part in (over_window, without, single))
     # An oscillator made a sine unless something else stands out.
     certain = 1 if known else harmonics
-    terms = _terms(over_window, single, voltages, certain) if voltages else PURE_TONE
+    terms = drive_terms(over_window, single, voltages, certain) if voltages else PURE_TONE
     frequency = float(cycles[-1] - cycles[0]) / (used - 1) * stretch.sample_rate
     lines = {hz: mains_line(cycles, data, stretch.sample_rate, fitted, hz) for hz in MAINS_HZ}
     mains = {hz: line for hz, line in lines.items() if line is not None}
@@ -209,7 +209,7 @@ def _forces(where: str, stretch: SampleStretch, view: ModelView) -> tuple[str, .
     return names
 
 
-def _terms(over_window: ComplexArray, single: ComplexArray, rows: Sequence[int], certain: int) -> Terms:
+def drive_terms(over_window: ComplexArray, single: ComplexArray, rows: Sequence[int], certain: int) -> Terms:
     """Orders 1, 2, … of what was recorded of each exciter's drive over the fundamental of the first.
 
     Args:
@@ -300,7 +300,7 @@ def force_framed(window: LockedWindow, harmonics: int) -> LockedWindow:
         _turned(part, rows[0]) for part in (window.amplitudes, window.without, window.single)
     )
     # Shaker and structure act on each other: what drives the structure is the force as it was, not a pure tone.
-    terms = _terms(amplitudes, single, rows, harmonics)
+    terms = drive_terms(amplitudes, single, rows, harmonics)
     return replace(window, amplitudes=amplitudes, without=without, single=single, terms=terms)
 
 

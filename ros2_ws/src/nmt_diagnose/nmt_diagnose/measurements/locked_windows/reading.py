@@ -56,7 +56,7 @@ def _drift(single: FloatArray) -> FloatArray:
     return result
 
 
-def _lean(single: FloatArray) -> float:
+def phase_lean(single: FloatArray) -> float:
     """How far a loop may still be off that has not settled, from the drift of sub-windows beyond their scatter.
 
     A transient of the structure that decays over the window by about a half leaves a mean of about twice its change;
@@ -163,7 +163,7 @@ def _add_rows_of_levels(
             # A force that is held is an input.
             if theirs in window.rows and not (run.held == "force" and theirs in window.forces):
                 cells += _cells(index, channel, window, window.row(theirs), settings.harmonics)
-    _moderate(cells)
+    moderate(cells)
     floors = settings.floors
     index_of = {channel.name: number for number, channel in enumerate(run.channels)}
     for index, (window, level) in enumerate(zip(run.windows, run.levels, strict=True)):
@@ -217,7 +217,7 @@ def _level(window: LockedWindow, drive_point: int, wanted: Quantity | None) -> L
         turned = abs(value) > math.pi - THRESHOLDS.reading.furthest_phase_rad
         why = "force or response has the wrong sign" if turned else "not near resonance"
         return f"{where}: force and velocity are {math.degrees(value):.0f}° apart ({why}); it is left out."
-    lean = _lean(wrapped(error(window.single) - value))
+    lean = phase_lean(wrapped(error(window.single) - value))
     std = math.sqrt(variance)
     if abs(drift) > THRESHOLDS.noise.drift_sigmas * math.sqrt(12.0) * std:
         std = math.hypot(std, 0.5 * drift)
@@ -298,7 +298,7 @@ def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int,
     return cells
 
 
-def _moderate(cells: list[Cell]) -> None:
+def moderate(cells: list[Cell]) -> None:
     """Draw the variances of a channel together, harmonic by harmonic, and add what drifts."""
     groups: dict[tuple[str, object, int], list[Cell]] = {}
     for cell in cells:

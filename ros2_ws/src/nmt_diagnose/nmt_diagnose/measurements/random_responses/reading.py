@@ -78,7 +78,7 @@ def random_observations(
     settings = bag.settings
     try:
         used = _signals(stretch, bag.channels, voltages, name, notes)
-        lines, bins = _lines(used, stretch.sample_rate, view, settings)
+        lines, bins = lines_of(used, stretch.sample_rate, view, settings)
     except BenchError as error:
         return empty((*notes, f"{name}: the random test is left out: {error}."))
     reference, present = used.reference, used.channels
@@ -177,7 +177,7 @@ def _signals(
     return _Signals(reference, others, list(present.values()), inputs, outputs, part)
 
 
-def _lines(
+def lines_of(
     used: _Signals, sample_rate: float, view: ModelView, settings: ObservationSettings
 ) -> tuple[FloatArray, IntArray]:
     """Lines at which the responses are read, Hz, and their bins.

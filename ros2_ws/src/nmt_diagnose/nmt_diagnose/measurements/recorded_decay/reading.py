@@ -97,12 +97,12 @@ def ring_down_observations(
         nodes = np.unique(short.rows.amplitude)
         if nodes.size >= THRESHOLDS.reading.decay_few_nodes and nodes.max() > 0.5 * largest:
             return short
-    if close := _close_mode(view, decay.good[-1].omega / (2.0 * math.pi)):
+    if close := close_mode(view, decay.good[-1].omega / (2.0 * math.pi)):
         return empty((f"{name}: the ring-down is left out: {close}.",))
     others = [c for c in usable if c is not model_channel]
     table = RowTable()
     floors = settings.floors
-    amplitudes = _add_nodes(table, decay.good, stretch, settings, decay.others)
+    amplitudes = add_nodes(table, decay.good, stretch, settings, decay.others)
     for index, other in enumerate(others, start=1):
         samples = stretch.row(other.name)
         samples, _ = without_hum(samples - samples.mean(), stretch.sample_rate, decay.ridge, DECAYS.switch_off_periods)
@@ -116,7 +116,7 @@ def ring_down_observations(
             std = math.hypot(std, 2.0 * _shift(node, _lowest(decay.good), decay.others[level]))
             table.add(Part.LOG_MAGNITUDE, size, std, floors.decay_shape, place, index, 1)
             table.add(Part.PHASE, cmath.phase(ratio), std, floors.decay_shape, place, index, 1)
-    notes += _notes(name, decay)
+    notes += notes_of(name, decay)
     test = RecordedDecay(
         name,
         view.rig.drive_point,
@@ -129,7 +129,7 @@ def ring_down_observations(
     return table.observations(test, notes)
 
 
-def _add_nodes(
+def add_nodes(
     table: RowTable, good: list[Node], stretch: SampleStretch, settings: ObservationSettings, others: FloatArray
 ) -> list[float]:
     """Rows of frequency and damping of every node; returns their amplitudes."""
@@ -178,7 +178,7 @@ def _short_decay(
     except BenchError as error:
         return empty((f"{name}: the ring-down is left out: {reason}; {error}.",))
     table = RowTable()
-    amplitudes = _add_nodes(table, good, stretch, settings, np.zeros(len(good)))
+    amplitudes = add_nodes(table, good, stretch, settings, np.zeros(len(good)))
     note = f"{name}: the decay lasts a few periods only: frequency and damping are those between its turning points."
     test = RecordedDecay(
         name,
@@ -191,7 +191,7 @@ def _short_decay(
     return table.observations(test, [note])
 
 
-def _close_mode(view: ModelView, frequency_hz: float) -> str:
+def close_mode(view: ModelView, frequency_hz: float) -> str:
     """Which mode several exciters let ring that no window tells from the one that decays; empty = none."""
     away = sorted(view.modes_hz, key=lambda hertz: abs(hertz / frequency_hz - 1.0))[1:2]
     if len(view.rig.all_exciters) < 2 or not away or abs(away[0] / frequency_hz - 1.0) > 1.0 / max(DEMODULATION_WIDTHS):
@@ -236,7 +236,7 @@ def _chosen(found: Sequence[Ridge], frequency_hz: float, view: ModelView, second
     raise BenchError(f"it decays at {frequencies} Hz, where the model {view.rig.name} has no mode (it has {modes} Hz)")
 
 
-def _notes(name: str, decay: DecayReading) -> list[str]:
+def notes_of(name: str, decay: DecayReading) -> list[str]:
     """What of a decay is not used, and why."""
     result = []
     if len(decay.good) < THRESHOLDS.reading.decay_few_nodes:

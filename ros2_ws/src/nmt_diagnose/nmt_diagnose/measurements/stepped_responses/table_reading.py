@@ -117,7 +117,7 @@ def stepped_table_observations(together: TablesTogether) -> Observations | None:
         notes.append(f"{name}: {int((~usable).sum())} of {usable.size} rows have no response or level; left out.")
     if not usable.any():
         return empty((*notes, f"{name}: left out: it has no usable line."))
-    groups = _groups(level, usable)
+    groups = force_groups(level, usable)
     parts = []
     for own_level, selected in groups:
         test_name = name if len(groups) == 1 else f"{name} at {own_level:g} {table.level_unit}".strip()
@@ -151,7 +151,7 @@ def _held(name: str, table: ObservableTable) -> tuple[str, list[str]]:
     return held, notes
 
 
-def _groups(level: FloatArray, usable: NDArray[np.bool_]) -> list[tuple[float, NDArray[np.int64]]]:
+def force_groups(level: FloatArray, usable: NDArray[np.bool_]) -> list[tuple[float, NDArray[np.int64]]]:
     """Rows of each level, lowest first."""
     order = np.flatnonzero(usable)
     order = order[np.argsort(level[order], kind="stable")]
@@ -172,7 +172,7 @@ def _one(
     measured = []
     for table, channel in zip(tables, channels, strict=True):
         label = name if len(tables) == 1 else f"{name}, {channel.name}"
-        std, sentences, degrees = _noise(label, table, order, table.responses[order], f)
+        std, sentences, degrees = noise_of_lines(label, table, order, table.responses[order], f)
         notes += sentences
         measured.append((channel, table.responses[order], std, degrees))
     estimated = [float(std[0]) for _, _, std, degrees in measured if math.isfinite(degrees)]
@@ -222,7 +222,7 @@ def _one(
     return rows.observations(test, notes)
 
 
-def _noise(
+def noise_of_lines(
     name: str, table: ObservableTable, order: NDArray[np.int64], h: ComplexArray, f: FloatArray
 ) -> tuple[FloatArray, list[str], float]:
     """Relative standard uncertainty of each line: stated by columns or for the table, else shown by its scatter.

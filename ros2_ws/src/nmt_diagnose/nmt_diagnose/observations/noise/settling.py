@@ -12,7 +12,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.thresholds import THRESHOLDS
 
 # How fast a transient may fall, over the window.
-_RATES = np.geomspace(0.5, 8.0, 25)
+RATES = np.geomspace(0.5, 8.0, 25)
 _EXACT_LOG_AMPLITUDE = 1e-12  # ln of an amplitude that is exact
 
 
@@ -67,7 +67,7 @@ def settling(logs: FloatArray, responses: NDArray[np.bool_]) -> Settling:
     time = (np.arange(count) + 0.5) / count
     values = logs - logs.mean(axis=0)
     tries = []
-    for rate in _RATES:
+    for rate in RATES:
         falling = np.exp(-rate * time)
         falling -= falling.mean()
         power = float(falling @ falling)
@@ -85,7 +85,7 @@ def settling(logs: FloatArray, responses: NDArray[np.bool_]) -> Settling:
     significant = sizes**2 > THRESHOLDS.noise.settling_sigmas**2 * variances
     found = np.where(shared, common, np.where(significant, sizes, 0.0))
     leading = int(np.argmax(np.abs(sizes) / np.sqrt(variances)))
-    return Settling(found, float(_RATES[best]), _doubt(tries, best, leading, count))
+    return Settling(found, float(RATES[best]), _doubt(tries, best, leading, count))
 
 
 def _doubt(tries: list[tuple[float, FloatArray, FloatArray]], best: int, channel: int, count: int) -> float:
@@ -96,9 +96,9 @@ def _doubt(tries: list[tuple[float, FloatArray, FloatArray]], best: int, channel
     lost = np.array([cost for cost, _, _ in tries])
     weights = np.exp(-0.5 * (count - 2) * (lost - lost[best]))
     weights /= weights.sum()
-    means = np.array([sizes[channel] * _mean(float(rate)) for rate, (_, sizes, _) in zip(_RATES, tries, strict=True)])
+    means = np.array([sizes[channel] * _mean(float(rate)) for rate, (_, sizes, _) in zip(RATES, tries, strict=True)])
     if best == 0 or means[best] == 0.0:
         return 1.0
-    known = float(tries[best][2][channel]) * _mean(float(_RATES[best])) ** 2
+    known = float(tries[best][2][channel]) * _mean(float(RATES[best])) ** 2
     spread = float(weights @ (means - means[best]) ** 2) + known
     return min(1.0, math.hypot(math.sqrt(spread) / abs(means[best]), THRESHOLDS.noise.settling_inexact))

@@ -8,7 +8,6 @@ import pytest
 
 from nmt_diagnose.ledger.credible_answers import credible_answers
 from nmt_diagnose.ledger.diagnosis import Answer, Ranked, Share, Verdict
-from nmt_diagnose.thresholds import THRESHOLDS
 
 NOT_TRIED = Share(math.nan, math.nan, math.nan)
 KINDRED = ("cubic_stiffness", "quintic_stiffness")
@@ -26,7 +25,7 @@ def test_the_fewest_answers_hold_95_per_cent() -> None:
     first, second = credible_answers(Verdict.EFFECT, True, ranking, probabilities)
     assert first == Answer("effect", KINDRED, pytest.approx(0.6))
     assert second == Answer("unknown", (), 0.36)
-    assert first.probability + second.probability > THRESHOLDS.comparison.credible_probability
+    assert first.probability + second.probability > 0.95
     probabilities |= {"unknown": 0.34, "two_sided_gap@3": 0.04}
     assert len(credible_answers(Verdict.EFFECT, True, ranking, probabilities)) == 3
 
@@ -52,7 +51,7 @@ def test_without_a_gap_anything_may_act_that_is_too_weak() -> None:
 def test_a_partial_explanation_leaves_room_for_what_the_library_lacks() -> None:
     ranking = [ranked("cubic_stiffness", 0.97), ranked("two_sided_gap", 0.03)]
     probabilities = {"none": 0.0, "unknown": 1.0, "cubic_stiffness@7": 1e-9}
-    named = THRESHOLDS.comparison.partial_named_share
+    named = 0.44
     unnamed, cubic = credible_answers(Verdict.EFFECT, False, ranking, probabilities)
     assert unnamed == Answer("unknown", (), pytest.approx(1.0 - named))
     assert cubic == Answer("effect", ("cubic_stiffness",), pytest.approx(0.97 * named))

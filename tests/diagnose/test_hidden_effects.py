@@ -25,20 +25,19 @@ from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.search.search import Search
-from nmt_diagnose.thresholds import THRESHOLDS
 
 
 def test_what_the_next_test_adds_is_its_share_of_the_range_of_strengths() -> None:
     """Draws of rigs of which some have an effect, of a strength that spreads evenly over decades."""
     rng, count = np.random.default_rng(3), 400_000
-    comparison = THRESHOLDS.comparison
-    acts = rng.random(count) > comparison.prior_none
-    decades = rng.random(count) * THRESHOLDS.next_test.strength_decades
+    none, too_weak, strengths = 0.6, 0.16, 3.0  # decades of strength
+    acts = rng.random(count) > none
+    decades = rng.random(count) * strengths
     weaker = np.array([1.0, 3.0, 12.0])[rng.integers(3, size=count)]
     more = np.array([1.0, 20.0, 60.0])[np.searchsorted([1.0, 3.0, 12.0], weaker)]
     # What shows in no test of a plan: of the rigs that show no gap at its end so many have an effect.
-    never = comparison.too_weak_share / (1.0 - comparison.too_weak_share) * comparison.prior_none
-    never *= THRESHOLDS.next_test.strength_decades / (1.0 - comparison.prior_none)
+    never = too_weak / (1.0 - too_weak) * none
+    never *= strengths / (1.0 - none)
     at_end = never  # decades, from the weakest
     shows_at_end = decades > at_end
     shows_now = decades > at_end + np.log10(more)

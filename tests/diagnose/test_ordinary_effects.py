@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.ledger.size import needed
@@ -26,7 +25,7 @@ def test_a_pick_up_within_its_tolerance_is_no_effect() -> None:
         data: Any = SimpleNamespace(tolerances=np.array(tolerances, dtype=bool))
         return sorted(needed(data, FittedExplanation(added, fit), [], {}).small)
 
-    ordinary, large = 2.9 * TOLERANCES.transverse, 3.1 * TOLERANCES.transverse
+    ordinary, large = 0.0145, 0.0155
     assert small(ordinary, [True], cubic, transverse) == [1]
     assert small(-ordinary, [True], cubic, transverse) == [1]
     assert small(ordinary, [True], transverse) == [0]

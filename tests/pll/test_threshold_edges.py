@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -13,10 +14,13 @@ import pytest
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_pll.amplitude.response_control import ResponseController
-from nmt_pll.force_control.force_controller import most_harmonics
+from nmt_pll.force_control.force_controller import ForceController, most_harmonics
+from nmt_pll.force_control.force_per_volt import fundamental_gain
 from nmt_pll.force_control.gain_estimate import GainEstimate
 from nmt_pll.force_control.modal_power_ratio import ModalPowerRatio, check_modes
+from nmt_pll.force_control.mode_shape_targets import ModeShapeTargets
 from nmt_pll.self_excited.self_excited_control import AmplitudeLaw, SelfExcitedPlant
+from nmt_pll.self_excited.self_excited_loop import SelfExcitedLoop
 
 
 def waits(error: float) -> bool:
@@ -72,6 +76,118 @@ def fed() -> float:
     return 0.5 * max(control.update(1.0, 1e30, 0.01) for _ in range(100))
 
 
+def settled(mean: float = 0.0, newest: float = 0.0, noise: float = 0.0) -> bool:
+    """Whether a force is at its target, by its mean and newest deviation over the tolerance and by its noise."""
+    controller: Any = SimpleNamespace(
+        _record=SimpleNamespace(mean_std=lambda noise: noise), _noise=np.full((1, 1), noise), _fundamental=1.0,
+        _mean=np.full((1, 1), mean), _deviation=np.full((1, 1), newest), setup=SimpleNamespace(tolerance=1.0),
+    )  # fmt: skip
+    return bool(ForceController.settled.fget(controller)[0, 0])  # type: ignore[attr-defined]
+
+
+def furthest_asked() -> float:
+    """Highest frequency at which the force per volt of the fundamental is looked at, over that of the mode."""
+    asked: list[float] = []
+
+    def force_per_volt(frequency_hz: Any) -> Any:
+        asked.extend(frequency_hz)
+        return np.broadcast_to(np.eye(2, dtype=complex), (len(frequency_hz), 2, 2))
+
+    fundamental_gain(force_per_volt, 100.0, 1.0, np.ones(2))
+    return max(asked) / 100.0
+
+
+def following() -> float:
+    """Rate by which targets follow the shape, for a mode that lies 50 rad/s from another without damping."""
+    several: Any = SimpleNamespace(
+        frequencies_rad_s=(100.0, 150.0), damping_ratios=(0.0, 0.0), target_mode=0, points=(1, 2),
+        exciter_points=(1, 2), shape_matrix=np.eye(2), exciter_force_rows=((1.0,),),
+    )  # fmt: skip
+    return ModeShapeTargets(several, False, 1e9, 5).following
+
+
+def controller(mean: float = 0.0, **more: Any) -> Any:
+    """What a controller knows of the second harmonic of one force: its mean deviation over the fundamental."""
+    known = {
+        "setup": SimpleNamespace(tolerance=0.0, cutoff=1.0, block_duration=1.0), "rate": 1.0, "given_up": {},
+        "_record": SimpleNamespace(is_full=True), "_motion": 0.0, "_fundamental": 1.0, "_quiet": np.ones((1, 1)),
+        "_since_look": np.full((1, 1), 9.0), "_looked_at": np.ones((1, 1)), "_strikes": np.zeros((1, 1)),
+        "_limited": np.zeros((1, 1)), "_mean": np.array([[0.0, mean]]), "settled": np.zeros((1, 2), dtype=bool),
+        "_estimate": SimpleNamespace(doubt=lambda which: None, forget=lambda which: None),
+    }  # fmt: skip
+    found = SimpleNamespace(**{**known, **more})
+    found._share = lambda exciter, order: 0.0
+    return found
+
+
+def is_due(waited: float) -> bool:
+    """Whether a harmonic is looked at after so many time constants."""
+    found = controller(_since_look=np.full((1, 1), waited - 1.0))
+    ForceController.review(found)
+    return bool(found._since_look[0, 0] == 0.0)
+
+
+def strikes(mean: float, before: int = 0) -> tuple[int, int]:
+    """Looks without progress where so much is left of the deviation before, and harmonics that are given up."""
+    found = controller(mean, _strikes=np.full((1, 1), before))
+    ForceController.review(found)
+    return int(found._strikes[0, 0]), len(found.given_up)
+
+
+def largest_term() -> float:
+    """Voltage of a harmonic over that of the fundamental that is left of five times as much."""
+    found = controller(terms=np.array([[1.0, 5.0]]))
+    found._room = lambda *_: None
+    found._unit = found._taken_at = lambda *_: 1.0
+    ForceController.limit_terms(found, 1.0, 1.0, 10.0, np.ones((1, 1, 1), dtype=complex))
+    return float(found.terms[0, 1])
+
+
+def gain_in_noise() -> float:
+    found = controller(_noise=np.full((1, 2), 1e9), setup=SimpleNamespace(tolerance=1.0, cutoff=1.0))
+    return float(ForceController.quiet_share(found)[0, 0])
+
+
+def doubling_dwells() -> float:
+    """Dwells of ten blocks in which an estimate of noise doubles where far more is seen."""
+    record = SimpleNamespace(
+        add=lambda values: None, length=10, blocks=10, mean_and_noise=lambda: (np.zeros(1), np.full(1, 1e9))
+    )
+    found = controller(_record=record, _noise=np.ones((1, 2)), _deviation=np.zeros((1, 2), dtype=complex))
+    ForceController.judge_block(found)
+    return 0.1 / math.log2(float(found._noise[0, 1]))
+
+
+def doubling_time_constants() -> float:
+    """Time constants of the loop in which the variance of a gain doubles."""
+    grown: list[float] = []
+    found = controller(_past=deque(maxlen=9), _estimate=SimpleNamespace(grow=grown.append))
+    none = np.zeros((1, 2), dtype=complex)
+    ForceController.learn_gains(found, none, none, [1.0 + 0j], none, 10.0)
+    return 1.0 / math.log2(grown[0])
+
+
+def free_window(growth: float) -> float:
+    """Length of a window of a free motion of 1 Hz, s."""
+    loop = SimpleNamespace(plant=SimpleNamespace(omega=2.0 * math.pi), _growth=growth)
+    return float(SelfExcitedLoop.window_time.fget(loop))  # type: ignore[attr-defined]
+
+
+def still() -> float:
+    loop = SimpleNamespace(plant=SimpleNamespace(omega=1.0))
+    return float(SelfExcitedLoop.still_growth.fget(loop))  # type: ignore[attr-defined]
+
+
+def detuned(share: float) -> bool:
+    """Whether a force at right angles to the velocity that shifts the frequency by a share keeps a loop from lock."""
+    names = ("mean", "frequency_drift", "amplitude_drift")
+    dwell: Any = SimpleNamespace(**dict.fromkeys([*names, *(f"{name}_std" for name in names)], 0.0))
+    dwell.mean = share
+    settings = SimpleNamespace(frequency_tolerance=1.0, amplitude_tolerance=1.0)
+    loop: Any = SimpleNamespace(settings=settings, _amplitude_now=1.0)
+    return bool(SelfExcitedLoop.obstacle(loop, dwell, 1.0))
+
+
 EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "pll.amplitude.waiting_error": (lambda: (waits(0.09), waits(0.11)), (False, True)),
     "pll.harmonics.automatic_highest": (lambda: most_harmonics(1.0, 1e4, 1.0), 15),
@@ -80,6 +196,21 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "pll.harmonics.lowest_gain_correction": (lambda: (learnt(0.009), learnt(0.011)), (1.0, 0.011)),
     "pll.harmonics.modal_target_modes": (lambda: (refused(2), refused(3)), (True, False)),
     "pll.harmonics.largest_target_ratio": (largest_target, pytest.approx(0.3)),
+    "pll.harmonics.noise_sigmas": (lambda: (settled(mean=3.9, noise=1.0), settled(mean=4.1, noise=1.0)), (True, False)),
+    "pll.harmonics.newest_value_ratio": (lambda: (settled(newest=1.9), settled(newest=2.1)), (True, False)),
+    "pll.harmonics.resonance_band_ratio": (furthest_asked, pytest.approx(1.4)),
+    "pll.harmonics.shape_following_ratio": (following, pytest.approx(0.08 * 50.0)),
+    "pll.harmonics.review_time_constants": (lambda: (is_due(4.9), is_due(5.1)), (False, True)),
+    "pll.harmonics.progress_share": (lambda: (strikes(0.69), strikes(0.71)), ((0, 0), (1, 0))),
+    "pll.harmonics.reviews_without_progress": (lambda: (strikes(1.0, 1), strikes(1.0, 2)), ((2, 0), (3, 1))),
+    "pll.harmonics.largest_voltage_share": (largest_term, 1.0),
+    "pll.harmonics.lowest_gain_share": (gain_in_noise, 0.1),
+    "pll.harmonics.noise_doubling_dwells": (doubling_dwells, pytest.approx(5.0)),
+    "pll.harmonics.variance_doubling_time_constants": (doubling_time_constants, pytest.approx(20.0)),
+    "pll.self_excited.shortest_free_window_periods": (lambda: free_window(9.0), pytest.approx(6.0)),
+    "pll.self_excited.free_window_log_span": (lambda: free_window(0.1), pytest.approx(8.0)),
+    "pll.self_excited.settled_growth_ratio": (still, pytest.approx(5e-4)),
+    "pll.self_excited.largest_detuning": (lambda: (detuned(0.9e-4), detuned(1.1e-4)), (False, True)),
     "pll.self_excited.largest_feeding_rate": (fed, pytest.approx(3.0)),
 }
 

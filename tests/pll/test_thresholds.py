@@ -13,7 +13,7 @@ from nmt_pll.thresholds import THRESHOLDS
 
 ROOT = Path(__file__).resolve().parents[2]
 ENTRIES = {path: (getattr(record, entry.name), entry) for path, record, entry in thresholds_of(THRESHOLDS)}
-WITHOUT_TEST = 27
+WITHOUT_TEST = 12
 """How many have no such test yet. The number is put down when a test is written, and never up."""
 
 

@@ -76,10 +76,12 @@ class ChainTolerances:
     loop_phase_deg: float = threshold(
         1.0, "°",
         "What a loop may hold beside its set value, all levels alike: it measures with a chain of its own.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[tolerances.loop_phase_deg]",
     )  # fmt: skip
     lock_phase_deg: float = threshold(
-        0.5, "°", "The same of each level by itself: lock is declared within about a degree.", "",
+        0.5, "°",
+        "The same of each level by itself: lock is declared within about a degree.",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[tolerances.lock_phase_deg]",
     )  # fmt: skip
     resonance_shift: float = threshold(
         3e-4, "1",

@@ -111,17 +111,17 @@ class HarmonicsThresholds:
     newest_value_ratio: float = threshold(
         2.0, "1",
         "Newest value over what the mean of the dwell may be off by: it has the noise of one block.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.newest_value_ratio]",
     )  # fmt: skip
     noise_sigmas: float = threshold(
         3.0, "σ",
         "Standard deviations by which noise may pass the tolerance: once in 10,000, with many harmonics to wait for.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.noise_sigmas]",
     )  # fmt: skip
     lowest_gain_share: float = threshold(
         0.1, "1",
         "Share of the gain that is left in noise: less would never settle.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.lowest_gain_share]",
     )  # fmt: skip
     largest_step_share: float = threshold(
         0.1, "1",
@@ -131,7 +131,7 @@ class HarmonicsThresholds:
     largest_voltage_share: float = threshold(
         1.0, "1",
         "Voltage of a harmonic over the amplitude of the drive: more is a gain of nearly nothing.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.largest_voltage_share]",
     )  # fmt: skip
     voltage_limit_share: float = threshold(
         0.98, "1",
@@ -151,12 +151,12 @@ class HarmonicsThresholds:
     noise_doubling_dwells: float = threshold(
         5.0, "1",
         "Dwells in which an estimate of noise may double: what looks like noise may be a transient.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.noise_doubling_dwells]",
     )  # fmt: skip
     variance_doubling_time_constants: float = threshold(
         20.0, "1",
         "Time constants of the loop in which the variance of the force per volt doubles.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.variance_doubling_time_constants]",
     )  # fmt: skip
     motion_disturbance_ratio: float = threshold(
         3.0, "1",
@@ -181,7 +181,7 @@ class HarmonicsThresholds:
     review_time_constants: float = threshold(
         5.0, "1",
         "Time constants of the loop between two looks at whether a harmonic gets nearer to its target.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.review_time_constants]",
     )  # fmt: skip
     steady_motion_change: float = threshold(
         0.005, "1",
@@ -191,12 +191,12 @@ class HarmonicsThresholds:
     progress_share: float = threshold(
         0.7, "1",
         "Deviation over that of the look before which counts as progress.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.progress_share]",
     )  # fmt: skip
     reviews_without_progress: int = threshold(
         3, "1",
         "Looks without progress before a harmonic is given up: what was learnt is doubted at the first.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.reviews_without_progress]",
     )  # fmt: skip
     limited_time_constants: float = threshold(
         10.0, "1",
@@ -221,12 +221,12 @@ class HarmonicsThresholds:
     resonance_band_ratio: float = threshold(
         1.4, "1",
         "Frequency over that of the target mode up to which the force per volt of the fundamental is looked at.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.resonance_band_ratio]",
     )  # fmt: skip
     shape_following_ratio: float = threshold(
         0.08, "1",
         "Rate by which targets follow the shape, over the distance |δ + i Δω| of the nearest other mode.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.shape_following_ratio]",
     )  # fmt: skip
 
 
@@ -383,7 +383,7 @@ class SelfExcitedThresholds:
     largest_detuning: float = threshold(
         1.0e-4, "1",
         "Of the frequency, by the force at right angles to the velocity, at lock.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.largest_detuning]",
     )  # fmt: skip
     lost_lock_change: float = threshold(
         0.1, "1",
@@ -393,7 +393,7 @@ class SelfExcitedThresholds:
     shortest_free_window_periods: float = threshold(
         6.0, "periods",
         "Shortest window of a free motion, in periods of the mode.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.shortest_free_window_periods]",
     )  # fmt: skip
     release_log_lead: float = threshold(
         0.6, "1",
@@ -408,7 +408,7 @@ class SelfExcitedThresholds:
     settled_growth_ratio: float = threshold(
         5e-4, "1",
         "Growth over frequency that counts as none.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.settled_growth_ratio]",
     )  # fmt: skip
     limit_cycle_log_distance: float = threshold(
         0.02, "1",
@@ -418,7 +418,7 @@ class SelfExcitedThresholds:
     free_window_log_span: float = threshold(
         0.8, "1",
         "Of ln a within a window of a free motion.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.free_window_log_span]",
     )  # fmt: skip
     release_log_tolerance: float = threshold(
         0.05, "1",

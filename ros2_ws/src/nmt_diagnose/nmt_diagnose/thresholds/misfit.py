@@ -24,12 +24,12 @@ class MisfitThresholds:
     level_length: float = threshold(
         1.0, "ln level",
         "Change of level over which the misfit stays the same.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[misfit.level_length]",
     )  # fmt: skip
     line_length: float = threshold(
         0.3, "ln frequency",
         "Change of frequency over which the misfit stays the same.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[misfit.line_length]",
     )  # fmt: skip
     static_share_above: float = threshold(
         0.2, "1",
@@ -54,7 +54,7 @@ class MisfitThresholds:
     shape_reach: float = threshold(
         2.0, "1",
         "Frequencies of modes over those of the rows beyond which a mode adds a constant at most.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[misfit.shape_reach]",
     )  # fmt: skip
     largest_mesh_change: float = threshold(
         0.2, "1",

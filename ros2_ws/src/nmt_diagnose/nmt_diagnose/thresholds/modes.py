@@ -19,7 +19,7 @@ class ModeThresholds:
     unlike_mac: float = threshold(
         0.3, "1",
         "Modal assurance criterion below which two modes are different.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[modes.unlike_mac]",
     )  # fmt: skip
     alike_mac: float = threshold(
         0.5, "1",
@@ -29,17 +29,17 @@ class ModeThresholds:
     apart_log_frequency: float = threshold(
         0.5, "ln frequency",
         "Ratio of frequencies from which two modes are not the same.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[modes.apart_log_frequency]",
     )  # fmt: skip
     near_log_frequency: float = threshold(
         0.1, "ln frequency",
         "Ratio of frequencies below which two modes are the same whatever sensors make of the shape.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[modes.near_log_frequency]",
     )  # fmt: skip
     same_log_frequency: float = threshold(
         0.02, "ln frequency",
         "Ratio of frequencies below which a mode of two tests is one.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[modes.same_log_frequency]",
     )  # fmt: skip
     edge_ratio: float = threshold(
         1.3, "1",
@@ -80,7 +80,7 @@ class ModeThresholds:
     fewest_lines: int = threshold(
         20, "1",
         "Fewer lines do not determine poles.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[modes.fewest_lines]",
     )  # fmt: skip
     least_width_lines: float = threshold(
         0.3, "lines",

@@ -14,7 +14,7 @@ class NoiseThresholds:
     drift_sigmas: float = threshold(
         4.0, "σ",
         "A drift over the window that its noise makes once in 16 000 windows.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[noise.drift_sigmas]",
     )  # fmt: skip
     lean_ratio: float = threshold(
         2.0, "1",
@@ -25,7 +25,7 @@ class NoiseThresholds:
     stepped_default_std: float = threshold(
         0.02, "1",
         "Relative noise of a table that neither states any nor has lines enough to show it.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[noise.stepped_default_std]",
     )  # fmt: skip
     stepped_fewest_for_scatter: int = threshold(
         12, "lines",
@@ -41,7 +41,7 @@ class NoiseThresholds:
     table_default_std: float = threshold(
         0.02, "1",
         "The same of a backbone or linear response.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[noise.table_default_std]",
     )  # fmt: skip
     table_fewest_for_scatter: int = threshold(
         7, "points",

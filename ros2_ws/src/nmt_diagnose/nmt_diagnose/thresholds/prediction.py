@@ -19,17 +19,17 @@ class PredictionThresholds:
     far_off_ratio: float = threshold(
         2.0, "1",
         "Measured over modelled motion beyond which the model is no measure of it.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[prediction.far_off_ratio]",
     )  # fmt: skip
     most_joined_points: int = threshold(
         4, "1",
         "Pairs of more points are more than recordings distinguish.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[prediction.most_joined_points]",
     )  # fmt: skip
     line_width: float = threshold(
         0.01, "1",
         "Relative distance within which a line of the observations is that of the mains.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[prediction.line_width]",
     )  # fmt: skip
     coarse_steps: float = threshold(
         64.0, "1",
@@ -59,7 +59,7 @@ class PredictionThresholds:
     largest_magnitude_sigmas: float = threshold(
         4.0, "σ",
         "Standard deviations of a magnitude up to which its error corrects the phase.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[prediction.largest_magnitude_sigmas]",
     )  # fmt: skip
     largest_shape_mix: float = threshold(
         1e-3, "1",

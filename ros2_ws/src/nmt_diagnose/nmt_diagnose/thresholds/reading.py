@@ -40,43 +40,43 @@ class ReadingThresholds:
     hum_sigmas: float = threshold(
         6.0, "σ",
         "Amplitude over the noise from which the line of the less common mains is observed.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.hum_sigmas]",
     )  # fmt: skip
     hidden_step_share: float = threshold(
         0.3, "σ",
         "A step of the converter below this share of the noise adds less than 1 % to it.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.hidden_step_share]",
     )  # fmt: skip
     step_std_share: float = threshold(
         0.25, "1",
         "A step of a whole deviation of the noise changes hardly any observable: its weight is that of four "
         "deviations.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.step_std_share]",
     )  # fmt: skip
     limit_std_share: float = threshold(
         0.1, "1",
         "Standard deviation of a clipping level over it.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.limit_std_share]",
     )  # fmt: skip
     same_limit_share: float = threshold(
         0.01, "1",
         "Clipping levels that differ by less are one.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.same_limit_share]",
     )  # fmt: skip
     repeats_std_share: float = threshold(
         0.1, "1",
         "By how much of it the share of repeated samples may be off, all levels together.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.repeats_std_share]",
     )  # fmt: skip
     random_fewest_lines: int = threshold(
         200, "lines",
         "Fewer lines carry no local fits.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.random_fewest_lines]",
     )  # fmt: skip
     record_decay_constants: float = threshold(
         5.0, "time constants",
         "What was before the record has fallen to 0.7 % by then.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.record_decay_constants]",
     )  # fmt: skip
     record_hold_error: float = threshold(
         3e-3, "1",
@@ -91,22 +91,22 @@ class ReadingThresholds:
     record_longest_start: float = threshold(
         0.1, "1",
         "Share of a record that its start may take.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.record_longest_start]",
     )  # fmt: skip
     record_fewest_samples: int = threshold(
         200, "samples",
         "Shorter records tell nothing.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.record_fewest_samples]",
     )  # fmt: skip
     record_fewest_rows: int = threshold(
         50, "samples",
         "Samples of a record that count as independent at the least.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.record_fewest_rows]",
     )  # fmt: skip
     record_noise_quantile: float = threshold(
         0.05, "1",
         "Quantile of the spectrum that is its noise.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.record_noise_quantile]",
     )  # fmt: skip
     record_fewest_averages: int = threshold(
         8, "averages",
@@ -163,17 +163,17 @@ class ReadingThresholds:
     decay_slow_share: float = threshold(
         0.01, "1",
         "Part of the damping for each d ln ω / d ln A that a model of a slow decay is wrong by.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.decay_slow_share]",
     )  # fmt: skip
     decay_few_nodes: int = threshold(
         3, "nodes",
         "Decays of fewer nodes are left out.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.decay_few_nodes]",
     )  # fmt: skip
     decay_other_mode_share: float = threshold(
         0.2, "1",
         "Motion in another mode from which a decay is not of one mode.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.decay_other_mode_share]",
     )  # fmt: skip
     decay_cross_shift: float = threshold(
         2.0, "1",
@@ -193,12 +193,12 @@ class ReadingThresholds:
     decay_worst_damping_std: float = threshold(
         0.3, "1",
         "Relative uncertainty of a damping beyond which ln of amplitudes is no longer Gaussian.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.decay_worst_damping_std]",
     )  # fmt: skip
     stepped_fewest_lines: int = threshold(
         5, "lines",
         "Fewer windows are no frequency response.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.stepped_fewest_lines]",
     )  # fmt: skip
     stepped_same_level: float = threshold(
         1e-3, "1",
@@ -218,7 +218,7 @@ class ReadingThresholds:
     few_levels: int = threshold(
         3, "levels",
         "Fewer locked levels are worth a note.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[reading.few_levels]",
     )  # fmt: skip
     stretch_fewest_samples: int = threshold(
         16, "samples",

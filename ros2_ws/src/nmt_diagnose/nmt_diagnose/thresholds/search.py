@@ -14,12 +14,12 @@ class SearchThresholds:
     first_effects: int = threshold(
         5, "1",
         "Effects that are fitted: to first order several laws do nearly the same.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[search.first_effects]",
     )  # fmt: skip
     first_locations: int = threshold(
         2, "1",
         "Locations of each effect that are fitted; others follow for the best.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[search.first_locations]",
     )  # fmt: skip
     least_cost_fall: float = threshold(
         6.0, "−2 ln p",
@@ -35,18 +35,18 @@ class SearchThresholds:
     pair_heads: int = threshold(
         2, "1",
         "Explanations that second effects are added to.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[search.pair_heads]",
     )  # fmt: skip
     second_effects: int = threshold(
         3, "1",
         "Second effects that are fitted to each head.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[search.second_effects]",
     )  # fmt: skip
     second_cost_fall: float = threshold(
         16.0, "−2 ln p",
         "Promised fall of the cost from which a second effect is fitted: the prior of a pair costs more than that "
         "of one.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[search.second_cost_fall]",
     )  # fmt: skip
     other_parameters: float = threshold(
         1.0, "σ of the prior",
@@ -57,7 +57,7 @@ class SearchThresholds:
     weak_sigmas: float = threshold(
         3.0, "σ",
         "Strength below which a member of two effects contributes nothing.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[search.weak_sigmas]",
     )  # fmt: skip
     wider_strength: float = threshold(
         2.5, "prior deviations",
@@ -67,7 +67,7 @@ class SearchThresholds:
     finalists: int = threshold(
         8, "1",
         "Explanations that are fitted again about the best one.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[search.finalists]",
     )  # fmt: skip
     far_behind_log_evidence: float = threshold(
         40.0, "ln evidence",
@@ -82,7 +82,7 @@ class SearchThresholds:
     other_locations_share: float = threshold(
         0.1, "1",
         "Share of the best fall of the cost from which the best effect is fitted at its other locations, too.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[search.other_locations_share]",
     )  # fmt: skip
     noise_scale: float = threshold(
         2.0, "1",

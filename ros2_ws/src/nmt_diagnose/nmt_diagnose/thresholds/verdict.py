@@ -53,7 +53,7 @@ class VerdictThresholds:
     judged_explanations: int = threshold(
         3, "1",
         "Explanations whose predictions of held-out rows are judged; each takes a fit for each split.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[verdict.judged_explanations]",
     )  # fmt: skip
     as_likely_share: float = threshold(
         1.0 / 3.0, "1",
@@ -86,7 +86,7 @@ class VerdictThresholds:
         3.0, "σ",
         "Standard deviations by which the squares of a level or band must exceed noise for a size of what is left "
         "to be reported.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[verdict.excess_sigmas]",
     )  # fmt: skip
     cause_probability: float = threshold(
         0.9, "1",
@@ -121,12 +121,12 @@ class VerdictThresholds:
     held_out_fewest_responses: int = threshold(
         3, "1",
         "Levels of a frequency response from which they are held out by level.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[verdict.held_out_fewest_responses]",
     )  # fmt: skip
     held_out_fewest_for_two: int = threshold(
         5, "1",
         "Levels of a frequency response from which the highest two are held out, not the highest one.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[verdict.held_out_fewest_for_two]",
     )  # fmt: skip
     least_location_probability: float = threshold(
         0.005, "1",

@@ -35,11 +35,18 @@ class DiagnoseOptions:
     model: str = needed_option(
         "name of a rig (for example beam), path of a rig file, or a robot's MJCF or URDF file", metavar="RIG"
     )
-    real: tuple[Path, ...] = needed_option(
+    real: tuple[Path, ...] = option(
+        (),
         "results folder or bag of './nmt run', 'linear' or 'import' on the real rig; may be repeated: "
         "different "
         "tests tell more effects apart; of a robot: a log of its joints, or that log's sidecar",
         metavar="BAG",
+    )
+    group: Path | None = option(
+        None,
+        "in place of --real: CSV table of several units of one type, with the columns recording, unit, and mounting, "
+        "day, repeat where they differ; each is diagnosed, then all together",
+        metavar="TABLE",
     )
     floor: tuple[Path, ...] = option(
         (),
@@ -99,6 +106,8 @@ def run(options: DiagnoseOptions) -> int:
     """
     from nmt_bench.commands.robot_diagnosis import diagnose_robot_log, is_robot
 
+    if bool(options.real) == (options.group is not None):
+        raise BenchError("Give the recordings: --real BAG for one unit, or --group TABLE for several, not both.")
     if is_robot(options.model):
         return diagnose_robot_log(options)
     if options.why and not options.force and (options.out / DIAGNOSIS).is_file():
@@ -112,6 +121,7 @@ def run(options: DiagnoseOptions) -> int:
         os.environ.setdefault(variable, "1")
 
     from nmt_bench.commands.console import make_console
+    from nmt_bench.commands.group_diagnosis import diagnose_group
     from nmt_bench.commands.requested_test import command_text
     from nmt_bench.page.task_feed import task_page
     from nmt_diagnose.diagnose import diagnose_bags
@@ -146,6 +156,8 @@ def run(options: DiagnoseOptions) -> int:
             matters=_matters(options.matters),
             command=command_text,
         )
+        if options.group is not None:
+            return diagnose_group(options, rig, settings, console, progress)
         outcome = diagnose_bags(rig, options.real, options.floor, settings, progress.update)
         progress.update("writing the report")
         with OutputFolder(options.out, options.force) as folder:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nmt_bench.commands.diagnose_command import DiagnoseOptions
     from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
-_ONLY_RIGS = ("floor", "set", "without", "hold_out", "matters", "why", "calibration")
+_ONLY_RIGS = ("group", "floor", "set", "without", "hold_out", "matters", "why", "calibration")
 
 
 def is_robot(model: str) -> bool:

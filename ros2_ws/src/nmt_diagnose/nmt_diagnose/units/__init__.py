@@ -1,0 +1,1 @@
+"""Several units of one type: what they share, how they scatter, and which one is odd."""

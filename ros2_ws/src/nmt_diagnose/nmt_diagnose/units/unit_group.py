@@ -1,0 +1,144 @@
+"""What several diagnoses say together: one effect for all or of one unit, means, scatter, the band of the next unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from nmt_core.text.number_words import value_text
+from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.units.random_effects import Components, Estimate, components
+
+_ALIKE = 0.05
+_WITHIN = {"mounting": "re-mounting", "day": "one day to another", "repeat": "one repeat to another", "": "settings"}
+
+
+@dataclass(frozen=True)
+class UnitDiagnosis:
+    """A diagnosis, of which unit and at which setting it is."""
+
+    unit: str
+    setting: str
+    diagnosis: Diagnosis
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A parameter of the model or of an effect over the units.
+
+    Attributes:
+        name: of the parameter; of an effect behind its name and place.
+        unit_of_value: SI unit.
+        of_effect: whether it belongs to an effect that the model lacks.
+        initial: value of the model, 0 for effects.
+        estimates: by unit and setting.
+        components: their means and scatter.
+    """
+
+    name: str
+    unit_of_value: str
+    of_effect: bool
+    initial: float
+    estimates: tuple[Estimate, ...]
+    components: Components
+
+
+@dataclass(frozen=True)
+class UnitGroup:
+    """Several units together.
+
+    Attributes:
+        units: names, in the order of the table.
+        explanations: what each diagnosis named: ``none``, ``unknown``, or effect and place.
+        quantities: parameters that two units or more have, those of effects first.
+        sentences: the verdict.
+        varied: what differs within units: mounting, day, repeat, or nothing.
+    """
+
+    units: tuple[str, ...]
+    explanations: tuple[tuple[str, str, str], ...]
+    quantities: tuple[Quantity, ...]
+    sentences: tuple[str, ...]
+    varied: str
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        mapping = asdict(self)
+        mapping["explanations"] = [
+            {"unit": unit, "setting": setting, "explanation": label} for unit, setting, label in self.explanations
+        ]
+        return mapping
+
+
+def unit_group(diagnoses: Sequence[UnitDiagnosis], varied: str) -> UnitGroup:
+    """Put diagnoses of several units together; each has its own ±, and nothing is fitted again."""
+    explanations = tuple((each.unit, each.setting, _label(each.diagnosis)) for each in diagnoses)
+    found: dict[str, tuple[str, bool, float, list[Estimate]]] = {}
+    for each in diagnoses:
+        diagnosis = each.diagnosis
+        if diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
+            for name, value in diagnosis.ranking[0].parameters.items():
+                _take(found, f"{_label(diagnosis)}: {name}", value.unit, True, 0.0, each, value.value, value.std)
+        for row in diagnosis.calibration:
+            _take(found, row.name, row.unit, False, row.start, each, row.to, row.std)
+    quantities = []
+    for name, (unit, of_effect, initial, estimates) in found.items():
+        if len({estimate.unit for estimate in estimates}) > 1:
+            quantities.append(Quantity(name, unit, of_effect, initial, tuple(estimates), components(estimates)))
+    quantities.sort(key=lambda quantity: not quantity.of_effect)
+    units = tuple(dict.fromkeys(each.unit for each in diagnoses))
+    sentences = (*_of_explanations(units, explanations), *(s for q in quantities for s in _of_quantity(q, varied)))
+    return UnitGroup(units, explanations, tuple(quantities), sentences, varied)
+
+
+def _label(diagnosis: Diagnosis) -> str:
+    if diagnosis.verdict is not Verdict.EFFECT or not diagnosis.ranking:
+        return "unknown" if diagnosis.verdict.gap else "none"
+    head = diagnosis.ranking[0]
+    return f"{head.effect}@{head.detail or head.place}"
+
+
+def _take(
+    found: dict[str, tuple[str, bool, float, list[Estimate]]], name: str, unit: str, of_effect: bool, initial: float,
+    each: UnitDiagnosis, value: float, std: float,
+) -> None:  # fmt: skip
+    if math.isfinite(value) and math.isfinite(std) and std > 0.0:
+        estimate = Estimate(each.unit, each.setting, value, std)
+        found.setdefault(name, (unit, of_effect, initial, []))[3].append(estimate)
+
+
+def _of_explanations(units: Sequence[str], explanations: Sequence[tuple[str, str, str]]) -> list[str]:
+    """Whether the units have one explanation."""
+    by_unit = {unit: sorted({label for name, _, label in explanations if name == unit}) for unit in units}
+    labels = {label for found in by_unit.values() for label in found}
+    if len(labels) == 1:
+        (label,) = labels
+        words = {"none": "none lacks an effect", "unknown": "none has a known cause"}
+        return [f"All {len(units)} units: {words.get(label, f'one effect for all, {label}')}."]
+    sentences = []
+    for label in sorted(labels):
+        having = [unit for unit, found in by_unit.items() if label in found]
+        sentences.append(f"{len(having)} of {len(units)} units: {label} ({', '.join(having)}).")
+    return sentences
+
+
+def _of_quantity(quantity: Quantity, varied: str) -> list[str]:
+    """What is to be said of a parameter."""
+    found, unit = quantity.components, quantity.unit_of_value
+    sentences = [
+        f"{odd.unit} differs from its sisters in {quantity.name} by "
+        f"{value_text(odd.difference, odd.difference_std, unit)} (p = {odd.p:.1g})."
+        for odd in found.odd
+    ]
+    if found.within_std is not None and found.within_std > abs(found.mean - quantity.initial) > 0.0:
+        what = "the effect" if quantity.of_effect else "its distance from the model"
+        sentences.append(f"{quantity.name}: the scatter of {_WITHIN[varied]} is larger than {what}.")
+    elif found.within_std is not None and found.within_std > found.between_std:
+        sentences.append(f"{quantity.name}: the scatter of {_WITHIN[varied]} is larger than that between units.")
+    if quantity.of_effect and not found.odd and found.heterogeneity_p > _ALIKE:
+        sentences.append(
+            f"{quantity.name}: one value for all within its ±, {value_text(found.mean, found.mean_std, unit)}."
+        )
+    return sentences

@@ -21,8 +21,8 @@ def test_the_rig_has_as_many_channels_as_asked_for_and_one_at_the_drive_point():
 
 
 def test_every_row_stands_beside_its_limit(monkeypatch):
-    monkeypatch.setattr(channel_figures, "_alone", lambda function, *arguments: function(*arguments))
-    monkeypatch.setattr(channel_figures, "_run", lambda *_, **__: channel_figures.RunCost(9.0, 600.0, 0.3))
+    monkeypatch.setattr(channel_figures, "in_a_process", lambda function, *arguments: function(*arguments))
+    monkeypatch.setattr(channel_figures, "run_cost", lambda *_, **__: channel_figures.RunCost(9.0, 600.0, 0.3))
     figures = channel_figures.channel_figures(20.0)
     found = {(figure.unit, figure.beside): figure.met for figure in figures}
     assert found == {
@@ -41,8 +41,8 @@ def test_a_run_that_fails_is_no_figure(monkeypatch):
     def fail(*_, **__):
         raise BenchError("The drive was stopped.")
 
-    monkeypatch.setattr(channel_figures, "_alone", lambda function, *arguments: function(*arguments))
-    monkeypatch.setattr(channel_figures, "_run", fail)
+    monkeypatch.setattr(channel_figures, "in_a_process", lambda function, *arguments: function(*arguments))
+    monkeypatch.setattr(channel_figures, "run_cost", fail)
     figures = channel_figures.channel_figures(20.0)
     assert len(figures) == 4
     assert all(figure.value is None and figure.met is None for figure in figures)
@@ -50,4 +50,4 @@ def test_a_run_that_fails_is_no_figure(monkeypatch):
 
 
 def test_a_process_of_its_own_gives_its_result() -> None:
-    assert channel_figures._alone(os.getpid) != os.getpid()
+    assert channel_figures.in_a_process(os.getpid) != os.getpid()

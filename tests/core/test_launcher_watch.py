@@ -43,6 +43,6 @@ def test_only_the_parent_counts(value: str | None, monkeypatch: pytest.MonkeyPat
         monkeypatch.delenv(LAUNCHER, raising=False)
     else:
         monkeypatch.setenv(LAUNCHER, value)
-    assert LauncherWatch()._process is None
+    assert LauncherWatch().process is None
     monkeypatch.setenv(LAUNCHER, "4242")
-    assert LauncherWatch()._process == 4242
+    assert LauncherWatch().process == 4242

@@ -24,7 +24,7 @@ from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDeca
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
-from nmt_diagnose.search.law_starts import _effects
+from nmt_diagnose.search.law_starts import effects_of_law
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 
@@ -142,7 +142,7 @@ def test_two_laws_at_two_places_are_read_and_written() -> None:
     assert np.sqrt(np.mean((np.array(loop.measured) - force) ** 2)) < 0.08 * np.sqrt(np.mean(force**2))
     elements = with_law(chain_of_masses(), found).local_elements
     assert sorted((element.kind, element.point) for element in elements) == [("cubic_spring", 4), ("tanh_friction", 2)]
-    starts = [name for law in found.laws for name, _ in _effects(law)]
+    starts = [name for law in found.laws for name, _ in effects_of_law(law)]
     assert sorted(starts) == ["cubic_stiffness", "second_friction_contact"]
 
 

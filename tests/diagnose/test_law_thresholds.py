@@ -17,7 +17,7 @@ from nmt_diagnose.law.law_search import LawSearch, fewest, moves_enough
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.nuisance import _of_other_modes
 from nmt_diagnose.law.terms import Term
-from nmt_diagnose.search.law_starts import _effects, worth_a_start
+from nmt_diagnose.search.law_starts import effects_of_law, worth_a_start
 
 
 def test_rows_and_errors_are_as_uncertain_as_stated() -> None:
@@ -116,7 +116,7 @@ def largest_slip() -> float:
 
 def dry_slip() -> float:
     term = reading.LawTerm("friction", (0.01,), 2.0, 0.0, "N")
-    ((_, values),) = _effects(reading.LocalLaw(1, 0, "", (term,), 1e-3, (), ()))
+    ((_, values),) = effects_of_law(reading.LocalLaw(1, 0, "", (term,), 1e-3, (), ()))
     return values["slip_displacement"]
 
 

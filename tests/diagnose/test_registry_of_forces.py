@@ -24,7 +24,7 @@ from nmt_diagnose.law.law_elements import element_of, not_written
 from nmt_diagnose.law.law_words import family, formula
 from nmt_diagnose.law.reading import LawTerm, LocalLaw
 from nmt_diagnose.law.terms import Term, force_of
-from nmt_diagnose.search.law_starts import _effects
+from nmt_diagnose.search.law_starts import effects_of_law
 from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements import SECTIONS
 from nmt_rig.model.local_elements.attachments import AttachmentSection, LuGreSection
@@ -93,7 +93,7 @@ def of_term(kind: str, parameters: tuple[float, ...]) -> dict[str, Any]:
         "formula": formula(term),
         "element": None if element is None else element.model_dump(exclude_unset=True),
         "not written": not_written([law]),
-        "starts": _effects(law) if kind != "brake" else [],
+        "starts": effects_of_law(law) if kind != "brake" else [],
     }
 
 

@@ -34,7 +34,7 @@ def parsed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return parse(parser, *arguments)
 
     monkeypatch.setattr(MathTextParser, "_parse_cached", noted)
-    monkeypatch.setattr(module, "_kept", {})
+    monkeypatch.setattr(module, "kept", {})
     return formulas
 
 
@@ -67,11 +67,11 @@ def test_matplotlib_is_left_as_it_was() -> None:
 
 
 def test_no_more_than_some_are_kept(parsed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_MOST", 3)
+    monkeypatch.setattr(module, "MOST_KEPT", 3)
     with kept_formulas():
         for number in range(9):
             drawn(f"$q_{number}$")
-    assert len(module._kept) <= 3
+    assert len(module.kept) <= 3
 
 
 def test_a_parser_of_another_make_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:

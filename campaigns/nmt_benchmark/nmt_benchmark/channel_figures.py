@@ -118,12 +118,12 @@ def bench_figures(seconds: float) -> list[Figure]:
     try:
         for _ in range(_ROUNDS):
             for _, processes, _ in kinds:
-                cost = _run(plan.rig, processes, periods, levels=_LEVELS, node_values=ticks)
+                cost = run_cost(plan.rig, processes, periods, levels=_LEVELS, node_values=ticks)
                 best[processes] = max(best.get(processes, cost), cost)
         device = run_benchmark(plan.rig, seconds).device
         for words, processes, limit in kinds:
             cost = best[processes]
-            short = _run(load_rig("beam", [_SHORT]), processes, periods, levels=_LEVELS)
+            short = run_cost(load_rig("beam", [_SHORT]), processes, periods, levels=_LEVELS)
             name = f"bench: {words}"
             figures.append(Figure.limited(name, cost.speed, "× real time", limit))
             figures.append(Figure(f"{name}, long blocks", cost.speed, "× real time", short.speed, "blocks of 20 ms"))
@@ -187,22 +187,22 @@ def channel_figures(seconds: float) -> list[Figure]:
     rig = large_rig(49, 32, 51_200.0)
     name = "bench: 49 elements, 32 channels, 51.2 kHz"
     each = "one process a node"
-    figures = _measured(f"{name}, all nodes in one process", LIMIT_CHANNELS, lambda: _run(rig, False, periods))
+    figures = _measured(f"{name}, all nodes in one process", LIMIT_CHANNELS, lambda: run_cost(rig, False, periods))
     figures += _measured(
-        f"{name}, {each}", LIMIT_CHANNELS_PROCESSES, lambda: _run(rig, True, periods), LIMIT_CHANNELS_CPU
+        f"{name}, {each}", LIMIT_CHANNELS_PROCESSES, lambda: run_cost(rig, True, periods), LIMIT_CHANNELS_CPU
     )
     # What other figures have loaded into this process is not the bench's.
     figures += _measured(
         f"bench: 50 elements, 64 channels, 51.2 kHz, {each}",
         LIMIT_LARGE,
-        lambda: _alone(functools.partial(_run, memory=True), large_rig(50, 64, 51_200.0), True, fewer),
+        lambda: in_a_process(functools.partial(run_cost, memory=True), large_rig(50, 64, 51_200.0), True, fewer),
         LIMIT_LARGE_CPU,
         LIMIT_MEMORY,
     )
     return figures + _measured(
         "bench: 200 channels, 25.6 kHz, in real time",
         LIMIT_REAL_TIME,
-        lambda: _run(large_rig(20, 200, 25_600.0), True, _REAL_TIME_PERIODS, pacing="realtime"),
+        lambda: run_cost(large_rig(20, 200, 25_600.0), True, _REAL_TIME_PERIODS, pacing="realtime"),
         LIMIT_REAL_TIME_CPU,
     )
 
@@ -225,13 +225,13 @@ def _measured(
     return figures
 
 
-def _alone(function: Callable[..., _Result], *arguments: Any) -> _Result:
+def in_a_process(function: Callable[..., _Result], *arguments: Any) -> _Result:
     """What a function gives in a process of its own."""
     with ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn")) as process:
         return process.submit(function, *arguments).result()
 
 
-def _run(
+def run_cost(
     rig: Rig,
     processes: bool,
     periods: int,

@@ -13,10 +13,10 @@ from typing import Any
 import matplotlib
 from matplotlib.mathtext import MathTextParser
 
-_MOST = 2000
+MOST_KEPT = 2000
 _PARSE = "_parse_cached"
 _SETTINGS = tuple(key for key in matplotlib.rcParamsDefault if key.startswith("mathtext."))
-_kept: dict[Any, Any] = {}
+kept: dict[Any, Any] = {}
 
 
 @contextmanager
@@ -39,8 +39,8 @@ def _parsed(parser: Any, *arguments: Any) -> Any:
     """What matplotlib's parser gives, which depends on the arguments and on the settings for formulas."""
     settings = tuple(str(matplotlib.rcParams[key]) for key in _SETTINGS)
     key = (getattr(parser, "_output_type", parser), settings, arguments)
-    if key not in _kept:
-        if len(_kept) >= _MOST:
-            _kept.clear()
-        _kept[key] = _parsed.parse(parser, *arguments)  # type: ignore[attr-defined]
-    return _kept[key]
+    if key not in kept:
+        if len(kept) >= MOST_KEPT:
+            kept.clear()
+        kept[key] = _parsed.parse(parser, *arguments)  # type: ignore[attr-defined]
+    return kept[key]

@@ -24,13 +24,13 @@ class LauncherWatch:
     def __init__(self, process: int | None = None, longest: float = _LONGEST) -> None:
         if process is None and os.environ.get(LAUNCHER, "") == str(os.getppid()):
             process = os.getppid()
-        self._process, self._longest = process, longest
+        self.process, self._longest = process, longest
         self._since: float | None = None
 
     @property
     def lives(self) -> bool:
         """Whether a program has started this process as a node, and has not ended."""
-        return self._process is not None and state_of(self._process) not in ("", "Z")
+        return self.process is not None and state_of(self.process) not in ("", "Z")
 
     def complaint(self, now: float | None = None) -> str:
         """A sentence once the program has been stopped for too long; empty before, and where no program is known.
@@ -38,13 +38,13 @@ class LauncherWatch:
         Args:
             now: s of the steady clock; None = the present.
         """
-        if self._process is None:
+        if self.process is None:
             return ""
         now = time.monotonic() if now is None else now
-        if state_of(self._process) != "T":
+        if state_of(self.process) != "T":
             self._since = None
         elif self._since is None:
             self._since = now
         elif now - self._since > self._longest:
-            return f"The program that started the nodes (process {self._process}) is stopped."
+            return f"The program that started the nodes (process {self.process}) is stopped."
         return ""

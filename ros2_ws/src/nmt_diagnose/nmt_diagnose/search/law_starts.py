@@ -83,7 +83,7 @@ def _weaker(candidate: Candidate, theta: FloatArray, share: float) -> FloatArray
 
 def _start(candidates: Sequence[Candidate], law: LocalLaw) -> tuple[Candidate, FloatArray] | None:
     """The effect of the library that a law is, with its parameters; None where it has none."""
-    for name, values in _effects(law):
+    for name, values in effects_of_law(law):
         for candidate in candidates:
             site = candidate.site
             places = {(site.point, site.other_point), (site.other_point, site.point)}
@@ -94,7 +94,7 @@ def _start(candidates: Sequence[Candidate], law: LocalLaw) -> tuple[Candidate, F
     return None
 
 
-def _effects(law: LocalLaw) -> list[tuple[str, Mapping[str, float]]]:
+def effects_of_law(law: LocalLaw) -> list[tuple[str, Mapping[str, float]]]:
     """Names of effects with parameters by name, the strongest term of the law first."""
     sliders = [term for term in law.terms if term.kind in ("slider", "slack slider", "bristle", "weakening bristle")]
     if sliders:

@@ -88,23 +88,25 @@ class RationalFit:
         """All parameters in the order of ``covariance``."""
         return np.concatenate([self.poles, np.concatenate([self.residues, self.polynomial], axis=2).ravel()])
 
-    def with_parameters(self, values: ComplexArray) -> tuple[ComplexArray, list[list[ComplexArray]]]:
-        """Denominator, and numerators by channel and input: polynomials in z, highest power first."""
+    def with_parameters(self, values: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Denominators and numerators of many sets of parameters at once.
+
+        Args:
+            values: sets in the order of ``covariance``, shape ``(sets, parameters)``.
+
+        Returns:
+            Polynomials in z, highest power first, shapes ``(sets, P + 1)`` and ``(sets, channels, inputs, powers)``.
+        """
         count = self.poles.size
-        poles = values[:count]
-        denominator = np.poly(poles)
-        table = values[count:].reshape(*self.residues.shape[:2], -1)
-        residues = np.stack([_rank_one(table[..., p], self.residues[..., p]) for p in range(count)], axis=2)
-        others = [np.poly(np.delete(poles, index)) for index in range(count)]
-        numerators: list[list[ComplexArray]] = []
-        for channel, rows in enumerate(table):
-            numerators.append([])
-            for row, strengths in zip(rows, residues[channel], strict=True):
-                numerator = np.convolve(row[count:][::-1], denominator)
-                for strength, other in zip(strengths, others, strict=True):
-                    numerator = np.polyadd(numerator, strength * other)
-                numerators[-1].append(np.asarray(numerator, dtype=np.complex128))
-        return np.asarray(denominator, dtype=np.complex128), numerators
+        poles = values[:, :count]
+        denominator = _with_roots(poles)
+        table = values[:, count:].reshape(len(values), *self.residues.shape[:2], -1)
+        numerators = _product(table[..., : count - 1 : -1], denominator[:, np.newaxis, np.newaxis])
+        for index in range(count):
+            strengths = _rank_one(table[..., index], self.residues[..., index])
+            other = _with_roots(np.delete(poles, index, axis=1))
+            numerators[..., -count:] += strengths[..., np.newaxis] * other[:, np.newaxis, np.newaxis]
+        return denominator, numerators
 
 
 @dataclass(frozen=True, eq=False)
@@ -442,70 +444,112 @@ def structure_mode(fit: RationalFit, near_hz: complex, force_rows: Sequence[int]
     """
     values = fit.parameters()
     near = (near_hz - fit.centre_hz) / fit.half_width_hz
-    result = _mode_of(fit, values, near, force_rows)
-    slopes = np.empty((result.size, values.size), dtype=np.complex128)
+    result = _modes_of(fit, values[np.newaxis], near, force_rows)[0]
     root = (result[0] / 2j / np.pi - fit.centre_hz) / fit.half_width_hz
     deviation = np.sqrt(np.maximum(np.diagonal(fit.covariance).real, 0.0))
-    for index in range(values.size):
-        # The mode is an analytic function of the parameters: one complex difference gives its derivative.
-        step = max(1e-3 * deviation[index], 1e-7 * abs(values[index]), 1e-30)
-        up, down = values.copy(), values.copy()
-        up[index] += step
-        down[index] -= step
-        slopes[:, index] = (_mode_of(fit, up, root, force_rows) - _mode_of(fit, down, root, force_rows)) / (2.0 * step)
+    # The mode is an analytic function of the parameters: one complex difference gives its derivative.
+    steps = np.maximum(np.maximum(1e-3 * deviation, 1e-7 * np.abs(values)), 1e-30)
+    up, down = (_modes_of(fit, values + sign * np.diag(steps), root, force_rows) for sign in (1.0, -1.0))
+    slopes = ((up - down) / (2.0 * steps[:, np.newaxis])).T
     residues = result[1:].reshape(-1, fit.residues.shape[1])
     return StructureMode(complex(result[0]), residues, slopes @ fit.covariance @ slopes.conj().T)
 
 
 def _rank_one(values: ComplexArray, near: ComplexArray) -> ComplexArray:
-    """A matrix of rank one that is a matrix near a known one where that has rank one; an analytic function of it."""
+    """Matrices of rank one that are matrices near a known one where they have rank one; an analytic function of them.
+
+    Args:
+        values: matrices, shape ``(sets, channels, inputs)``.
+        near: the known one, shape ``(channels, inputs)``.
+    """
     column = int(np.argmax(np.linalg.norm(near, axis=0)))
     across = near[:, column].conj() @ values
-    across = across / across[column]
-    across[column] = 1.0
-    return np.outer(values[:, column], across)
+    across = across / across[:, column : column + 1]
+    across[:, column] = 1.0
+    return np.asarray(values[:, :, column, np.newaxis] * across[:, np.newaxis])
 
 
-def _mode_of(fit: RationalFit, values: ComplexArray, near: complex, force_rows: Sequence[int]) -> ComplexArray:
-    """Eigenvalue, then residues by response and force."""
+def _modes_of(fit: RationalFit, values: ComplexArray, near: complex, force_rows: Sequence[int]) -> ComplexArray:
+    """Eigenvalue, then residues by response and force, of sets of parameters ``(sets, parameters)``, a row each."""
     below, numerators = fit.with_parameters(values)
-    roots: ComplexArray = values[: fit.poles.size]
-    responses = [row for index, row in enumerate(numerators) if index not in force_rows]
+    roots: ComplexArray = values[:, : fit.poles.size]
+    responses = np.delete(numerators, list(force_rows), axis=1)
     if force_rows:
-        forces = [numerators[row] for row in force_rows]
-        shared = np.ones(1, dtype=np.complex128)
+        forces = numerators[:, list(force_rows)]
+        shared = np.ones((len(values), 1), dtype=np.complex128)
         for _ in force_rows[1:]:
-            shared = np.asarray(np.convolve(shared, below), dtype=np.complex128)
+            shared = _product(shared, below)
         below = _quotient(_determinant(forces), shared)
-        roots = np.asarray(np.roots(below), dtype=np.complex128)
-        responses = [[_quotient(_determinant(forces, row, at), shared) for at in range(len(row))] for row in responses]
-    root = roots[int(np.argmin(np.abs(roots - near)))]
-    slope = np.polyval(np.polyder(below), root) / (2j * np.pi * fit.half_width_hz)
+        roots = _roots(below)
+        # Cramer's rule: each response in the place of each force.
+        solved = []
+        for at in range(len(force_rows)):
+            rows = np.repeat(forces[:, np.newaxis], responses.shape[1], axis=1)
+            rows[:, :, at] = responses
+            solved.append(_quotient(_determinant(rows), shared[:, np.newaxis]))
+        responses = np.stack(solved, axis=2)
+    nearest = np.argmin(np.abs(roots - near), axis=1)
+    root = np.take_along_axis(roots, nearest[:, np.newaxis], axis=1)[:, 0]
+    derivative = below[:, :-1] * np.arange(below.shape[1] - 1, 0, -1)
+    slope = _value(derivative, root) / (2j * np.pi * fit.half_width_hz)
     eigenvalue = 2j * np.pi * (fit.centre_hz + fit.half_width_hz * root)
-    return np.array([eigenvalue, *(np.polyval(entry, root) / slope for row in responses for entry in row)])
+    residues = _value(responses, root[:, np.newaxis, np.newaxis]) / slope[:, np.newaxis, np.newaxis]
+    return np.column_stack([eigenvalue, residues.reshape(len(values), -1)])
+
+
+# Polynomials along the last axis, highest power first; the axes before it are many of them.
+
+
+def _with_roots(roots: ComplexArray) -> ComplexArray:
+    result = np.ones((len(roots), 1), dtype=np.complex128)
+    for root in roots.T:
+        result = _product(result, np.column_stack([np.ones_like(root), -root]))
+    return result
+
+
+def _product(one: ComplexArray, other: ComplexArray) -> ComplexArray:
+    size = one.shape[-1]
+    shape = np.broadcast_shapes(one.shape[:-1], other.shape[:-1])
+    result = np.zeros((*shape, size + other.shape[-1] - 1), dtype=np.complex128)
+    for power in range(other.shape[-1]):
+        result[..., power : power + size] += one * other[..., power : power + 1]
+    return result
+
+
+def _value(polynomial: ComplexArray, at: ComplexArray) -> ComplexArray:
+    result = np.zeros(np.broadcast_shapes(polynomial.shape[:-1], at.shape), dtype=np.complex128)
+    for power in range(polynomial.shape[-1]):
+        result = result * at + polynomial[..., power]
+    return result
+
+
+def _roots(polynomial: ComplexArray) -> ComplexArray:
+    """Eigenvalues of the companion matrices."""
+    degree = polynomial.shape[-1] - 1
+    companion = np.zeros((*polynomial.shape[:-1], degree, degree), dtype=np.complex128)
+    companion[..., 1:, :-1] = np.eye(degree - 1)
+    companion[..., 0, :] = -polynomial[..., 1:] / polynomial[..., :1]
+    return np.asarray(np.linalg.eigvals(companion), dtype=np.complex128)
 
 
 def _quotient(numerator: ComplexArray, denominator: ComplexArray) -> ComplexArray:
-    """Of polynomials, as ``np.polydiv``, which spends most of its time on the remainder that nobody needs."""
-    left = numerator.astype(np.complex128)
-    quotient = np.zeros(max(numerator.size - denominator.size + 1, 1), dtype=np.complex128)
-    scale = 1.0 / denominator[0]
-    for index in range(numerator.size - denominator.size + 1):
-        quotient[index] = scale * left[index]
-        left[index : index + denominator.size] -= quotient[index] * denominator
+    """Without the remainder."""
+    size = denominator.shape[-1]
+    left = numerator.copy()
+    quotient = np.zeros((*left.shape[:-1], left.shape[-1] - size + 1), dtype=np.complex128)
+    for index in range(quotient.shape[-1]):
+        quotient[..., index] = left[..., index] / denominator[..., 0]
+        left[..., index : index + size] -= quotient[..., index, np.newaxis] * denominator
     return quotient
 
 
-def _determinant(
-    rows: Sequence[Sequence[ComplexArray]], other: Sequence[ComplexArray] | None = None, at: int = 0
-) -> ComplexArray:
-    """Of a square matrix of polynomials, with another row in the place of one (as of Cramer's rule)."""
-    if other is not None:
-        rows = [*rows[:at], other, *rows[at + 1 :]]
-    if not rows:
-        return np.ones(1, dtype=np.complex128)
-    total = np.zeros(1, dtype=np.complex128)
-    for column, entry in enumerate(rows[0]):
-        minor = [[*row[:column], *row[column + 1 :]] for row in rows[1:]]
-        total = np.asarray(np.polyadd(total, (-1) ** column * np.convolve(entry, _determinant(minor))), np.complex128)
-    return total
+def _determinant(rows: ComplexArray) -> ComplexArray:
+    """Of square matrices of polynomials, shape ``(…, n, n, powers)``, by their first rows."""
+    if rows.shape[-2] == 1:
+        return rows[..., 0, 0, :]
+    terms = [
+        (-1) ** column
+        * _product(rows[..., 0, column, :], _determinant(np.delete(rows[..., 1:, :, :], column, axis=-2)))
+        for column in range(rows.shape[-2])
+    ]
+    return np.asarray(sum(terms), dtype=np.complex128)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import solve_ivp
+from scipy.integrate import odeint
 from scipy.optimize import root
 
 Force = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -40,7 +40,7 @@ def subcritical() -> SelfExcitedModel:
     """The rig ``subcritical``."""
 
     def force(x: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return np.stack([5.0e7 * x[0] ** 3, (-3.6e6 * x[1] ** 2 + 1.78e11 * x[1] ** 4) * v[1]])
+        return np.array([5.0e7 * x[0] ** 3, (-3.6e6 * x[1] ** 2 + 1.78e11 * x[1] ** 4) * v[1]])
 
     return SelfExcitedModel(
         np.diag([1.0, 0.6]),
@@ -124,16 +124,17 @@ def limit_cycle(model: SelfExcitedModel, start: float, seconds: float = 8.0) -> 
     """
     n = model.mass.shape[0]
     inverse = np.linalg.inv(model.mass)
+    linear = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ model.stiffness, -inverse @ model.damping]])
 
     def rate(_: float, state: np.ndarray) -> np.ndarray:
-        x, v = state[:n], state[n:]
-        return np.concatenate(
-            [v, -inverse @ (model.damping @ v + model.stiffness @ x + np.atleast_1d(model.force(x, v)))]
-        )
+        result = linear @ state
+        result[n:] -= inverse @ model.force(state[:n], state[n:])
+        return result
 
     begin = np.concatenate([np.full(n, start), np.zeros(n)])
-    times = np.arange(0.9 * seconds, seconds, 1e-4)
-    motion = solve_ivp(rate, (0.0, seconds), begin, "LSODA", times, rtol=1e-9, atol=1e-12, max_step=2e-3).y[:n]
+    times = np.concatenate([[0.0], np.arange(0.9 * seconds, seconds, 1e-4)])
+    states = odeint(rate, begin, times, tfirst=True, rtol=1e-9, atol=1e-12, hmax=2e-3, mxstep=1_000_000)
+    motion = states[1:, :n].T
     swing = motion[0] - motion[0].mean()
     up = np.flatnonzero((swing[:-1] < 0.0) & (swing[1:] >= 0.0))
     crossings = up - swing[up] / (swing[up + 1] - swing[up])

@@ -79,7 +79,7 @@ os.fork = lambda: forks.append(1) or fork()
 from report.synthetic_run import synthetic_run
 from nmt_report.run_report import report_html
 from nmt_report.shared_work import font_is_open
-data = synthetic_run()
+data = synthetic_run(levels=3, failed=1)
 assert not font_is_open()
 first = report_html(data)
 assert font_is_open()

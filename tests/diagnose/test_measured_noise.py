@@ -57,7 +57,8 @@ def stated(observations: Observations, factor: float) -> Observations:
 
 
 def diagnosed(observations: Observations, **settings: object) -> Diagnosis:
-    return diagnose_observations(MODEL, observations, DiagnosisSettings(withheld=WITHHELD, **settings)).diagnosis  # type: ignore[arg-type]
+    settings = {"withheld": WITHHELD, "look_ahead": False, **settings}
+    return diagnose_observations(MODEL, observations, DiagnosisSettings(**settings)).diagnosis  # type: ignore[arg-type]
 
 
 def test_marginal_scale_is_the_integral_over_all_scales() -> None:
